@@ -1,0 +1,16 @@
+"""One alias for each kind of array; the shape stands in the docstring of who uses it."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+Image = NDArray[np.uint8]
+
+
+def frozen(values: object, dtype: type = np.float64) -> NDArray:
+    """Copy values into a read-only, contiguous array."""
+    array = np.array(values, dtype=dtype, order="C")
+    array.setflags(write=False)
+    return array

@@ -1,0 +1,1 @@
+"""The person as a function of parameters."""

@@ -1,0 +1,1 @@
+"""The only code that reads settings and talks to a person."""

@@ -1,0 +1,1 @@
+"""Parameters from observations: one least squares for all of them."""

@@ -1,0 +1,1 @@
+"""Space: rotations, rigid motions and twists, knowing nothing of cameras or people."""

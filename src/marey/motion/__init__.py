@@ -1,0 +1,1 @@
+"""A motion over time, and the angles that anatomists read from it."""

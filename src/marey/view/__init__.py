@@ -1,0 +1,1 @@
+"""The only code that draws for a person."""
