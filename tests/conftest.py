@@ -14,8 +14,7 @@ def rng() -> np.random.Generator:
 @pytest.fixture
 def shared() -> Path:
     """The recordings and rendered takes beside the project; a test that needs them skips where they are missing."""
-    folder = Path(__file__).resolve().parents[2] / "shared"
     for up in Path(__file__).resolve().parents[1:5]:
         if (up / "shared" / "data").is_dir():
             return up / "shared"
-    pytest.skip(f"{folder} is not there")
+    pytest.skip("../shared is not beside the project")

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 ROOMS = (
-    ["geometry", "cameras", "images", "body", "surface", "observations", "fit", "motion"]
-    + ["nonrigid", "markers", "knee", "io", "view", "cli"]
+    *["geometry", "cameras", "images", "body", "surface", "observations", "fit", "motion"],
+    *["nonrigid", "markers", "knee", "io", "view", "cli"],
 )
 SOURCE = Path(__file__).parents[1] / "src" / "marey"
 MODULES = sorted(path for room in ROOMS for path in (SOURCE / room).rglob("*.py"))

@@ -11,6 +11,6 @@ Image = NDArray[np.uint8]
 
 def frozen(values: object, dtype: type = np.float64) -> NDArray:
     """Copy values into a read-only, contiguous array."""
-    array = np.array(values, dtype=dtype, order="C")
+    array: NDArray = np.array(values, dtype=dtype, order="C")
     array.setflags(write=False)
     return array

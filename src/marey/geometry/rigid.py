@@ -1,0 +1,69 @@
+"""Rigid motions, named `b_from_a`, so that products cancel as they are read."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from marey.arrays import Floats, frozen
+from marey.geometry import rotations
+
+
+@dataclass(frozen=True, eq=False)
+class RigidTransform:
+    """A rotation followed by a translation: b_from_a.apply(p_a) = rotation @ p_a + translation."""
+
+    rotation: Floats
+    """(3, 3)."""
+    translation: Floats
+    """(3,) [m]."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "rotation", frozen(self.rotation))
+        object.__setattr__(self, "translation", frozen(self.translation))
+
+    @staticmethod
+    def identity() -> "RigidTransform":
+        """Give the motion that moves nothing."""
+        return RigidTransform(np.eye(3), np.zeros(3))
+
+    @staticmethod
+    def from_vector(rotation_vector: Floats, translation: Floats) -> "RigidTransform":
+        """Make a transform from a rotation vector [rad] and a translation [m]."""
+        return RigidTransform(rotations.exp(np.asarray(rotation_vector, float)), translation)
+
+    @staticmethod
+    def from_matrix(matrix: Floats) -> "RigidTransform":
+        """Make a transform from a homogeneous matrix (4, 4)."""
+        matrix = np.asarray(matrix, float)
+        return RigidTransform(matrix[:3, :3], matrix[:3, 3])
+
+    @property
+    def matrix(self) -> Floats:
+        """The homogeneous matrix (4, 4)."""
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = self.rotation, self.translation
+        return matrix
+
+    @property
+    def rotation_vector(self) -> Floats:
+        """Axis times angle (3,) [rad]."""
+        return rotations.log(self.rotation)
+
+    def __matmul__(self, other: "RigidTransform") -> "RigidTransform":
+        """Compose: c_from_a = c_from_b @ b_from_a."""
+        return RigidTransform(self.rotation @ other.rotation, self.apply(other.translation))
+
+    def apply(self, points: Floats) -> Floats:
+        """Carry points (..., 3) from the frame a to the frame b."""
+        return np.asarray(points, float) @ self.rotation.T + self.translation
+
+    def inverse(self) -> "RigidTransform":
+        """Turn b_from_a into a_from_b."""
+        return RigidTransform(self.rotation.T, -self.rotation.T @ self.translation)
+
+    def adjoint(self) -> Floats:
+        """Give the matrix (6, 6) that carries twists (v, w) from a to b."""
+        matrix = np.zeros((6, 6))
+        matrix[:3, :3] = matrix[3:, 3:] = self.rotation
+        matrix[:3, 3:] = rotations.hat(self.translation) @ self.rotation
+        return matrix

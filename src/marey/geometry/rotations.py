@@ -1,0 +1,197 @@
+"""Rotations: exponential, logarithm and their derivatives, exact down to the smallest angle."""
+
+import numba
+import numpy as np
+
+from marey.arrays import Floats
+
+_SERIES_BELOW = 1e-2  # rad; below it the series are more exact than the closed forms
+
+
+def _coefficients(angle: Floats) -> tuple[Floats, Floats, Floats]:
+    """Give sin(t)/t, (1 - cos t)/t^2 and (t - sin t)/t^3, all finite at t = 0."""
+    small = angle < _SERIES_BELOW
+    t = np.where(small, 1.0, angle)
+    s = np.where(small, angle, 0.0) ** 2
+    first = np.where(small, 1 - s / 6 + s**2 / 120, np.sin(t) / t)
+    second = np.where(small, 0.5 - s / 24 + s**2 / 720, (1 - np.cos(t)) / t**2)
+    third = np.where(small, 1 / 6 - s / 120 + s**2 / 5040, (t - np.sin(t)) / t**3)
+    return first, second, third
+
+
+def hat(vector: Floats) -> Floats:
+    """Give the skew matrix whose product with b is the cross product of the vector and b ([Rosenhahn2006] eq. (7)).
+
+    Args:
+        vector: (..., 3).
+
+    Returns:
+        (..., 3, 3).
+    """
+    vector = np.asarray(vector, float)
+    x, y, z = np.moveaxis(vector, -1, 0)
+    zero = np.zeros_like(x)
+    rows = [np.stack(row, -1) for row in ((zero, -z, y), (z, zero, -x), (-y, x, zero))]
+    return np.stack(rows, -2)
+
+
+def exp(vector: Floats) -> Floats:
+    """Turn rotation vectors into rotation matrices ([Rosenhahn2006] eq. (9)).
+
+    Args:
+        vector: (..., 3) axis times angle [rad].
+
+    Returns:
+        (..., 3, 3).
+    """
+    first, second, _ = _coefficients(np.linalg.norm(vector, axis=-1))
+    omega = hat(vector)
+    return np.eye(3) + first[..., None, None] * omega + second[..., None, None] * (omega @ omega)
+
+
+def log(rotation: Floats) -> Floats:
+    """Turn rotation matrices into rotation vectors of an angle of at most pi.
+
+    Args:
+        rotation: (..., 3, 3).
+
+    Returns:
+        (..., 3) [rad].
+    """
+    quaternion = to_quaternion(rotation)
+    quaternion = np.where(quaternion[..., :1] < 0, -quaternion, quaternion)
+    length = np.linalg.norm(quaternion[..., 1:], axis=-1, keepdims=True)
+    angle = 2 * np.arctan2(length, quaternion[..., :1])
+    scale = np.where(length < 1e-9, 2.0, angle / np.where(length < 1e-9, 1.0, length))
+    return scale * quaternion[..., 1:]
+
+
+def left_jacobian(vector: Floats) -> Floats:
+    """Give J with exp(v + d) = exp(J d) exp(v) to first order.
+
+    Args:
+        vector: (..., 3) [rad].
+
+    Returns:
+        (..., 3, 3).
+    """
+    _, second, third = _coefficients(np.linalg.norm(vector, axis=-1))
+    omega = hat(vector)
+    return np.eye(3) + second[..., None, None] * omega + third[..., None, None] * (omega @ omega)
+
+
+def inverse_left_jacobian(vector: Floats) -> Floats:
+    """Invert the left Jacobian in closed form; the angle must lie below 2 pi.
+
+    Args:
+        vector: (..., 3) [rad].
+
+    Returns:
+        (..., 3, 3).
+    """
+    angle = np.linalg.norm(vector, axis=-1)
+    small = angle < _SERIES_BELOW
+    t = np.where(small, 1.0, angle)
+    closed = 1 / t**2 - 1 / (2 * t * np.tan(t / 2))
+    third = np.where(small, 1 / 12 + angle**2 / 720 + angle**4 / 30240, closed)
+    omega = hat(vector)
+    return np.eye(3) - 0.5 * omega + third[..., None, None] * (omega @ omega)
+
+
+def about(axis: Floats, angle: Floats) -> Floats:
+    """Turn by an angle about a unit axis.
+
+    Args:
+        axis: (..., 3) unit vectors.
+        angle: (...) [rad].
+
+    Returns:
+        (..., 3, 3).
+    """
+    return exp(np.asarray(axis, float) * np.asarray(angle, float)[..., None])
+
+
+def mean(rotations: Floats) -> Floats:
+    """Average rotations: the chordal mean, the rotation nearest to the mean matrix.
+
+    Args:
+        rotations: (n, 3, 3).
+
+    Returns:
+        (3, 3).
+    """
+    return nearest(np.mean(rotations, axis=0))
+
+
+def nearest(matrix: Floats) -> Floats:
+    """Find the proper rotation nearest to a matrix in the sense of Frobenius.
+
+    Args:
+        matrix: (..., 3, 3).
+
+    Returns:
+        (..., 3, 3).
+    """
+    u, _, vt = np.linalg.svd(matrix)
+    sign = np.ones(u.shape[:-1])
+    sign[..., 2] = np.sign(np.linalg.det(u @ vt))
+    return (u * sign[..., None, :]) @ vt
+
+
+def to_quaternion(rotation: Floats) -> Floats:
+    """Turn rotation matrices into unit quaternions.
+
+    Args:
+        rotation: (..., 3, 3).
+
+    Returns:
+        (..., 4) as w, x, y, z.
+    """
+    r = np.asarray(rotation, float)
+    trace = np.trace(r, axis1=-2, axis2=-1)
+    # Four equal expressions, each exact where its own component is large; the largest is taken.
+    squares = np.stack([1 + trace] + [1 + 2 * r[..., i, i] - trace for i in range(3)], -1)
+    w = np.stack(
+        [squares[..., 0], *(r[..., (i + 2) % 3, (i + 1) % 3] - r[..., (i + 1) % 3, (i + 2) % 3] for i in range(3))], -1
+    )
+    candidates = [w]
+    for i in range(3):
+        row = [r[..., (i + 2) % 3, (i + 1) % 3] - r[..., (i + 1) % 3, (i + 2) % 3]]
+        row += [squares[..., i + 1] if k == i else r[..., i, k] + r[..., k, i] for k in range(3)]
+        candidates.append(np.stack(row, -1))
+    best = np.argmax(squares, -1)
+    chosen = np.take_along_axis(np.stack(candidates, -2), best[..., None, None], -2)[..., 0, :]
+    return chosen / np.linalg.norm(chosen, axis=-1, keepdims=True)
+
+
+def from_quaternion(quaternion: Floats) -> Floats:
+    """Turn quaternions into rotation matrices.
+
+    Args:
+        quaternion: (..., 4) as w, x, y, z; its length does not matter.
+
+    Returns:
+        (..., 3, 3).
+    """
+    q = np.asarray(quaternion, float)
+    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    w, v = q[..., :1, None], q[..., 1:]
+    omega = hat(v)
+    return np.eye(3) + 2 * w * omega + 2 * omega @ omega
+
+
+@numba.njit(cache=True, nogil=True)
+def turn_about(axis, angle, out):  # pragma: no cover - compiled
+    """Write the rotation by an angle about a unit axis into out (3, 3): `about` for kernels."""
+    s = np.sin(angle)
+    c = 1.0 - np.cos(angle)
+    x, y, z = axis[0], axis[1], axis[2]
+    out[0, 0] = 1.0 - c * (y * y + z * z)
+    out[0, 1] = -s * z + c * x * y
+    out[0, 2] = s * y + c * x * z
+    out[1, 0] = s * z + c * x * y
+    out[1, 1] = 1.0 - c * (x * x + z * z)
+    out[1, 2] = -s * x + c * y * z
+    out[2, 0] = -s * y + c * x * z
+    out[2, 1] = s * x + c * y * z
+    out[2, 2] = 1.0 - c * (x * x + y * y)
