@@ -1,0 +1,231 @@
+"""Kernels of the posed body: segments, skin, and how they move with every coordinate."""
+
+import numba
+import numpy as np
+
+from marey.geometry.rotations import turn_about
+
+
+@numba.njit(cache=True, nogil=True)
+def pose_segments(parents, coordinate_segment, axes, joints, root_rotation, root_translation, angles):
+    """Place the segments ([Rosenhahn2006] eq. (12)).
+
+    Returns:
+        rotation (S, 3, 3) world from segment, origin (S, 3) of the joint centres in the world,
+        world_axes (D - 6, 3) of the joint coordinates.
+    """
+    count = parents.shape[0]
+    rotation = np.empty((count, 3, 3))
+    origin = np.empty((count, 3))
+    world_axes = np.empty((axes.shape[0], 3))
+    turn = np.empty((3, 3))
+    product = np.empty((3, 3))
+    i = 0
+    for k in range(count):
+        parent = parents[k]
+        if parent < 0:
+            rotation[k] = root_rotation
+            origin[k] = root_translation
+        else:
+            rotation[k] = rotation[parent]
+            for a in range(3):
+                shift = 0.0
+                for b in range(3):
+                    shift += rotation[parent, a, b] * (joints[k, b] - joints[parent, b])
+                origin[k, a] = origin[parent, a] + shift
+        while i < axes.shape[0] and coordinate_segment[i] == k:
+            for a in range(3):
+                world_axes[i, a] = (
+                    rotation[k, a, 0] * axes[i, 0] + rotation[k, a, 1] * axes[i, 1] + rotation[k, a, 2] * axes[i, 2]
+                )
+            turn_about(axes[i], angles[i], turn)
+            for a in range(3):
+                for b in range(3):
+                    product[a, b] = (
+                        rotation[k, a, 0] * turn[0, b] + rotation[k, a, 1] * turn[1, b] + rotation[k, a, 2] * turn[2, b]
+                    )
+            rotation[k] = product
+            i += 1
+    return rotation, origin, world_axes
+
+
+@numba.njit(cache=True, nogil=True)
+def blend_skin(vertices, vertex_segments, vertex_weights, joints, rotation, origin):
+    """Carry the rest vertices (V, 3) along with their segments by blended weights: (V, 3) in the world."""
+    count = vertices.shape[0]
+    segments = rotation.shape[0]
+    shift = np.empty((segments, 3))
+    for k in range(segments):
+        for a in range(3):
+            shift[k, a] = origin[k, a] - (
+                rotation[k, a, 0] * joints[k, 0] + rotation[k, a, 1] * joints[k, 1] + rotation[k, a, 2] * joints[k, 2]
+            )
+    posed = np.empty((count, 3))
+    for v in range(count):
+        x, y, z = vertices[v, 0], vertices[v, 1], vertices[v, 2]
+        px = py = pz = 0.0
+        for n in range(vertex_weights.shape[1]):
+            w = vertex_weights[v, n]
+            if w > 0.0:
+                k = vertex_segments[v, n]
+                r = rotation[k]
+                px += w * (r[0, 0] * x + r[0, 1] * y + r[0, 2] * z + shift[k, 0])
+                py += w * (r[1, 0] * x + r[1, 1] * y + r[1, 2] * z + shift[k, 1])
+                pz += w * (r[2, 0] * x + r[2, 1] * y + r[2, 2] * z + shift[k, 2])
+        posed[v, 0] = px
+        posed[v, 1] = py
+        posed[v, 2] = pz
+    return posed
+
+
+@numba.njit(cache=True, nogil=True)
+def gather_parts(faces, corners, vertices, vertex_segments, vertex_weights, joints, face, barycentric, segment, part):
+    """Split surface points into the shares that their segments carry.
+
+    A point p = sum over its segments k of T_k y_k, where y_k (4,) gathers the weighted rest positions
+    (relative to the segment's joint centre) of the face's three corners, the weight last.
+
+    Args:
+        faces: (T, 3).
+        corners: at most this many segments a point are kept; no more than four weights a vertex.
+        vertices: (V, 3) at rest.
+        vertex_segments: (V, 4).
+        vertex_weights: (V, 4).
+        joints: (S, 3) at rest.
+        face: (n,) the face of each point.
+        barycentric: (n, 3).
+        segment: (n, corners) written: the segments, -1 where there are fewer.
+        part: (n, corners, 4) written.
+    """
+    for i in range(face.shape[0]):
+        used = 0
+        for n in range(corners):
+            segment[i, n] = -1
+        for c in range(3):
+            v = faces[face[i], c]
+            b = barycentric[i, c]
+            for n in range(vertex_weights.shape[1]):
+                w = vertex_weights[v, n] * b
+                if w <= 0.0:
+                    continue
+                k = vertex_segments[v, n]
+                slot = -1
+                for m in range(used):
+                    if segment[i, m] == k:
+                        slot = m
+                if slot < 0:
+                    if used == corners:
+                        continue
+                    slot = used
+                    used += 1
+                    segment[i, slot] = k
+                    part[i, slot, :] = 0.0
+                for a in range(3):
+                    part[i, slot, a] += w * (vertices[v, a] - joints[k, a])
+                part[i, slot, 3] += w
+
+
+@numba.njit(cache=True, nogil=True)
+def point_jacobian(parents, coordinate_segment, rotation, origin, world_axes, segment, part, jacobian):
+    """Write how points move with the pose: (n, 3, D), the root's translation and turn (world axes) first.
+
+    The root's turn is about the pelvis' own centre.
+    """
+    coordinates = world_axes.shape[0]
+    first = np.zeros(rotation.shape[0] + 1, np.int64)
+    for i in range(coordinates):
+        first[coordinate_segment[i] + 1] += 1
+    for k in range(rotation.shape[0]):
+        first[k + 1] += first[k]
+    y = np.empty(3)
+    for i in range(segment.shape[0]):
+        jacobian[i] = 0.0
+        for n in range(segment.shape[1]):
+            k = segment[i, n]
+            if k < 0:
+                break
+            w = part[i, n, 3]
+            for a in range(3):
+                y[a] = (
+                    rotation[k, a, 0] * part[i, n, 0]
+                    + rotation[k, a, 1] * part[i, n, 1]
+                    + rotation[k, a, 2] * part[i, n, 2]
+                    + origin[k, a] * w
+                )
+            for a in range(3):
+                jacobian[i, a, a] += w
+            dx, dy, dz = y[0] - w * origin[0, 0], y[1] - w * origin[0, 1], y[2] - w * origin[0, 2]
+            jacobian[i, 0, 4] += dz
+            jacobian[i, 0, 5] -= dy
+            jacobian[i, 1, 3] -= dz
+            jacobian[i, 1, 5] += dx
+            jacobian[i, 2, 3] += dy
+            jacobian[i, 2, 4] -= dx
+            j = k
+            while j >= 0:
+                for q in range(first[j], first[j + 1]):
+                    ax, ay, az = world_axes[q, 0], world_axes[q, 1], world_axes[q, 2]
+                    dx, dy, dz = y[0] - w * origin[j, 0], y[1] - w * origin[j, 1], y[2] - w * origin[j, 2]
+                    jacobian[i, 0, 6 + q] += ay * dz - az * dy
+                    jacobian[i, 1, 6 + q] += az * dx - ax * dz
+                    jacobian[i, 2, 6 + q] += ax * dy - ay * dx
+                j = parents[j]
+
+
+@numba.njit(cache=True, nogil=True)
+def origin_modes(parents, rotation, joint_modes):
+    """Give how the segments' origins move with the shape, less the turned motion of their own joint centres.
+
+    Args:
+        parents: (S,).
+        rotation: (S, 3, 3).
+        joint_modes: (M, S, 3) motion of the joint centres at rest by each shape number.
+
+    Returns:
+        moved: (S, M, 3) of the origins; anchored: (S, M, 3) = moved - R_k times the joint's own motion.
+    """
+    modes, count, _ = joint_modes.shape
+    moved = np.zeros((count, modes, 3))
+    anchored = np.zeros((count, modes, 3))
+    for k in range(count):
+        parent = parents[k]
+        for m in range(modes):
+            for a in range(3):
+                if parent >= 0:
+                    moved[k, m, a] = moved[parent, m, a]
+                    for b in range(3):
+                        moved[k, m, a] += rotation[parent, a, b] * (joint_modes[m, k, b] - joint_modes[m, parent, b])
+                anchored[k, m, a] = moved[k, m, a]
+                for b in range(3):
+                    anchored[k, m, a] -= rotation[k, a, b] * joint_modes[m, k, b]
+    return moved, anchored
+
+
+@numba.njit(cache=True, nogil=True)
+def shape_jacobian(
+    faces, vertex_segments, vertex_weights, vertex_modes, rotation, anchored, face, barycentric, jacobian
+):
+    """Write how surface points move with the shape numbers: (n, 3, M); vertex_modes is (V, M, 3)."""
+    modes = vertex_modes.shape[1]
+    blend = np.empty((3, 3))
+    for i in range(face.shape[0]):
+        jacobian[i] = 0.0
+        for c in range(3):
+            v = faces[face[i], c]
+            share = barycentric[i, c]
+            blend[:] = 0.0
+            for n in range(vertex_weights.shape[1]):
+                w = vertex_weights[v, n] * share
+                if w <= 0.0:
+                    continue
+                k = vertex_segments[v, n]
+                for a in range(3):
+                    for b in range(3):
+                        blend[a, b] += w * rotation[k, a, b]
+                for m in range(modes):
+                    for a in range(3):
+                        jacobian[i, a, m] += w * anchored[k, m, a]
+            for m in range(modes):
+                x, y, z = vertex_modes[v, m, 0], vertex_modes[v, m, 1], vertex_modes[v, m, 2]
+                for a in range(3):
+                    jacobian[i, a, m] += blend[a, 0] * x + blend[a, 1] * y + blend[a, 2] * z

@@ -1,0 +1,145 @@
+"""A person's body: a skinned surface and its skeleton, and the shapes it may take."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from marey.arrays import Floats, Integers, frozen
+from marey.body.skeleton import JOINT_OF_SEGMENT, Skeleton
+
+
+class PackedSkeleton(NamedTuple):
+    """The skeleton as plain arrays, for the kernels."""
+
+    parents: Integers
+    coordinate_segment: Integers
+    axes: Floats
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ShapeSpace:
+    """The shapes a body may take: vertices and joint centres move together, linearly in a few numbers.
+
+    vertices = mean + sum over i of number_i mode_i, and the joint centres with the same numbers.
+    """
+
+    names: tuple[str, ...]
+    """(M,) what each number means."""
+    vertex_mean: Floats
+    """(V, 3) [m]."""
+    vertex_modes: Floats
+    """(M, V, 3) [m by unit of the number]."""
+    joint_mean: Floats
+    """(S, 3) [m]."""
+    joint_modes: Floats
+    """(M, S, 3)."""
+    prior_mean: Floats
+    """(M,) what to expect of a person of whom nothing is known."""
+    prior_covariance: Floats
+    """(M, M)."""
+
+    def __post_init__(self) -> None:
+        for name in ("vertex_mean", "vertex_modes", "joint_mean", "joint_modes", "prior_mean", "prior_covariance"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+
+    def __len__(self) -> int:
+        """Count the numbers."""
+        return len(self.names)
+
+    @cached_property
+    def modes_by_vertex(self) -> Floats:
+        """(V, M, 3): the vertices' modes, for kernels that walk over vertices."""
+        return frozen(np.swapaxes(self.vertex_modes, 0, 1))
+
+    def first(self, numbers: int) -> "ShapeSpace":
+        """Keep only the first numbers."""
+        return self.keep(range(numbers))
+
+    def keep(self, which: "range | list[int] | Integers") -> "ShapeSpace":
+        """Keep only some of the numbers; the others stay at the mean that the prior expects."""
+        index = np.asarray(which, dtype=np.int64)
+        rest = np.setdiff1d(np.arange(len(self)), index)
+        return ShapeSpace(
+            names=tuple(self.names[i] for i in index),
+            vertex_mean=self.vertex_mean + np.tensordot(self.prior_mean[rest], self.vertex_modes[rest], 1),
+            vertex_modes=self.vertex_modes[index],
+            joint_mean=self.joint_mean + np.tensordot(self.prior_mean[rest], self.joint_modes[rest], 1),
+            joint_modes=self.joint_modes[index],
+            prior_mean=self.prior_mean[index],
+            prior_covariance=self.prior_covariance[np.ix_(index, index)],
+        )
+
+    def vertices(self, numbers: Floats) -> Floats:
+        """Give the vertices (V, 3) at rest for shape numbers (M,)."""
+        return self.vertex_mean + np.tensordot(numbers, self.vertex_modes, 1)
+
+    def joints(self, numbers: Floats) -> Floats:
+        """Give the joint centres (S, 3) at rest for shape numbers (M,)."""
+        return self.joint_mean + np.tensordot(numbers, self.joint_modes, 1)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Body:
+    """One person's body at rest: skeleton, skin, and the shape numbers that made them."""
+
+    skeleton: Skeleton
+    space: ShapeSpace
+    """The shapes this body may take; of a scan, a space of no numbers."""
+    numbers: Floats
+    """(M,) this person's."""
+    faces: Integers
+    """(T, 3) corners counter-clockwise as seen from outside."""
+    vertex_segments: Integers
+    """(V, 4) segments that carry each vertex."""
+    vertex_weights: Floats
+    """(V, 4) their shares, of sum one; zero where fewer carry it."""
+    numbers_covariance: Floats | None = None
+    """(M, M) of the numbers, once they were estimated."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "numbers", frozen(self.numbers))
+        object.__setattr__(self, "faces", frozen(self.faces, np.int64))
+        object.__setattr__(self, "vertex_segments", frozen(self.vertex_segments, np.int64))
+        object.__setattr__(self, "vertex_weights", frozen(self.vertex_weights))
+
+    @cached_property
+    def packed(self) -> PackedSkeleton:
+        """The skeleton as arrays."""
+        s = self.skeleton
+        return PackedSkeleton(s.parents, frozen(s.coordinate_segment, np.int64), frozen(s.axes))
+
+    @cached_property
+    def vertices(self) -> Floats:
+        """(V, 3) the skin at rest [m]."""
+        return frozen(self.space.vertices(self.numbers))
+
+    @cached_property
+    def joint_centres(self) -> Floats:
+        """(S, 3) the centre about which each segment turns on its parent, at rest [m]."""
+        return frozen(self.space.joints(self.numbers))
+
+    @cached_property
+    def face_segment(self) -> Integers:
+        """(T,) the segment that carries most of each face."""
+        votes = np.zeros((len(self.faces), len(self.skeleton.segment_names)))
+        for corner in range(3):
+            v = self.faces[:, corner]
+            for n in range(self.vertex_segments.shape[1]):
+                np.add.at(votes, (np.arange(len(v)), self.vertex_segments[v, n]), self.vertex_weights[v, n])
+        return frozen(np.argmax(votes, 1), np.int64)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the joint centres that results report."""
+        return tuple(JOINT_OF_SEGMENT[s] for s in self.skeleton.segment_names if s in JOINT_OF_SEGMENT)
+
+    @property
+    def joint_segments(self) -> Integers:
+        """(J,) the segment whose centre each reported joint is."""
+        return np.array([k for k, s in enumerate(self.skeleton.segment_names) if s in JOINT_OF_SEGMENT])
+
+    def with_numbers(self, numbers: Floats) -> "Body":
+        """Give the body other shape numbers."""
+        return replace(self, numbers=numbers)

@@ -1,0 +1,183 @@
+"""What a camera sees of a triangle mesh: depth buffer, visible faces and rim."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from marey.arrays import Floats, Integers, Mask
+
+
+class Rim(NamedTuple):
+    """The outermost covered pixels of a mesh in a picture, and the surface points seen there."""
+
+    pixels: Integers
+    """(n, 2) x, y in the picture."""
+    inward: Floats
+    """(n, 2) unit normals of the outline, towards the inside [px]."""
+    face: Integers
+    """(n,) the face seen."""
+    barycentric: Floats
+    """(n, 3) where on the face."""
+    depth: Floats
+    """(n,) of the surface point from the camera [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A mesh as one camera sees it, kept for the part of the picture that it covers."""
+
+    corner: tuple[int, int]
+    """x, y of the part's first pixel in the picture."""
+    size: tuple[int, int]
+    """Width and height of the whole picture."""
+    inverse_depth: Floats
+    """(h, w) [1/m], zero where nothing is seen."""
+    face: NDArray[np.int32]
+    """(h, w) index of the visible face, -1 where nothing is seen."""
+    projected: Floats
+    """(V, 3) the vertices as x, y [px] and inverse depth [1/m]; NaN where they cannot be seen."""
+
+    @property
+    def covered(self) -> Mask:
+        """(h, w) true where the mesh is seen, for the part of the picture."""
+        return self.face >= 0
+
+    def mask(self) -> Mask:
+        """(height, width) true where the mesh is seen, for the whole picture."""
+        full = np.zeros((self.size[1], self.size[0]), bool)
+        x, y = self.corner
+        full[y : y + self.face.shape[0], x : x + self.face.shape[1]] = self.face >= 0
+        return full
+
+    def rim(self, faces: Integers) -> Rim:
+        """Find the rim: covered pixels beside an uncovered one; the picture's border is no outline.
+
+        Args:
+            faces: (T, 3) the mesh that was seen.
+        """
+        return Rim(*rim_pixels(self.face, self.projected, faces, self.corner[0], self.corner[1]))
+
+
+def see(projected: Floats, faces: Integers, size: tuple[int, int], *, margin: int = 3) -> View:
+    """Draw a mesh into a depth buffer.
+
+    Faces count where they turn their counter-clockwise side to the camera. A pixel is covered when
+    its centre lies in a face; inverse depth is linear over the picture.
+
+    Args:
+        projected: (V, 3) x, y [px] and inverse depth [1/m] of the vertices; NaN where not to be seen.
+        faces: (T, 3).
+        size: width and height of the picture.
+        margin: pixels kept around the mesh.
+    """
+    seen = np.isfinite(projected[:, 2])
+    if not seen.any():
+        empty = np.zeros((0, 0))
+        return View((0, 0), size, empty, np.full((0, 0), -1, np.int32), projected)
+    low = np.clip(np.floor(projected[seen, :2].min(0)) - margin, 0, size).astype(int)
+    high = np.clip(np.ceil(projected[seen, :2].max(0)) + margin + 1, low, size).astype(int)
+    inverse_depth = np.zeros((high[1] - low[1], high[0] - low[0]))
+    face = np.full(inverse_depth.shape, -1, np.int32)
+    draw_faces(projected, faces, low[0], low[1], inverse_depth, face)
+    return View((int(low[0]), int(low[1])), size, inverse_depth, face, projected)
+
+
+@numba.njit(cache=True, nogil=True)
+def draw_faces(projected, faces, left, top, inverse_depth, face):
+    """Fill the depth buffer and the buffer of visible faces, see `see`."""
+    height, width = face.shape
+    for f in range(faces.shape[0]):
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        x0, y0, z0 = projected[a, 0] - left, projected[a, 1] - top, projected[a, 2]
+        x1, y1, z1 = projected[b, 0] - left, projected[b, 1] - top, projected[b, 2]
+        x2, y2, z2 = projected[c, 0] - left, projected[c, 1] - top, projected[c, 2]
+        area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
+        # Rows run down, so a face seen from outside has a negative area; a NaN fails the test too.
+        if not area < 0.0:
+            continue
+        xmin = max(0, int(np.ceil(min(x0, min(x1, x2)))))
+        xmax = min(width - 1, int(np.floor(max(x0, max(x1, x2)))))
+        ymin = max(0, int(np.ceil(min(y0, min(y1, y2)))))
+        ymax = min(height - 1, int(np.floor(max(y0, max(y1, y2)))))
+        if xmin > xmax or ymin > ymax:
+            continue
+        d0, d1 = -(y2 - y1) / area, -(y0 - y2) / area
+        d2 = -d0 - d1
+        dz = d0 * z0 + d1 * z1 + d2 * z2
+        for y in range(ymin, ymax + 1):
+            e0 = ((x2 - x1) * (y - y1) - (y2 - y1) * (xmin - x1)) / area
+            e1 = ((x0 - x2) * (y - y2) - (y0 - y2) * (xmin - x2)) / area
+            e2 = 1.0 - e0 - e1
+            z = e0 * z0 + e1 * z1 + e2 * z2
+            for x in range(xmin, xmax + 1):
+                if e0 >= 0.0 and e1 >= 0.0 and e2 >= 0.0 and z > inverse_depth[y, x]:
+                    inverse_depth[y, x] = z
+                    face[y, x] = f
+                e0 += d0
+                e1 += d1
+                e2 += d2
+                z += dz
+
+
+@numba.njit(cache=True, nogil=True)
+def rim_pixels(face, projected, faces, left, top):
+    """List the rim's pixels, inward normals, faces, barycentric weights and depths, see `View.rim`."""
+    height, width = face.shape
+    count = 0
+    for y in range(1, height - 1):
+        for x in range(1, width - 1):
+            if face[y, x] >= 0 and (
+                face[y - 1, x] < 0 or face[y + 1, x] < 0 or face[y, x - 1] < 0 or face[y, x + 1] < 0
+            ):
+                count += 1
+    pixels = np.empty((count, 2), np.int64)
+    inward = np.empty((count, 2))
+    rim_face = np.empty(count, np.int64)
+    barycentric = np.empty((count, 3))
+    depth = np.empty(count)
+    i = 0
+    for y in range(1, height - 1):
+        for x in range(1, width - 1):
+            f = face[y, x]
+            if f < 0 or not (face[y - 1, x] < 0 or face[y + 1, x] < 0 or face[y, x - 1] < 0 or face[y, x + 1] < 0):
+                continue
+            nx = ny = 0.0
+            for dy in range(-2, 3):
+                for dx in range(-2, 3):
+                    yy, xx = y + dy, x + dx
+                    if 0 <= yy < height and 0 <= xx < width and face[yy, xx] >= 0:
+                        nx += dx
+                        ny += dy
+            length = np.sqrt(nx * nx + ny * ny)
+            if length > 0.0:
+                nx /= length
+                ny /= length
+            pixels[i, 0] = x + left
+            pixels[i, 1] = y + top
+            inward[i, 0] = nx
+            inward[i, 1] = ny
+            rim_face[i] = f
+            depth[i] = _perspective_weights(projected, faces, f, x + left, y + top, barycentric[i])
+            i += 1
+    return pixels, inward, rim_face, barycentric, depth
+
+
+@numba.njit(cache=True, nogil=True)
+def _perspective_weights(projected, faces, f, x, y, weights):
+    """Write the barycentric weights of the face's point seen at a pixel; give its depth."""
+    a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+    x0, y0 = projected[a, 0], projected[a, 1]
+    x1, y1 = projected[b, 0], projected[b, 1]
+    x2, y2 = projected[c, 0], projected[c, 1]
+    area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
+    w0 = ((x2 - x1) * (y - y1) - (y2 - y1) * (x - x1)) / area * projected[a, 2]
+    w1 = ((x0 - x2) * (y - y2) - (y0 - y2) * (x - x2)) / area * projected[b, 2]
+    w2 = (1.0 - w0 / projected[a, 2] - w1 / projected[b, 2]) * projected[c, 2]
+    total = w0 + w1 + w2
+    weights[0] = w0 / total
+    weights[1] = w1 / total
+    weights[2] = w2 / total
+    return 1.0 / total

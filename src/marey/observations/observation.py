@@ -1,0 +1,71 @@
+"""The contract that every measurement fulfils, whatever its unit."""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from marey.arrays import Floats
+from marey.body.pose import PosedBody, SurfacePoints
+
+
+@dataclass(frozen=True, eq=False)
+class Linearization:
+    """First-order model of an observation: r(x + d) = residual + jacobian d."""
+
+    residual: Floats
+    """(m,) predicted minus measured, in the observation's own unit."""
+    jacobian: Floats
+    """(m, D) by the pose, or (m, D + M) by pose and shape; columns as `PosedBody.moved` takes them."""
+
+
+class Observation(ABC):
+    """A batch of measurements of one kind, with their uncertainty and their prediction."""
+
+    @property
+    @abstractmethod
+    def sigma(self) -> float:
+        """Standard deviation of one residual, in the residual's own unit."""
+
+    @abstractmethod
+    def linearize(self, posed: PosedBody, *, shape: bool = False) -> Linearization:
+        """Predict the measurements, and how the prediction moves with the pose (and the shape)."""
+
+    @final
+    def whiten(self, posed: PosedBody, *, shape: bool = False) -> Linearization:
+        """Linearize in units of sigma, so that pixels, metres and radians may be added."""
+        raw = self.linearize(posed, shape=shape)
+        return Linearization(raw.residual / self.sigma, raw.jacobian / self.sigma)
+
+
+class SurfaceObservation(Observation):
+    """Measurements that are linear in points of the body's surface: r = rows p - offsets.
+
+    They all enter the least squares through the same moments ([Rosenhahn2006] eq. (10), any kind
+    that is linear in the point), see `fit.moments`.
+    """
+
+    where: SurfacePoints
+    """The n points of the surface."""
+
+    @abstractmethod
+    def constraints(self, posed: PosedBody) -> tuple[Floats, Floats]:
+        """Give rows (n, r, 3) and offsets (n, r), so that the residuals are rows p - offsets."""
+
+    @final
+    def residuals(self, posed: PosedBody) -> Floats:
+        """Give the residuals (n, r)."""
+        rows, offsets = self.constraints(posed)
+        return np.einsum("nra,na->nr", rows, posed.points(self.where)) - offsets
+
+    @final
+    def linearize(self, posed: PosedBody, *, shape: bool = False) -> Linearization:
+        """Chain the constraints with the motion of the surface points."""
+        rows, offsets = self.constraints(posed)
+        residual = np.einsum("nra,na->nr", rows, posed.points(self.where)) - offsets
+        moved = posed.pose_jacobian(*posed.parts(self.where))
+        if shape:
+            moved = np.concatenate([moved, posed.shape_jacobian(self.where)], 2)
+        jacobian = np.einsum("nra,nad->nrd", rows, moved)
+        return Linearization(residual.ravel(), jacobian.reshape(-1, jacobian.shape[2]))
