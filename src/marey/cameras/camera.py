@@ -1,0 +1,267 @@
+"""One camera with its lens: from the world to pixels and back."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from marey.arrays import Floats, frozen
+from marey.cameras import lens
+from marey.cameras.rays import PluckerLines
+from marey.errors import SettingProblem
+from marey.geometry.rigid import RigidTransform
+
+RADIAL_COUNTS = (0, 4, 5, 8, 12)
+FISHEYE_COUNTS = (0, 4)
+
+_BLIND_SHARE = 0.05
+"""A calibration may fold in the outermost corners, where no board was held; a larger part of the picture may not."""
+_GREATEST_BEND = 2.0
+"""No lens puts a picture's corner at more than twice its undistorted distance; mixed-up numbers do."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Camera:
+    """A calibrated camera.
+
+    Raises:
+        SettingProblem: A number is missing or impossible; the message lists everything that is wrong.
+    """
+
+    name: str
+    """What the camera is called in every file and message."""
+    size: tuple[int, int]
+    """Width and height of the picture [px]."""
+    matrix: Floats
+    """(3, 3) focal lengths, skew and principal point [px]."""
+    distortion: Floats
+    """k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4]]] as in OpenCV; k1 k2 k3 k4 for a fisheye; empty without distortion."""
+    fisheye: bool = False
+    """True for OpenCV's fisheye model."""
+    camera_from_world: RigidTransform
+    """Carries the world to the camera's axes: x right, y down, z forward."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "matrix", frozen(self.matrix))
+        object.__setattr__(self, "distortion", frozen(self.distortion).ravel())
+        object.__setattr__(self, "size", (int(self.size[0]), int(self.size[1])))
+        faults = camera_faults(self.size, self.matrix, self.distortion, fisheye=self.fisheye)
+        if faults:
+            raise SettingProblem(f"Camera '{self.name}' {' and '.join(faults)}.")
+
+    @cached_property
+    def packed(self) -> Floats:
+        """The camera as one vector for kernels, laid out as `marey.cameras.lens` says."""
+        pose = self.camera_from_world
+        return frozen(_pack(self.matrix, self.distortion, fisheye=self.fisheye, pose=pose))
+
+    @cached_property
+    def centre(self) -> Floats:
+        """The centre of projection (3,) in the world [m]."""
+        return frozen(self.camera_from_world.inverse().translation)
+
+    @property
+    def width(self) -> int:
+        """Width of the picture [px]."""
+        return self.size[0]
+
+    @property
+    def height(self) -> int:
+        """Height of the picture [px]."""
+        return self.size[1]
+
+    def project(self, points: Floats) -> Floats:
+        """Project points of the world.
+
+        Args:
+            points: (..., 3) [m].
+
+        Returns:
+            (..., 2) [px]; NaN for points behind the camera and beyond the range in which the lens is one to one.
+        """
+        points = np.ascontiguousarray(points, float)
+        out = np.empty((points.size // 3, 3))
+        lens.project_points(self.packed, points.reshape(-1, 3), out)
+        return out[:, :2].reshape(*points.shape[:-1], 2).copy()
+
+    def project_with_derivative(self, points: Floats) -> tuple[Floats, Floats]:
+        """Project points of the world and differentiate the pixels by them.
+
+        Args:
+            points: (n, 3) [m].
+
+        Returns:
+            Pixels (n, 2) [px] and pixel_wrt_point (n, 2, 3) [px/m]; NaN as in `project`.
+        """
+        points = np.ascontiguousarray(points, float)
+        pixels, derivative = np.empty((len(points), 2)), np.empty((len(points), 2, 3))
+        lens.project_points_with_derivative(self.packed, points, pixels, derivative)
+        return pixels, derivative
+
+    def depths(self, points: Floats) -> Floats:
+        """Measure how far points lie before the camera.
+
+        Args:
+            points: (..., 3) [m].
+
+        Returns:
+            (...) [m] along the optical axis, negative behind the camera.
+        """
+        return np.asarray(points, float) @ self.camera_from_world.rotation[2] + self.camera_from_world.translation[2]
+
+    def undistort(self, pixels: Floats) -> Floats:
+        """Straighten pixels.
+
+        Args:
+            pixels: (..., 2) [px].
+
+        Returns:
+            (..., 2) x/z and y/z in camera axes; NaN where the lens shows nothing.
+        """
+        pixels = np.ascontiguousarray(pixels, float)
+        out = np.empty((pixels.size // 2, 2))
+        lens.undistort_pixels(self.packed, pixels.reshape(-1, 2), out)
+        return out.reshape(pixels.shape)
+
+    def rays(self, pixels: Floats) -> PluckerLines:
+        """Send rays through pixels.
+
+        Args:
+            pixels: (..., 2) [px].
+
+        Returns:
+            Lines in the world, directed away from the camera; NaN where the lens shows nothing.
+        """
+        straight = self.undistort(pixels)
+        directions = np.concatenate([straight, np.ones_like(straight[..., :1])], axis=-1)
+        return PluckerLines.through(self.centre, directions @ self.camera_from_world.rotation)
+
+    def contour_planes(self, pixels: Floats, normals: Floats) -> tuple[Floats, Floats]:
+        """Lay planes through the camera's centre along contours, exact for every lens.
+
+        A point x of the world lies `plane_normals @ x - offsets` from its plane [m]; the side to which the contour's
+        normal points is the positive one.
+
+        Args:
+            pixels: (n, 2) points of contours [px].
+            normals: (n, 2) the contours' normals in the picture, of any length.
+
+        Returns:
+            Unit normals (n, 3) and offsets (n,) [m]; NaN where the lens shows nothing.
+        """
+        out = np.empty((len(pixels), 3))
+        pixels, normals = np.ascontiguousarray(pixels, float), np.ascontiguousarray(normals, float)
+        lens.contour_normals(self.packed, pixels, normals, out)
+        return out, out @ self.centre
+
+    def sees(self, pixels: Floats, *, margin: float = 0.0) -> np.ndarray:
+        """Tell which pixels lie inside the picture.
+
+        Args:
+            pixels: (..., 2) [px].
+            margin: How far from the border they must stay at least [px].
+
+        Returns:
+            (...) bool; false for NaN.
+        """
+        x, y = np.moveaxis(np.asarray(pixels, float), -1, 0)
+        low = margin - 0.5
+        return (x >= low) & (y >= low) & (x <= self.width - 1 - low) & (y <= self.height - 1 - low)
+
+    def scaled(self, factor: float) -> "Camera":
+        """Give the camera whose picture is this one's resized by a factor.
+
+        Pixel centres stay at whole numbers: x' = (x + 0.5) factor - 0.5, which is what
+        `cv2.resize(image, None, fx=factor, fy=factor)` does.
+
+        Args:
+            factor: New size over old size.
+
+        Returns:
+            The camera; its size is rounded as OpenCV rounds it.
+        """
+        shift = 0.5 * factor - 0.5
+        resize = np.array([[factor, 0, shift], [0, factor, shift], [0, 0, 1]])
+        size = (max(1, round(self.width * factor)), max(1, round(self.height * factor)))
+        return replace(self, size=size, matrix=resize @ self.matrix)
+
+    def moved(self, new_from_old: RigidTransform) -> "Camera":
+        """Express the same camera in another world.
+
+        Args:
+            new_from_old: Carries points of the present world to the new one.
+
+        Returns:
+            The camera in the new world.
+        """
+        return replace(self, camera_from_world=self.camera_from_world @ new_from_old.inverse())
+
+
+def camera_faults(size: tuple[int, int], matrix: Floats, distortion: Floats, *, fisheye: bool) -> list[str]:
+    """List what is wrong with a camera's inner numbers.
+
+    Args:
+        size: Width and height [px].
+        matrix: (3, 3) [px].
+        distortion: (n,) the lens.
+        fisheye: Whether the lens is OpenCV's fisheye.
+
+    Returns:
+        One clause a fault, each going on from "Camera 'NAME' ..."; empty where all is well.
+    """
+    faults = []
+    if min(size) < 1:
+        faults.append(f"has the size {size[0]} x {size[1]}; width and height in pixels must be positive")
+    faults += _matrix_faults(np.asarray(matrix, float)) + _count_faults(np.asarray(distortion, float), fisheye=fisheye)
+    return faults or _range_faults(size, matrix, distortion, fisheye=fisheye)
+
+
+def _matrix_faults(matrix: Floats) -> list[str]:
+    if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
+        return ["has a matrix that is not 3 x 3 finite numbers"]
+    if min(matrix[0, 0], matrix[1, 1]) <= 0:
+        return [f"has the focal lengths {matrix[0, 0]:g} and {matrix[1, 1]:g}; they must be positive"]
+    if abs(matrix[1, 0]) > 1e-9 or np.abs(matrix[2] - [0, 0, 1]).max() > 1e-9:
+        return ["has a matrix that is not [[fx, skew, cx], [0, fy, cy], [0, 0, 1]]"]
+    return []
+
+
+def _count_faults(distortion: Floats, *, fisheye: bool) -> list[str]:
+    if fisheye and distortion.size not in FISHEYE_COUNTS:
+        return [f"has {distortion.size} lens numbers; a fisheye has the 4 numbers k1 k2 k3 k4"]
+    if not fisheye and distortion.size not in RADIAL_COUNTS:
+        known = "4 (k1 k2 p1 p2), 5 (with k3), 8 (with k4 k5 k6) or 12 (with s1 s2 s3 s4)"
+        return [f"has {distortion.size} lens numbers; a lens has {known}"]
+    if not np.isfinite(distortion).all():
+        return [f"has a lens number that is not finite: {np.array2string(distortion, precision=4)}"]
+    return []
+
+
+def _range_faults(size: tuple[int, int], matrix: Floats, distortion: Floats, *, fisheye: bool) -> list[str]:
+    """Check that the lens shows a direction in every part of the picture, and a believable one."""
+    packed = _pack(matrix, distortion, fisheye=fisheye, pose=RigidTransform.identity())
+    x, y = np.meshgrid(np.linspace(0, size[0] - 1, 41), np.linspace(0, size[1] - 1, 41))
+    pixels = np.stack([x.ravel(), y.ravel()], axis=-1)
+    straight = np.empty_like(pixels)
+    lens.undistort_pixels(packed, pixels, straight)
+    blind = np.isnan(straight[:, 0])
+    numbers = np.array2string(np.asarray(distortion), precision=4, separator=", ")
+    if blind.mean() > _BLIND_SHARE:
+        share = f"{100 * blind.mean():.0f} % of its picture"
+        return [f"has the lens {numbers}, which folds back inside the picture and shows nothing in {share}"]
+    bent = (pixels - matrix[:2, 2]) @ np.linalg.inv(matrix[:2, :2]).T
+    bend = np.linalg.norm(bent, axis=1) / np.maximum(np.linalg.norm(straight, axis=1), 1e-9)
+    far = np.linalg.norm(bent, axis=1) > 0.1
+    if np.any(far) and np.nanmax(np.where(far, bend, 0)) > _GREATEST_BEND:
+        return [f"has the lens {numbers}, which no real lens has: it stretches the picture {np.nanmax(bend):.1f} times"]
+    return []
+
+
+def _pack(matrix: Floats, distortion: Floats, *, fisheye: bool, pose: RigidTransform) -> Floats:
+    packed = np.zeros(lens.PACKED)
+    packed[:9], packed[9:12] = pose.rotation.ravel(), pose.translation
+    packed[lens.FX : lens.MODEL] = matrix[0, 0], matrix[0, 1], matrix[1, 1], matrix[0, 2], matrix[1, 2]
+    packed[lens.MODEL] = float(fisheye)
+    packed[lens.LENS : lens.LENS + len(distortion)] = distortion
+    packed[lens.LIMIT] = lens.one_to_one_radius(packed) ** 2
+    return packed

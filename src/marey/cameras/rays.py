@@ -1,0 +1,81 @@
+"""Rays as Plücker lines."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from marey.arrays import Floats, frozen
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PluckerLines:
+    """Lines in space: a point x lies on one where x × direction = moment ([Rosenhahn2006] eq. (10))."""
+
+    directions: Floats
+    """(..., 3) unit vectors, from the camera into the world."""
+    moments: Floats
+    """(..., 3) [m], point × direction for any point of the line."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "directions", frozen(self.directions))
+        object.__setattr__(self, "moments", frozen(self.moments))
+
+    @staticmethod
+    def through(point: Floats, directions: Floats) -> "PluckerLines":
+        """Lay lines through a point, or one through each of several points.
+
+        Args:
+            point: (3,) or (..., 3) [m].
+            directions: (..., 3) of any length but zero.
+
+        Returns:
+            The lines.
+        """
+        unit = directions / np.linalg.norm(directions, axis=-1, keepdims=True)
+        return PluckerLines(directions=unit, moments=np.cross(np.broadcast_to(point, unit.shape), unit))
+
+    def __len__(self) -> int:
+        return len(self.directions)
+
+    def __getitem__(self, which: int | slice | NDArray) -> "PluckerLines":
+        return PluckerLines(directions=self.directions[which], moments=self.moments[which])
+
+    @property
+    def nearest_to_origin(self) -> Floats:
+        """The point (..., 3) of each line that lies nearest to the origin [m]."""
+        return np.cross(self.directions, self.moments)
+
+    def distance_vectors(self, points: Floats) -> Floats:
+        """Give x × direction - moment for each point: the residual of [Rosenhahn2006] eq. (10).
+
+        Args:
+            points: (..., 3) [m], one for each line, or broadcast.
+
+        Returns:
+            (..., 3) [m], as long as the point is away from its line, at right angles to the line and to the way there.
+        """
+        return np.cross(points, self.directions) - self.moments
+
+    def distances(self, points: Floats) -> Floats:
+        """Measure how far points are from the lines.
+
+        Args:
+            points: (..., 3) [m].
+
+        Returns:
+            (...) [m].
+        """
+        return np.linalg.norm(self.distance_vectors(points), axis=-1)
+
+    def nearest_points(self, points: Floats) -> Floats:
+        """Find the foot of the perpendicular from each point to its line.
+
+        Args:
+            points: (..., 3) [m].
+
+        Returns:
+            (..., 3) [m].
+        """
+        along = np.sum(points * self.directions, axis=-1, keepdims=True)
+        return self.nearest_to_origin + along * self.directions

@@ -1,0 +1,133 @@
+"""What the readers of calibrations share: cameras made from raw values, with every fault collected."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from marey.arrays import Floats
+from marey.cameras.camera import Camera, camera_faults
+from marey.cameras.rig import Rig
+from marey.errors import FileProblem
+from marey.geometry import rotations
+from marey.geometry.rigid import RigidTransform
+
+
+class Faults:
+    """Collects what is wrong in a file, so that the user learns all of it at once.
+
+    Args:
+        path: The file.
+        remedy: What a right file looks like.
+    """
+
+    def __init__(self, path: Path, remedy: str):
+        self.path, self.remedy = path, remedy
+        self.clauses: list[str] = []
+
+    def add(self, camera: str, clauses: Iterable[str]) -> None:
+        """Note what is wrong with a camera; each clause goes on from "camera 'NAME' ..."."""
+        joined = ", and ".join(clauses)
+        if joined:
+            self.clauses.append(f"camera '{camera}' {joined}")
+
+    def raise_if_any(self) -> None:
+        """Raise one FileProblem that tells everything that was noted."""
+        if self.clauses:
+            raise FileProblem(self.path, "; ".join(self.clauses), self.remedy)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RawCamera:
+    """A camera as a file gives it: lists and numbers, nothing checked."""
+
+    name: str
+    size: object
+    """Width and height [px]."""
+    matrix: object
+    """3 x 3 [px]."""
+    distortion: object
+    """The lens, in OpenCV's order."""
+    rotation: object
+    """World to camera: axis times angle [rad], or a matrix."""
+    translation: object
+    """World to camera [m]."""
+    fisheye: bool = False
+
+    def checked(self, faults: Faults) -> Camera | None:
+        """Make the camera, or note what is wrong with it and give None."""
+        size, matrix = finite(self.size, (2,)), numbers(self.matrix, (3, 3))
+        distortion, rotation = numbers(self.distortion, None), rotation_matrix(self.rotation)
+        translation = finite(self.translation, (3,))
+        if size is None or matrix is None or distortion is None or rotation is None or translation is None:
+            needed = {
+                "a size of 2 numbers (width and height in pixels)": size,
+                "a matrix of 3 x 3 numbers": matrix,
+                "a list of numbers as distortions": distortion,
+                "a rotation of 3 numbers (axis times angle, in radians) or 3 x 3": rotation,
+                "a translation of 3 numbers": translation,
+            }
+            faults.add(self.name, [f"needs {what}" for what, value in needed.items() if value is None])
+            return None
+        both = (int(size[0]), int(size[1]))
+        clauses = camera_faults(both, matrix, distortion, fisheye=self.fisheye)
+        faults.add(self.name, clauses)
+        if clauses:
+            return None
+        return Camera(
+            name=self.name,
+            size=both,
+            matrix=matrix,
+            distortion=distortion,
+            fisheye=self.fisheye,
+            camera_from_world=RigidTransform(rotation, translation),
+        )
+
+
+def numbers(value: object, shape: tuple[int, ...] | None) -> Floats | None:
+    """Turn lists of a file into an array, or give None where they are not numbers of that shape.
+
+    Args:
+        value: What the file says.
+        shape: The shape it must have; None for a vector of any length.
+
+    Returns:
+        The array, or None.
+    """
+    try:
+        array = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        return None
+    fits = array.ndim == 1 if shape is None else array.shape == shape
+    return array if fits else None
+
+
+def finite(value: object, shape: tuple[int, ...]) -> Floats | None:
+    """Do as `numbers`, and also give None where a number is not finite."""
+    array = numbers(value, shape)
+    return array if array is not None and np.isfinite(array).all() else None
+
+
+def rotation_matrix(value: object) -> Floats | None:
+    """Turn a rotation vector or matrix into an exact rotation matrix (3, 3), or give None where it is neither."""
+    vector = finite(value, (3,))
+    if vector is not None:
+        return rotations.exp(vector)
+    matrix = finite(value, (3, 3))
+    if matrix is None:
+        return None
+    u, _, v = np.linalg.svd(matrix)
+    # Files round their numbers; a matrix more than a thousandth off is no rotation but another mistake.
+    if np.abs(u @ v - matrix).max() > 1e-3 or np.linalg.det(u @ v) < 0:
+        return None
+    return u @ v
+
+
+def make_rig(faults: Faults, cameras: Iterable[Camera | None]) -> Rig:
+    """Join cameras to a rig, or raise everything that was noted."""
+    made = [camera for camera in cameras if camera is not None]
+    names = [camera.name for camera in made]
+    faults.clauses += [f"two cameras are called '{name}'" for name in sorted(set(names)) if names.count(name) > 1]
+    faults.raise_if_any()
+    return Rig(tuple(made))
