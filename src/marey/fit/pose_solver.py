@@ -1,0 +1,156 @@
+"""The pose of one frame: correspondence and least squares in turn, until they agree (figure 1 of the paper)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.linalg
+
+from marey.arrays import Floats, Mask
+from marey.body.pose import PosedBody
+from marey.cameras.visibility import View
+from marey.fit.moments import Moments, gather_moments, normal_equations
+from marey.fit.robust import geman_mcclure
+from marey.observations.correspondence import Matching, Sighting, match_outline, view_of
+from marey.observations.observation import Observation, SurfaceObservation
+from marey.observations.prior import JointLimits
+
+
+@dataclass(frozen=True, kw_only=True)
+class Schedule:
+    """How the search narrows: distances shrink geometrically from their first to their last value."""
+
+    iterations: int = 6
+    gate: tuple[float, float] = (25.0, 6.0)
+    """Greatest distance of a match [px]."""
+    scale: tuple[float, float] = (10.0, 3.0)
+    """Scale of the robust weights [px]."""
+    cosine: float = 0.3
+    sigma_px: float = 3.2
+    """Standard deviation of a match; neighbours of a contour are alike, so it exceeds one pixel's own."""
+
+    def at(self, iteration: int) -> tuple[Matching, float]:
+        """Give the matching and the robust scale of an iteration."""
+        share = iteration / max(self.iterations - 1, 1)
+        gate, scale = (first * (last / first) ** share for first, last in (self.gate, self.scale))
+        return Matching(gate=gate, cosine=self.cosine, sigma_px=self.sigma_px), scale
+
+
+@dataclass(frozen=True, eq=False)
+class PoseFit:
+    """An estimated pose and the system that gave it."""
+
+    posed: PosedBody
+    hessian: Floats
+    """(D, D) information of the pose from all observations."""
+    views: tuple[View, ...]
+    """The surface as the cameras see it in the pose before the last step."""
+    matches: int
+    """Pairs of rim and contour in the last iteration."""
+
+
+LONGEST_TURN = 0.5
+"""No coordinate turns farther in one step [rad]."""
+
+
+def solve_step(hessian: Floats, gradient: Floats) -> Floats:
+    """Solve for a Gauss-Newton step, shortened where it turns a joint too far."""
+    damping = 1e-9 * np.trace(hessian) / len(hessian)
+    factor = scipy.linalg.cho_factor(hessian + damping * np.eye(len(hessian)), check_finite=False)
+    step = -scipy.linalg.cho_solve(factor, gradient, check_finite=False)
+    longest = np.abs(step[3:]).max()
+    return step if longest <= LONGEST_TURN else step * (LONGEST_TURN / longest)
+
+
+def add_dense(posed: PosedBody, observations: Sequence[Observation], hessian: Floats, gradient: Floats) -> float:
+    """Add observations that are no surface points to the normal equations; give their cost."""
+    cost = 0.0
+    for observation in observations:
+        white = observation.whiten(posed)
+        hessian += white.jacobian.T @ white.jacobian
+        gradient += white.jacobian.T @ white.residual
+        cost += float(white.residual @ white.residual)
+    return cost
+
+
+def solve_pose(
+    posed: PosedBody, moments: Moments, others: Sequence[Observation], *, steps: int = 2, stop: float = 1e-5
+) -> tuple[PosedBody, Floats]:
+    """Find the pose for fixed correspondences ([Rosenhahn2006] eq. (12)) by Gauss-Newton.
+
+    Args:
+        posed: where to start.
+        moments: of the surface observations.
+        others: limits, priors and whatever else is known.
+        steps: at most this many.
+        stop: a shorter step [m, rad] ends the search.
+
+    Returns:
+        The body in the new pose, and the information (D, D) at the last linearisation.
+    """
+    hessian = np.zeros(0)
+    for _ in range(steps):
+        hessian, gradient, _ = normal_equations(posed, moments)
+        add_dense(posed, others, hessian, gradient)
+        step = solve_step(hessian, gradient)
+        posed = replace(posed, pose=posed.pose.step(step))
+        if np.abs(step).max() < stop:
+            break
+    return posed, hessian
+
+
+def match_all(
+    posed: PosedBody, sightings: Sequence[Sighting], matching: Matching, scale: float, usable: Mask | None = None
+) -> tuple[list[SurfaceObservation], list[Floats], tuple[View, ...]]:
+    """Match the surface in all cameras; give the matches, their robust weights, and the views."""
+    views = tuple(view_of(posed, sighting.camera) for sighting in sightings)
+    found: list[SurfaceObservation] = []
+    weights = []
+    for view, sighting in zip(views, sightings, strict=True):
+        match = match_outline(posed, view, sighting, matching, usable=usable)
+        if match is not None:
+            found.append(match)
+            weights.append(geman_mcclure(match.residuals(posed), scale))
+    return found, weights, views
+
+
+def fit_pose(
+    posed: PosedBody,
+    sightings: Sequence[Sighting],
+    others: Sequence[Observation] = (JointLimits(),),
+    *,
+    schedule: Schedule,
+    usable: Mask | None = None,
+) -> PoseFit:
+    """Fit the pose of one frame to its silhouettes.
+
+    Args:
+        posed: the body where the search starts.
+        sightings: one for each camera that saw the person.
+        others: further observations; a body whose views leave something open needs a prior.
+        schedule: how the search narrows.
+        usable: (T,) faces whose outline counts.
+    """
+    hessian, views, matches = np.zeros(0), (), 0
+    for iteration in range(schedule.iterations):
+        matching, scale = schedule.at(iteration)
+        found, weights, views = match_all(posed, sightings, matching, scale, usable)
+        moments = gather_moments(posed, found, weights)
+        matches = sum(len(match.where) for match in found)
+        posed, hessian = solve_pose(posed, moments, others)
+    return PoseFit(posed, hessian, views, matches)
+
+
+def agreement(views: Sequence[View], masks: Sequence[Mask]) -> Floats:
+    """Compare surface and silhouettes: intersection over union for each camera, NaN where both are empty."""
+    return np.array([overlap(view, mask) for view, mask in zip(views, masks, strict=True)])
+
+
+def overlap(view: View, mask: Mask) -> float:
+    """Give intersection over union of a drawn surface and a silhouette (height, width)."""
+    x, y = view.corner
+    h, w = view.face.shape
+    covered = view.covered
+    both = int(np.count_nonzero(covered & mask[y : y + h, x : x + w]))
+    union = int(np.count_nonzero(covered)) + int(np.count_nonzero(mask)) - both
+    return both / union if union else float("nan")
