@@ -131,7 +131,8 @@ def fit_pose(
         schedule: how the search narrows.
         usable: (T,) faces whose outline counts.
     """
-    hessian, views, matches = np.zeros(0), (), 0
+    hessian, matches = np.zeros(0), 0
+    views: tuple[View, ...] = ()
     for iteration in range(schedule.iterations):
         matching, scale = schedule.at(iteration)
         found, weights, views = match_all(posed, sightings, matching, scale, usable)

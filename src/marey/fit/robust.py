@@ -1,6 +1,5 @@
 """Robust weights: how much an observation counts that lies far from its prediction."""
 
-
 from marey.arrays import Floats
 
 

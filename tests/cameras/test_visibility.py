@@ -1,0 +1,70 @@
+"""What a camera sees of meshes whose picture is known."""
+
+import numpy as np
+import trimesh
+
+from marey.cameras.visibility import see
+
+
+def project(vertices, focal=500.0, centre=(160.0, 120.0)):
+    z = vertices[:, 2]
+    return np.stack([focal * vertices[:, 0] / z + centre[0], focal * vertices[:, 1] / z + centre[1], 1 / z], 1)
+
+
+def outward(mesh):
+    # In camera axes (y down) a face seen from outside runs clockwise in mathematical axes, as in the world.
+    return np.array(mesh.vertices), np.array(mesh.faces)
+
+
+def test_a_square_covers_the_pixels_whose_centres_lie_in_it():
+    corners = np.array([[9.5, 19.5, 1.0], [49.5, 19.5, 1.0], [49.5, 39.5, 1.0], [9.5, 39.5, 1.0]])
+    view = see(corners, np.array([[0, 2, 1], [0, 3, 2]]), (100, 80))
+    expected = np.zeros((80, 100), bool)
+    expected[20:40, 10:50] = True
+    np.testing.assert_array_equal(view.mask(), expected)
+
+
+def test_a_back_face_is_not_seen():
+    corners = np.array([[10.0, 10, 1], [40, 10, 1], [10, 40, 1]])
+    assert see(corners, np.array([[0, 2, 1]]), (60, 60)).mask().any()
+    assert not see(corners, np.array([[0, 1, 2]]), (60, 60)).mask().any()
+
+
+def test_the_nearer_surface_hides_the_farther():
+    near = np.array([[10.0, 10, 1 / 2], [40, 10, 1 / 2], [10, 40, 1 / 2]])
+    far = near * [1, 1, 0.5]
+    faces = np.array([[0, 2, 1], [3, 5, 4]])
+    for order in (faces, faces[::-1]):
+        view = see(np.concatenate([near, far]), order, (60, 60))
+        assert set(np.unique(order[view.face[view.covered]][:, 0])) == {0}
+
+
+def test_the_rim_of_a_sphere_is_seen_where_its_outline_is():
+    sphere = trimesh.creation.icosphere(subdivisions=4, radius=0.3)
+    vertices, faces = outward(sphere)
+    vertices = vertices + [0.1, -0.05, 3.0]
+    view = see(project(vertices), faces, (320, 240))
+    rim = view.rim(faces)
+    points = np.einsum("nc,nca->na", rim.barycentric, vertices[faces[rim.face]])
+    # The point lies where its pixel looks, at the depth that the buffer says.
+    seen = project(points)
+    np.testing.assert_allclose(seen[:, :2], rim.pixels, atol=1e-6)
+    np.testing.assert_allclose(points[:, 2], rim.depth, atol=1e-9)
+    # The line of sight touches the sphere there to within a pixel.
+    ray = points / np.linalg.norm(points, axis=1, keepdims=True)
+    centre = np.array([0.1, -0.05, 3.0])
+    distance = np.linalg.norm(centre - (ray @ centre)[:, None] * ray, axis=1)
+    assert np.abs(distance - 0.3).max() < 1.5 * 3.0 / 500
+    towards = project(centre[None])[0, :2] - rim.pixels
+    assert ((towards / np.linalg.norm(towards, axis=1, keepdims=True)) * rim.inward).sum(1).min() > 0.9
+
+
+def test_a_person_cut_by_the_border_has_no_rim_there():
+    corners = np.array([[-20.0, -20, 1.0], [30.2, -20, 1.0], [30.2, 200, 1.0], [-20, 200, 1.0]])
+    view = see(corners, np.array([[0, 2, 1], [0, 3, 2]]), (100, 80))
+    rim = view.rim(np.array([[0, 2, 1], [0, 3, 2]]))
+    assert set(rim.pixels[:, 0]) == {30}
+
+
+def test_a_mesh_behind_the_camera_is_not_seen():
+    assert not see(np.full((3, 3), np.nan), np.array([[0, 2, 1]]), (60, 60)).mask().any()
