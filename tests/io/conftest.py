@@ -1,0 +1,17 @@
+"""A person and a motion for the tests of this room."""
+
+import pytest
+from tests import performer
+
+from marey.body.surface import Body
+from marey.motion.motion import Motion
+
+
+@pytest.fixture(scope="session")
+def person() -> Body:
+    return performer.body()
+
+
+@pytest.fixture(scope="session")
+def motion(person: Body) -> Motion:
+    return performer.motion(person)

@@ -1,0 +1,83 @@
+"""TRC, MOT and STO come back as they were written, gaps and axes included, and say what is wrong with a bad file."""
+
+import numpy as np
+import pytest
+
+from marey.errors import FileProblem
+from marey.io.atomic import replacing
+from marey.io.mot_sto import Orientations, Table, read_orientations, read_table, write_orientations, write_table
+from marey.io.trc import PointPaths, read_trc, write_trc
+from marey.motion.motion import Motion
+
+
+def test_a_trc_comes_back_with_its_gaps(motion: Motion, tmp_path):
+    path = tmp_path / "joint_centres.trc"
+    write_trc(path, PointPaths(names=motion.joint_names, time=motion.time, rate=30, points=motion.joint_centres))
+    back = read_trc(path)
+    assert back.names == motion.joint_names
+    assert back.rate == 30
+    np.testing.assert_allclose(back.points, motion.joint_centres, atol=0.5e-7)
+    np.testing.assert_allclose(back.time, motion.time, atol=0.5e-6)
+
+
+def test_a_trc_is_in_opensims_axes(tmp_path):
+    path = tmp_path / "p.trc"
+    write_trc(path, PointPaths(names=("a",), time=[0.0], rate=50, points=[[[1.0, 2.0, 3.0]]]))
+    last = path.read_text().splitlines()[-1].split("\t")
+    assert [float(v) for v in last] == [1, 0, 2, 3, 1]
+
+
+def test_a_trc_in_millimetres_with_empty_cells_is_read(tmp_path):
+    path = tmp_path / "p.trc"
+    write_trc(path, PointPaths(names=("a", "b"), time=[0.0], rate=50, points=[[[1.0, 2.0, 3.0]] * 2]))
+    text = path.read_text().replace("\tm\t", "\tmm\t").splitlines()
+    text[-1] = "1\t0.0\t2000\t3000\t1000\t\t\t"
+    path.write_text("\n".join(text) + "\n")
+    np.testing.assert_allclose(read_trc(path).points, [[[1, 2, 3], [np.nan] * 3]])
+
+
+def test_a_table_comes_back_with_its_gaps(motion: Motion, tmp_path):
+    path = tmp_path / "angles.mot"
+    values = np.degrees(motion.coordinates)
+    write_table(path, Table(name="angles", columns=motion.coordinate_names, time=motion.time, values=values))
+    back = read_table(path)
+    assert (back.columns, back.in_degrees, back.name) == (motion.coordinate_names, True, "angles")
+    np.testing.assert_allclose(back.values, values, atol=0.5e-8)
+
+
+def test_orientations_come_back_with_their_gaps(motion: Motion, tmp_path):
+    path = tmp_path / "orientations.sto"
+    names, turn = motion.segment_names, motion.segment_rotation
+    write_orientations(path, Orientations(names=names, time=motion.time, rate=30.0, world_from_body=turn))
+    back = read_orientations(path)
+    assert (back.names, back.rate) == (names, 30)
+    np.testing.assert_allclose(back.world_from_body, turn, atol=4e-9)
+
+
+@pytest.mark.parametrize(
+    ("read", "text", "wrong"),
+    [
+        (read_trc, "nonsense", "PathFileType"),
+        (read_trc, "PathFileType\t4\nDataRate\tUnits\n30\tfoot\nFrame#\tTime\ta\n\n", "'foot'"),
+        (read_table, "time\ta\n0\t1\n", "endheader"),
+        (read_table, "x\nendheader\nframe\ta\n0\t1\n", "'frame'"),
+        (read_table, "x\nendheader\ntime\ta\n0\tone\n", "damaged"),
+        (read_orientations, "x\nendheader\ntime\ta\n0\t1,0,0\n", "damaged"),
+    ],
+)
+def test_a_bad_file_is_named_with_what_is_wrong(tmp_path, read, text: str, wrong: str):
+    path = tmp_path / "bad.txt"
+    path.write_text(text)
+    with pytest.raises(FileProblem, match=wrong) as caught:
+        read(path)
+    assert str(path) in str(caught.value)
+
+
+def test_a_file_that_could_not_be_finished_leaves_the_old_one(tmp_path):
+    path = tmp_path / "results" / "a.txt"
+    with replacing(path) as beside:
+        beside.write_text("old")
+    with pytest.raises(ZeroDivisionError), replacing(path) as beside:
+        beside.write_text(str(1 / 0))
+    assert path.read_text() == "old"
+    assert list(path.parent.iterdir()) == [path]
