@@ -1,0 +1,215 @@
+"""The program `marey`: its commands, and how errors reach the person who typed them."""
+
+import errno
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+import marey
+from marey.errors import FileProblem, MareyError
+
+INTERRUPTED = 130
+WRONG_INPUT = 2
+_USERS_ERRNO = (errno.EACCES, errno.EPERM, errno.ENOSPC, errno.EROFS, errno.ENOTDIR, errno.EDQUOT, errno.EFBIG)
+
+app = typer.Typer(
+    name="marey",
+    help="Measure how a body moves and what shape it has, from what is seen at its surface.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode="markdown",
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+Out = Annotated[
+    Path | None, typer.Option("--out", "-o", metavar="DIR", help="Where the results go. [default: TRIAL/marey]")
+]
+Cameras = Annotated[str | None, typer.Option(metavar="A,B,...", help="Names of the cameras to keep.")]
+Frames = Annotated[str | None, typer.Option(metavar="A:B", help="Only frames A to B, without B; they count from 0.")]
+Preset = Annotated[
+    str | None,
+    typer.Option(metavar="NAME", help="What to follow: full, upper, left_arm, right_arm, left_leg or right_leg."),
+]
+Stature = Annotated[float | None, typer.Option(metavar="M", help="The person's height in metres, where it is known.")]
+Start = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="Clicked or detected joints to start from: JSON, or a folder of OpenPose JSON."),
+]
+BodyFile = Annotated[
+    Path | None,
+    typer.Option("--body", metavar="FILE", help="A body.npz found before, a skinned GLB, or a TOML that names a mesh."),
+]
+NoOverlay = Annotated[bool, typer.Option("--no-overlay", help="Draw no overlay videos.")]
+Quiet = Annotated[
+    bool, typer.Option("--quiet", "-q", help="Show nothing but warnings, and the report's place at the end.")
+]
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"marey {marey.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def program(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
+    ] = False,
+) -> None:
+    """Measure how a body moves and what shape it has, from what is seen at its surface."""
+
+
+@app.command()
+def capture(
+    trial: Annotated[Path, typer.Argument(metavar="TRIAL", help="Folder with one video a camera and cameras.toml.")],
+    out: Out = None,
+    cameras: Cameras = None,
+    frames: Frames = None,
+    preset: Preset = None,
+    stature: Stature = None,
+    start: Start = None,
+    body: BodyFile = None,
+    no_overlay: NoOverlay = False,
+    quiet: Quiet = False,
+) -> None:
+    """Capture the joint motion of the person in a trial.
+
+    TRIAL holds `cam01.mp4`, ... and `cameras.toml`, if possible `background/cam01.png`, ... of the empty room, and
+    perhaps `trial.toml`. Interrupted with Ctrl-C, the same command goes on where it was.
+
+    Examples:
+    * `marey capture walk01`
+    * `marey capture walk01 --stature 1.80 --frames 100:400 --out results/walk01`
+    * `marey capture walk01 --cameras cam01,cam02,cam04 --preset upper --no-overlay`
+    """
+    from marey.cli.settings import parse_frames, parse_names
+
+    options = {
+        "out": out,
+        "cameras": None if cameras is None else parse_names(cameras),
+        "frames": None if frames is None else parse_frames(frames),
+        "preset": preset,
+        "stature_m": stature,
+        "start": start,
+        "body": body,
+        "overlay": False if no_overlay else None,
+    }
+    _capture(trial, options, quiet=quiet)
+
+
+@app.command()
+def demo(out: Out = None, quiet: Quiet = False) -> None:
+    """Capture the take that comes with the program, and say where its report is."""
+    _capture(example_folder(), {"out": out}, quiet=quiet)
+
+
+@app.command()
+def view(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="A folder of results.")],
+    no_browser: Annotated[bool, typer.Option("--no-browser", help="Only print where the report is.")] = False,
+) -> None:
+    """Show what was measured, in the browser.
+
+    Example: `marey view walk01/marey`
+    """
+    import webbrowser
+
+    report = _report_in(folder)
+    typer.echo(report)
+    if not no_browser:
+        webbrowser.open(report.as_uri())
+
+
+@app.command()
+def bench(
+    trial: Annotated[
+        Path | None, typer.Argument(metavar="[TRIAL]", help="A trial, to time the whole way from video to pose.")
+    ] = None,
+) -> None:
+    """Measure the speeds that matter, each beside a peer's or a limit, in one run.
+
+    Examples: `marey bench`, `marey bench examples/reach`
+    """
+    from marey.cli.bench import bench as measure
+
+    measure(trial)
+
+
+def _capture(trial: Path, options: Mapping[str, object], *, quiet: bool) -> None:
+    from marey.cli.capture import capture as capture_trial
+    from marey.cli.progress import Progress
+    from marey.cli.settings import CaptureSettings
+
+    if not trial.is_dir():
+        what = "is a file" if trial.exists() else "is not there"
+        raise FileProblem(trial, what, "Give the folder that holds the videos and cameras.toml.")
+    settings = CaptureSettings().with_options(**options)
+    results = capture_trial(trial, settings, Progress(quiet=quiet))
+    typer.echo(f"Report: {results / 'report.html'}")
+
+
+def example_folder() -> Path:
+    """Find the take that comes with the program: in the clone, or where the package was installed.
+
+    Raises:
+        FileProblem: It is in neither place.
+    """
+    clone = Path(marey.__file__).resolve().parents[2] / "examples" / "reach"
+    installed = Path(sys.prefix) / "share" / "marey" / "examples" / "reach"
+    for folder in (clone, installed):
+        if (folder / "cameras.toml").is_file():
+            return folder
+    raise FileProblem(clone, "is not there", "Run the demo from a clone of the project, where it is part of the files.")
+
+
+def _report_in(folder: Path) -> Path:
+    for report in (folder / "report.html", folder / "marey" / "report.html"):
+        if report.is_file():
+            return report.resolve()
+    raise FileProblem(folder, "holds no report.html", "Give the folder that `marey capture` said its results went to.")
+
+
+def run(arguments: Sequence[str] | None = None) -> int:
+    """Run the program and turn what a user can mend into one line.
+
+    Args:
+        arguments: What was typed after the program's name; the process's own when missing.
+
+    Returns:
+        The exit code: 0, 2 for wrong input, 130 when interrupted. Errors of the program itself leave with a traceback.
+    """
+    try:
+        code = app(args=None if arguments is None else list(arguments), prog_name="marey", standalone_mode=False)
+    except MareyError as problem:
+        return _complain(str(problem))
+    except typer.TyperException as problem:
+        return _complain(_usage_line(problem))
+    except OSError as problem:
+        if problem.errno not in _USERS_ERRNO:
+            raise
+        return _complain(f"{problem.filename or 'a file'}: {problem.strerror}. Check the rights and the space there.")
+    except KeyboardInterrupt:
+        code = INTERRUPTED
+    if code == INTERRUPTED:
+        print("\nInterrupted. The same command goes on from here.", file=sys.stderr)
+    return code if isinstance(code, int) else 0
+
+
+def _usage_line(problem: Exception) -> str:
+    text = problem.format_message() if hasattr(problem, "format_message") else str(problem)
+    return f"{text.rstrip('.')}. See marey --help."
+
+
+def _complain(text: str) -> int:
+    print("marey: " + " ".join(text.split()), file=sys.stderr)
+    return WRONG_INPUT
+
+
+def main() -> None:
+    """Enter from the command line."""
+    sys.exit(run())

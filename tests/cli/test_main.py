@@ -1,0 +1,123 @@
+import sys
+import types
+from pathlib import Path
+
+import pytest
+
+import marey
+from marey.cli.main import run
+from marey.cli.progress import Progress
+from marey.cli.settings import CaptureSettings
+from marey.errors import FileProblem
+
+
+class FakeCapture:
+    """Stands where the real capture stands, and does what a test tells it."""
+
+    def __init__(self):
+        self.calls: list[tuple[Path, CaptureSettings]] = []
+        self.fails: BaseException | None = None
+
+    def __call__(self, folder: Path, settings: CaptureSettings, progress: Progress) -> Path:
+        self.calls.append((folder, settings))
+        if self.fails is not None:
+            raise self.fails
+        return settings.out or folder / "marey"
+
+
+@pytest.fixture
+def capture(monkeypatch: pytest.MonkeyPatch) -> FakeCapture:
+    fake = FakeCapture()
+    module = types.ModuleType("marey.cli.capture")
+    module.capture = fake  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "marey.cli.capture", module)
+    return fake
+
+
+def test_the_version_is_told(capsys):
+    assert run(["--version"]) == 0
+    assert capsys.readouterr().out.strip() == f"marey {marey.__version__}"
+
+
+def test_help_names_every_command_and_shows_examples(capsys):
+    assert run(["--help"]) == 0
+    text = capsys.readouterr().out
+    assert all(command in text for command in ("capture", "demo", "view", "bench"))
+    assert run(["capture", "--help"]) == 0
+    assert "marey capture walk01 --stature 1.80" in capsys.readouterr().out
+
+
+def test_options_reach_the_capture(capture, tmp_path, capsys):
+    options = [
+        "--cameras",
+        "cam01, cam02",
+        "--frames",
+        "10:20",
+        "--stature",
+        "1.8",
+        "--preset",
+        "upper",
+        "--no-overlay",
+    ]
+    assert run(["capture", str(tmp_path), "--out", str(tmp_path / "here"), *options]) == 0
+    _, settings = capture.calls[0]
+    assert settings.cameras == ("cam01", "cam02")
+    assert settings.frames == (10, 20)
+    assert (settings.stature_m, settings.preset, settings.overlay) == (1.8, "upper", False)
+    assert str(tmp_path / "here" / "report.html") in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["capture"],
+        ["capture", ".", "--stature", "tall"],
+        ["capture", ".", "--stature", "180"],
+        ["capture", ".", "--frames", "10-20"],
+        ["capture", ".", "--frames", "20:10"],
+        ["capture", ".", "--cameras", ","],
+        ["capture", ".", "--preset", "tail"],
+        ["capture", ".", "--colour", "blue"],
+        ["capture", "nowhere"],
+        ["view", "nowhere", "--no-browser"],
+        ["dance"],
+    ],
+)
+def test_wrong_input_is_one_clear_line_and_code_two(arguments, capture, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert run(arguments) == 2
+    shown = capsys.readouterr()
+    assert shown.err.startswith("marey: ")
+    assert shown.err.count("\n") == 1
+    assert not shown.out
+    assert not capture.calls
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_file_problem_names_file_fault_and_remedy(capture, tmp_path, capsys):
+    capture.fails = FileProblem("cameras.toml", "has no camera 'cam03'", "Calibrate it,\nor leave it away.")
+    assert run(["capture", str(tmp_path)]) == 2
+    line = "marey: cameras.toml: has no camera 'cam03'. Calibrate it, or leave it away.\n"
+    assert capsys.readouterr().err == line
+
+
+def test_interrupting_says_that_the_same_command_goes_on(capture, tmp_path, capsys):
+    capture.fails = KeyboardInterrupt()
+    assert run(["capture", str(tmp_path)]) == 130
+    assert "same command" in capsys.readouterr().err
+
+
+def test_a_full_disk_is_the_users_to_mend_but_a_fault_of_the_program_keeps_its_traceback(capture, tmp_path, capsys):
+    capture.fails = OSError(28, "No space left on device", str(tmp_path / "motion.npz"))
+    assert run(["capture", str(tmp_path)]) == 2
+    assert "motion.npz: No space left on device" in capsys.readouterr().err
+    capture.fails = ZeroDivisionError("in the solver")
+    with pytest.raises(ZeroDivisionError):
+        run(["capture", str(tmp_path)])
+
+
+def test_view_prints_where_the_report_is(tmp_path, capsys):
+    (tmp_path / "marey").mkdir()
+    (tmp_path / "marey" / "report.html").write_text("<html>")
+    assert run(["view", str(tmp_path), "--no-browser"]) == 0
+    assert capsys.readouterr().out.strip() == str((tmp_path / "marey" / "report.html").resolve())

@@ -1,0 +1,59 @@
+import io
+import re
+
+import pytest
+
+from marey.cli import progress as module
+from marey.cli.progress import Progress, readable_seconds
+
+
+def test_away_from_a_terminal_stages_are_plain_lines_with_the_time_left(monkeypatch):
+    monkeypatch.setattr(module, "SECONDS_BETWEEN_LINES", 0.0)
+    stream = io.StringIO()
+    progress = Progress(stream)
+    with progress.stage("Silhouettes", 4, done=2) as step:
+        step()
+        step()
+    lines = stream.getvalue().splitlines()
+    assert lines[0] == "Silhouettes ... 2 of 4 were done before"
+    assert re.match(r"Silhouettes: 3 of 4, about .* left", lines[1])
+    assert "\x1b" not in stream.getvalue()
+    assert lines[-1].startswith("Silhouettes: done in")
+
+
+def test_times_of_a_stage_add_up_even_when_it_fails():
+    progress = Progress(io.StringIO())
+    with pytest.raises(ValueError, match="no"), progress.stage("Start"):
+        raise ValueError("no")
+    first = progress.timings["Start"]
+    with progress.stage("Start"):
+        pass
+    assert progress.timings["Start"] >= first
+
+
+def test_quiet_shows_warnings_only_and_keeps_them():
+    stream = io.StringIO()
+    progress = Progress(stream, quiet=True)
+    with progress.stage("Start", 3) as step:
+        step()
+    progress.say("hello")
+    progress.warn("cam02 is dark [really]")
+    assert stream.getvalue() == "Note: cam02 is dark [really]\n"
+    assert progress.warnings == ["cam02 is dark [really]"]
+
+
+def test_on_a_terminal_there_is_a_bar():
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    stream = Terminal()
+    with Progress(stream).stage("Poses", 2) as step:
+        step()
+        step()
+    assert "2/2" in stream.getvalue()
+
+
+def test_spans_of_time_are_readable():
+    spans = {4.23: "4.2 s", 59.99: "1 min 00 s", 200: "3 min 20 s", 3900: "1 h 05 min"}
+    assert {s: readable_seconds(s) for s in spans} == spans

@@ -1,0 +1,84 @@
+import numpy as np
+import pytest
+
+from marey.errors import FileProblem
+from marey.io import stages
+from marey.io.stages import FrameLog, file_fingerprint, load_arrays, save_arrays
+
+
+def test_arrays_come_back_as_they_were(tmp_path, rng):
+    arrays = {"x": rng.normal(size=(3, 2)), "flag": np.array([True, False])}
+    save_arrays(tmp_path / "a.npz", arrays)
+    found = load_arrays(tmp_path / "a.npz")
+    assert set(found) == set(arrays)
+    np.testing.assert_array_equal(found["x"], arrays["x"])
+    assert [p.name for p in tmp_path.iterdir()] == ["a.npz"]
+
+
+@pytest.mark.parametrize("lost", [1, 50, 399])
+def test_a_record_cut_off_in_the_middle_is_dropped_and_the_log_goes_on(tmp_path, lost):
+    path = tmp_path / "poses.log"
+    with FrameLog(path) as log:
+        for frame in range(3):
+            log.append({"pose": np.full(20, float(frame))})
+    path.write_bytes(path.read_bytes()[:-lost])
+    with FrameLog(path) as log:
+        assert len(log) == 2
+        log.append({"pose": np.full(20, 7.0)})
+        assert [record["pose"][0] for record in log] == [0, 1, 7]
+    with FrameLog(path) as log:
+        assert len(log) == 3
+
+
+def test_a_last_record_of_wrong_content_is_dropped(tmp_path):
+    path = tmp_path / "poses.log"
+    with FrameLog(path) as log:
+        for frame in range(2):
+            log.append({"pose": np.full(20, float(frame))})
+    content = bytearray(path.read_bytes())
+    content[-60] ^= 0xFF
+    path.write_bytes(content)
+    with FrameLog(path) as log:
+        assert len(log) == 1
+
+
+def test_an_earlier_damaged_record_is_an_error_that_names_the_file(tmp_path):
+    path = tmp_path / "poses.log"
+    with FrameLog(path) as log:
+        for frame in range(2):
+            log.append({"pose": np.full(20, float(frame))})
+    content = bytearray(path.read_bytes())
+    content[60] ^= 0xFF
+    path.write_bytes(content)
+    with FrameLog(path) as log, pytest.raises(FileProblem, match=r"poses\.log: is damaged at frame 0"):
+        log[0]
+
+
+def test_a_log_can_be_cut_back(tmp_path):
+    with FrameLog(tmp_path / "a.log") as log:
+        for frame in range(4):
+            log.append({"x": np.array(frame)})
+        log.cut(2)
+        log.append({"x": np.array(9)})
+        assert [int(r["x"]) for r in log] == [0, 1, 9]
+
+
+def test_a_fingerprint_follows_content_and_not_names(tmp_path, monkeypatch):
+    a, b = tmp_path / "a.mp4", tmp_path / "b.mp4"
+    a.write_bytes(b"film" * 100)
+    b.write_bytes(b"film" * 100)
+    assert file_fingerprint(a) == file_fingerprint(b)
+    b.write_bytes(b"film" * 99 + b"fill")
+    assert file_fingerprint(a) != file_fingerprint(b)
+    assert len({file_fingerprint(a), file_fingerprint(tmp_path)}) == 2
+    with pytest.raises(FileProblem, match="missing"):
+        file_fingerprint(tmp_path / "missing.mp4")
+
+
+def test_large_files_are_told_apart_by_their_ends(tmp_path, monkeypatch):
+    monkeypatch.setattr(stages, "WHOLE_BYTES", 100)
+    monkeypatch.setattr(stages, "_SAMPLE_BYTES", 10)
+    a, b = tmp_path / "a", tmp_path / "b"
+    a.write_bytes(b"x" * 1000)
+    b.write_bytes(b"x" * 999 + b"y")
+    assert file_fingerprint(a) != file_fingerprint(b)
