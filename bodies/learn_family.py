@@ -7,11 +7,12 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-import people as crowd
 from decimate import decimate, triangulate
 from scipy.sparse import coo_matrix, diags, eye
 from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
+
+import people as crowd
 
 JOINT_WEIGHT = 3.0
 COUNTS = (2600, 800)

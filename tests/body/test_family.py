@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from marey.body.family import LEVELS, distal_ends, load_family, long_axes
+from marey.body.skeleton import full_skeleton
 from marey.errors import SettingProblem
 
 
@@ -117,3 +118,10 @@ def test_wrong_settings_are_told():
         load_family("fine", 99)
     with pytest.raises(SettingProblem, match="tail"):
         load_family().segment("tail")
+
+
+def test_the_segments_stand_in_the_order_of_the_skeleton():
+    family, arm = load_family("coarse", 1), np.array([0.67, -0.02, -0.74])
+    skeleton = full_skeleton(arm=arm, elbow=np.array([-0.74, -0.05, -0.67]), palm=np.array([-0.7, 0.1, -0.7]))
+    assert family.segment_names == skeleton.segment_names
+    np.testing.assert_array_equal(family.parents, skeleton.parents)
