@@ -8,10 +8,21 @@ import numpy as np
 from marey.cameras.camera import Camera
 from marey.cameras.rig import Rig
 from marey.errors import FileProblem
+from marey.io.calibration_opencv import read_opencv_pair
+from marey.io.calibration_qualisys import read_qualisys
 from marey.io.calibration_toml import read_toml
 
 _KNOWN = "cameras.toml (Pose2Sim, Anipose or Caliscope), intri.yml with extri.yml (OpenCV), or *.qca.txt (Qualisys)"
-_PATTERNS = ("cameras.toml", "Calib*.toml", "calib*.toml", "camera_array.toml", "intri.yml", "*.qca.txt", "*.qca")
+_PATTERNS = (
+    "cameras.toml",
+    "Calib*.toml",
+    "calib*.toml",
+    "camera_array.toml",
+    "intri.yml",
+    "extri.yml",
+    "*.qca.txt",
+    "*.qca",
+)
 _GREATEST_SPREAD = 200.0
 """Cameras further apart than this [m] were written in millimetres or in squares of a board."""
 
@@ -68,6 +79,10 @@ def _reader(path: Path) -> Callable[[Path], Rig]:
     name = path.name.lower()
     if name.endswith(".toml"):
         return read_toml
+    if name.endswith((".yml", ".yaml")):
+        return read_opencv_pair
+    if name.endswith((".qca.txt", ".qca", ".xml")):
+        return read_qualisys
     raise FileProblem(path, "is no calibration that is known", f"Known are {_KNOWN}.")
 
 

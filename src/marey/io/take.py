@@ -179,9 +179,8 @@ def find_clips(folder: Path, names: Sequence[str], *, others: bool = False) -> t
     Raises:
         FileProblem: A camera has no clip or several, or a video has no camera.
     """
-    files = sorted(path for path in folder.iterdir() if path.is_file())
-    videos = [path for path in files if path.suffix.lower() in VIDEO_SUFFIXES]
-    found = [_pictures_of(folder, name, videos, files) for name in names]
+    videos = sorted(path for path in folder.iterdir() if path.is_file() and path.suffix.lower() in VIDEO_SUFFIXES)
+    found = [pictures_of(folder, name) for name in names]
     missing = [name for name, paths in zip(names, found, strict=True) if not paths]
     strange = [path.name for path in videos if path.stem not in names]
     if missing:
@@ -208,14 +207,26 @@ def _open_all(found: Sequence[tuple[Path, ...]]) -> tuple[Clip, ...]:
     )
 
 
-def _pictures_of(folder: Path, name: str, videos: Sequence[Path], files: Sequence[Path]) -> tuple[Path, ...]:
-    """Find one camera's video, or its stills in the order of their numbers."""
-    own = [path for path in videos if path.stem == name]
-    if len(own) > 1:
-        wrong = f"has several videos of '{name}': {', '.join(path.name for path in own)}"
+def pictures_of(folder: Path, name: str) -> tuple[Path, ...]:
+    """Find one camera's video, or its stills in the order of their numbers.
+
+    Args:
+        folder: The trial.
+        name: The camera.
+
+    Returns:
+        The video, or the stills, or nothing.
+
+    Raises:
+        FileProblem: There are several videos, or several stills of one number.
+    """
+    files = sorted(path for path in folder.iterdir() if path.is_file() and path.stem.startswith(name))
+    videos = [path for path in files if path.suffix.lower() in VIDEO_SUFFIXES and path.stem == name]
+    if len(videos) > 1:
+        wrong = f"has several videos of '{name}': {', '.join(path.name for path in videos)}"
         raise FileProblem(folder, wrong, "Keep one of them.")
-    if own:
-        return (own[0],)
+    if videos:
+        return (videos[0],)
     numbered = re.compile(re.escape(name) + r"_(\d+)")
     stills = [
         (int(match[1]), path)
