@@ -1,0 +1,146 @@
+"""body.npz: a person's body, whole, so that another run can take it up again."""
+
+from pathlib import Path
+
+import numpy as np
+
+from marey.arrays import Floats
+from marey.body.skeleton import Coordinate, Skeleton
+from marey.body.surface import Body, ShapeSpace
+from marey.errors import FileProblem, MareyError
+from marey.io.npz import read_arrays, write_arrays
+
+_SPACE = ("vertex_mean", "vertex_modes", "joint_mean", "joint_modes", "prior_mean", "prior_covariance")
+_NEXT = {"pelvis": "abdomen", "abdomen": "thorax", "thorax": "neck", "neck": "head"} | {
+    f"{side}_{segment}": f"{side}_{below}"
+    for side in ("left", "right")
+    for segment, below in (
+        ("clavicle", "upperarm"), ("upperarm", "forearm"), ("forearm", "hand"),
+        ("thigh", "shank"), ("shank", "foot"), ("foot", "toes"),
+    )
+}  # fmt: skip
+_WANTED = (
+    "preset", "segment_names", "parents", "coordinate_names", "coordinate_segment", "coordinate_numbers", "numbers",
+    "numbers_covariance", "number_names", "faces", "vertex_segments", "vertex_weights", *(f"space_{n}" for n in _SPACE),
+)  # fmt: skip
+
+
+def write_body(path: Path | str, body: Body, *, preset: str) -> None:
+    """Write `body.npz`.
+
+    It holds names, joint centres, segments' lengths and the skin; the skeleton (`parents`, `coordinate_...`: axis,
+    mean, sd, lower and upper limit in radians); the shape numbers with their covariance and the space of shapes
+    (`space_...`), so that `read_body` gives back the same body. A mesh has no metaballs: those arrays are empty.
+
+    Args:
+        path: The file.
+        body: At rest.
+        preset: The preset's name.
+    """
+    skeleton = body.skeleton
+    length, length_sd = segment_lengths(body)
+    count = len(body.numbers)
+    unknown = np.full((count, count), np.nan)
+    numbers = [(*c.axis, c.mean, c.sd, c.lower, c.upper) for c in skeleton.coordinates]
+    write_arrays(
+        path,
+        {
+            "preset": preset,
+            "joint_names": body.joint_names,
+            "joint_centres": body.joint_centres[body.joint_segments],
+            "segment_names": skeleton.segment_names,
+            "segment_length": length,
+            "segment_length_sd": length_sd,
+            "segment_origin": body.joint_centres,
+            "metaball_segment": np.zeros(0, np.int64),
+            **{f"metaball_{name}": np.zeros((0, 3)) for name in ("centre", "radii", "radii_sd")},
+            "metaball_weight": np.zeros(0),
+            "vertices": body.vertices,
+            "faces": body.faces,
+            "vertex_segments": body.vertex_segments,
+            "vertex_weights": body.vertex_weights,
+            "parents": skeleton.parents,
+            "coordinate_names": np.array([c.name for c in skeleton.coordinates], dtype=str),
+            "coordinate_segment": skeleton.coordinate_segment,
+            "coordinate_numbers": np.array(numbers).reshape(-1, 7),
+            "number_names": np.array(body.space.names, dtype=str),
+            "numbers": body.numbers,
+            "numbers_covariance": unknown if body.numbers_covariance is None else body.numbers_covariance,
+            **{f"space_{name}": getattr(body.space, name) for name in _SPACE},
+        },
+    )
+
+
+def read_body(path: Path | str) -> tuple[Body, str]:
+    """Read `body.npz`.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The body and its preset.
+
+    Raises:
+        FileProblem: It cannot be read, lacks a key, or its arrays do not fit together.
+    """
+    stored = read_arrays(path, _WANTED)
+    names = tuple(str(name) for name in stored["segment_names"])
+    covariance = stored["numbers_covariance"]
+    try:
+        joints = zip(
+            stored["coordinate_names"], stored["coordinate_segment"], stored["coordinate_numbers"], strict=True
+        )
+        coordinates = tuple(_coordinate(str(name), names[int(k)], numbers) for name, k, numbers in joints)
+        space = ShapeSpace(
+            names=tuple(str(name) for name in stored["number_names"]),
+            **{name: stored[f"space_{name}"] for name in _SPACE},
+        )
+        body = Body(
+            skeleton=Skeleton(segment_names=names, parents=stored["parents"], coordinates=coordinates),
+            space=space,
+            numbers=stored["numbers"],
+            faces=stored["faces"],
+            vertex_segments=stored["vertex_segments"],
+            vertex_weights=stored["vertex_weights"],
+            numbers_covariance=covariance if np.isfinite(covariance).all() and covariance.size else None,
+        )
+        fits = np.allclose(body.vertices, stored["vertices"]) and len(body.joint_centres) == len(names)
+    except (ValueError, IndexError, KeyError, MareyError) as error:
+        raise FileProblem(
+            path, f"does not fit together ({error})", "Give a body.npz of `capture` or `shape`."
+        ) from error
+    if not fits:
+        raise FileProblem(path, "has a skin that is not that of its numbers", "Give a body.npz as it was written.")
+    return body, str(stored["preset"])
+
+
+def _coordinate(name: str, segment: str, numbers: Floats) -> Coordinate:
+    x, y, z, mean, sd, lower, upper = (float(v) for v in numbers)
+    return Coordinate(name=name, segment=segment, axis=(x, y, z), mean=mean, sd=sd, lower=lower, upper=upper)
+
+
+def segment_lengths(body: Body) -> tuple[Floats, Floats]:
+    """Give each segment's length: to the next joint centre, or of a last segment to its farthest skin.
+
+    Args:
+        body: At rest.
+
+    Returns:
+        Lengths (S,) and standard deviations (S,) [m], the latter NaN where the shape's covariance is unknown.
+    """
+    names, space = body.skeleton.segment_names, body.space
+    lengths, deviations = np.zeros(len(names)), np.full(len(names), np.nan)
+    share = [np.where(body.vertex_segments == k, body.vertex_weights, 0).sum(1) for k in range(len(names))]
+    for k, name in enumerate(names):
+        if _NEXT.get(name) in names:
+            end = names.index(_NEXT[name])
+            along, modes = body.joint_centres[end] - body.joint_centres[k], space.joint_modes[:, end]
+        else:
+            away = np.where(share[k] > 0.5, np.linalg.norm(body.vertices - body.joint_centres[k], axis=1), 0)
+            far = int(np.argmax(away))
+            along, modes = body.vertices[far] - body.joint_centres[k], space.vertex_modes[:, far]
+        lengths[k] = np.linalg.norm(along)
+        if body.numbers_covariance is not None and lengths[k] > 0:
+            by_number = (modes - space.joint_modes[:, k]) @ along / lengths[k]
+            deviations[k] = np.sqrt(by_number @ body.numbers_covariance @ by_number)
+    return lengths, deviations

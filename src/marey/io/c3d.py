@@ -1,0 +1,113 @@
+"""C3D: points in millimetres and 4x4 ROTATION, as laboratories' programs read them."""
+
+import struct
+import warnings
+from pathlib import Path
+
+import ezc3d
+import numpy as np
+
+from marey.arrays import Floats
+from marey.errors import FileProblem
+from marey.io.atomic import replacing
+from marey.io.trc import PointPaths
+
+_INTEL = 84
+_BYTES_OF_A_ROTATION = 17 * 4
+_METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
+
+
+def write_c3d(
+    path: Path | str,
+    paths: PointPaths,
+    *,
+    segment_names: tuple[str, ...] = (),
+    segment_rotation: Floats | None = None,
+    segment_origin: Floats | None = None,
+) -> None:
+    """Write points and the segments' poses in millimetres and the world's axes (Z up).
+
+    A missing point has the residual -1; a missing pose is NaN. The poses stand as 4x4 matrices, world from segment, in
+    the group ROTATION under the names `<segment>_4X4`.
+
+    Args:
+        path: The file.
+        paths: The points.
+        segment_names: S names.
+        segment_rotation: (F, S, 3, 3) world from segment.
+        segment_origin: (F, S, 3) [m].
+    """
+    frames = len(paths.time)
+    points = np.ones((4, len(paths.names), frames))
+    points[:3] = np.transpose(paths.points, (2, 1, 0)) * 1e3
+    missing = np.isnan(points).any(0)
+    points[:3, missing] = 0
+    c3d = ezc3d.c3d()
+    parameters = c3d["parameters"]
+    parameters["POINT"]["RATE"]["value"] = [paths.rate]
+    parameters["POINT"]["UNITS"]["value"] = ["mm"]
+    parameters["POINT"]["LABELS"]["value"] = list(paths.names)
+    c3d["data"]["points"] = points
+    c3d["data"]["meta_points"]["residuals"] = np.where(missing, -1.0, 0.0)[None]
+    c3d["data"]["meta_points"]["camera_masks"] = np.zeros((7, *missing.shape), bool)
+    c3d.add_parameter("MANUFACTURER", "SOFTWARE", ["marey"])
+    if segment_rotation is not None and segment_origin is not None:
+        matrices = np.zeros((4, 4, len(segment_names), frames))
+        matrices[:3, :3] = np.transpose(segment_rotation, (2, 3, 1, 0))
+        matrices[:3, 3] = np.transpose(segment_origin, (2, 1, 0)) * 1e3
+        matrices[3, 3] = 1
+        c3d.add_parameter("ROTATION", "USED", [len(segment_names)])
+        c3d.add_parameter("ROTATION", "RATE", [paths.rate])
+        c3d.add_parameter("ROTATION", "RATIO", [1])
+        c3d.add_parameter("ROTATION", "LABELS", [f"{name}_4X4" for name in segment_names])
+        c3d["data"]["rotations"] = matrices
+    with replacing(path) as beside:
+        c3d.write(str(beside))
+
+
+def _is_cut_off(path: Path) -> bool:
+    """Tell whether the file is shorter than it says; ezc3d would read zeros, or end the whole program."""
+    data = path.read_bytes()
+    points, analogs, first, last = struct.unpack_from("<4H", data, 2)
+    scale, start = struct.unpack_from("<fH", data, 12)
+    processor = data[(data[0] - 1) * 512 + 3]
+    if processor != _INTEL:
+        return False  # other byte orders are read by ezc3d alone
+    frames = last - first + 1
+    end = (start - 1) * 512 + frames * (4 * points + analogs) * (4 if scale < 0 else 2)
+    low_level = ezc3d.ezc3d.c3d(str(path))
+    rotation = ezc3d.ezc3d.RotationsInfo(low_level)
+    if rotation.used():
+        begin = low_level.parameters().group("ROTATION").parameter("DATA_START").valuesAsInt()[0]
+        end = max(end, (begin - 1) * 512 + frames * rotation.used() * rotation.ratio() * _BYTES_OF_A_ROTATION)
+    return len(data) < end
+
+
+def read_c3d(path: Path | str) -> PointPaths:
+    """Read a C3D's points into metres; its axes are taken as they are.
+
+    Args:
+        path: The file.
+
+    Raises:
+        FileProblem: It is no C3D, or its unit is unknown.
+    """
+    if not Path(path).is_file():
+        raise FileProblem(path, "is not there", "Give a C3D file.")
+    try:
+        if _is_cut_off(Path(path)):
+            raise FileProblem(path, "ends before its data do", "Copy or export it again.")
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # ezc3d warns of parameters that do not matter for points
+            c3d = ezc3d.c3d(str(path))
+    except (OSError, RuntimeError, ValueError, IndexError, struct.error) as error:
+        raise FileProblem(path, f"cannot be read as C3D ({error})", "Export it again.") from error
+    point = c3d["parameters"]["POINT"]
+    unit = (point["UNITS"]["value"] or [""])[0].strip()
+    if unit not in _METRES:
+        raise FileProblem(path, f"has the unit {unit!r}", f"POINT:UNITS should be one of {', '.join(_METRES)}.")
+    points = np.transpose(c3d["data"]["points"][:3], (2, 1, 0)) * _METRES[unit]
+    labels = [label for key in point if key.startswith("LABELS") for label in (point[key]["value"] or [])]
+    rate = float(point["RATE"]["value"][0])
+    time = (c3d["header"]["points"]["first_frame"] + np.arange(len(points))) / rate
+    return PointPaths(names=tuple(labels[: points.shape[1]]), time=time, rate=rate, points=points)

@@ -1,0 +1,68 @@
+"""NetCDF: the motion with named dimensions and units, for xarray and the tools around it."""
+
+from pathlib import Path
+
+import numpy as np
+from scipy.io import netcdf_file
+
+from marey.io.atomic import replacing
+from marey.motion.motion import Motion
+
+_NAMES = {"joint_names": "joint", "segment_names": "segment", "coordinate_names": "coordinate"} | {
+    "angle_names": "angle",
+    "camera_names": "camera",
+}
+_LAYOUT = {
+    "time": (("time",), "s"),
+    "rate": ((), "Hz"),
+    "joint_centres": (("time", "joint", "space"), "m"),
+    "joint_centres_sd": (("time", "joint", "space"), "m"),
+    "segment_rotation": (("time", "segment", "row", "column"), "1"),
+    "segment_origin": (("time", "segment", "space"), "m"),
+    "coordinates": (("time", "coordinate"), "rad; the first three m"),
+    "coordinates_sd": (("time", "coordinate"), "rad; the first three m"),
+    "determined": (("time", "coordinate"), "1"),
+    "angles_deg": (("time", "angle"), "degrees"),
+    "angles_deg_sd": (("time", "angle"), "degrees"),
+    "state": (("time",), "0 nobody, 1 measured, 2 filled, 3 lost"),
+    "agreement": (("time", "camera"), "1"),
+}
+
+
+def write_netcdf(path: Path | str, motion: Motion) -> None:
+    """Write `motion.nc`: the keys of motion.npz as variables, with dimensions and units.
+
+    It is NetCDF 3 with 64-bit offsets, which SciPy writes and xarray, MATLAB and R open without another library.
+
+    Args:
+        path: The file.
+        motion: What to write.
+    """
+    with replacing(path) as beside, netcdf_file(beside, "w", version=2) as file:
+        file.title = "Motion of a person measured by marey"
+        file.axes = "world: right-handed, Z up"
+        file.createDimension("time", len(motion))
+        for name, size in (("space", 3), ("row", 3), ("column", 3)):
+            file.createDimension(name, size)
+        for key, dimension in _NAMES.items():
+            _write_names(file, key, dimension, getattr(motion, key))
+        for key, (dimensions, unit) in _LAYOUT.items():
+            value = np.asarray(getattr(motion, key))
+            flag = value.dtype.kind in "bi"
+            variable = file.createVariable(key, "b" if flag else "d", dimensions)
+            variable.units = unit
+            if value.dtype.kind == "b":
+                variable.dtype = "bool"  # tells xarray that 0 and 1 are flags
+            variable.data[...] = value.astype(np.int8 if flag else np.float64)
+
+
+def _write_names(file: netcdf_file, key: str, dimension: str, names: tuple[str, ...]) -> None:
+    """Write names as rows of UTF-8 bytes, which xarray reads as text."""
+    encoded = np.array([name.encode() for name in names], dtype="S")
+    length = max(encoded.dtype.itemsize, 1)
+    file.createDimension(dimension, len(names))
+    file.createDimension(f"{dimension}_letters", length)
+    variable = file.createVariable(key, "c", (dimension, f"{dimension}_letters"))
+    variable._Encoding = "utf-8"
+    if len(names):
+        variable[:] = encoded.astype(f"S{length}").view("S1").reshape(len(names), length)

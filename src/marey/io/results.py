@@ -1,0 +1,109 @@
+"""The one door through which a capture's results leave: every file of design.md that holds motion or body."""
+
+from pathlib import Path
+
+import numpy as np
+
+from marey.arrays import Floats, Mask
+from marey.body.surface import Body
+from marey.errors import FileProblem
+from marey.io import body as body_file
+from marey.io import npz
+from marey.io.bvh import write_bvh
+from marey.io.c3d import read_c3d, write_c3d
+from marey.io.csv import write_angles
+from marey.io.glb import write_glb
+from marey.io.mot_sto import Orientations, Table, write_orientations, write_table
+from marey.io.netcdf import write_netcdf
+from marey.io.osim import write_osim
+from marey.io.trc import PointPaths, read_trc, write_trc
+from marey.motion.motion import Motion
+
+
+def write_results(
+    folder: Path | str,
+    motion: Motion,
+    body: Body,
+    *,
+    preset: str,
+    mass_kg: float | None = None,
+    skin: Floats | None = None,
+    seen: Mask | None = None,
+) -> None:
+    """Write all files of a captured motion; each is there whole or not at all.
+
+    Args:
+        folder: Where; made when it is missing.
+        motion: What was measured.
+        body: Of whom, at rest.
+        preset: Name of the body's preset.
+        mass_kg: The person's mass for the OpenSim model, where it is known.
+        skin: (F, V, 3) the posed skin in the world [m]; `skin.npz` is written with it.
+        seen: (F, V) what of it was measured by some observation.
+    """
+    folder = Path(folder)
+    npz.write_motion(folder / "motion.npz", motion)
+    write_netcdf(folder / "motion.nc", motion)
+    write_motion_tables(folder, motion)
+    write_osim(folder / "body.osim", body, mass_kg=mass_kg)
+    body_file.write_body(folder / "body.npz", body, preset=preset)
+    write_glb(folder / "body.glb", body, motion)
+    if motion.answered.any():
+        write_bvh(folder / "motion.bvh", body, motion)
+    if skin is not None:
+        npz.write_skin(folder / "skin.npz", skin, body.faces, np.zeros(skin.shape[:2], bool) if seen is None else seen)
+
+
+def write_motion_tables(folder: Path | str, motion: Motion) -> None:
+    """Write what needs no body: `joint_centres.trc`, `angles.mot`, `orientations.sto`, `motion.c3d`, `angles.csv`.
+
+    Args:
+        folder: Where.
+        motion: What was measured.
+    """
+    folder = Path(folder)
+    paths = PointPaths(names=motion.joint_names, time=motion.time, rate=motion.rate, points=motion.joint_centres)
+    write_trc(folder / "joint_centres.trc", paths)
+    values = np.array(motion.coordinates)
+    values[:, 3:] = np.degrees(values[:, 3:])
+    write_table(
+        folder / "angles.mot",
+        Table(name="angles", columns=motion.coordinate_names, time=motion.time, values=values),
+    )
+    write_orientations(
+        folder / "orientations.sto",
+        Orientations(
+            names=motion.segment_names, time=motion.time, rate=motion.rate, world_from_body=motion.segment_rotation
+        ),
+    )
+    write_c3d(
+        folder / "motion.c3d",
+        paths,
+        segment_names=motion.segment_names,
+        segment_rotation=motion.segment_rotation,
+        segment_origin=motion.segment_origin,
+    )
+    write_angles(folder / "angles.csv", motion)
+
+
+def read_points(path: Path | str) -> PointPaths:
+    """Read paths of points from a TRC, a C3D, a motion.npz, or a folder of results.
+
+    Args:
+        path: The file or folder.
+
+    Raises:
+        FileProblem: It is none of these, or damaged.
+    """
+    path = Path(path)
+    if path.is_dir():
+        path = path / "motion.npz"
+    readers = {".trc": read_trc, ".c3d": read_c3d, ".npz": _points_of_motion}
+    if path.suffix.lower() not in readers:
+        raise FileProblem(path, "is no file of points that is read here", "Give a TRC, C3D or motion.npz.")
+    return readers[path.suffix.lower()](path)
+
+
+def _points_of_motion(path: Path | str) -> PointPaths:
+    motion = npz.read_motion(path)
+    return PointPaths(names=motion.joint_names, time=motion.time, rate=motion.rate, points=motion.joint_centres)

@@ -1,0 +1,175 @@
+"""Every file of the results holds the same motion, also for the programs that others read it with."""
+
+import importlib.util
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests import people, performer
+
+from marey.arrays import Floats
+from marey.body.surface import Body
+from marey.errors import FileProblem
+from marey.io import npz
+from marey.io.body import read_body, segment_lengths, write_body
+from marey.io.c3d import read_c3d
+from marey.io.character import read_character
+from marey.io.results import read_points, write_results
+from marey.motion.motion import NOBODY, Motion
+
+FILES = {
+    "joint_centres.trc", "angles.mot", "body.osim", "orientations.sto", "motion.c3d", "motion.bvh", "body.glb",
+    "motion.npz", "motion.nc", "angles.csv", "body.npz", "skin.npz",
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def skin(person: Body, motion: Motion) -> Floats:
+    vertices = np.full((len(motion), *person.vertices.shape), np.nan)
+    for f in np.flatnonzero(motion.answered):
+        vertices[f] = performer.pose(person, motion.coordinates[f]).vertices
+    return vertices
+
+
+@pytest.fixture(scope="module")
+def results(person: Body, motion: Motion, skin: Floats, tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("trial") / "marey"
+    write_results(folder, motion, person, preset="full", mass_kg=70, skin=skin)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def checks():
+    path = Path(__file__).parents[2] / "bench" / "check_formats.py"
+    spec = importlib.util.spec_from_file_location("check_formats", path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_every_file_is_there_and_nothing_else(results: Path):
+    assert {path.name for path in results.iterdir()} == FILES
+
+
+@pytest.mark.parametrize(
+    ("program", "check"),
+    [
+        ("opensim", "check_opensim"), ("ezc3d", "check_c3d"), ("pygltflib", "check_glb"), ("numpy", "check_bvh"),
+        ("xarray", "check_netcdf"),
+    ],
+)  # fmt: skip
+def test_other_programs_see_the_same_motion(results: Path, motion: Motion, checks, program: str, check: str):
+    pytest.importorskip(program)
+    found = getattr(checks, check)(results, motion.arrays())
+    assert found
+    for name, difference in found.items():
+        assert difference <= checks.LIMITS[name.rsplit("[", 1)[1][:-1]], name
+
+
+def test_the_motion_comes_back_array_by_array(results: Path, motion: Motion):
+    back = npz.read_motion(results / "motion.npz").arrays()
+    for name, value in motion.arrays().items():
+        np.testing.assert_array_equal(back[name], value, err_msg=name)
+        assert back[name].dtype == value.dtype
+
+
+def test_the_skin_comes_back(results: Path, skin: Floats, person: Body):
+    back = npz.read_arrays(results / "skin.npz", ("vertices", "faces", "seen"))
+    np.testing.assert_allclose(back["vertices"], skin, atol=1e-6)
+    np.testing.assert_array_equal(back["faces"], person.faces)
+    assert back["seen"].dtype == bool
+
+
+def test_points_are_read_from_every_file_that_has_them(results: Path, motion: Motion):
+    for name in ("joint_centres.trc", "motion.c3d", "motion.npz", ""):
+        paths = read_points(results / name)
+        assert paths.names == motion.joint_names
+        np.testing.assert_allclose(paths.points, motion.joint_centres, atol=2e-7)
+        np.testing.assert_allclose(paths.time, motion.time, atol=1e-6)
+    with pytest.raises(FileProblem, match="no file of points"):
+        read_points(results / "body.osim")
+
+
+def test_the_angles_are_a_table_with_units(results: Path, motion: Motion):
+    lines = (results / "angles.csv").read_text().splitlines()
+    head = lines[0].split(",")
+    assert head[:4] == ["time_s", "state", f"{motion.angle_names[0]}_deg", f"{motion.angle_names[0]}_sd_deg"]
+    assert lines[1].split(",")[2:] == [""] * (len(head) - 2)
+    rows = np.genfromtxt(results / "angles.csv", delimiter=",", skip_header=1)
+    np.testing.assert_allclose(rows[:, 2::2], motion.angles_deg, atol=0.5e-5)
+    np.testing.assert_array_equal(rows[:, 1], motion.state)
+
+
+def test_a_bvh_turns_smoothly_through_gaps_and_full_turns(results: Path):
+    text = (results / "motion.bvh").read_text().split("Frame Time:")[1].splitlines()[1:]
+    values = np.array([line.split() for line in text], float)
+    assert np.isfinite(values).all()
+    assert np.abs(np.diff(values[:, 3:], axis=0)).max() < 180
+
+
+def test_a_body_comes_back_whole(tmp_path, rng):
+    person = people.stick_person(rng)
+    person = replace(person, numbers_covariance=np.diag([0.1, 0.2, 0.3, 0.4, 0.5]))
+    write_body(tmp_path / "body.npz", person, preset="full")
+    back, preset = read_body(tmp_path / "body.npz")
+    assert preset == "full"
+    assert back.skeleton.coordinate_names == person.skeleton.coordinate_names
+    assert [c.segment for c in back.skeleton.coordinates] == [c.segment for c in person.skeleton.coordinates]
+    for name in ("vertices", "joint_centres", "faces", "vertex_segments", "vertex_weights", "numbers_covariance"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(person, name), err_msg=name)
+    for name in ("axes", "limits", "parents"):
+        np.testing.assert_array_equal(getattr(back.skeleton, name), getattr(person.skeleton, name))
+    np.testing.assert_array_equal(back.with_numbers(0 * back.numbers).vertices, person.space.vertex_mean)
+
+
+def test_lengths_carry_the_uncertainty_of_the_shape(rng):
+    person = people.stick_person(rng)
+    covariance = 1e-4 * np.diag([0.1, 0.2, 0.3, 0.4, 0.5])
+    person = replace(person, numbers_covariance=covariance)
+    length, sd = segment_lengths(person)
+    k = person.skeleton.segment_names.index("left_thigh")
+    shank = person.skeleton.segment_names.index("left_shank")
+    assert length[k] == pytest.approx(np.linalg.norm(person.joint_centres[shank] - person.joint_centres[k]))
+    count = 3000
+    drawn = [person.with_numbers(n) for n in rng.multivariate_normal(person.numbers, covariance, count)]
+    spread = np.std([np.linalg.norm(b.joint_centres[shank] - b.joint_centres[k]) for b in drawn])
+    assert spread == pytest.approx(sd[k], rel=4 / np.sqrt(2 * count))
+
+
+def test_our_own_glb_is_read_as_the_body_it_came_from(results: Path, person: Body):
+    character = read_character(results / "body.glb")
+    np.testing.assert_allclose(character.vertices, person.vertices, atol=1e-6)
+    np.testing.assert_array_equal(character.faces, person.faces)
+    assert character.weights is not None
+    for k, name in enumerate(person.skeleton.segment_names):
+        np.testing.assert_allclose(character.joint_centres[name], person.joint_centres[k], atol=1e-6)
+        share = np.where(person.vertex_segments == k, person.vertex_weights, 0).sum(1)
+        np.testing.assert_allclose(character.weights[name], share, atol=1e-6)
+
+
+def test_a_motion_without_any_answer_still_leaves_its_files(person: Body, motion: Motion, tmp_path):
+    empty = replace(
+        motion,
+        **{
+            name: np.full_like(getattr(motion, name), np.nan)
+            for name in ("joint_centres", "segment_rotation", "segment_origin", "coordinates", "angles_deg")
+        },
+        state=np.full(len(motion), NOBODY),
+    )
+    write_results(tmp_path, empty, person, preset="full")
+    assert {path.name for path in tmp_path.iterdir()} == FILES - {"motion.bvh", "skin.npz"}
+    assert np.isnan(read_c3d(tmp_path / "motion.c3d").points).all()
+
+
+def test_a_damaged_file_is_named(results: Path, tmp_path):
+    for name, read in (("motion.npz", npz.read_motion), ("body.npz", read_body), ("motion.c3d", read_c3d)):
+        whole = (results / name).read_bytes()
+        damaged = tmp_path / name
+        damaged.write_bytes(whole[: len(whole) // 3])
+        with pytest.raises(FileProblem, match=name):
+            read(damaged)
+        with pytest.raises(FileProblem, match="not there"):
+            read(tmp_path / f"no_{name}")
+    with pytest.raises(FileProblem, match="lacks time"):
+        npz.read_motion(results / "skin.npz")
