@@ -4,6 +4,7 @@ import pytest
 from tests.clips import make_trial, numbered_picture, write_video
 
 from marey.errors import FileProblem, SettingProblem
+from marey.io.masks import write_masks
 from marey.io.trial import read_settings, read_trial, z_up_from
 
 
@@ -131,13 +132,19 @@ def test_an_empty_background_folder_is_told(tmp_path):
 
 
 def test_known_silhouettes_are_of_all_cameras_or_none(tmp_path):
-    folder = make_trial(tmp_path)
-    (folder / "masks").mkdir()
-    cv2.imwrite(str(folder / "masks" / "cam01.png"), numbered_picture(1))
+    folder = make_trial(tmp_path, count=12)
+    masks = np.zeros((12, 48, 64), bool)
+    masks[3] = True
+    write_masks(folder / "masks" / "cam01.npz", masks, shape=masks.shape)
     with pytest.raises(FileProblem, match="has no silhouettes of cam02"):
         read_trial(folder)
-    cv2.imwrite(str(folder / "masks" / "cam02.png"), numbered_picture(1))
-    assert set(read_trial(folder).masks) == {"cam01", "cam02"}
+    write_masks(folder / "masks" / "cam02.npz", masks[:5], shape=(5, 48, 64))
+    with pytest.raises(FileProblem, match="has 5 frames of 64 x 48, the video 12 of 64 x 48"):
+        read_trial(folder)
+    write_masks(folder / "masks" / "cam02.npz", masks, shape=masks.shape)
+    trial = read_trial(folder)
+    assert [mask.any() for mask in trial.masks["cam02"].masks([2, 3])] == [False, True]
+    assert folder / "masks" / "cam01.npz" in trial.input_files
 
 
 def test_no_folder_is_no_trial(tmp_path):

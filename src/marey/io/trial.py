@@ -14,6 +14,7 @@ from marey.errors import FileProblem, MareyError, SettingProblem
 from marey.geometry.rigid import RigidTransform
 from marey.io.calibration import calibration_file, read_rig
 from marey.io.calibration_toml import read_tables
+from marey.io.masks import MaskFile, open_masks
 from marey.io.take import Take, open_take, require_size
 from marey.io.video import PICTURE_SUFFIXES, VIDEO_SUFFIXES, Clip, open_clip
 
@@ -91,8 +92,8 @@ class Trial:
     """Their clips, in the same order."""
     background: Mapping[str, Clip]
     """Pictures of the empty room, by camera; cameras without one are missing."""
-    masks: Mapping[str, Path]
-    """Silhouettes that are known already, by camera."""
+    masks: Mapping[str, MaskFile]
+    """Silhouettes that are known already, by camera: those of all cameras, or none."""
     start: Path | None
     """2-D joints to start from."""
     settings: TrialSettings
@@ -104,7 +105,7 @@ class Trial:
     @property
     def input_files(self) -> tuple[Path, ...]:
         """Every file that the results depend on."""
-        named = [self.calibration, self.folder / "trial.toml", *self.masks.values()]
+        named = [self.calibration, self.folder / "trial.toml", *(file.path for file in self.masks.values())]
         named += [path for clip in (*self.take.clips, *self.background.values()) for path in clip.paths]
         named += [] if self.start is None else [self.start]
         return tuple(path for path in named if path.is_file())
@@ -170,7 +171,7 @@ def read_trial(folder: Path | str, **changes: object) -> Trial:
         rig=rig.moved(world_from_file) if settings.world else rig,
         take=take,
         background=_background(folder, rig, settings.background),
-        masks=_known_masks(folder, rig),
+        masks=_known_masks(folder, rig, take.count),
         start=_start(folder, settings.start),
         settings=settings,
         world_from_file=world_from_file,
@@ -233,10 +234,12 @@ def _background(folder: Path, rig: Rig, table: BackgroundTable | None) -> Mappin
     return MappingProxyType(clips)
 
 
-def _known_masks(folder: Path, rig: Rig) -> Mapping[str, Path]:
-    """Find silhouettes that are known: all cameras have them, or none."""
-    masks = {name: _files_of(folder / "masks", name, (".npz", ".png")) for name in rig.names}
-    found = {name: paths[0] for name, paths in masks.items() if paths}
+def _known_masks(folder: Path, rig: Rig, count: int) -> Mapping[str, MaskFile]:
+    """Open silhouettes that are known: all cameras have them, or none."""
+    found = {}
+    for camera in rig:
+        for path in _files_of(folder / "masks", camera.name, (".npz", ".png"))[:1]:
+            found[camera.name] = open_masks(path, shape=(count, camera.height, camera.width))
     missing = [name for name in rig.names if name not in found]
     if found and missing:
         wrong = f"has no silhouettes of {', '.join(missing)}"

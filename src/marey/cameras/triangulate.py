@@ -1,0 +1,125 @@
+"""Points in space from their pixels in two or more views, with covariance."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from marey.arrays import Floats, Integers, frozen
+from marey.cameras.camera import Camera
+
+_LEAST_SPREAD = 1e-6
+"""Smallest eigenvalue of the rays' normal matrix (about half the squared angle between two rays) that still fixes a
+point; below it the rays are parallel to within 0.08 degrees."""
+_ITERATIONS = 20
+_SMALL_STEP = 1e-10
+"""Relative to the distance from the first camera."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class TriangulatedPoints:
+    """Points with what is known about their errors; NaN where the views do not fix a point."""
+
+    points: Floats
+    """(n, 3) [m]."""
+    covariance: Floats
+    """(n, 3, 3) [m2], of the stated precision of the pixels."""
+    residual_px: Floats
+    """(n,) root mean square distance of the pixels from the point's projections [px]."""
+    views: Integers
+    """(n,) in how many views the point was measured."""
+
+    def __post_init__(self) -> None:
+        for name in ("points", "covariance", "residual_px"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+        object.__setattr__(self, "views", frozen(self.views, np.int64))
+
+
+def triangulate(cameras: Sequence[Camera], pixels: Floats, *, sigma_px: float | Floats) -> TriangulatedPoints:
+    """Find the points whose projections lie nearest to measured pixels, in weighted least squares.
+
+    The start is the point nearest to all rays; Gauss-Newton on the distances in the pictures follows.
+
+    Args:
+        cameras: C cameras.
+        pixels: (C, n, 2) [px]; NaN in the views that did not measure a point.
+        sigma_px: Standard deviation of the pixels in x and in y [px]; one number, or (C, n).
+
+    Returns:
+        The points; NaN with fewer than two views, with parallel rays, and where no point before the cameras fits.
+    """
+    pixels = np.asarray(pixels, float)
+    sigma = np.broadcast_to(np.asarray(sigma_px, float), pixels.shape[:2])
+    straight = np.stack([camera.undistort(seen) for camera, seen in zip(cameras, pixels, strict=True)])
+    measured = np.asarray(np.isfinite(straight).all(axis=-1) & np.isfinite(sigma))
+    points = _nearest_to_rays(cameras, pixels, measured)
+    weights = np.where(measured, 1 / np.where(measured, sigma, 1.0) ** 2, 0.0)
+    active = np.isfinite(points[:, 0])
+    for _ in range(_ITERATIONS):
+        if not active.any():
+            break
+        step = _step(cameras, points[active], pixels[:, active], weights[:, active])
+        points[active] += step
+        distance = np.linalg.norm(points[active] - cameras[0].centre, axis=1)
+        active[active] = np.linalg.norm(step, axis=1) > _SMALL_STEP * distance
+    return _with_errors(cameras, points, pixels, weights)
+
+
+def _nearest_to_rays(cameras: Sequence[Camera], pixels: Floats, measured: np.ndarray) -> Floats:
+    """Solve for the point with the least squared distance from the measured rays."""
+    n = pixels.shape[1]
+    normal, right = np.zeros((n, 3, 3)), np.zeros((n, 3))
+    for camera, seen, used in zip(cameras, pixels, measured, strict=True):
+        direction = np.where(used[:, None], camera.rays(seen).directions, 0.0)
+        across = np.where(used, 1.0, 0.0)[:, None, None] * np.eye(3) - direction[:, :, None] * direction[:, None, :]
+        normal += across
+        right += across @ camera.centre
+    fixed = np.linalg.eigvalsh(normal)[:, 0] > _LEAST_SPREAD
+    points = np.full((n, 3), np.nan)
+    points[fixed] = np.linalg.solve(normal[fixed], right[fixed][..., None])[..., 0]
+    return points
+
+
+def _system(
+    cameras: Sequence[Camera], points: Floats, pixels: Floats, weights: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Build the normal equations (n, 3, 3) and (n, 3), and give the squared distances (C, n) [px2].
+
+    A view that measured a point it cannot see makes the point's rows NaN.
+    """
+    n = len(points)
+    normal, right, squares = np.zeros((n, 3, 3)), np.zeros((n, 3)), np.zeros((len(cameras), n))
+    for i, camera in enumerate(cameras):
+        projected, slope = camera.project_with_derivative(points)
+        used = weights[i] > 0
+        residual = np.where(used[:, None], pixels[i] - projected, 0.0)
+        slope = np.where(used[:, None, None], slope, 0.0)
+        weighted = slope * weights[i][:, None, None]
+        normal += np.einsum("nij,nik->njk", weighted, slope)
+        right += np.einsum("nij,ni->nj", weighted, residual)
+        squares[i] = np.sum(residual**2, axis=1)
+    return normal, right, squares
+
+
+def _step(cameras: Sequence[Camera], points: Floats, pixels: Floats, weights: Floats) -> Floats:
+    normal, right, _ = _system(cameras, points, pixels, weights)
+    good = np.isfinite(normal).all(axis=(1, 2)) & np.isfinite(right).all(axis=1)
+    step = np.full_like(points, np.nan)
+    step[good] = np.linalg.solve(normal[good], right[good][..., None])[..., 0]
+    return step
+
+
+def _with_errors(cameras: Sequence[Camera], points: Floats, pixels: Floats, weights: Floats) -> TriangulatedPoints:
+    normal, right, squares = _system(cameras, points, pixels, weights)
+    good = np.asarray(np.isfinite(normal).all(axis=(1, 2)) & np.isfinite(right).all(axis=1))
+    good &= np.isfinite(points).all(axis=1)
+    views = np.count_nonzero(weights, axis=0)
+    covariance = np.full_like(normal, np.nan)
+    covariance[good] = np.linalg.inv(normal[good])
+    residual = np.sqrt(squares.sum(axis=0) / np.maximum(views, 1))
+    return TriangulatedPoints(
+        points=np.where(good[:, None], points, np.nan),
+        covariance=covariance,
+        residual_px=np.where(good, residual, np.nan),
+        views=views,
+    )

@@ -1,0 +1,88 @@
+import numpy as np
+import pytest
+
+from marey.cameras.camera import Camera
+from marey.cameras.triangulate import triangulate
+from marey.geometry.rigid import RigidTransform
+
+SIGMA_PX = 0.5
+
+
+@pytest.fixture
+def ring(make_camera) -> list[Camera]:
+    """Four cameras 4 m from the origin, all looking at it."""
+    cameras = []
+    for number, angle in enumerate(np.deg2rad([0, 70, 150, 250])):
+        centre = 4 * np.array([np.cos(angle), np.sin(angle), 0.3])
+        forward = -centre / np.linalg.norm(centre)
+        right = np.cross(forward, [0, 0, 1])
+        right /= np.linalg.norm(right)
+        rotation = np.array([right, np.cross(forward, right), forward])
+        pose = RigidTransform(rotation, -rotation @ centre)
+        cameras.append(make_camera(name=f"cam{number}", camera_from_world=pose))
+    return cameras
+
+
+def seen(cameras, points) -> np.ndarray:
+    return np.stack([camera.project(points) for camera in cameras])
+
+
+def test_exact_pixels_give_the_exact_point(ring, rng):
+    points = rng.uniform(-0.6, 0.6, (50, 3))
+    found = triangulate(ring, seen(ring, points), sigma_px=1.0)
+    assert np.allclose(found.points, points, rtol=0, atol=1e-9)
+    assert np.all(found.views == 4)
+    assert found.residual_px.max() < 1e-6
+
+
+@pytest.mark.parametrize("views", [2, 4])
+def test_the_covariance_is_that_of_the_errors(ring, rng, views):
+    cameras = ring[:views]
+    n = 4000
+    points = rng.uniform(-0.6, 0.6, (n, 3))
+    pixels = seen(cameras, points) + rng.normal(scale=SIGMA_PX, size=(views, n, 2))
+    found = triangulate(cameras, pixels, sigma_px=SIGMA_PX)
+    error = found.points - points
+    whitened = np.einsum("ni,nij,nj->n", error, np.linalg.inv(found.covariance), error)
+    # Chi square with three degrees of freedom has the mean 3 and the variance 6.
+    assert abs(whitened.mean() - 3) < 3 * np.sqrt(6 / n)
+    # The squared residuals that are left have the degrees of freedom of the system.
+    left = (found.residual_px / SIGMA_PX) ** 2 * views
+    freedom = 2 * views - 3
+    assert abs(left.mean() - freedom) < 3 * np.sqrt(2 * freedom / n)
+
+
+def test_a_less_certain_view_counts_less(ring, rng):
+    points = rng.uniform(-0.5, 0.5, (20, 3))
+    pixels = seen(ring, points)
+    pixels[0] += 30.0
+    sigma = np.ones((4, 20))
+    equal = triangulate(ring, pixels, sigma_px=sigma)
+    sigma[0] = 1000.0
+    unequal = triangulate(ring, pixels, sigma_px=sigma)
+    assert np.linalg.norm(unequal.points - points, axis=1).max() < 1e-4
+    assert np.linalg.norm(equal.points - points, axis=1).min() > 1e-3
+
+
+def test_what_the_views_do_not_fix_is_not_given(ring):
+    pixels = seen(ring, np.zeros((3, 3)))
+    pixels[1:, 0] = np.nan
+    pixels[2:, 1] = np.nan
+    pixels[:, 2] = np.nan
+    found = triangulate(ring, pixels, sigma_px=1.0)
+    assert found.views.tolist() == [1, 2, 0]
+    assert np.isnan(found.points[[0, 2]]).all()
+    assert np.isnan(found.covariance[[0, 2]]).all()
+    assert np.allclose(found.points[1], 0, atol=1e-9)
+
+
+def test_parallel_rays_and_points_behind_the_cameras_are_not_given(ring):
+    twin = [ring[0], ring[0].moved(RigidTransform(np.eye(3), np.array([0.0, 0.1, 0.0])))]
+    straight = twin[0].project(np.zeros((1, 3)))
+    assert np.isnan(triangulate(twin, np.stack([straight, straight]), sigma_px=1.0).points).all()
+    # Rays that diverge meet behind the cameras.
+    aside = np.array([60.0, 0])
+    outward = np.stack([straight - aside, straight + aside])
+    inward = np.stack([straight + aside, straight - aside])
+    found = [triangulate(twin, pixels, sigma_px=1.0).points for pixels in (outward, inward)]
+    assert sorted(np.isnan(points).all() for points in found) == [False, True]
