@@ -103,9 +103,11 @@ def draw_phenotypes(rng: np.random.Generator, count: int, sex: float | None = No
     gender = rng.beta(0.4, 0.4, count) if sex is None else np.full(count, sex)
     phenotype = {"gender": gender, "age": rng.uniform(0.55, 0.92, count)}
     phenotype["height"] = np.clip(rng.normal(0.375, 0.085, count), 0.12, 0.65)
-    for name in ("muscle", "weight", "proportions", "cupsize", "firmness"):
+    for name in ("muscle", "weight", "proportions"):
         phenotype[name] = rng.uniform(0.05, 0.95, count)
-    mixture = rng.dirichlet([0.5, 0.5, 0.5], count)
+    for name in ("cupsize", "firmness"):
+        phenotype[name] = np.clip(rng.normal(0.5, 0.15, count), 0.05, 0.95)
+    mixture = rng.dirichlet([2.0, 2.0, 2.0], count)
     for column, name in enumerate(("african", "asian", "caucasian")):
         phenotype[name] = mixture[:, column]
     return phenotype

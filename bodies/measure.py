@@ -1,0 +1,158 @@
+"""How well the family describes people it has not seen, and the people of rendered takes: the tables of docs/body.md.
+
+Development only. People are drawn anew (other seeds than those learned from); errors are of corresponding points, an
+upper bound of the distance between surfaces.
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+from learn_family import components, hidden_vertices, symmetric, triangulate, vertex_areas
+
+import people as crowd
+
+NUMBERS = (1, 4, 8, 12, 16, 24)
+JOINTS = {"hip": "thigh", "knee": "shank", "ankle": "foot", "shoulder": "upperarm", "elbow": "forearm", "wrist": "hand"}
+
+
+def fitted(flat: np.ndarray, modes: np.ndarray) -> np.ndarray:
+    """Numbers (N, K) that bring the surface closest to each person's in least squares."""
+    return np.linalg.lstsq(modes.T, flat.T, rcond=None)[0].T
+
+
+def row(errors: np.ndarray, joint_errors: np.ndarray, weight: np.ndarray) -> tuple[float, float, float]:
+    """Mean and 95th percentile of the surface's error, each point by its area, and mean error of the joints, mm."""
+    order = np.argsort(errors.ravel())
+    cumulated = np.cumsum(np.tile(weight, len(errors))[order])
+    p95 = errors.ravel()[order][np.searchsorted(cumulated, 0.95 * cumulated[-1])]
+    return float(errors.mean(0) @ weight / weight.sum() * 1e3), float(p95 * 1e3), float(joint_errors.mean() * 1e3)
+
+
+def left_out(model, learned: crowd.People, count: int) -> None:
+    """Print the table of people left out of the learning."""
+    seen = learned.used & ~hidden_vertices(model)
+    mean = symmetric(learned.vertices.mean(0, dtype=float), learned.mirror)
+    area = vertex_areas(mean, triangulate(learned.quads[learned.used[learned.quads].all(1)], mean, learned.mirror))
+    skin, modes, joints, joint_modes, _ = components(learned, area, seen, max(NUMBERS))
+    new = [crowd.sample(model, np.random.default_rng(1000 + i), count, share) for i, share in enumerate((0.0, 1.0))]
+    root = np.sqrt(area[seen])[:, None]
+    print("| numbers | phenotypes only: surface mean / p95, joints | local changes: surface mean / p95, joints |")
+    print("|---|---|---|")
+    for numbers in NUMBERS:
+        cells, by_joint = [], []
+        for someone in new:
+            off = someone.vertices[:, seen] - skin[seen]
+            few = modes[:numbers, seen]
+            b = fitted((off * root).reshape(count, -1), (few * root).reshape(numbers, -1))
+            errors = np.linalg.norm(off - np.tensordot(b, few, 1), axis=2)
+            joint_errors = np.linalg.norm(someone.joints - joints - np.tensordot(b, joint_modes[:numbers], 1), axis=2)
+            cells.append("{:.1f} / {:.1f}, {:.1f}".format(*row(errors, joint_errors[:, 1:], area[seen])))
+            index = [list(crowd.SEGMENTS).index("left_" + s) for s in JOINTS.values()]
+            by_joint.append(joint_errors[:, index].mean(0) * 1e3)
+        print(f"| {numbers} | {cells[0]} | {cells[1]} |")
+        if numbers == 16:
+            sixteen = " ".join(f"{j} {a:.1f}/{b:.1f}" for j, a, b in zip(JOINTS, *by_joint, strict=True))
+    print(f"\nJoints with 16 numbers, phenotypes / local changes, mm: {sixteen}\n")
+
+
+def rotation(vector: np.ndarray) -> np.ndarray:
+    """Rotation matrices (..., 3, 3) of rotation vectors."""
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_rotvec(vector.reshape(-1, 3)).as_matrix().reshape(*vector.shape[:-1], 3, 3)
+
+
+class Fit:
+    """A posed family body fitted to the true skin of one frame: every segment turns freely."""
+
+    def __init__(self, skin, modes, joints, joint_modes, weights):
+        self.skin, self.modes, self.joints, self.joint_modes, self.weights = skin, modes, joints, joint_modes, weights
+        self.parents = crowd.segment_parents()
+
+    def place(self, root, turns, b):
+        """Skin (V, 3) and joint centres (S, 3) in the world."""
+        skin, joints = self.skin + np.tensordot(b, self.modes, 1), self.joints + np.tensordot(b, self.joint_modes, 1)
+        turned, at = np.empty_like(turns), np.empty_like(joints)
+        for k, parent in enumerate(self.parents):
+            turned[k] = turns[k] if parent < 0 else turned[parent] @ turns[k]
+            at[k] = root if parent < 0 else at[parent] + turned[parent] @ (joints[k] - joints[parent])
+        shift = at - np.einsum("kij,kj->ki", turned, joints)
+        blended = np.einsum("vk,kij->vij", self.weights, turned)
+        return np.einsum("vij,vj->vi", blended, skin) + self.weights @ shift, at
+
+    def solve(self, truth: np.ndarray, rounds: int = 40):
+        """Root, turns and numbers by Gauss-Newton with differences; a weak prior on turns and numbers."""
+        count, numbers = len(self.joints), len(self.modes)
+        source, target = self.skin - self.skin.mean(0), truth - truth.mean(0)
+        u, _, vt = np.linalg.svd(source.T @ target)
+        turns = np.tile(np.eye(3), (count, 1, 1))
+        turns[0] = vt.T @ np.diag([1, 1, np.linalg.det(vt.T @ u.T)]) @ u.T
+        root, b = truth.mean(0) - turns[0] @ self.skin.mean(0), np.zeros(numbers)
+        size = 3 + 3 * count + numbers
+        for turn in range(rounds):
+            now, at = self.place(root, turns, b)
+            jacobian = np.empty((truth.size, size))
+            for column in range(size):
+                step = np.zeros(size)
+                step[column] = 1e-5
+                moved, _ = self.place(root + step[:3], turns @ rotation(step[3 : 3 + 3 * count].reshape(count, 3)),
+                                      b + step[3 + 3 * count :])  # fmt: skip
+                jacobian[:, column] = (moved - now).ravel() / 1e-5
+            damping = np.concatenate([np.zeros(6), np.full(3 * count - 3, 1e-2), np.full(numbers, 1e-4)])
+            if turn < 8:  # pose first
+                jacobian[:, 3 + 3 * count :] = 0
+            step = np.linalg.solve(jacobian.T @ jacobian + np.diag(damping + 1e-9), jacobian.T @ (truth - now).ravel()
+                                   - np.concatenate([np.zeros(3 + 3 * count), 1e-4 * b]))  # fmt: skip
+            limit = np.clip(step[3 : 3 + 3 * count], -0.5, 0.5).reshape(count, 3)
+            root, turns, b = root + step[:3], turns @ rotation(limit), b + step[3 + 3 * count :]
+        now, at = self.place(root, turns, b)
+        return now, at, b
+
+
+def rendered(model, learned: crowd.People, folder: Path, takes: list[str], frames: list[int]) -> None:
+    """Print how far the family's joints lie from the truth when its skin is fitted to the true skin."""
+    seen = learned.used & ~hidden_vertices(model)
+    area = np.ones(len(seen))
+    skin, modes, joints, joint_modes, _ = components(learned, area, seen, 16)
+    names = list(crowd.SEGMENTS)
+    print("| take, frame | skin | joints | hip | knee | ankle | shoulder | elbow | wrist | neck | head | largest b |")
+    print("|---|---|---|---|---|---|---|---|---|---|---|---|")
+    for take in takes:
+        truth = np.load(folder / take / "truth" / "truth.npz")
+        step = int(truth["vertex_step"])
+        every = np.arange(0, len(seen), step)
+        use = np.flatnonzero(seen[every])[::2]
+        pick = every[use]
+        for frame in frames:
+            fit = Fit(skin[pick], modes[:, pick], joints, joint_modes, learned.weights[pick])
+            now, at, b = fit.solve(truth["vertices"][frame][use].astype(float))
+            off = np.linalg.norm(now - truth["vertices"][frame][use], axis=1).mean() * 1e3
+            cells, everything = [], []
+            given = list(truth["joint_names"])
+            for joint, segment in [*JOINTS.items(), ("neck", "neck"), ("head", "head")]:
+                pairs = [(joint, segment)] if segment in names else [
+                    (f"{s[0]}_{joint}", f"{s}_{segment}") for s in ("left", "right")]  # fmt: skip
+                away = [np.linalg.norm(at[names.index(k)] - truth["joints"][frame][given.index(j)]) * 1e3
+                        for j, k in pairs]  # fmt: skip
+                everything += away
+                cells.append(f"{np.mean(away):.1f}")
+            cells = [f"{off:.1f}", f"{np.mean(everything):.1f}", *cells, f"{np.abs(b).max():.1f}"]
+            print(f"| {take} {frame} | {' | '.join(cells)} |", flush=True)
+
+
+def main() -> None:
+    """Print both tables."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--count", type=int, default=60, help="people left out, of each kind")
+    parser.add_argument("--takes", type=Path, help="folder of rendered takes with their truth")
+    arguments = parser.parse_args()
+    model = crowd.load_model()
+    learned = crowd.sample(model, np.random.default_rng(1), 800)
+    left_out(model, learned, arguments.count)
+    if arguments.takes:
+        rendered(model, learned, arguments.takes, ["walk", "reach", "jacks", "stealth"], [20, 70])
+
+
+if __name__ == "__main__":
+    main()
