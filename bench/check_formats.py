@@ -2,9 +2,9 @@
 
     python bench/check_formats.py RESULTS
 
-Needs none of marey: OpenSim (opensim), ezc3d, trimesh and pygltflib, xarray, and a reader of BVH that follows Blender's
-importer. A program that is not installed is named and skipped. The joint centres of motion.npz are the reference; what
-is not the same within the format's own rounding is an error.
+Needs none of marey: OpenSim (opensim), ezc3d, trimesh and pygltflib, xarray, Blender (bpy), and its own reader of BVH.
+A program that is not installed is named and skipped. The reference is motion.npz; what is not the same within the
+format's own rounding is an error.
 """
 
 import json
@@ -207,6 +207,33 @@ def check_bvh(folder: Path, motion: dict) -> dict[str, float]:
     return {"motion.bvh, segments [mm]": worst * 1e3}
 
 
+def check_blender(folder: Path, motion: dict) -> dict[str, float]:
+    """Let Blender's own importers read BVH (scale 0.01) and GLB; compare the bones, in Blender's axes."""
+    import bpy
+
+    folder, found = folder.resolve(), {}
+    names = [str(name) for name in motion["segment_names"]]
+    known = np.flatnonzero(np.isfinite(motion["segment_origin"]).all((1, 2)))[::5]
+    for kind in ("motion.bvh", "body.glb"):
+        bpy.ops.wm.read_factory_settings(use_empty=True)
+        bpy.context.scene.render.fps = round(float(motion["rate"]))
+        if kind == "motion.bvh":
+            bpy.ops.import_anim.bvh(filepath=str(folder / kind), global_scale=0.01, frame_start=1)
+        else:
+            bpy.ops.import_scene.gltf(filepath=str(folder / kind))
+        armature = next(thing for thing in bpy.data.objects if thing.type == "ARMATURE")
+        worst = 0.0
+        for f in known:
+            bpy.context.scene.frame_set(int(f) + (kind == "motion.bvh"))  # its first frame is 1
+            posed = armature.evaluated_get(bpy.context.evaluated_depsgraph_get())
+            for bone in posed.pose.bones:
+                if bone.name in names:
+                    there = np.array((posed.matrix_world @ bone.matrix).translation)
+                    worst = max(worst, _largest(there - motion["segment_origin"][f, names.index(bone.name)]))
+        found[f"{kind} in Blender, segments [mm in float32]"] = worst * 1e3
+    return found
+
+
 def check_netcdf(folder: Path, motion: dict) -> dict[str, float]:
     """Let xarray open motion.nc."""
     import xarray
@@ -225,8 +252,8 @@ def check_netcdf(folder: Path, motion: dict) -> dict[str, float]:
     return {"motion.nc against motion.npz [-]": worst}
 
 
-LIMITS = {"mm": 1e-3, "degrees": 1e-3, "-": 1e-6}
-CHECKS = (check_opensim, check_c3d, check_glb, check_bvh, check_netcdf)
+LIMITS = {"mm": 1e-3, "mm in float32": 1e-2, "degrees": 1e-3, "-": 1e-6}
+CHECKS = (check_opensim, check_c3d, check_glb, check_bvh, check_netcdf, check_blender)
 
 
 def check(folder: Path) -> tuple[dict[str, float], list[str]]:

@@ -56,7 +56,7 @@ def test_every_file_is_there_and_nothing_else(results: Path):
     ("program", "check"),
     [
         ("opensim", "check_opensim"), ("ezc3d", "check_c3d"), ("pygltflib", "check_glb"), ("numpy", "check_bvh"),
-        ("xarray", "check_netcdf"),
+        ("xarray", "check_netcdf"), ("bpy", "check_blender"),
     ],
 )  # fmt: skip
 def test_other_programs_see_the_same_motion(results: Path, motion: Motion, checks, program: str, check: str):

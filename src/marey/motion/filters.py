@@ -1,0 +1,54 @@
+"""Filters over time that shift nothing and never reach across a gap."""
+
+import numpy as np
+from scipy.signal import butter, sosfiltfilt
+
+from marey.arrays import Floats
+from marey.errors import SettingProblem
+
+_PASSES = 2
+
+
+def low_pass(values: Floats, *, rate: float, cutoff_hz: float) -> Floats:
+    """Smooth by a Butterworth filter of second order run forward and back: fourth order, no lag.
+
+    The design frequency is raised so that after both passes the gain at the cut-off is 1 / sqrt(2) ([Winter2009]
+    eq. (3.18)). Each run of known values between gaps is filtered alone, its ends continued point-symmetrically; gaps
+    stay gaps. Typical cut-offs: 6 Hz for walking, 10 to 15 Hz for running.
+
+    Args:
+        values: (F, ...) one sample a frame; NaN where unknown.
+        rate: Frames a second [Hz].
+        cutoff_hz: Where the gain has fallen to 1 / sqrt(2) [Hz].
+
+    Returns:
+        (F, ...) smoothed.
+
+    Raises:
+        SettingProblem: The cut-off is not between 0 and half the rate.
+    """
+    if not 0 < cutoff_hz < rate / 2:
+        raise SettingProblem(f"There is no cut-off of {cutoff_hz:g} Hz at {rate:g} Hz: above 0, below {rate / 2:g}.")
+    bent = np.tan(np.pi * cutoff_hz / rate) / (2 ** (1 / _PASSES) - 1) ** 0.25
+    raised = rate / np.pi * np.arctan(bent)
+    sections = butter(2, raised, fs=rate, output="sos")
+    columns = np.array(values, float).reshape(len(values), -1)
+    for c in range(columns.shape[1]):
+        for start, end in known_runs(columns[:, c]):
+            # The filter forgets within a few periods of the cut-off; a longer continuation changes nothing.
+            reach = min(end - start - 1, int(np.ceil(6 * rate / raised)))
+            if end - start > 1:
+                columns[start:end, c] = sosfiltfilt(sections, columns[start:end, c], padlen=reach)
+    return columns.reshape(np.shape(values))
+
+
+def known_runs(values: Floats) -> list[tuple[int, int]]:
+    """List the runs of known values as pairs (first, one after the last).
+
+    Args:
+        values: (F,) NaN where unknown.
+    """
+    known = np.concatenate([[0], np.isfinite(values).astype(np.int8), [0]])
+    edges = np.diff(known)
+    starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+    return [(int(a), int(b)) for a, b in zip(starts, ends, strict=True)]
