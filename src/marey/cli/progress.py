@@ -76,7 +76,8 @@ class Progress:
     def _bar(self, name: str, total: int | None, done: int) -> Iterator[Step]:
         columns = (
             SpinnerColumn(finished_text="[green]✓"), TextColumn("{task.description:<28}", markup=False),
-            BarColumn(bar_width=28), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn(),
+            BarColumn(bar_width=28), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("left"),
+            TimeRemainingColumn(),
         )  # fmt: skip
         with Bars(*columns, console=self._console) as bars:
             task = bars.add_task(name, total=total, completed=done)
