@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from marey.errors import FileProblem
+from marey.io.atomic import replacing
 
 Arrays = dict[str, np.ndarray]
 
@@ -58,10 +59,8 @@ def _add_content(digest: "hashlib.blake2b", file: Path) -> None:
 
 def save_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
     """Write arrays to a file that is either whole or not there: written beside, then renamed."""
-    beside = path.with_name(path.name + ".part")
-    with beside.open("wb") as stream:
+    with replacing(path) as beside, beside.open("wb") as stream:
         np.savez(stream, allow_pickle=False, **arrays)
-    os.replace(beside, path)
 
 
 def load_arrays(path: Path) -> Arrays:

@@ -1,14 +1,15 @@
 """Videos that open in every browser and player: H.264 in MP4, written beside and renamed when whole."""
 
-import os
+from contextlib import ExitStack
 from fractions import Fraction
 from pathlib import Path
+from types import TracebackType
 
 import av
 import numpy as np
 
 from marey.arrays import Image
-from marey.errors import FileProblem
+from marey.io.atomic import replacing
 
 
 class VideoWriter:
@@ -26,12 +27,10 @@ class VideoWriter:
     """
 
     def __init__(self, path: Path, size: tuple[int, int], *, rate: float):
-        self._path, self._size = path, size
-        self._beside = path.with_name(f".{path.name}.part")
-        try:
-            self._container = av.open(str(self._beside), "w", format="mp4", options={"movflags": "faststart"})
-        except OSError as problem:
-            raise FileProblem(path, f"cannot be written ({problem.strerror})", "Check the folder's rights.") from problem
+        self._size = size
+        self._whole = ExitStack()
+        beside = self._whole.enter_context(replacing(path))
+        self._container = av.open(str(beside), "w", format="mp4", options={"movflags": "faststart"})
         frequency = Fraction(rate).limit_denominator(1001)
         stream = self._container.add_stream("libx264", rate=frequency, options={"preset": "veryfast", "crf": "23"})
         stream.width, stream.height = size[0] + size[0] % 2, size[1] + size[1] % 2
@@ -48,19 +47,17 @@ class VideoWriter:
         frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="bgr24")
         self._container.mux(self._stream.encode(frame))
 
-    def close(self) -> None:
-        """Finish the file."""
-        self._container.mux(self._stream.encode(None))
-        self._container.close()
-        os.replace(self._beside, self._path)
-
-    def discard(self) -> None:
-        """Leave nothing behind."""
-        self._container.close()
-        self._beside.unlink(missing_ok=True)
-
     def __enter__(self) -> "VideoWriter":
         return self
 
-    def __exit__(self, error: type[BaseException] | None, *_: object) -> None:
-        self.close() if error is None else self.discard()
+    def __exit__(
+        self, error: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if error is None:
+                self._container.mux(self._stream.encode(None))
+            self._container.close()
+        except BaseException as problem:
+            self._whole.__exit__(type(problem), problem, problem.__traceback__)
+            raise
+        self._whole.__exit__(error, value, trace)

@@ -22,6 +22,8 @@ SURFACE_LINE = (255, 255, 255)
 SILHOUETTE_LINE = (60, 230, 255)
 """Blue, green, red: a yellow that skin and rooms seldom have."""
 _STATES = ("nobody", "measured", "filled", "lost")
+_FAR = 1e5
+"""Farther off no line is drawn; NaN is farther than any number [px]."""
 _SHIFT = 4
 """Bits behind the point in the coordinates that OpenCV draws."""
 
@@ -106,7 +108,13 @@ def fitting_camera(camera: Camera) -> Camera:
 
 
 def draw_overlay(
-    image: Image, camera: Camera, looks: Looks, scene: Scene, *, mask: Mask | None = None, agreement: float = float("nan")
+    image: Image,
+    camera: Camera,
+    looks: Looks,
+    scene: Scene,
+    *,
+    mask: Mask | None = None,
+    agreement: float = float("nan"),
 ) -> Image:
     """Draw surface, outlines, joints and a line of text over a picture.
 
@@ -186,10 +194,10 @@ def _draw_outline(drawn: Image, mask: Image, colour: tuple[int, int, int]) -> No
 def _draw_joints(drawn: Image, camera: Camera, looks: Looks, joints: Floats) -> None:
     pixels = camera.project(joints)
     size = max(2, round(max(camera.size) / 320))
-    there = np.isfinite(pixels).all(1) & (np.abs(pixels) < 1e5).all(1)
+    there = np.array([bool(np.all(np.abs(pixel) < _FAR)) for pixel in pixels])
     points = np.zeros(pixels.shape, np.int64)
     points[there] = np.round(pixels[there] * (1 << _SHIFT)).astype(np.int64)
-    for thickness, colour in ((size + 1, (30, 30, 30)), (max(1, size - 1), (255, 255, 255))):
+    for thickness, colour in ((size + 2, (30, 30, 30)), (size, (255, 255, 255))):
         for a, b in looks.bones:
             if there[a] and there[b]:
                 ends = tuple(map(int, points[a])), tuple(map(int, points[b]))

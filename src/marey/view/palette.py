@@ -21,7 +21,8 @@ LEFT, RIGHT, MIDDLE = "#2f6db5", "#c0453f", "#5d5a88"
 _BONES = (
     ("neck", "head"),
     *((f"{side}_{a}", f"{side}_{b}") for side in ("left", "right") for a, b in (
-        ("hip", "knee"), ("knee", "ankle"), ("ankle", "toe"), ("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "shoulder"),
+        ("hip", "knee"), ("knee", "ankle"), ("ankle", "toe"), ("shoulder", "elbow"), ("elbow", "wrist"),
+        ("hip", "shoulder"),
     )),
     ("left_hip", "right_hip"), ("left_shoulder", "neck"), ("right_shoulder", "neck"),
 )  # fmt: skip

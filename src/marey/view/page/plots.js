@@ -1,0 +1,151 @@
+// Curves with bands over the frames of a take: drawn on canvases, read at a shared cursor.
+"use strict";
+
+const data = JSON.parse(document.getElementById("data").textContent);
+const bytes = text => Uint8Array.from(atob(text), c => c.charCodeAt(0)).buffer;
+const floats = text => new Float32Array(bytes(text));
+const time = floats(data.time), state = new Uint8Array(bytes(data.state));
+const STATE_NAMES = ["nobody", "measured", "filled", "lost"];
+const STATE_COLOURS = ["#e9ecef", null, "#f6e7c1", "#f3d3d1"];
+const MARGIN = { left: 40, right: 6, top: 6, bottom: 20 };
+const plots = [];
+let current = 0;
+
+// One curve: every `step`-th value from `start` on, with standard deviations where there are any.
+function curve(values, sd, count, index, label, colour) {
+  const n = time.length, y = new Float32Array(n), half = new Float32Array(n);
+  for (let i = 0; i < n; i++) {
+    y[i] = values[i * count + index];
+    half[i] = sd ? 1.96 * sd[i * count + index] : 0;
+  }
+  return { y, half, label, colour };
+}
+
+// A number as people read it: a true minus sign, and no minus before a zero.
+function readable(value, digits) {
+  const text = value.toFixed(digits);
+  return Number(text) === 0 ? (0).toFixed(digits) : text.replace("-", "−");
+}
+
+function niceStep(span, wanted) {
+  const raw = span / wanted, power = Math.pow(10, Math.floor(Math.log10(raw)));
+  return power * [1, 2, 5, 10].find(m => m * power >= raw);
+}
+
+// Range of the curves; a band may widen it, but an undetermined value must not flatten everything else.
+function valueRange(curves, least) {
+  let low = Infinity, high = -Infinity;
+  for (const c of curves) for (const v of c.y) if (v === v) { low = Math.min(low, v); high = Math.max(high, v); }
+  if (low > high) return [0, 1];
+  const room = Math.max(0.5 * (high - low), least);
+  let widest = 0;
+  for (const c of curves) for (let i = 0; i < c.y.length; i++) if (c.half[i] === c.half[i]) widest = Math.max(widest, c.half[i]);
+  const pad = Math.max(0.05 * (high - low), Math.min(1.08 * widest, room), 0.25 * least);
+  return [low - pad, high + pad];
+}
+
+class Plot {
+  constructor(parent, title, curves, options) {
+    this.curves = curves; this.options = Object.assign({ least: 14, digits: 1, unit: "°" }, options);
+    this.figure = document.createElement("figure"); this.figure.className = "plot";
+    this.figure.innerHTML = "<figcaption><span></span><span class='read'></span></figcaption><canvas></canvas><div class='cursor'></div>";
+    this.figure.querySelector("span").textContent = title;
+    this.read = this.figure.querySelector(".read"); this.canvas = this.figure.querySelector("canvas");
+    this.line = this.figure.querySelector(".cursor");
+    parent.appendChild(this.figure);
+    this.range = this.options.range || valueRange(curves, this.options.least);
+    const go = event => { if (event.type === "click" || event.buttons === 0) showFrame(this.frameAt(event.offsetX), event.type === "click"); };
+    this.canvas.addEventListener("mousemove", go); this.canvas.addEventListener("click", go);
+    plots.push(this);
+  }
+  x(i) { return MARGIN.left + (this.width - MARGIN.left - MARGIN.right) * (time.length > 1 ? i / (time.length - 1) : 0.5); }
+  y(v) { const [a, b] = this.range; return this.height - MARGIN.bottom - (this.height - MARGIN.top - MARGIN.bottom) * (v - a) / (b - a); }
+  frameAt(x) {
+    const share = (x - MARGIN.left) / (this.width - MARGIN.left - MARGIN.right);
+    return Math.round(Math.min(1, Math.max(0, share)) * (time.length - 1));
+  }
+  draw() {
+    const ratio = window.devicePixelRatio || 1;
+    this.width = this.canvas.clientWidth; this.height = this.canvas.clientHeight;
+    if (!this.width) return;
+    this.canvas.width = this.width * ratio; this.canvas.height = this.height * ratio;
+    const g = this.canvas.getContext("2d"); g.scale(ratio, ratio);
+    this.drawStates(g); this.drawAxes(g);
+    g.save(); g.beginPath();
+    g.rect(MARGIN.left, MARGIN.top, this.width - MARGIN.left - MARGIN.right, this.height - MARGIN.top - MARGIN.bottom); g.clip();
+    for (const c of this.curves) this.drawBand(g, c);
+    for (const c of this.curves) this.drawLine(g, c);
+    g.restore();
+    this.update();
+  }
+  drawStates(g) {
+    const half = (this.x(1) - this.x(0)) / 2 || 2, bottom = this.height - MARGIN.top - MARGIN.bottom;
+    for (let i = 0; i < state.length;) {
+      let j = i; while (j < state.length && state[j] === state[i]) j++;
+      const colour = STATE_COLOURS[state[i]];
+      if (colour) {
+        const a = Math.max(MARGIN.left, this.x(i) - half), b = Math.min(this.width - MARGIN.right, this.x(j - 1) + half);
+        g.fillStyle = colour; g.fillRect(a, MARGIN.top, b - a, bottom);
+      }
+      i = j;
+    }
+  }
+  drawAxes(g) {
+    g.font = "11px system-ui, sans-serif"; g.fillStyle = "#5b6570"; g.lineWidth = 1;
+    const [a, b] = this.range, step = niceStep(b - a, 4), digits = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
+    g.textAlign = "right"; g.textBaseline = "middle";
+    for (let v = Math.ceil(a / step) * step; v <= b + 1e-9; v += step) {
+      const y = Math.round(this.y(v)) + 0.5;
+      g.strokeStyle = Math.abs(v) < step * 1e-6 ? "#aab3bc" : "#e3e7eb";
+      g.beginPath(); g.moveTo(MARGIN.left, y); g.lineTo(this.width - MARGIN.right, y); g.stroke();
+      g.fillText(readable(v, digits), MARGIN.left - 6, y);
+    }
+    const first = time[0], span = time[time.length - 1] - first || 1, stride = niceStep(span, this.width / 80);
+    g.textAlign = "center"; g.textBaseline = "top";
+    for (let t = Math.ceil(first / stride) * stride; t <= first + span + 1e-9; t += stride) {
+      const x = this.x((t - first) / span * (time.length - 1));
+      g.fillText(+t.toFixed(3), Math.min(x, this.width - 12), this.height - MARGIN.bottom + 5);
+    }
+  }
+  runs(c) {
+    const found = [];
+    for (let i = 0; i < c.y.length;) {
+      if (c.y[i] !== c.y[i]) { i++; continue; }
+      let j = i; while (j < c.y.length && c.y[j] === c.y[j]) j++;
+      found.push([i, j]); i = j;
+    }
+    return found;
+  }
+  drawBand(g, c) {
+    g.fillStyle = c.colour + "2b";
+    for (const [i, j] of this.runs(c)) {
+      g.beginPath();
+      for (let k = i; k < j; k++) g.lineTo(this.x(k), this.y(c.y[k] + (c.half[k] || 0)));
+      for (let k = j - 1; k >= i; k--) g.lineTo(this.x(k), this.y(c.y[k] - (c.half[k] || 0)));
+      g.fill();
+    }
+  }
+  drawLine(g, c) {
+    g.strokeStyle = c.colour; g.lineWidth = 1.6; g.lineJoin = "round";
+    for (const [i, j] of this.runs(c)) {
+      g.beginPath();
+      for (let k = i; k < j; k++) g.lineTo(this.x(k), this.y(c.y[k]));
+      if (j === i + 1) { g.lineTo(this.x(i) + 1, this.y(c.y[i])); }
+      g.stroke();
+    }
+  }
+  update() {
+    if (!this.width) return;
+    this.line.style.left = this.x(current) + "px";
+    this.read.textContent = "";
+    for (const c of this.curves) {
+      const v = c.y[current];
+      if (v !== v) continue;
+      const part = document.createElement("span");
+      part.style.color = c.colour;
+      const half = c.half[current];
+      part.textContent = "  " + readable(v, this.options.digits) + (half > 0 ? " ± " + half.toFixed(this.options.digits) : "") + this.options.unit;
+      this.read.appendChild(part);
+    }
+  }
+}

@@ -1,0 +1,243 @@
+"""The report: one HTML file with curves, replay, pictures and doubts, that opens anywhere without a network."""
+
+import base64
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import cv2
+import jinja2
+import numpy as np
+
+import marey
+from marey.arrays import Floats, Image
+from marey.body.surface import Body
+from marey.cameras.rig import Rig
+from marey.io.atomic import replacing
+from marey.motion.motion import FILLED, LOST, MEASURED, NOBODY, Motion
+from marey.view.palette import OTHER, SEGMENTS, bone_pairs, side_colour
+from marey.view.problems import Problem, readable
+
+MOST_FRAMES = 3000
+"""Longer takes are shown by every second, third ... frame, so that the file stays small."""
+STILL_WIDTH = 640
+_GROUPS = ("pelvis", "thorax", "trunk", "head", "hip", "knee", "ankle", "toe", "clavicle", "shoulder", "elbow")
+_GROUPS_AFTER = {"forearm": "elbow"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Size:
+    """One size of the person, such as the stature or a segment's length."""
+
+    name: str
+    value_m: float
+    sd_m: float
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Still:
+    """A picture that is worth a look."""
+
+    caption: str
+    image: Image
+    """(height, width, 3) blue, green, red."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ReportContent:
+    """All that the report tells."""
+
+    title: str
+    motion: Motion
+    body: Body
+    """Found or given; posed by the motion's segments in the replay."""
+    rig: Rig
+    sizes: Sequence[Size] = ()
+    """The stature first, then what else is known."""
+    problems: Sequence[Problem] = ()
+    stills: Sequence[Still] = ()
+    timings: Mapping[str, float] = field(default_factory=dict)
+    """Seconds by stage."""
+    settings: Mapping[str, object] = field(default_factory=dict)
+    files: Mapping[str, str] = field(default_factory=dict)
+    """What the files beside the report hold."""
+
+
+def write_report(path: Path, content: ReportContent) -> None:
+    """Write the report.
+
+    Args:
+        path: The HTML file.
+        content: What it tells.
+    """
+    with replacing(path) as beside:
+        beside.write_text(report_html(content), encoding="utf-8")
+
+
+def report_html(content: ReportContent) -> str:
+    """Give the report's text: one HTML document that loads nothing from elsewhere."""
+    loader = jinja2.PackageLoader("marey.view", "page")
+    pages = jinja2.Environment(loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    return pages.get_template("report.html").render(
+        content=content,
+        version=marey.__version__,
+        tiles=_tiles(content),
+        data=_embedded(_data(content)),
+        settings=[(readable(k), _text(v)) for k, v in content.settings.items() if v is not None],
+        stills=[(still.caption, _jpeg(still.image)) for still in content.stills],
+        timings=_shares(content.timings),
+        joints=[readable(name) for name in content.motion.joint_names],
+    )
+
+
+def _tiles(content: ReportContent) -> list[tuple[str, str, str]]:
+    """Give the key figures: label, value, and what stands below it."""
+    motion = content.motion
+    counts = {state: int((motion.state == state).sum()) for state in (NOBODY, MEASURED, FILLED, LOST)}
+    asked = len(motion) - counts[NOBODY]
+    known = motion.agreement[np.isfinite(motion.agreement)]
+    tiles = [
+        ("frames measured", f"{counts[MEASURED]} of {asked}", f"{counts[FILLED]} filled, {counts[LOST]} lost, "
+         f"{counts[NOBODY]} without a person"),
+        ("duration", f"{len(motion) / motion.rate:.2f} s", f"{motion.rate:g} Hz, {len(motion)} frames"),
+        ("cameras", f"{len(content.rig)}", ", ".join(content.rig.names)),
+        ("agreement", f"{np.mean(known):.3f}" if known.size else "none", "surface and silhouettes, mean overlap"),
+    ]  # fmt: skip
+    for size in content.sizes[:1]:
+        tiles.append((size.name, f"{size.value_m:.3f} m", f"± {1.96 * size.sd_m * 1e3:.0f} mm (95 %)"))
+    middle = _median_sd_mm(motion)
+    if middle is not None:
+        tiles.append(("joint centres", f"± {1.96 * middle:.0f} mm", "median 95 % interval of a coordinate"))
+    return tiles
+
+
+def _median_sd_mm(motion: Motion) -> float | None:
+    values = motion.joint_centres_sd[np.isfinite(motion.joint_centres_sd)]
+    return float(np.median(values)) * 1e3 if values.size else None
+
+
+def _shares(timings: Mapping[str, float]) -> list[tuple[str, float, float]]:
+    total = sum(timings.values())
+    return [(name, seconds, seconds / total if total else 0.0) for name, seconds in timings.items()]
+
+
+def _text(value: object) -> str:
+    if isinstance(value, list | tuple):
+        return ", ".join(map(str, value))
+    return {True: "yes", False: "no"}.get(value, str(value)) if isinstance(value, bool) else str(value)
+
+
+def _jpeg(image: Image) -> str:
+    """Give a picture as the address of an embedded JPEG."""
+    height, width = image.shape[:2]
+    if width > STILL_WIDTH:
+        size = (STILL_WIDTH, round(height * STILL_WIDTH / width))
+        image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+    _, coded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 82])
+    return "data:image/jpeg;base64," + base64.b64encode(coded.tobytes()).decode()
+
+
+def _embedded(data: Mapping[str, object]) -> str:
+    """Write data as JSON that may stand inside a script element."""
+    return json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
+
+
+def _packed(array: np.ndarray, dtype: str) -> str:
+    return base64.b64encode(np.ascontiguousarray(array, dtype=np.dtype(dtype).newbyteorder("<")).tobytes()).decode()
+
+
+def _data(content: ReportContent) -> dict[str, object]:
+    motion = content.motion
+    stride = -(-len(motion) // MOST_FRAMES)
+    shown = motion.frames(slice(None, None, stride))
+    return {
+        "frames": len(shown),
+        "stride": stride,
+        "rate": motion.rate,
+        "time": _packed(shown.time, "f4"),
+        "state": _packed(shown.state, "u1"),
+        "angles": _angles(shown),
+        "joints": _joints(shown),
+        "cameras": {"names": list(shown.camera_names), "agreement": _packed(shown.agreement, "f4")},
+        "replay": _replay(shown, content.body, content.rig),
+    }
+
+
+def _angles(motion: Motion) -> dict[str, object]:
+    """Give the angles, and the plots in which they stand: left and right of a joint share one."""
+    plots: dict[str, dict] = {}
+    for i, name in enumerate(motion.angle_names):
+        side, base = _split_side(name)
+        plots.setdefault(base, {"group": _group(base), "title": readable(base), "curves": []})
+        plots[base]["curves"].append({"index": i, "label": side or readable(base), "colour": side_colour(name)})
+    order = [*_GROUPS, "wrist"]
+    ranked = sorted(
+        plots.values(), key=lambda plot: order.index(plot["group"]) if plot["group"] in order else len(order)
+    )
+    return {
+        "count": len(motion.angle_names),
+        "values": _packed(motion.angles_deg, "f4"),
+        "sd": _packed(motion.angles_deg_sd, "f4"),
+        "plots": ranked,
+    }
+
+
+def _split_side(name: str) -> tuple[str, str]:
+    side, _, rest = name.partition("_")
+    return (side, rest) if side in ("left", "right") else ("", name)
+
+
+def _group(base: str) -> str:
+    first = base.partition("_")[0]
+    return _GROUPS_AFTER.get(first, first)
+
+
+def _joints(motion: Motion) -> dict[str, object]:
+    return {
+        "names": [readable(name) for name in motion.joint_names],
+        "colours": [side_colour(name) for name in motion.joint_names],
+        "bones": bone_pairs(motion.joint_names).tolist(),
+        "centres": _packed(motion.joint_centres, "f4"),
+        "sd": _packed(motion.joint_centres_sd, "f4"),
+    }
+
+
+def _replay(motion: Motion, body: Body, rig: Rig) -> dict[str, object]:
+    """Give the body at rest and the segments' motion: the page itself blends the skin."""
+    colours = [SEGMENTS.get(name, OTHER) for name in body.skeleton.segment_names]
+    owner = body.vertex_segments[np.arange(len(body.vertices)), np.argmax(body.vertex_weights, 1)]
+    order = [motion.segment_names.index(name) for name in body.skeleton.segment_names]
+    return {
+        "segments": len(order),
+        "rest": _packed(body.vertices, "f4"),
+        "normals": _packed(np.round(127 * _normals(body)), "i1"),
+        "faces": _packed(body.faces, "u4"),
+        "vertexSegments": _packed(body.vertex_segments, "u1"),
+        "vertexWeights": _packed(np.round(255 * body.vertex_weights), "u1"),
+        "colours": colours,
+        "owner": _packed(owner, "u1"),
+        "restJoints": _packed(body.joint_centres, "f4"),
+        "rotation": _packed(motion.segment_rotation[:, order], "f4"),
+        "origin": _packed(motion.segment_origin[:, order], "f4"),
+        "cameras": [
+            {
+                "name": camera.name,
+                "size": list(camera.size),
+                "matrix": camera.matrix.tolist(),
+                "rotation": camera.camera_from_world.rotation.tolist(),
+                "translation": camera.camera_from_world.translation.tolist(),
+            }
+            for camera in rig
+        ],
+    }
+
+
+def _normals(body: Body) -> Floats:
+    """Give the skin's unit normals (V, 3) at rest."""
+    corners = body.vertices[body.faces]
+    area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = np.zeros_like(body.vertices)
+    for i in range(3):
+        np.add.at(normals, body.faces[:, i], area)
+    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
