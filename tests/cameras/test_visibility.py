@@ -42,7 +42,7 @@ def test_the_nearer_surface_hides_the_farther():
 def test_the_rim_of_a_sphere_is_seen_where_its_outline_is():
     sphere = trimesh.creation.icosphere(subdivisions=4, radius=0.3)
     vertices, faces = outward(sphere)
-    vertices = vertices + [0.1, -0.05, 3.0]
+    vertices = vertices + np.array([0.1, -0.05, 3.0])
     view = see(project(vertices), faces, (320, 240))
     rim = view.rim(faces)
     points = np.einsum("nc,nca->na", rim.barycentric, vertices[faces[rim.face]])

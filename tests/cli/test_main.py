@@ -72,11 +72,11 @@ def test_options_reach_the_capture(capture, tmp_path, capsys):
     [
         ["capture"],
         ["capture", ".", "--stature", "tall"],
-        ["capture", ".", "--stature", "180"],
         ["capture", ".", "--frames", "10-20"],
         ["capture", ".", "--frames", "20:10"],
         ["capture", ".", "--cameras", ","],
-        ["capture", ".", "--preset", "tail"],
+        ["capture", ".", "--start", "nowhere.json"],
+        ["capture", ".", "--body", "nowhere.npz"],
         ["capture", ".", "--colour", "blue"],
         ["capture", "nowhere"],
         ["view", "nowhere", "--no-browser"],

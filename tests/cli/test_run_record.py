@@ -1,4 +1,5 @@
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from marey.cli.settings import CaptureSettings
 def test_a_fingerprint_changes_with_every_part():
     array = np.arange(4.0)
     parts = [1, 1.0, "1", None, (1, 2), array, array[:3], array.astype(np.float32)]
-    parts += [CaptureSettings(), CaptureSettings(rate=30.0)]
+    parts += [CaptureSettings(), CaptureSettings(stature_m=1.8)]
     assert len({fingerprint(part) for part in parts}) == len(parts)
     assert fingerprint(array, "a") == fingerprint(array.copy(), "a")
 
@@ -83,10 +84,10 @@ def test_the_record_tells_what_was_run_on_what(tmp_path):
     progress = Progress(quiet=True)
     with progress.stage("Poses"):
         pass
-    settings = CaptureSettings(stature_m=1.8).as_text()
+    settings = {"stature_m": 1.8, "start": Path("clicks.json")}
     write_record(tmp_path, command="capture", settings=settings, inputs=[video], root=tmp_path, progress=progress)
     record = json.loads((tmp_path / "run.json").read_text())
-    assert record["settings"]["stature_m"] == 1.8
+    assert record["settings"] == {"stature_m": 1.8, "start": "clicks.json"}
     assert len(record["inputs"]["cam01.mp4"]) == 32
     assert "Poses" in record["timings_s"]
     assert record["files"] == ["cam01.mp4", "run.json"]

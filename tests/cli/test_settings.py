@@ -2,36 +2,38 @@ from pathlib import Path
 
 import pytest
 
-from marey.cli.settings import CaptureSettings, from_trial, parse_frames
-from marey.errors import SettingProblem
+from marey.cli.settings import CaptureSettings, parse_frames, parse_names
+from marey.errors import FileProblem, SettingProblem
+from marey.io.trial import read_settings
 
 
-def test_an_option_wins_over_the_trials_own_file_and_none_leaves_it():
-    given = from_trial({"stature_m": 1.7, "preset": "upper", "cameras": ["a", "b"], "unknown": 1, "rate": None})
-    settings = given.with_options(preset="full", stature_m=None)
-    assert (settings.preset, settings.stature_m, settings.cameras) == ("full", 1.7, ("a", "b"))
+def test_an_option_wins_over_the_trials_own_file_and_none_leaves_it(tmp_path):
+    (tmp_path / "trial.toml").write_text('stature_m = 1.7\npreset = "upper"\ncameras = ["a", "b"]\n')
+    settings = CaptureSettings(preset="full", frames=(3, 9))
+    merged = read_settings(tmp_path, **settings.changes())
+    assert (merged.preset, merged.stature_m, merged.cameras, merged.frames) == ("full", 1.7, ("a", "b"), (3, 9))
 
 
-def test_all_faults_are_told_at_once():
-    with pytest.raises(SettingProblem, match=r"preset is 'tail'.*stature_m is 180.*frames are 5 to 5"):
-        CaptureSettings(preset="tail", stature_m=180.0, frames=(5, 5))
+def test_a_typed_start_file_is_relative_to_where_it_was_typed(tmp_path, monkeypatch):
+    (tmp_path / "clicks.json").write_text("{}")
+    monkeypatch.chdir(tmp_path)
+    changes = CaptureSettings(start=Path("clicks.json")).changes()
+    assert changes["start"] == {"file": str(tmp_path / "clicks.json")}
 
 
-@pytest.mark.parametrize("value", [float("nan"), float("inf"), 0.0, -1.0])
-def test_impossible_numbers_are_refused(value):
-    for name in ("stature_m", "mass_kg", "rate"):
-        with pytest.raises(SettingProblem, match=name):
-            CaptureSettings(**{name: value})
+def test_a_named_file_that_is_not_there_is_an_error_that_names_the_option():
+    with pytest.raises(FileProblem, match=r"scan\.glb: does not exist\. Mend --body"):
+        CaptureSettings(body=Path("scan.glb"))
 
 
 def test_frames_may_leave_the_first_away():
     assert parse_frames(":12") == (0, 12)
-    for text in ("12:", "a:b", "1:2:3", "-3:4", ""):
+    for text in ("12:", "a:b", "1:2:3", "-3:4", "", "5:5"):
         with pytest.raises(SettingProblem, match="--frames"):
             parse_frames(text)
 
 
-def test_settings_become_text_for_the_record():
-    text = CaptureSettings(start=Path("clicks.json"), frames=(1, 2)).as_text()
-    assert text["start"] == "clicks.json"
-    assert text["frames"] == (1, 2)
+def test_names_are_set_apart_by_commas():
+    assert parse_names("cam01, cam02,") == ("cam01", "cam02")
+    with pytest.raises(SettingProblem, match="--cameras"):
+        parse_names(" , ")

@@ -2,13 +2,14 @@
 
 import errno
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 import marey
+from marey.cli.settings import CaptureSettings, parse_frames, parse_names
 from marey.errors import FileProblem, MareyError
 
 INTERRUPTED = 130
@@ -87,25 +88,23 @@ def capture(
     * `marey capture walk01 --stature 1.80 --frames 100:400 --out results/walk01`
     * `marey capture walk01 --cameras cam01,cam02,cam04 --preset upper --no-overlay`
     """
-    from marey.cli.settings import parse_frames, parse_names
-
-    options = {
-        "out": out,
-        "cameras": None if cameras is None else parse_names(cameras),
-        "frames": None if frames is None else parse_frames(frames),
-        "preset": preset,
-        "stature_m": stature,
-        "start": start,
-        "body": body,
-        "overlay": False if no_overlay else None,
-    }
-    _capture(trial, options, quiet=quiet)
+    settings = CaptureSettings(
+        out=out,
+        cameras=None if cameras is None else parse_names(cameras),
+        frames=None if frames is None else parse_frames(frames),
+        preset=preset,
+        stature_m=stature,
+        start=start,
+        body=body,
+        overlay=not no_overlay,
+    )
+    _capture(trial, settings, quiet=quiet)
 
 
 @app.command()
 def demo(out: Out = None, quiet: Quiet = False) -> None:
     """Capture the take that comes with the program, and say where its report is."""
-    _capture(example_folder(), {"out": out}, quiet=quiet)
+    _capture(example_folder(), CaptureSettings(out=out), quiet=quiet)
 
 
 @app.command()
@@ -140,15 +139,14 @@ def bench(
     measure(trial)
 
 
-def _capture(trial: Path, options: Mapping[str, object], *, quiet: bool) -> None:
+def _capture(trial: Path, settings: CaptureSettings, *, quiet: bool) -> None:
+    # Imported here, so that help and wrong input answer at once.
     from marey.cli.capture import capture as capture_trial
     from marey.cli.progress import Progress
-    from marey.cli.settings import CaptureSettings
 
     if not trial.is_dir():
-        what = "is a file" if trial.exists() else "is not there"
+        what = "is a file" if trial.exists() else "does not exist"
         raise FileProblem(trial, what, "Give the folder that holds the videos and cameras.toml.")
-    settings = CaptureSettings().with_options(**options)
     results = capture_trial(trial, settings, Progress(quiet=quiet))
     typer.echo(f"Report: {results / 'report.html'}")
 

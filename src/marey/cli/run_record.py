@@ -151,7 +151,7 @@ def write_record(
     Args:
         folder: Where all other results of the run stand already.
         command: What was run, for example `capture`.
-        settings: By name, in a form that JSON can hold.
+        settings: By name; what JSON cannot hold is written as text.
         inputs: The files that were read.
         root: The folder to which the inputs' names refer.
         progress: Keeps the timings and warnings.
@@ -170,7 +170,7 @@ def write_record(
         "warnings": list(progress.warnings),
         "files": [*sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()), RECORD],
     }
-    text = json.dumps(record, indent=2, ensure_ascii=False) + "\n"
+    text = json.dumps(record, indent=2, ensure_ascii=False, default=str) + "\n"
     (folder / RECORD).write_text(text, encoding="utf-8")
 
 
