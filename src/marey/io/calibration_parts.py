@@ -103,7 +103,7 @@ def numbers(value: object, shape: tuple[int, ...] | None) -> Floats | None:
     return array if fits else None
 
 
-def finite(value: object, shape: tuple[int, ...]) -> Floats | None:
+def finite(value: object, shape: tuple[int, ...] | None) -> Floats | None:
     """Do as `numbers`, and also give None where a number is not finite."""
     array = numbers(value, shape)
     return array if array is not None and np.isfinite(array).all() else None
