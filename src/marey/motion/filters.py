@@ -12,9 +12,9 @@ _PASSES = 2
 def low_pass(values: Floats, *, rate: float, cutoff_hz: float) -> Floats:
     """Smooth by a Butterworth filter of second order run forward and back: fourth order, no lag.
 
-    The design frequency is raised so that after both passes the gain at the cut-off is 1 / sqrt(2) ([Winter2009]
-    eq. (3.18)). Each run of known values between gaps is filtered alone, its ends continued point-symmetrically; gaps
-    stay gaps. Typical cut-offs: 6 Hz for walking, 10 to 15 Hz for running.
+    The design frequency is raised so that after both passes the gain at the cut-off is 1 / sqrt(2) ([Winter2009]).
+    Each run of known values between gaps is filtered alone, its ends continued point-symmetrically; gaps stay gaps.
+    Typical cut-offs: 6 Hz for walking, 10 to 15 Hz for running.
 
     Args:
         values: (F, ...) one sample a frame; NaN where unknown.
