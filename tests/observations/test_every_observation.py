@@ -1,0 +1,110 @@
+"""Every kind of observation is in this catalogue, and its derivative is the change that it shows."""
+
+import importlib
+import pkgutil
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from tests.people import any_points, any_pose, stick_person
+
+import marey.observations
+from marey.arrays import Floats
+from marey.body.pose import PosedBody
+from marey.observations.observation import Observation
+from marey.observations.prior import Habit, JointLimits, NearPose, ShapePrior
+from marey.observations.silhouette import SilhouettePlanes, SilhouetteRays
+
+Make = Callable[[np.random.Generator, PosedBody], Observation]
+POINTS = 7
+STEP = 1e-6
+
+
+def directions(rng: np.random.Generator) -> Floats:
+    vectors = rng.normal(size=(POINTS, 3))
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+
+
+def planes(rng: np.random.Generator, posed: PosedBody) -> Observation:
+    return SilhouettePlanes(
+        where=any_points(rng, posed.body, POINTS), normals=directions(rng), offsets=rng.normal(size=POINTS),
+        pixels_per_metre=rng.uniform(100, 300, POINTS), sigma_px=2.0,
+    )  # fmt: skip
+
+
+def rays(rng: np.random.Generator, posed: PosedBody) -> Observation:
+    along = directions(rng)
+    return SilhouetteRays(
+        where=any_points(rng, posed.body, POINTS), directions=along,
+        moments=np.cross(rng.normal(size=(POINTS, 3)), along),
+        pixels_per_metre=rng.uniform(100, 300, POINTS), sigma_px=2.0,
+    )  # fmt: skip
+
+
+def near_pose(rng: np.random.Generator, posed: PosedBody) -> Observation:
+    spread = rng.uniform(0.1, 1.0, len(posed.body.skeleton))
+    spread[7] = np.inf
+    return NearPose(pose=any_pose(rng, posed.body), spread=spread)
+
+
+CATALOGUE: dict[type[Observation], Make] = {
+    SilhouettePlanes: planes,
+    SilhouetteRays: rays,
+    JointLimits: lambda rng, posed: JointLimits(),
+    Habit: lambda rng, posed: Habit(share=0.7),
+    NearPose: near_pose,
+    ShapePrior: lambda rng, posed: ShapePrior(share=0.5),
+}
+"""One line a kind: how to make one of any numbers."""
+
+
+def every_kind() -> set[type[Observation]]:
+    for module in pkgutil.walk_packages(marey.observations.__path__, "marey.observations."):
+        importlib.import_module(module.name)
+    found: set[type[Observation]] = set()
+    waiting: list[type[Observation]] = [Observation]
+    while waiting:
+        kinds = waiting.pop().__subclasses__()
+        waiting.extend(kinds)
+        found.update(kind for kind in kinds if kind.__module__.startswith("marey."))
+    return {kind for kind in found if not getattr(kind, "__abstractmethods__", None)}
+
+
+def test_the_catalogue_is_complete():
+    assert {kind.__name__ for kind in every_kind()} == {kind.__name__ for kind in CATALOGUE}
+
+
+def test_kinds_are_final_so_that_nobody_bends_the_contract():
+    assert all(getattr(kind, "__final__", False) for kind in every_kind())
+
+
+@pytest.mark.parametrize("shape", [False, True], ids=["pose", "pose and shape"])
+@pytest.mark.parametrize("kind", CATALOGUE, ids=lambda kind: kind.__name__)
+def test_the_derivative_is_the_change(kind: type[Observation], shape: bool, rng: np.random.Generator):
+    body = stick_person(rng)
+    # Wide poses, so that some joints are beyond their limits.
+    posed = PosedBody(body, any_pose(rng, body, spread=1.2))
+    observation = CATALOGUE[kind](rng, posed)
+    model = observation.linearize(posed, shape=shape)
+    columns = len(body.skeleton) + (len(body.space) if shape else 0)
+    assert model.jacobian.shape == (len(model.residual), columns)
+    for column in range(columns):
+        change = np.zeros(columns)
+        change[column] = STEP
+        ahead = observation.linearize(posed.moved(change), shape=shape).residual
+        behind = observation.linearize(posed.moved(-change), shape=shape).residual
+        difference = (ahead - behind) / (2 * STEP)
+        # Central differences err by the step squared and by rounding over the step.
+        tolerance = 1e-6 * max(1.0, np.abs(model.jacobian).max())
+        np.testing.assert_allclose(model.jacobian[:, column], difference, atol=tolerance, err_msg=f"column {column}")
+
+
+@pytest.mark.parametrize("kind", CATALOGUE, ids=lambda kind: kind.__name__)
+def test_whitening_divides_by_sigma(kind: type[Observation], rng: np.random.Generator):
+    body = stick_person(rng)
+    posed = PosedBody(body, any_pose(rng, body))
+    observation = CATALOGUE[kind](rng, posed)
+    raw, white = observation.linearize(posed), observation.whiten(posed)
+    assert observation.sigma > 0
+    np.testing.assert_allclose(white.residual * observation.sigma, raw.residual)
+    np.testing.assert_allclose(white.jacobian * observation.sigma, raw.jacobian)
