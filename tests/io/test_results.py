@@ -12,7 +12,7 @@ from marey.arrays import Floats
 from marey.body.surface import Body
 from marey.errors import FileProblem
 from marey.io import npz
-from marey.io.body import read_body, segment_lengths, write_body
+from marey.io.body import open_body, read_body, segment_lengths, write_body
 from marey.io.c3d import read_c3d
 from marey.io.character import read_character
 from marey.io.results import read_points, write_results
@@ -146,6 +146,16 @@ def test_our_own_glb_is_read_as_the_body_it_came_from(results: Path, person: Bod
         np.testing.assert_allclose(character.joint_centres[name], person.joint_centres[k], atol=1e-6)
         share = np.where(person.vertex_segments == k, person.vertex_weights, 0).sum(1)
         np.testing.assert_allclose(character.weights[name], share, atol=1e-6)
+
+
+def test_a_body_is_opened_from_npz_and_from_glb(results: Path, person: Body, tmp_path):
+    np.testing.assert_array_equal(open_body(results / "body.npz", person).vertices, person.vertices)
+    body = open_body(results / "body.glb", person)
+    np.testing.assert_allclose(body.joint_centres, person.joint_centres - person.joint_centres[0], atol=1e-6)
+    np.testing.assert_allclose(body.vertices, person.vertices - person.joint_centres[0], atol=1e-6)
+    (tmp_path / "scan.toml").write_text(f'mesh = "{results / "body.glb"}"\n[joints]\nleft_hip = [0, 0, 0]\n')
+    with pytest.raises(FileProblem, match="right_knee"):
+        open_body(tmp_path / "scan.toml", person)
 
 
 def test_a_motion_without_any_answer_still_leaves_its_files(person: Body, motion: Motion, tmp_path):

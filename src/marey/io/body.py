@@ -5,9 +5,11 @@ from pathlib import Path
 import numpy as np
 
 from marey.arrays import Floats
+from marey.body.scan import scanned_body
 from marey.body.skeleton import Coordinate, Skeleton
 from marey.body.surface import Body, ShapeSpace
 from marey.errors import FileProblem, MareyError
+from marey.io.character import read_character
 from marey.io.npz import read_arrays, write_arrays
 
 _SPACE = ("vertex_mean", "vertex_modes", "joint_mean", "joint_modes", "prior_mean", "prior_covariance")
@@ -112,6 +114,31 @@ def read_body(path: Path | str) -> tuple[Body, str]:
     if not fits:
         raise FileProblem(path, "has a skin that is not that of its numbers", "Give a body.npz as it was written.")
     return body, str(stored["preset"])
+
+
+def open_body(path: Path | str, template: Body) -> Body:
+    """Read a person's body from whatever `capture --body` takes: body.npz, a skinned GLB, or a TOML with a mesh.
+
+    Args:
+        path: The file.
+        template: An average body at rest, whose skeleton a GLB or a scan gets.
+
+    Raises:
+        FileProblem: It cannot be read, or lacks joint centres.
+    """
+    if Path(path).suffix.lower() == ".npz":
+        return read_body(path)[0]
+    character = read_character(path)
+    try:
+        return scanned_body(
+            template,
+            vertices=character.vertices,
+            faces=character.faces,
+            joint_centres=character.joint_centres,
+            weights=character.weights,
+        )
+    except MareyError as error:
+        raise FileProblem(path, f"cannot be a body ({str(error).rstrip('.')})") from error
 
 
 def _coordinate(name: str, segment: str, numbers: Floats) -> Coordinate:
