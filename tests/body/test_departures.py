@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from marey.body.departures import CLOTHED, departure_modes
+from marey.body.departures import CLOTHED, departure_modes, wider
 from marey.body.family import LEVELS, distal_ends, load_family
+from marey.body.surface import ShapeSpace
 
 
 @pytest.fixture(params=LEVELS)
@@ -110,3 +111,22 @@ def test_standardised_modes_have_unit_variance(modes):
     np.testing.assert_allclose(unit.vertices, modes.vertices * modes.sd[:, None, None])
     np.testing.assert_array_equal(unit.sd, 1)
     assert modes.keep("_girth").names == tuple(n for n in modes.names if n.endswith("_girth"))
+
+
+def test_a_wider_space_has_the_family_first_and_the_departures_after_it(family, modes):
+    space = ShapeSpace(
+        names=tuple("abcd"),
+        vertex_mean=family.vertices_mean,
+        vertex_modes=family.vertices_modes,
+        joint_mean=family.joints_mean,
+        joint_modes=family.joints_modes,
+        prior_mean=np.array([1.0, 0, 0, 0]),
+        prior_covariance=2 * np.eye(4),
+    )
+    longer = modes.keep("thigh_length")
+    wide = wider(space, longer)
+    assert wide.names == ("a", "b", "c", "d", "thigh_length")
+    numbers = np.array([0.5, 0, -1, 0, 2.0])
+    expected = family.joints(numbers[:4]) + 2 * longer.sd[0] * longer.joints[0]
+    np.testing.assert_allclose(wide.joints(numbers), expected, atol=1e-12)
+    np.testing.assert_array_equal(np.diag(wide.prior_covariance), [2, 2, 2, 2, 1])

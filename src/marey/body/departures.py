@@ -6,6 +6,7 @@ import numpy as np
 
 from marey.arrays import Floats, frozen
 from marey.body.family import BodyFamily, distal_ends
+from marey.body.surface import ShapeSpace
 
 LENGTHS = ("abdomen", "thorax", "neck", "head", "clavicle", "upperarm", "forearm", "hand", "thigh", "shank")
 GIRTHS = ("pelvis", "abdomen", "thorax", "neck", "head", "upperarm", "forearm", "hand", "thigh", "shank", "foot")
@@ -79,6 +80,27 @@ def departure_modes(family: BodyFamily) -> Modes:
         modes += [(f"{joint}_{AXIS_NAMES[axis]}", *joint_mode(family, joint, axis), sd) for axis in range(3)]
     names, vertices, joints, sds = zip(*modes, strict=True)
     return Modes(names=names, vertices=frozen(vertices), joints=frozen(joints), sd=frozen(sds))
+
+
+def wider(space: ShapeSpace, modes: Modes) -> ShapeSpace:
+    """The shapes of a space and, beyond them, the modes: their numbers come last, of unit variance.
+
+    Args:
+        space: Of the family, at the level that the modes were made for.
+        modes: Those that may be used; they expect nothing and know nothing of the family's numbers.
+    """
+    unit, count, more = modes.standardised(), len(space), len(modes)
+    covariance = np.eye(count + more)
+    covariance[:count, :count] = space.prior_covariance
+    return ShapeSpace(
+        names=(*space.names, *unit.names),
+        vertex_mean=space.vertex_mean,
+        vertex_modes=np.concatenate([space.vertex_modes, unit.vertices]),
+        joint_mean=space.joint_mean,
+        joint_modes=np.concatenate([space.joint_modes, unit.joints]),
+        prior_mean=np.concatenate([space.prior_mean, np.zeros(more)]),
+        prior_covariance=covariance,
+    )
 
 
 def same_on_both_sides(family: BodyFamily, plain: str) -> list[int]:
