@@ -19,7 +19,8 @@ translation = [ 0.1, 0.2, 3.0]
 
 def test_the_layout_of_pose2sim_and_anipose_is_read(tmp_path):
     other = CAMERA.replace("cam_0", "cam_1").replace("left", "right") + "fisheye = true\n"
-    (tmp_path / "cameras.toml").write_text(CAMERA + other + "\n[metadata]\nadjusted = true\nerror = 0.0\n")
+    more = "\n[metadata]\nadjusted = true\nerror = 0.0\n[ground]\nz = 0\n"
+    (tmp_path / "cameras.toml").write_text(CAMERA + other + more)
     rig = read_rig(tmp_path)
     assert rig.names == ("left", "right")
     assert rig["left"].size == (640, 480)

@@ -89,6 +89,7 @@ def test_an_unknown_key_is_answered_with_the_known_ones(tmp_path):
         ("world.up = 'up'", "has world.up = 'up', which cannot be used"),
         ("frames = [3]", "has frames"),
         ("rate = 0", "has rate = 0, which"),
+        ("start = 'a.json'", r"has start = 'a.json', where a table \[start\] belongs"),
         ("stature_m = ", "is not TOML"),
         ("cameras = ['cam09']", "has no camera 'cam09'"),
         ("start.file = 'none.json'", r"none.json: does not exist. Mend \[start\] file"),

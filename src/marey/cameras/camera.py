@@ -16,8 +16,8 @@ FISHEYE_COUNTS = (0, 4)
 
 _BLIND_SHARE = 0.05
 """A calibration may fold in the outermost corners, where no board was held; a larger part of the picture may not."""
-_GREATEST_BEND = 2.0
-"""No lens puts a picture's corner at more than twice its undistorted distance; mixed-up numbers do."""
+_GREATEST_BEND = 1.4
+"""Strong pincushion lenses move a corner outward by a tenth; mixed-up numbers move it further than this."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

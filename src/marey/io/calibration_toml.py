@@ -53,7 +53,8 @@ def read_toml(path: Path) -> Rig:
     nested = tables.get("cameras")
     if isinstance(nested, dict) and all(isinstance(table, dict) for table in nested.values()):
         return _read_caliscope(path, nested)
-    cameras = {key: table for key, table in tables.items() if isinstance(table, dict) and key != "metadata"}
+    # Other programs keep other tables beside the cameras: metadata, boards, ground planes.
+    cameras = {key: table for key, table in tables.items() if isinstance(table, dict) and set(_KEYS) & set(table)}
     if not cameras:
         raise FileProblem(path, "has no camera", _REMEDY)
     faults = Faults(path, _REMEDY)

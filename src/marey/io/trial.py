@@ -199,6 +199,8 @@ def _faults(error: ValidationError) -> str:
         why = fault["msg"][0].lower() + fault["msg"][1:]
         if fault["type"] == "extra_forbidden":
             clauses[f"has the unknown key '{key}'"] = None
+        elif fault["type"] == "model_type":
+            clauses[f"has {key} = {fault['input']!r}, where a table [{key}] belongs"] = None
         else:
             clauses[f"has {key} = {fault['input']!r}, which cannot be used ({why})"] = None
     return "; ".join(clauses)
