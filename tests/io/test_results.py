@@ -81,6 +81,17 @@ def test_the_skin_comes_back(results: Path, skin: Floats, person: Body):
     assert back["seen"].dtype == bool
 
 
+def test_a_skin_that_comes_one_by_one_is_the_same_and_a_short_one_is_refused(results: Path, skin, person, tmp_path):
+    count = len(person.vertices)
+    npz.write_skin(tmp_path / "skin.npz", iter(skin), person.faces, frames=len(skin), count=count)
+    one, other = (npz.read_arrays(folder / "skin.npz") for folder in (results, tmp_path))
+    for name in one:
+        np.testing.assert_array_equal(one[name], other[name])
+    with pytest.raises(ValueError, match="rows instead of"):
+        npz.write_skin(tmp_path / "short.npz", iter(skin[1:]), person.faces, frames=len(skin), count=count)
+    assert not (tmp_path / "short.npz").exists()
+
+
 def test_points_are_read_from_every_file_that_has_them(results: Path, motion: Motion):
     for name in ("joint_centres.trc", "motion.c3d", "motion.npz", ""):
         paths = read_points(results / name)

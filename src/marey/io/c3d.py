@@ -13,6 +13,7 @@ from marey.io.atomic import replacing
 from marey.io.trc import PointPaths
 
 _INTEL = 84
+_MOST_FRAMES = 65535
 _BYTES_OF_A_ROTATION = 17 * 4
 _METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 
@@ -51,6 +52,10 @@ def write_c3d(
     c3d["data"]["meta_points"]["residuals"] = np.where(missing, -1.0, 0.0)[None]
     c3d["data"]["meta_points"]["camera_masks"] = np.zeros((7, *missing.shape), bool)
     c3d.add_parameter("MANUFACTURER", "SOFTWARE", ["marey"])
+    if frames > _MOST_FRAMES:  # the header counts no further; two words here tell the true number
+        low, high = frames % 65536, frames // 65536
+        c3d.add_parameter("TRIAL", "ACTUAL_START_FIELD", [1, 0])
+        c3d.add_parameter("TRIAL", "ACTUAL_END_FIELD", [low - 65536 if low > 32767 else low, high])
     if segment_rotation is not None and segment_origin is not None:
         matrices = np.zeros((4, 4, len(segment_names), frames))
         matrices[:3, :3] = np.transpose(segment_rotation, (2, 3, 1, 0))

@@ -1,7 +1,7 @@
 """NPZ: everything, array by array under plain names, without pickle."""
 
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -75,13 +75,46 @@ def read_motion(path: Path | str) -> Motion:
         raise FileProblem(path, str(error).rstrip(".")) from error
 
 
-def write_skin(path: Path | str, vertices: Floats, faces: Integers, seen: Mask) -> None:
-    """Write `skin.npz`: the posed skin.
+def write_skin(
+    path: Path | str,
+    vertices: Iterable[Floats],
+    faces: Integers,
+    seen: Iterable[Mask] | None = None,
+    *,
+    frames: int,
+    count: int,
+) -> None:
+    """Write `skin.npz`, the posed skin, frame by frame: a long motion never stands in memory as a whole.
 
     Args:
         path: The file.
-        vertices: (F, V, 3) in the world [m]; written in single precision, which is a micrometre at ten metres.
+        vertices: For each frame (V, 3) in the world [m], NaN without an answer; written in single precision, whose
+            step is a micrometre at ten metres.
         faces: (T, 3).
-        seen: (F, V) measured by some observation.
+        seen: For each frame (V,) what was measured by some observation; nothing when None.
+        frames: F, how many frames come.
+        count: V.
+
+    Raises:
+        ValueError: Another number of frames came.
     """
-    write_arrays(path, {"vertices": np.asarray(vertices, np.float32), "faces": faces, "seen": np.asarray(seen, bool)})
+    unseen = (np.zeros(count, bool) for _ in range(frames))
+    with replacing(path) as beside, zipfile.ZipFile(beside, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        _write_rows(archive, "vertices", vertices, np.dtype("<f4"), (frames, count, 3))
+        _write_rows(archive, "faces", faces, np.dtype("<i8"), (len(faces), 3))
+        _write_rows(archive, "seen", unseen if seen is None else seen, np.dtype(bool), (frames, count))
+
+
+def _write_rows(
+    archive: zipfile.ZipFile, name: str, rows: Iterable[np.ndarray], dtype: np.dtype, shape: tuple[int, ...]
+) -> None:
+    """Write one array of an NPZ row by row."""
+    written = 0
+    with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
+        head = {"descr": np.lib.format.dtype_to_descr(dtype), "fortran_order": False, "shape": shape}
+        np.lib.format.write_array_header_1_0(file, head)
+        for row in rows:
+            file.write(np.ascontiguousarray(np.broadcast_to(row, shape[1:]), dtype=dtype).tobytes())
+            written += 1
+    if written != shape[0]:
+        raise ValueError(f"{name} came with {written} rows instead of {shape[0]}")

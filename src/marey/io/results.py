@@ -1,5 +1,6 @@
 """The one door through which a capture's results leave: every file of design.md that holds motion or body."""
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -27,8 +28,8 @@ def write_results(
     *,
     preset: str,
     mass_kg: float | None = None,
-    skin: Floats | None = None,
-    seen: Mask | None = None,
+    skin: Iterable[Floats] | None = None,
+    seen: Iterable[Mask] | None = None,
 ) -> None:
     """Write all files of a captured motion; each is there whole or not at all.
 
@@ -38,8 +39,9 @@ def write_results(
         body: Of whom, at rest.
         preset: Name of the body's preset.
         mass_kg: The person's mass for the OpenSim model, where it is known.
-        skin: (F, V, 3) the posed skin in the world [m]; `skin.npz` is written with it.
-        seen: (F, V) what of it was measured by some observation.
+        skin: For each frame the posed skin (V, 3) in the world [m], NaN without an answer, an array (F, V, 3) or one by
+            one; `skin.npz` is written with it.
+        seen: For each frame (V,) what of it was measured by some observation.
     """
     folder = Path(folder)
     npz.write_motion(folder / "motion.npz", motion)
@@ -51,7 +53,7 @@ def write_results(
     if motion.answered.any():
         write_bvh(folder / "motion.bvh", body, motion)
     if skin is not None:
-        npz.write_skin(folder / "skin.npz", skin, body.faces, np.zeros(skin.shape[:2], bool) if seen is None else seen)
+        npz.write_skin(folder / "skin.npz", skin, body.faces, seen, frames=len(motion), count=len(body.vertices))
 
 
 def write_motion_tables(folder: Path | str, motion: Motion) -> None:
