@@ -162,3 +162,17 @@ def test_the_shared_takes_open(shared, name):
         assert image.shape == (camera.height, camera.width, 3)
     if name == "seated":
         assert (trial.take.count, trial.take.rate) == (426, 25.0)
+
+
+@pytest.mark.parametrize("name", ["walk", "stealth"])
+def test_true_joints_project_into_the_true_silhouettes(shared, name):
+    folder = shared / "data" / "people" / name
+    trial = read_trial(folder)
+    with np.load(folder / "truth" / "truth.npz") as truth, np.load(folder / "truth" / "masks.npz") as file:
+        joints, shape = truth["joints"], file["shape"]
+        masks = np.unpackbits(file["bits"], count=shape.prod()).reshape(shape)
+    for camera, silhouettes in zip(trial.rig, masks, strict=True):
+        pixels = camera.project(joints)
+        frame, joint = np.nonzero(camera.sees(pixels))
+        x, y = np.rint(pixels[frame, joint]).astype(int).T
+        assert silhouettes[frame, y, x].mean() > 0.99
