@@ -4,7 +4,9 @@ BIN := .venv/bin
 
 .PHONY: test demo lint clean
 
+# A .venv without .ready is what an interrupted set-up left: begin anew.
 .venv/.ready: pyproject.toml constraints.txt
+	test -e $@ || rm -rf .venv
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --upgrade pip
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[test]"
