@@ -91,6 +91,23 @@ def components(people: crowd.People, area: np.ndarray, seen: np.ndarray, numbers
     return skin, modes * taller, joints, joint_modes * taller, share
 
 
+def joint_spread(people: crowd.People, weight: np.ndarray, skin, modes, joints, joint_modes) -> np.ndarray:
+    """How far joint centres lie from those that the skin tells, root mean square by axis (K + 1, S) m.
+
+    Row k: the first k numbers are those that fit each person's skin in least squares, weighted by vertex.
+    """
+    root = np.sqrt(weight)[:, None]
+    flat = (modes * root).reshape(len(modes), -1)
+    normal = flat @ flat.T
+    along = np.stack([flat @ ((person - skin) * root).ravel() for person in people.vertices])
+    rows = []
+    for count in range(len(modes) + 1):
+        numbers = np.linalg.solve(normal[:count, :count], along[:, :count].T).T
+        off = people.joints - joints - np.tensordot(numbers, joint_modes[:count], axes=1)
+        rows.append(np.sqrt(np.mean(off**2, axis=(0, 2))))
+    return np.array(rows)
+
+
 def four_weights(dense: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The four largest weights of each vertex in 255ths that add up to 255, and their segments."""
     segments = np.argsort(-dense, axis=1, kind="stable")[:, :4]
@@ -146,6 +163,7 @@ def learn(people: crowd.People, hidden: np.ndarray, numbers: int) -> dict[str, n
     skin, modes, joints, joint_modes, share = components(people, area, seen, numbers)
     skin, modes = symmetric(skin, mirror), symmetric(modes, mirror)
     joints, joint_modes = symmetric(joints, np.array(swap)), symmetric(joint_modes, np.array(swap))
+    spread = joint_spread(people, np.where(seen, area, 0), skin, modes, joints, joint_modes)
     weights, segments = four_weights(people.weights[order])
     few = int(coarse.max()) + 1
     place = np.full(len(mirror), -1)
@@ -155,6 +173,7 @@ def learn(people: crowd.People, hidden: np.ndarray, numbers: int) -> dict[str, n
         "parents": np.array(crowd.segment_parents(), np.int8),
         "joints_mean": joints.astype(np.float32),
         "joints_modes": joint_modes.astype(np.float32),
+        "joints_sd": np.sqrt((spread**2 + spread[:, swap] ** 2) / 2).astype(np.float32),
         "share": share.astype(np.float32),
         "hinge_axes": hinge_axes(people, mean, people.weights).astype(np.float32),
         "vertex_weights": weights,

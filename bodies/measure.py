@@ -1,14 +1,16 @@
 """How well the family describes people it has not seen, and the people of rendered takes: the tables of docs/body.md.
 
 Development only. People are drawn anew (other seeds than those learned from); errors are of corresponding points, an
-upper bound of the distance between surfaces.
+upper bound of the distance between surfaces. The takes' part needs marey itself: PYTHONPATH=src.
 """
 
 import argparse
+import itertools
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from learn_family import components, hidden_vertices, symmetric, triangulate, vertex_areas
+from learn_family import components, four_weights, hidden_vertices, symmetric, triangulate, vertex_areas
 
 import people as crowd
 
@@ -110,35 +112,65 @@ class Fit:
         return now, at, b
 
 
-def rendered(model, learned: crowd.People, folder: Path, takes: list[str], frames: list[int]) -> None:
-    """Print how far the family's joints lie from the truth when its skin is fitted to the true skin."""
+def beyond(family_like, numbers: int, endings: tuple[str, ...]):
+    """Modes of skin and joints: the family's first ones, and those of `departures` whose names end so."""
+    from marey.body.departures import departure_modes
+
+    more = departure_modes(family_like).keep(*endings).standardised()
+    keep = len(more) if endings else 0
+    skin = np.concatenate([family_like.vertices_modes[:numbers], more.vertices[:keep]])
+    return skin, np.concatenate([family_like.joints_modes[:numbers], more.joints[:keep]])
+
+
+def subsampled(learned: crowd.People, seen: np.ndarray, pick: np.ndarray):
+    """The family on some of anny's own vertices as marey's record; its faces mean nothing."""
+    from marey.body.family import load_family
+
+    skin, modes, joints, joint_modes, _ = components(learned, np.ones(len(seen)), seen, 16)
+    weights, segments = four_weights(learned.weights[pick])
+    return replace(
+        load_family("coarse"),
+        vertices_mean=skin[pick],
+        vertices_modes=modes[:, pick],
+        joints_mean=joints,
+        joints_modes=joint_modes,
+        vertex_segments=segments.astype(np.int64),
+        vertex_weights=weights / 255,
+        faces=np.arange(len(pick) // 3 * 3).reshape(-1, 3),
+    )
+
+
+def rendered(model, learned: crowd.People, folder: Path, takes: list[str], frames: list[int], spaces) -> None:
+    """Print how far the joints lie from the truth when the skin is fitted to the true skin."""
     seen = learned.used & ~hidden_vertices(model)
-    area = np.ones(len(seen))
-    skin, modes, joints, joint_modes, _ = components(learned, area, seen, 16)
     names = list(crowd.SEGMENTS)
-    print("| take, frame | skin | joints | hip | knee | ankle | shoulder | elbow | wrist | neck | head | largest b |")
-    print("|---|---|---|---|---|---|---|---|---|---|---|---|")
+    print(
+        "| take, frame | shape numbers | skin | joints | hip | knee | ankle | shoulder | elbow | wrist | neck | head |"
+        " largest b |"
+    )
+    print("|" + "---|" * 13)
     for take in takes:
         truth = np.load(folder / take / "truth" / "truth.npz")
-        step = int(truth["vertex_step"])
-        every = np.arange(0, len(seen), step)
+        every = np.arange(0, len(seen), int(truth["vertex_step"]))
         use = np.flatnonzero(seen[every])[::2]
-        pick = every[use]
-        for frame in frames:
-            fit = Fit(skin[pick], modes[:, pick], joints, joint_modes, learned.weights[pick])
-            now, at, b = fit.solve(truth["vertices"][frame][use].astype(float))
-            off = np.linalg.norm(now - truth["vertices"][frame][use], axis=1).mean() * 1e3
+        family = subsampled(learned, seen, every[use])
+        given = list(truth["joint_names"])
+        for frame, (numbers, endings) in itertools.product(frames, spaces):
+            modes, joint_modes = beyond(family, numbers, endings)
+            fit = Fit(family.vertices_mean, modes, family.joints_mean, joint_modes, learned.weights[every[use]])
+            skin = truth["vertices"][frame][use].astype(float)
+            now, at, b = fit.solve(skin)
             cells, everything = [], []
-            given = list(truth["joint_names"])
             for joint, segment in [*JOINTS.items(), ("neck", "neck"), ("head", "head")]:
-                pairs = [(joint, segment)] if segment in names else [
-                    (f"{s[0]}_{joint}", f"{s}_{segment}") for s in ("left", "right")]  # fmt: skip
-                away = [np.linalg.norm(at[names.index(k)] - truth["joints"][frame][given.index(j)]) * 1e3
-                        for j, k in pairs]  # fmt: skip
-                everything += away
-                cells.append(f"{np.mean(away):.1f}")
+                pairs = [(f"{s[0]}_{joint}", f"{s}_{segment}") for s in ("left", "right")]
+                pairs = [(joint, segment)] if segment in names else pairs
+                away = [at[names.index(k)] - truth["joints"][frame][given.index(j)] for j, k in pairs]
+                everything += [np.linalg.norm(a) * 1e3 for a in away]
+                cells.append(f"{np.mean(everything[-len(pairs) :]):.1f}")
+            off = np.linalg.norm(now - skin, axis=1).mean() * 1e3
             cells = [f"{off:.1f}", f"{np.mean(everything):.1f}", *cells, f"{np.abs(b).max():.1f}"]
-            print(f"| {take} {frame} | {' | '.join(cells)} |", flush=True)
+            what = " + ".join([str(numbers), *(f"{e[1:]}s" for e in endings)])
+            print(f"| {take} {frame} | {what} | {' | '.join(cells)} |", flush=True)
 
 
 def main() -> None:
@@ -151,7 +183,9 @@ def main() -> None:
     learned = crowd.sample(model, np.random.default_rng(1), 800)
     left_out(model, learned, arguments.count)
     if arguments.takes:
-        rendered(model, learned, arguments.takes, ["walk", "reach", "jacks", "stealth"], [20, 70])
+        rendered(model, learned, arguments.takes, ["walk", "reach", "jacks", "stealth"], [20, 70], [(16, ())])
+        spaces = [(8, ()), (8, ("_length",)), (8, ("_length", "_girth")), (16, ("_length",))]
+        rendered(model, learned, arguments.takes, ["stealth", "reach"], [20], spaces)
 
 
 if __name__ == "__main__":

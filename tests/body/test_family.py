@@ -1,5 +1,7 @@
 """The learned family: linear, symmetric, closed, and the same body at both levels."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -125,3 +127,11 @@ def test_the_segments_stand_in_the_order_of_the_skeleton():
     skeleton = full_skeleton(arm=arm, elbow=np.array([-0.74, -0.05, -0.67]), palm=np.array([-0.7, 0.1, -0.7]))
     assert family.segment_names == skeleton.segment_names
     np.testing.assert_array_equal(family.parents, skeleton.parents)
+
+
+def test_more_numbers_leave_the_joints_less_room():
+    spreads = [load_family("coarse", k).joints_sd for k in (0, 4, 8, 16)]
+    means = [np.mean(spread[1:]) for spread in spreads]
+    assert all(a > b for a, b in itertools.pairwise(means))
+    # docs/body.md: 4 mm of distance with 16 numbers, thus about 2 mm by axis
+    assert 0.001 < means[-1] < 0.004

@@ -36,6 +36,8 @@ class BodyFamily:
         mirror: (V,) the vertex on the other side.
         hinge_axes: (S, 3) unit axis of each knee, elbow, wrist, ankle and toe joint at rest, NaN elsewhere. A positive
             turn bends knee and elbow, turns the hand to its palm, and lifts the foot and the toes.
+        joints_sd: (S,) metres by axis by which joint centres lie from where these numbers put them when the skin is
+            known, among the people learned from; real people are not all of that family, so it is the least.
         share: (K,) part of the family's variance that each number carries.
     """
 
@@ -51,6 +53,7 @@ class BodyFamily:
     vertex_weights: Floats
     mirror: Integers
     hinge_axes: Floats
+    joints_sd: Floats
     share: Floats
 
     @property
@@ -143,6 +146,7 @@ def load_family(level: Level = "fine", numbers: int | None = None) -> BodyFamily
         vertex_weights=frozen(weights),
         mirror=frozen(stored["mirror"][:count], np.int64),
         hinge_axes=frozen(stored["hinge_axes"]),
+        joints_sd=frozen(stored["joints_sd"][keep]),
         share=frozen(stored["share"][:keep]),
     )
 
