@@ -1,0 +1,241 @@
+"""The empty picture of a camera: its mean, its steepness and its noise, and how another picture exposes it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numba
+import numpy as np
+
+from marey.arrays import Mask, frozen
+
+LEAST_NOISE = 1.0
+"""Standard deviation in grey levels below which no recording of eight bits a channel is believed."""
+
+_MEDIAN_TO_DEVIATION = 1 / 0.6745
+_SAMPLES = 5000
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Background:
+    """What a camera sees when nobody is there.
+
+    Args:
+        mean: (H, W, C) grey levels, C of 1 or 3.
+        steepness: (H, W) squared grey levels per pixel: how strongly a small shift changes the pixel.
+        trust: (H, W) probability that the mean is right there, from 0 to 1.
+        size: Rows and columns of the whole picture, where this is a part of it.
+    """
+
+    mean: np.ndarray
+    steepness: np.ndarray
+    trust: np.ndarray
+    size: tuple[int, int]
+
+    def __post_init__(self):
+        for name in ("mean", "steepness", "trust"):
+            object.__setattr__(self, name, frozen(getattr(self, name), np.float32))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Exposure:
+    """How one picture shows the background: picture = gain * mean + offset, with a standard deviation.
+
+    Args:
+        gain: (C,).
+        offset: (C,) grey levels.
+        noise: (C,) standard deviation in grey levels where the background is even.
+        jitter: Standard deviation in pixels of small shifts (a shaken camera, resampling, compression): an edge
+            differs more.
+    """
+
+    gain: np.ndarray
+    offset: np.ndarray
+    noise: np.ndarray
+    jitter: float
+
+    def __post_init__(self):
+        for name in ("gain", "offset", "noise"):
+            object.__setattr__(self, name, frozen(getattr(self, name), np.float32))
+
+
+def part(background: Background, roi: tuple[slice, slice]) -> Background:
+    """Rows and columns of a background."""
+    return Background(
+        mean=background.mean[roi],
+        steepness=background.steepness[roi],
+        trust=background.trust[roi],
+        size=background.size,
+    )
+
+
+def exposed(background: Background, shown: Exposure) -> np.ndarray:
+    """Mean of the background as a picture exposes it, at least one grey level: (H, W, C) float32."""
+    return _exposed(background.mean, shown.gain, shown.offset)
+
+
+@numba.njit(cache=True, nogil=True)
+def _exposed(mean, gain, offset):
+    height, width, channels = mean.shape
+    light = np.empty((height, width, channels), np.float32)
+    for y in range(height):
+        for x in range(width):
+            for c in range(channels):
+                light[y, x, c] = max(gain[c] * mean[y, x, c] + offset[c], np.float32(1.0))
+    return light
+
+
+def grey(image: np.ndarray) -> np.ndarray:
+    """The grey picture (H, W, 1) of a colour picture (H, W, 3) uint8, blue first."""
+    return cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)[..., None]
+
+
+def from_pictures(pictures: Sequence[np.ndarray]) -> Background:
+    """Background from pictures of the empty room: the median of each pixel.
+
+    Args:
+        pictures: (H, W, C) uint8 each, all of one size, as exposed alike; some two dozen of a clip are enough.
+
+    Raises:
+        ValueError: No picture, or sizes that differ.
+    """
+    _check(pictures)
+    mean = pictures[0].astype(np.float32) if len(pictures) == 1 else np.median(np.stack(pictures), axis=0)
+    return _background(mean)
+
+
+def from_take(pictures: Sequence[np.ndarray], *, tolerance: float = 6.0) -> Background:
+    """Background from the take itself, where each pixel is empty at some time: the most frequent colour of each pixel.
+
+    A pixel that a person covers in most of the pictures without moving shows the person here.
+
+    Args:
+        pictures: (H, W, C) uint8 each, all of one size, spread over the take; some two or three dozen.
+        tolerance: Colours that differ by less in every channel are the same, grey levels.
+
+    Raises:
+        ValueError: No picture, or sizes that differ.
+    """
+    _check(pictures)
+    mean, share = _most_frequent(np.stack(pictures), np.float32(tolerance))
+    return _background(mean, trust=share)
+
+
+def _check(pictures: Sequence[np.ndarray]) -> None:
+    if len(pictures) == 0:
+        raise ValueError("a background needs at least one picture")
+    if any(picture.ndim != 3 or picture.shape != pictures[0].shape for picture in pictures):
+        raise ValueError("the pictures of a background must be (H, W, C) and of one size")
+
+
+def _background(mean: np.ndarray, trust: np.ndarray | None = None) -> Background:
+    mean = mean.astype(np.float32)
+    smooth = cv2.GaussianBlur(mean, (0, 0), 0.7).reshape(mean.shape)
+    across = cv2.Scharr(smooth, cv2.CV_32F, 1, 0).reshape(mean.shape) / 32
+    down = cv2.Scharr(smooth, cv2.CV_32F, 0, 1).reshape(mean.shape) / 32
+    steepness = np.mean(across**2 + down**2, axis=2)
+    trust = np.ones(mean.shape[:2]) if trust is None else trust
+    return Background(mean=mean, steepness=steepness, trust=trust, size=mean.shape[:2])
+
+
+@numba.njit(cache=True, nogil=True)
+def _most_frequent(pictures, tolerance):
+    """Mean of the largest group of like colours at each pixel, and the group's share."""
+    count, height, width, channels = pictures.shape
+    mean = np.empty((height, width, channels), np.float32)
+    share = np.empty((height, width), np.float32)
+    for y in range(height):
+        for x in range(width):
+            best, most = 0, 0
+            for i in range(count):
+                alike = 0
+                for j in range(count):
+                    alike += _alike(pictures[i, y, x], pictures[j, y, x], tolerance)
+                if alike > most:
+                    best, most = i, alike
+            for c in range(channels):
+                total = 0.0
+                for j in range(count):
+                    if _alike(pictures[best, y, x], pictures[j, y, x], tolerance):
+                        total += pictures[j, y, x, c]
+                mean[y, x, c] = total / most
+            share[y, x] = most / count
+    return mean, share
+
+
+@numba.njit(cache=True, nogil=True)
+def _alike(one, other, tolerance):
+    for c in range(one.size):  # noqa: SIM110
+        if abs(np.float32(one[c]) - np.float32(other[c])) > tolerance:
+            return False
+    return True
+
+
+def exposure(
+    image: np.ndarray, background: Background, *, person: Mask | None = None, before: Exposure | None = None
+) -> Exposure:
+    """How a picture exposes the background, robust to what stands before it.
+
+    Gain and offset of each channel are fitted to a sample of the pixels by reweighted least squares (Cauchy's
+    weights); the noise is the spread of what remains where the background is even, the jitter what steep places have
+    beyond that.
+
+    Args:
+        image: (H, W, C) uint8, of the background's size.
+        background: The empty picture.
+        person: (H, W) where the person is believed, left out.
+        before: The exposure of an earlier picture of the camera; its noise and jitter are kept.
+
+    Raises:
+        ValueError: The picture is not of the background's size.
+    """
+    if image.shape != background.mean.shape:
+        raise ValueError(f"a picture of {image.shape} and a background of {background.mean.shape}")
+    samples = _SAMPLES if before is None else _SAMPLES // 3
+    step = max(1, int(np.sqrt(image.shape[0] * image.shape[1] / samples)))
+    grid = (slice(step // 2, None, step), slice(step // 2, None, step))
+    keep = background.trust[grid] > 0.5
+    if person is not None:
+        keep &= ~person[grid]
+    if keep.sum() < 20:
+        keep = np.ones_like(keep)
+    seen = image[grid][keep].astype(np.float32)
+    mean, steepness = background.mean[grid][keep], background.steepness[grid][keep]
+    if before is not None:
+        gain, offset = _gain_and_offset(seen, mean, before.gain, before.offset, rounds=2)
+        return Exposure(gain=gain, offset=offset, noise=before.noise, jitter=before.jitter)
+    gain, offset = _gain_and_offset(seen, mean, np.ones(mean.shape[1]), np.median(seen - mean, axis=0), rounds=8)
+    noise, jitter = _noise(seen - gain * mean - offset, steepness)
+    return Exposure(gain=gain, offset=offset, noise=noise, jitter=jitter)
+
+
+def _gain_and_offset(
+    seen: np.ndarray, mean: np.ndarray, gain: np.ndarray, offset: np.ndarray, *, rounds: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Fit seen = gain * mean + offset a channel, (n, C) each; where the mean hardly varies the gain stays near one."""
+    for _ in range(rounds):
+        rest = seen - gain * mean - offset
+        spread = np.maximum(np.median(np.abs(rest), axis=0) * _MEDIAN_TO_DEVIATION, LEAST_NOISE)
+        weight = 1 / (1 + np.sum((rest / (2 * spread)) ** 2, axis=1, keepdims=True))
+        total = weight.sum(axis=0)
+        centre, middle = (weight * mean).sum(axis=0) / total, (weight * seen).sum(axis=0) / total
+        # One measurement more: the gain is one, give or take a fifth.
+        prior = spread**2 / 0.2**2
+        above = (weight * (mean - centre) * (seen - middle)).sum(axis=0) + prior
+        gain = above / ((weight * (mean - centre) ** 2).sum(axis=0) + prior)
+        offset = middle - gain * centre
+    return gain, offset
+
+
+def _noise(rest: np.ndarray, steepness: np.ndarray) -> tuple[np.ndarray, float]:
+    # What stands before the background is no noise: twice, what is far out is left out.
+    for _ in range(2):
+        spread = np.maximum(np.median(np.abs(rest), axis=0) * _MEDIAN_TO_DEVIATION, LEAST_NOISE)
+        near = (np.abs(rest) < 4 * spread).all(axis=1)
+        rest, steepness = rest[near], steepness[near]
+    even = steepness <= np.median(steepness)
+    steep = steepness >= np.quantile(steepness, 0.9)
+    noise = np.maximum(np.median(np.abs(rest[even]), axis=0) * _MEDIAN_TO_DEVIATION, LEAST_NOISE)
+    at_edges = np.mean((np.median(np.abs(rest[steep]), axis=0) * _MEDIAN_TO_DEVIATION) ** 2 - noise**2)
+    jitter = np.sqrt(max(float(at_edges), 0.0) / max(float(np.median(steepness[steep])), 1e-6))
+    return noise, float(np.clip(jitter, 0.05, 1.0))

@@ -1,0 +1,163 @@
+"""Silhouettes: two regions of a picture, the person and the rest, found from coarse to fine."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from marey.arrays import Mask
+from marey.images.background import Background, Exposure, exposed, exposure, part
+from marey.images.densities import Appearance, blended, colour_density, shadow_density, unknown
+from marey.images.edges import edge_evidence
+from marey.images.evidence import evidence
+from marey.images.level_sets import evolve
+
+LENGTH = 4.0
+"""Weight of the border's length: so much evidence (a log-ratio) a single pixel needs against all its neighbours."""
+
+EDGE_LENGTH = 2.0
+"""The same for the last step, which only finds the border's place between known sides."""
+
+COARSER = 2
+"""The coarsest pictures have a quarter of the width and height."""
+
+ROUNDS = 4
+"""Densities and regions are estimated in turn so often where nothing is known of the person's colours."""
+
+LEARNING = 0.2
+"""Share of a new picture in the densities that are handed on."""
+
+SURE = 3.0
+"""Only pixels with this evidence for the person teach what the person looks like."""
+
+LEAST_SHARE = 0.0015
+"""A region smaller than this share of the picture is nobody."""
+
+FRAGMENT_SHARE = 0.02
+"""A region apart from the largest belongs to the person when it has at least this share of its pixels."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Silhouette:
+    """The person in one picture, and what the next picture of the camera starts from.
+
+    Args:
+        mask: (H, W) true where the person is; nowhere where nobody is there.
+        appearance: Densities of the colours in both regions.
+        exposure: How this picture exposes the background.
+    """
+
+    mask: Mask
+    appearance: Appearance
+    exposure: Exposure
+
+
+def segment(
+    image: np.ndarray,
+    background: Background,
+    *,
+    start: Mask | None = None,
+    before: Silhouette | None = None,
+    prior: np.ndarray | None = None,
+    length: float = LENGTH,
+) -> Silhouette:
+    """Find the person in a picture by level sets, [Rosenhahn2006] eq. (1)-(2).
+
+    The energy is that of the paper: minus the log of both regions' densities, plus the border's length. The densities
+    are smoothed histograms of colour, estimated in turn with the regions; unlike the paper, the density outside is
+    that of the background's model at the pixel (see `evidence`), and a pixel on the border compares with the colours
+    on both sides of it (see `edge_evidence`). Without a start the background's evidence alone decides.
+
+    Args:
+        image: (H, W, C) uint8, blue first, or (H, W, 1) with a grey background.
+        background: The empty picture.
+        start: (H, W) where the person is expected, some pixels off: its neighbourhood alone is searched.
+        before: Result of an earlier picture of this camera; its densities are used and carried on.
+        prior: (H, W) what is known beforehand, added to the evidence: the place of the shape term, eq. (3)-(4), whose
+            pull at a pixel is a weight times the expected surface's signed distance (inside positive).
+        length: Weight of the border's length.
+
+    Raises:
+        ValueError: The picture, the start or the prior is not of the background's size.
+    """
+    for name, given in (("start", start), ("prior", prior)):
+        if given is not None and given.shape != image.shape[:2]:
+            raise ValueError(f"the {name} is {given.shape}, the picture {image.shape[:2]}")
+    shown = exposure(image, background, person=start, before=None if before is None else before.exposure)
+    look = unknown(image.shape[2]) if before is None else before.appearance
+    roi = _neighbourhood(start, image.shape[:2])
+    begin = None if start is None or not start.any() else start[roi]
+    picture, behind = np.ascontiguousarray(image[roi]), part(background, roi)
+    light = exposed(behind, shown)
+    least = LEAST_SHARE * image.shape[0] * image.shape[1]
+    known = np.float32(0) if prior is None else prior[roi].astype(np.float32)
+    for k in range(ROUNDS + 1 if before is None else 1):
+        votes, shade = evidence(picture, light, behind, shown, look)
+        region = begin = _fragments(_coarse_to_fine(votes + known, begin, length), least)
+        new = _learned(picture, region, votes, shade)
+        if before is None and k < ROUNDS:
+            look = new
+    if region.any():
+        edges = edge_evidence(picture, light, shown.noise, votes, region)
+        region = evolve(edges + known, region, length=EDGE_LENGTH)
+    mask = np.zeros(image.shape[:2], bool)
+    mask[roi] = region
+    return Silhouette(mask=mask, appearance=blended(look, new, LEARNING), exposure=shown)
+
+
+def _neighbourhood(start: Mask | None, shape: tuple[int, ...]) -> tuple[slice, slice]:
+    """Rows and columns about the start; the whole picture without one."""
+    if start is None or not start.any():
+        return slice(0, shape[0]), slice(0, shape[1])
+    rows, columns = np.flatnonzero(start.any(axis=1)), np.flatnonzero(start.any(axis=0))
+    margin = max(8, shape[0] // 16)
+    return (
+        slice(max(0, rows[0] - margin), min(shape[0], rows[-1] + margin + 1)),
+        slice(max(0, columns[0] - margin), min(shape[1], columns[-1] + margin + 1)),
+    )
+
+
+def _coarse_to_fine(votes: np.ndarray, start: Mask | None, length: float) -> Mask:
+    """Evolve the region in ever finer pictures; strong evidence about a pixel counts more than the start.
+
+    A coarse pixel's evidence is the mean of those it holds and its sides are longer: the length weighs less by its
+    size.
+    """
+    pyramid = [votes]
+    for _ in range(COARSER):
+        height, width = pyramid[-1].shape
+        pyramid.append(cv2.resize(pyramid[-1], ((width + 1) // 2, (height + 1) // 2), interpolation=cv2.INTER_AREA))
+    region = np.zeros_like(votes, bool) if start is None else start
+    for level in range(COARSER, -1, -1):
+        height, width = pyramid[level].shape
+        blurred = cv2.GaussianBlur(pyramid[level], (0, 0), 1.0)
+        weight = length / 2**level
+        if start is None and level == COARSER:
+            region = blurred > 0
+        else:
+            scaled = cv2.resize(region.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST) > 0
+            region = (scaled & (blurred > -weight)) | (blurred > weight)
+        region = evolve(pyramid[level], region, length=weight)
+    return region
+
+
+def _fragments(region: Mask, least: float) -> Mask:
+    """The largest connected region and those not too small beside it; nothing where the largest is below least."""
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(region.astype(np.uint8), connectivity=8)
+    if count <= 1:
+        return region
+    areas = stats[1:, cv2.CC_STAT_AREA]
+    if areas.max() < least:
+        return np.zeros_like(region)
+    if count == 2:
+        return region
+    return np.concatenate([[False], areas >= FRAGMENT_SHARE * areas.max()])[labels]
+
+
+def _learned(picture: np.ndarray, region: Mask, votes: np.ndarray, shade: np.ndarray) -> Appearance:
+    dark = shade[(shade > 0) & ~region]
+    return Appearance(
+        person=colour_density(picture, region & (votes > SURE)),
+        surroundings=colour_density(picture, ~region),
+        shadow=shadow_density(dark[dark < 0.97]),
+    )
