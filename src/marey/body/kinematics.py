@@ -50,6 +50,34 @@ def pose_segments(parents, coordinate_segment, axes, joints, root_rotation, root
 
 
 @numba.njit(cache=True, nogil=True)
+def turned(rotation, turn):
+    """Turn a rotation (3, 3) by a vector (3,) about the world's axes: exp(turn) rotation, kept orthonormal."""
+    angle = np.sqrt(turn[0] ** 2 + turn[1] ** 2 + turn[2] ** 2)
+    if angle == 0.0:
+        return rotation.copy()
+    first = np.empty((3, 3))
+    turn_about(turn / angle, angle, first)
+    product = np.empty((3, 3))
+    for a in range(3):
+        for b in range(3):
+            product[a, b] = (
+                first[a, 0] * rotation[0, b] + first[a, 1] * rotation[1, b] + first[a, 2] * rotation[2, b]
+            )
+    # One step towards the nearest rotation, R (3 - R'R) / 2, takes out what rounding added.
+    nearest = np.empty((3, 3))
+    for a in range(3):
+        for b in range(3):
+            t = 1.5 * product[a, b]
+            for c in range(3):
+                inner = 0.0
+                for d in range(3):
+                    inner += product[d, c] * product[d, b]
+                t -= 0.5 * product[a, c] * inner
+            nearest[a, b] = t
+    return nearest
+
+
+@numba.njit(cache=True, nogil=True)
 def blend_skin(vertices, vertex_segments, vertex_weights, joints, rotation, origin):
     """Carry the rest vertices (V, 3) along with their segments by blended weights: (V, 3) in the world."""
     count = vertices.shape[0]

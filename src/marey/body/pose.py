@@ -32,8 +32,8 @@ class Pose:
 
     def step(self, change: Floats) -> "Pose":
         """Move by a change (D,): translation [m], turn about the world's axes [rad], joint angles [rad]."""
-        turned = rotations.exp(change[3:6]) @ self.rotation
-        return Pose(self.translation + change[:3], rotations.nearest(turned), self.angles + change[6:])
+        turned = kinematics.turned(self.rotation, np.ascontiguousarray(change[3:6], float))
+        return Pose(self.translation + change[:3], turned, self.angles + change[6:])
 
     def change_to(self, other: "Pose") -> Floats:
         """Give the change (D,) with self.step(change) = other."""

@@ -67,49 +67,58 @@ def add_moments(rows, offsets, weight, segment, part, slot, used, products, line
     """Add observations to the moments; give the number of pairs in use and the sum of w b'b."""
     constant = 0.0
     q = np.empty(6)
-    u = np.empty(3)
     for i in range(rows.shape[0]):
         w = weight[i]
         if w <= 0.0:
             continue
-        q[:] = 0.0
-        u[:] = 0.0
+        q0 = q1 = q2 = q3 = q4 = q5 = u0 = u1 = u2 = 0.0
         for r in range(rows.shape[1]):
             x, y, z, b = rows[i, r, 0], rows[i, r, 1], rows[i, r, 2], offsets[i, r]
-            q[0] += w * x * x
-            q[1] += w * x * y
-            q[2] += w * x * z
-            q[3] += w * y * y
-            q[4] += w * y * z
-            q[5] += w * z * z
-            u[0] += w * x * b
-            u[1] += w * y * b
-            u[2] += w * z * b
+            wx, wy, wz = w * x, w * y, w * z
+            q0 += wx * x
+            q1 += wx * y
+            q2 += wx * z
+            q3 += wy * y
+            q4 += wy * z
+            q5 += wz * z
+            u0 += wx * b
+            u1 += wy * b
+            u2 += wz * b
             constant += w * b * b
+        q[0], q[1], q[2], q[3], q[4], q[5] = q0, q1, q2, q3, q4, q5
         for n in range(segment.shape[1]):
             k = segment[i, n]
             if k < 0:
                 break
-            for a in range(3):
-                for c in range(4):
-                    linear[k, a, c] += u[a] * part[i, n, c]
+            for c in range(4):
+                y = part[i, n, c]
+                linear[k, 0, c] += u0 * y
+                linear[k, 1, c] += u1 * y
+                linear[k, 2, c] += u2 * y
             for m in range(segment.shape[1]):
                 j = segment[i, m]
                 if j < 0:
                     break
                 if j < k:
                     continue
-                s = slot[k, j]
-                if s < 0:
-                    s = used
-                    slot[k, j] = s
+                if slot[k, j] < 0:
+                    slot[k, j] = used
                     used += 1
-                for ab in range(6):
-                    for c in range(4):
-                        t = q[ab] * part[i, n, c]
-                        for d in range(4):
-                            products[s, ab, c, d] += t * part[i, m, d]
+                _add_product(q, part[i, n], part[i, m], products[slot[k, j]])
     return used, constant
+
+
+@numba.njit(cache=True, nogil=True, fastmath=True)
+def _add_product(q, first, second, product):
+    """Add q[ab] first second' to a pair's products (6, 4, 4); written out so that the compiler makes vectors of it."""
+    y0, y1, y2, y3 = second[0], second[1], second[2], second[3]
+    for ab in range(6):
+        for c in range(4):
+            t = q[ab] * first[c]
+            product[ab, c, 0] += t * y0
+            product[ab, c, 1] += t * y1
+            product[ab, c, 2] += t * y2
+            product[ab, c, 3] += t * y3
 
 
 def normal_equations(posed: PosedBody, moments: Moments) -> tuple[Floats, Floats, float]:
