@@ -121,3 +121,21 @@ def test_view_prints_where_the_report_is(tmp_path, capsys):
     (tmp_path / "marey" / "report.html").write_text("<html>")
     assert run(["view", str(tmp_path), "--no-browser"]) == 0
     assert capsys.readouterr().out.strip() == str((tmp_path / "marey" / "report.html").resolve())
+
+
+def test_the_demo_captures_the_example_of_the_clone_in_its_own_folder(capture, capsys):
+    assert run(["demo", "--quiet"]) == 0
+    folder, settings = capture.calls[0]
+    assert (folder / "cam04.mp4").is_file()
+    assert settings.out is None
+
+
+def test_the_demo_of_an_installed_program_leaves_its_results_where_it_was_called(capture, tmp_path, monkeypatch):
+    example = tmp_path / "share" / "marey" / "examples" / "reach"
+    example.mkdir(parents=True)
+    (example / "cameras.toml").touch()
+    monkeypatch.setattr(marey, "__file__", str(tmp_path / "lib" / "site" / "marey" / "__init__.py"))
+    monkeypatch.setattr(sys, "prefix", str(tmp_path))
+    assert run(["demo"]) == 0
+    assert capture.calls[0][0] == example
+    assert capture.calls[0][1].out == Path("marey-demo")

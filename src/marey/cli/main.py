@@ -104,7 +104,11 @@ def capture(
 @app.command()
 def demo(out: Out = None, quiet: Quiet = False) -> None:
     """Capture the take that comes with the program, and say where its report is."""
-    _capture(example_folder(), CaptureSettings(out=out), quiet=quiet)
+    example = example_folder()
+    if out is None and Path(sys.prefix) in example.parents:
+        # Results do not belong into the folder of an installed program.
+        out = Path("marey-demo")
+    _capture(example, CaptureSettings(out=out), quiet=quiet)
 
 
 @app.command()
