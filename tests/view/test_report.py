@@ -70,7 +70,7 @@ def test_the_replays_own_blending_gives_the_posed_skin(content, rng):
 
 def test_sizes_problems_and_settings_are_there_as_text(content):
     text = report_html(content)
-    assert "173.0 to 177.0" in text
+    assert "± 2.0" in text
     assert "unknown" in text
     assert "The person was lost here" in text
     assert "<th>frames</th><td>1, 2</td>" in text

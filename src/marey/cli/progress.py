@@ -94,7 +94,7 @@ class Progress:
             nonlocal count, last
             count += 1
             now = time.perf_counter()
-            if total and now - last >= SECONDS_BETWEEN_LINES:
+            if total and count < total and now - last >= SECONDS_BETWEEN_LINES:
                 last = now
                 left = (now - started) / max(count - done, 1) * (total - count)
                 self.say(f"{name}: {count} of {total}, about {readable_seconds(left)} left")

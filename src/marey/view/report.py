@@ -87,6 +87,7 @@ def report_html(content: ReportContent) -> str:
         settings=[(readable(k), _text(v)) for k, v in content.settings.items() if v is not None],
         stills=[(still.caption, _jpeg(still.image)) for still in content.stills],
         timings=_shares(content.timings),
+        sizes=_sizes(content.sizes),
         joints=[readable(name) for name in content.motion.joint_names],
     )
 
@@ -115,6 +116,16 @@ def _tiles(content: ReportContent) -> list[tuple[str, str, str]]:
 def _median_sd_mm(motion: Motion) -> float | None:
     values = motion.joint_centres_sd[np.isfinite(motion.joint_centres_sd)]
     return float(np.median(values)) * 1e3 if values.size else None
+
+
+def _sizes(sizes: Sequence[Size]) -> list[tuple[str, tuple[Size | None, Size | None]]]:
+    """Put left and right of a size into one row: its name, the left or only one, and the right one."""
+    rows: dict[str, list[Size | None]] = {}
+    for size in sizes:
+        side, _, rest = size.name.partition(" ")
+        name = rest if side in ("left", "right") else size.name
+        rows.setdefault(name, [None, None])[int(side == "right")] = size
+    return [(name, (left, right)) for name, (left, right) in rows.items()]
 
 
 def _shares(timings: Mapping[str, float]) -> list[tuple[str, float, float]]:
