@@ -12,6 +12,9 @@ from marey.arrays import Mask, frozen
 LEAST_NOISE = 1.0
 """Standard deviation in grey levels below which no recording of eight bits a channel is believed."""
 
+BLACK = 24
+"""A bar is darker than this, grey levels."""
+
 _MEDIAN_TO_DEVIATION = 1 / 0.6745
 _SAMPLES = 5000
 
@@ -207,6 +210,31 @@ def exposure(
     gain, offset = _gain_and_offset(seen, mean, np.ones(mean.shape[1]), np.median(seen - mean, axis=0), rounds=8)
     noise, jitter = _noise(seen - gain * mean - offset, steepness)
     return Exposure(gain=gain, offset=offset, noise=noise, jitter=jitter)
+
+
+def shown_lines(image: np.ndarray, background: Background, exposure: Exposure) -> tuple[slice, slice]:
+    """Rows and columns without the black bars that lie along the borders of the picture or of the background alone.
+
+    A bar begins with a black line, and its lines differ from the other picture nearly from end to end.
+    """
+    limits = []
+    for axis in (0, 1):
+        count = image.shape[axis]
+        first = _bar(image, background, exposure, axis, range(count // 8))
+        last = _bar(image, background, exposure, axis, range(count - 1, count - 1 - count // 8, -1))
+        limits.append(slice(first, count - last))
+    return limits[0], limits[1]
+
+
+def _bar(image: np.ndarray, background: Background, exposure: Exposure, axis: int, lines: range) -> int:
+    """How many lines of a bar there are among these, which begin at a border."""
+    for width, line in enumerate(lines):
+        seen, mean = np.take(image, line, axis).astype(np.float32), np.take(background.mean, line, axis)
+        blackest = min(np.median(seen.max(axis=1)), np.median(mean.max(axis=1)))
+        rest = np.abs(seen - mean * exposure.gain - exposure.offset) / exposure.noise
+        if (width == 0 and blackest > BLACK) or np.mean(rest.max(axis=1) > 4) < 0.9:
+            return width
+    return len(lines)
 
 
 def _gain_and_offset(

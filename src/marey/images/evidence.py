@@ -6,6 +6,7 @@ import cv2
 import numba
 import numpy as np
 
+from marey.arrays import Mask
 from marey.images.background import Background, Exposure
 from marey.images.densities import COMMON, RATIO_BINS, RATIO_RANGE, Appearance
 
@@ -15,11 +16,12 @@ FREEDOM = 5.0
 SHADE_SLACK = 0.03
 """Within a few pixels the darkening of a shadow changes by this share."""
 
-VEIL = 5.0
+VEIL_SLACK = 0.3
+VEIL = 8.0
 """Reflections on floors and light thrown by the person change the background by about so many grey levels."""
 
 SHADOW_SHARE = 0.2
-VEIL_SHARE = 0.1
+VEIL_SHARE = 0.3
 UNKNOWN_SHARE = 0.25
 """Shares of shadowed and veiled pixels in the rest, and of colours in the person that were not seen on it before."""
 
@@ -27,7 +29,13 @@ LIMIT = 10.0
 
 
 def evidence(
-    picture: np.ndarray, light: np.ndarray, background: Background, exposure: Exposure, appearance: Appearance
+    picture: np.ndarray,
+    light: np.ndarray,
+    background: Background,
+    exposure: Exposure,
+    appearance: Appearance,
+    *,
+    near: Mask | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Log-ratio of the densities of the person and of everything else, for each pixel.
 
@@ -44,16 +52,19 @@ def evidence(
         background: The empty picture, of the same size.
         exposure: How the picture exposes it.
         appearance: Colours of the person and of the surroundings, strengths of the shadows.
+        near: (H, W) pixels that can belong to the person; the others have -LIMIT.
 
     Returns:
         (H, W) float32 evidence, positive for the person, at most LIMIT in size; (H, W) float32 the darkening where
         shadow explains the pixel better than plain background, elsewhere 0.
     """
     channels = picture.shape[2]
+    near = np.ones(picture.shape[:2], bool) if near is None else near
     # As large as a hand, wherever the camera stands: large enough to see the background's texture in it.
     reach = max(2, round(float(np.sqrt(background.size[0] * background.size[1])) / 80))
     window = (2 * reach + 1, 2 * reach + 1)
-    product, square = _products(picture, light)
+    product, square, change = _products(picture, light)
+    change = cv2.blur(change, window, borderType=cv2.BORDER_REPLICATE).reshape(picture.shape)
     shade = cv2.blur(product, window, borderType=cv2.BORDER_REPLICATE)
     shade /= cv2.blur(square, window, borderType=cv2.BORDER_REPLICATE)
     peak = lgamma((FREEDOM + channels) / 2) - lgamma(FREEDOM / 2) - channels / 2 * log(FREEDOM * pi)
@@ -62,7 +73,7 @@ def evidence(
     uniform = UNKNOWN_SHARE * COMMON[channels] * 256.0**-channels
     person = ((1 - UNKNOWN_SHARE) * appearance.person + uniform).ravel().astype(np.float32)
     return _evidence(
-        picture, light, background.steepness, background.trust, shade, reach, exposure.noise**2,
+        picture, near, light, background.steepness, background.trust, shade, change, reach, exposure.noise**2,
         np.float32(exposure.jitter**2), person, appearance.surroundings.ravel(), appearance.shadow,
         veil.astype(np.float32), np.float32(np.exp(peak)),
     )  # fmt: skip
@@ -70,74 +81,112 @@ def evidence(
 
 @numba.njit(cache=True, nogil=True)
 def _products(picture, light):
-    """Sums over the channels of picture times light and of light squared."""
+    """Sums over the channels of picture times light and of light squared; picture less light."""
     height, width, channels = picture.shape
     product, square = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
+    change = np.empty((height, width, channels), np.float32)
     for y in range(height):
         for x in range(width):
             above, below = np.float32(0.0), np.float32(0.0)
             for c in range(channels):
-                above += light[y, x, c] * np.float32(picture[y, x, c])
-                below += light[y, x, c] * light[y, x, c]
+                level, rest = np.float32(picture[y, x, c]), light[y, x, c]
+                above += rest * level
+                below += rest * rest
+                change[y, x, c] = level - rest
             product[y, x], square[y, x] = above, below
-    return product, square
+    return product, square, change
 
 
 @numba.njit(cache=True, nogil=True)
 def _nearest_shade(shade, own, y, x, reach):
     """Of five windows about a pixel the darkening nearest to its own: a border does not spoil them all."""
     height, width = shade.shape
-    best = shade[y, x]
+    best, best_row, best_column = shade[y, x], y, x
     for dy, dx in ((-reach, 0), (reach, 0), (0, -reach), (0, reach)):
         row, column = min(max(y + dy, 0), height - 1), min(max(x + dx, 0), width - 1)
         if abs(shade[row, column] - own) < abs(best - own):
-            best = shade[row, column]
-    return best
+            best, best_row, best_column = shade[row, column], row, column
+    return best, best_row, best_column
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _evidence(picture, light, steepness, trust, shade, reach, noise, jitter, person, around, shadow, veil, peak):
+def _tail(misfit, channels):
+    """(1 + m^2 / nu) to the power of (nu + C) / 2: 4 for colours, 3 for grey values; and no call of pow."""
+    base = np.float32(1.0) + misfit * np.float32(1 / FREEDOM)
+    return base * base * base * (base if channels == 3 else np.float32(1.0))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _plain(seen, light, variance):
+    """Squared distance from the background in standard deviations, and the product of the variances."""
+    misfit, volume = np.float32(0.0), np.float32(1.0)
+    for c in range(seen.size):
+        difference = np.float32(seen[c]) - light[c]
+        misfit += difference * difference / variance[c]
+        volume *= variance[c]
+    return misfit, volume
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _shadowed(seen, light, variance, ratio, square, shadow):
+    """Density of a shadow that leaves this share of the light, less the t density's peak."""
+    low, high = np.float32(RATIO_RANGE[0]), np.float32(RATIO_RANGE[1])
+    if not low < ratio < high:
+        return np.float32(0.0)
+    misfit, volume, widths = np.float32(0.0), np.float32(1.0), np.float32(0.0)
+    for c in range(seen.size):
+        difference = np.float32(seen[c]) - ratio * light[c]
+        width = variance[c] + np.float32(SHADE_SLACK**2 / seen.size) * square
+        misfit += difference * difference / width
+        volume *= width
+        widths += width
+    # The t density takes the darkening for known; to within the noise it has 2.5 sd of its density.
+    known = shadow[int((ratio - low) * np.float32(RATIO_BINS / (high - low)))] * np.sqrt(widths / (seen.size * square))
+    return np.float32(2.5 * SHADOW_SHARE) * known / (np.sqrt(volume) * _tail(misfit, seen.size))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _veiled(seen, light, variance, change, veil):
+    """Density of a veil that changes the pixels around by this much."""
+    misfit, strength = np.float32(0.0), np.float32(0.0)
+    for c in range(seen.size):
+        difference = np.float32(seen[c]) - light[c]
+        rest = difference - change[c]
+        misfit += rest * rest / (variance[c] + np.float32(VEIL_SLACK**2) * difference * difference)
+        strength += change[c] * change[c]
+    return veil[int(np.sqrt(strength))] / _tail(misfit, seen.size)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _evidence(
+    picture, near, light, steepness, trust, shade, change, reach, noise, jitter, person, around, shadow, veil, peak
+):
     height, width, channels = picture.shape
     result, darkening = np.empty((height, width), np.float32), np.zeros((height, width), np.float32)
-    low, high = np.float32(RATIO_RANGE[0]), np.float32(RATIO_RANGE[1])
-    to_bin, limit = np.float32(RATIO_BINS / (high - low)), np.float32(LIMIT)
-    slack, per_freedom = np.float32(SHADE_SLACK**2 / channels), np.float32(1 / FREEDOM)
-    one, share = np.float32(1.0), np.float32(SHADOW_SHARE * 2.5)
+    limit, one = np.float32(LIMIT), np.float32(1.0)
+    variance = np.empty(channels, np.float32)
     for y in range(height):
         for x in range(width):
-            index, above, below = 0, np.float32(0.0), np.float32(0.0)
+            if not near[y, x]:
+                result[y, x] = -limit
+                continue
+            seen, behind, index = picture[y, x], light[y, x], 0
             for c in range(channels):
-                level, rest = np.float32(picture[y, x, c]), light[y, x, c]
-                index = (index << 5) + (picture[y, x, c] >> 3) if channels == 3 else picture[y, x, c]
-                above += level * rest
-                below += rest * rest
-            ratio = _nearest_shade(shade, above / below, y, x, reach)
-            plain, shaded, change = np.float32(0.0), np.float32(0.0), np.float32(0.0)
-            plain_volume, shaded_volume, width_sum = one, one, np.float32(0.0)
-            for c in range(channels):
-                level, rest = np.float32(picture[y, x, c]), light[y, x, c]
-                variance = noise[c] + jitter * steepness[y, x]
-                difference, other = level - rest, level - ratio * rest
-                change += difference * difference
-                plain += difference * difference / variance
-                plain_volume *= variance
-                variance += slack * below
-                shaded += other * other / variance
-                shaded_volume *= variance
-                width_sum += variance
-            # (1 + m^2 / nu) to the power of (nu + C) / 2, 4 for colours and 3 for grey values.
-            tail, dark_tail = one + plain * per_freedom, one + shaded * per_freedom
-            tail *= tail * tail * (tail if channels == 3 else one)
-            dark_tail *= dark_tail * dark_tail * (dark_tail if channels == 3 else one)
-            density = peak / (np.sqrt(plain_volume) * tail)
-            if low < ratio < high:
-                # The t density takes the darkening for known; to within the noise it has 2.5 sd of its density.
-                known = share * shadow[int((ratio - low) * to_bin)] * np.sqrt(width_sum / (channels * below))
-                shadowed = known * peak / (np.sqrt(shaded_volume) * dark_tail)
-                if shadowed > density:
+                index = (index << 5) + (seen[c] >> 3) if channels == 3 else seen[c]
+                variance[c] = noise[c] + jitter * steepness[y, x]
+            misfit, volume = _plain(seen, behind, variance)
+            density = peak / (np.sqrt(volume) * _tail(misfit, channels))
+            # Where the plain background explains the pixel well the others add nothing.
+            if misfit > 2 * channels:
+                above, below = np.float32(0.0), np.float32(0.0)
+                for c in range(channels):
+                    above += np.float32(seen[c]) * behind[c]
+                    below += behind[c] * behind[c]
+                ratio, row, column = _nearest_shade(shade, above / below, y, x, reach)
+                dark = peak * _shadowed(seen, behind, variance, ratio, below, shadow)
+                if dark > density:
                     darkening[y, x] = ratio
-                density += shadowed
-            density += veil[int(np.sqrt(change))]
+                density += dark + _veiled(seen, behind, variance, change[row, column], veil)
             density = trust[y, x] * density + (one - trust[y, x]) * around[index]
             result[y, x] = min(max(np.log(person[index] / density), -limit), limit)
     return result, darkening

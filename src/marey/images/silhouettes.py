@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 
 from marey.arrays import Mask
-from marey.images.background import Background, Exposure, exposed, exposure, part
+from marey.images.background import Background, Exposure, exposed, exposure, part, shown_lines
 from marey.images.densities import Appearance, blended, colour_density, shadow_density, unknown
 from marey.images.edges import edge_evidence
-from marey.images.evidence import evidence
+from marey.images.evidence import LIMIT, evidence
 from marey.images.level_sets import evolve
 
 LENGTH = 4.0
@@ -27,7 +27,7 @@ ROUNDS = 4
 LEARNING = 0.2
 """Share of a new picture in the densities that are handed on."""
 
-SURE = 3.0
+SURE = 2.0
 """Only pixels with this evidence for the person teach what the person looks like."""
 
 LEAST_SHARE = 0.0015
@@ -71,7 +71,8 @@ def segment(
     Args:
         image: (H, W, C) uint8, blue first, or (H, W, 1) with a grey background.
         background: The empty picture.
-        start: (H, W) where the person is expected, some pixels off: its neighbourhood alone is searched.
+        start: (H, W) where the person is expected, up to a twentieth of the picture's longer side off: farther away
+            nothing is found.
         before: Result of an earlier picture of this camera; its densities are used and carried on.
         prior: (H, W) what is known beforehand, added to the evidence: the place of the shape term, eq. (3)-(4), whose
             pull at a pixel is a weight times the expected surface's signed distance (inside positive).
@@ -85,14 +86,16 @@ def segment(
             raise ValueError(f"the {name} is {given.shape}, the picture {image.shape[:2]}")
     shown = exposure(image, background, person=start, before=None if before is None else before.exposure)
     look = unknown(image.shape[2]) if before is None else before.appearance
-    roi = _neighbourhood(start, image.shape[:2])
+    roi = _neighbourhood(start, shown_lines(image, background, shown))
     begin = None if start is None or not start.any() else start[roi]
     picture, behind = np.ascontiguousarray(image[roi]), part(background, roi)
     light = exposed(behind, shown)
     least = LEAST_SHARE * image.shape[0] * image.shape[1]
-    known = np.float32(0) if prior is None else prior[roi].astype(np.float32)
+    known, near = (np.float32(0), None) if begin is None else _too_far(begin, _margin(image.shape))
+    if prior is not None:
+        known = known + prior[roi].astype(np.float32)
     for k in range(ROUNDS + 1 if before is None else 1):
-        votes, shade = evidence(picture, light, behind, shown, look)
+        votes, shade = evidence(picture, light, behind, shown, look, near=near)
         region = begin = _fragments(_coarse_to_fine(votes + known, begin, length), least)
         new = _learned(picture, region, votes, shade)
         if before is None and k < ROUNDS:
@@ -105,15 +108,40 @@ def segment(
     return Silhouette(mask=mask, appearance=blended(look, new, LEARNING), exposure=shown)
 
 
-def _neighbourhood(start: Mask | None, shape: tuple[int, ...]) -> tuple[slice, slice]:
-    """Rows and columns about the start; the whole picture without one."""
+def shape_term(expected: Mask, weight: float, reach: float) -> np.ndarray:
+    """Pull to an expected region, for the prior of `segment`, [Rosenhahn2006] eq. (4): weight times signed distance.
+
+    Args:
+        expected: (H, W) for instance where the predicted surface shows.
+        weight: Evidence a pixel of distance.
+        reach: The pull stays the same from this distance on, pixels.
+    """
+    inside = expected.astype(np.uint8)
+    distance = cv2.distanceTransform(inside, cv2.DIST_L2, 3) - cv2.distanceTransform(1 - inside, cv2.DIST_L2, 3)
+    return weight * np.clip(distance, -reach, reach)
+
+
+def _margin(shape: tuple[int, ...]) -> int:
+    """How far from its expected place a part of the person may be, pixels."""
+    return max(8, max(shape[:2]) // 20)
+
+
+def _too_far(start: Mask, margin: int) -> tuple[np.ndarray, Mask]:
+    """Evidence against what is far from the start, from half the margin on; the pixels within the margin."""
+    distance = cv2.distanceTransform(1 - start.astype(np.uint8), cv2.DIST_L2, 3)
+    against = np.float32(-4 * LIMIT / margin) * np.maximum(distance - np.float32(margin / 2), 0)
+    return against, distance < margin
+
+
+def _neighbourhood(start: Mask | None, shown: tuple[slice, slice]) -> tuple[slice, slice]:
+    """Rows and columns about the start, of those that show anything; all of them without a start."""
     if start is None or not start.any():
-        return slice(0, shape[0]), slice(0, shape[1])
+        return shown
     rows, columns = np.flatnonzero(start.any(axis=1)), np.flatnonzero(start.any(axis=0))
-    margin = max(8, shape[0] // 16)
+    margin = _margin(start.shape)
     return (
-        slice(max(0, rows[0] - margin), min(shape[0], rows[-1] + margin + 1)),
-        slice(max(0, columns[0] - margin), min(shape[1], columns[-1] + margin + 1)),
+        slice(max(shown[0].start, rows[0] - margin), min(shown[0].stop, rows[-1] + margin + 1)),
+        slice(max(shown[1].start, columns[0] - margin), min(shown[1].stop, columns[-1] + margin + 1)),
     )
 
 
