@@ -1,9 +1,11 @@
 """One alias for each kind of array; the shape stands in the docstring of who uses it."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+Floats = NDArray[np.floating[Any]]
 Integers = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 Image = NDArray[np.uint8]

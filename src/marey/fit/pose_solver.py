@@ -53,12 +53,12 @@ LONGEST_TURN = 0.5
 """No coordinate turns farther in one step [rad]."""
 
 
-def solve_step(hessian: Floats, gradient: Floats) -> Floats:
-    """Solve for a Gauss-Newton step, shortened where it turns a joint too far."""
+def solve_step(hessian: Floats, gradient: Floats, *, degrees: int | None = None) -> Floats:
+    """Solve for a Gauss-Newton step, shortened where it turns one of the pose's degrees of freedom too far."""
     damping = 1e-9 * np.trace(hessian) / len(hessian)
     factor = scipy.linalg.cho_factor(hessian + damping * np.eye(len(hessian)), check_finite=False)
     step = -scipy.linalg.cho_solve(factor, gradient, check_finite=False)
-    longest = np.abs(step[3:]).max()
+    longest = np.abs(step[3:degrees]).max()
     return step if longest <= LONGEST_TURN else step * (LONGEST_TURN / longest)
 
 

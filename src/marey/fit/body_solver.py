@@ -1,0 +1,63 @@
+"""Pose and shape of one frame together, by dense normal equations."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from marey.arrays import Floats, Mask
+from marey.body.pose import PosedBody
+from marey.fit.pose_solver import Schedule, match_all, solve_step
+from marey.observations.correspondence import Sighting
+from marey.observations.observation import Observation, SurfaceObservation
+
+
+def dense_equations(
+    posed: PosedBody, found: Sequence[SurfaceObservation], weights: Sequence[Floats], others: Sequence[Observation]
+) -> tuple[Floats, Floats, float]:
+    """Assemble H (D + M, D + M), g (D + M,) and the cost of pose and shape together."""
+    size = len(posed.body.skeleton) + len(posed.body.space)
+    hessian, gradient, cost = np.zeros((size, size)), np.zeros(size), 0.0
+    rows = [observation.whiten(posed, shape=True) for observation in found]
+    per_row = [np.repeat(w, len(r.residual) // len(w)) for w, r in zip(weights, rows, strict=True)]
+    rows += [observation.whiten(posed, shape=True) for observation in others]
+    per_row += [np.ones(len(r.residual)) for r in rows[len(found) :]]
+    for weight, row in zip(per_row, rows, strict=True):
+        weighted = row.jacobian * weight[:, None]
+        hessian += row.jacobian.T @ weighted
+        gradient += weighted.T @ row.residual
+        cost += float(weight @ row.residual**2)
+    return hessian, gradient, cost
+
+
+def fit_body(
+    posed: PosedBody,
+    sightings: Sequence[Sighting],
+    others: Sequence[Observation],
+    *,
+    schedule: Schedule,
+    clip: float = 3.0,
+    usable: Mask | None = None,
+) -> PosedBody:
+    """Fit pose and shape of one frame to its silhouettes.
+
+    Args:
+        posed: the body where the search starts.
+        sightings: one for each camera.
+        others: priors of pose and shape; both need one.
+        schedule: how the search narrows.
+        clip: no shape number goes farther from the prior's mean than so many standard deviations.
+        usable: (T,) faces whose outline counts.
+    """
+    degrees = len(posed.body.skeleton)
+    space = posed.body.space
+    reach = clip * np.sqrt(np.diag(space.prior_covariance))
+    for iteration in range(schedule.iterations):
+        matching, scale = schedule.at(iteration)
+        found, weights, _ = match_all(posed, sightings, matching, scale, usable)
+        hessian, gradient, _ = dense_equations(posed, found, weights, others)
+        step = solve_step(hessian, gradient, degrees=degrees)
+        numbers = posed.body.numbers + step[degrees:]
+        numbers = np.clip(numbers, space.prior_mean - reach, space.prior_mean + reach)
+        posed = replace(posed, body=posed.body.with_numbers(numbers), pose=posed.pose.step(step[:degrees]))
+    return posed
