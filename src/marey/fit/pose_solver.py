@@ -88,7 +88,7 @@ def solve_pose(
     Returns:
         The body in the new pose, and the information (D, D) at the last linearisation.
     """
-    hessian = np.zeros(0)
+    hessian: Floats = np.zeros(0)
     for _ in range(steps):
         hessian, gradient, _ = normal_equations(posed, moments)
         add_dense(posed, others, hessian, gradient)
@@ -131,7 +131,8 @@ def fit_pose(
         schedule: how the search narrows.
         usable: (T,) faces whose outline counts.
     """
-    hessian, matches = np.zeros(0), 0
+    hessian: Floats = np.zeros(0)
+    matches = 0
     views: tuple[View, ...] = ()
     for iteration in range(schedule.iterations):
         matching, scale = schedule.at(iteration)
