@@ -55,7 +55,7 @@ class SequenceFit:
     information: Floats
     """(F, D, D) what each frame's own observations say of its pose."""
     residual_px: float
-    """Robust standard deviation of the matches across the contours [px]."""
+    """Weighted root mean square of the matches' distances across the contours [px]."""
 
 
 def acceleration_spread(skeleton: Skeleton, settings: SequenceSettings) -> Floats:
@@ -215,13 +215,14 @@ def _assemble(
     degrees = len(body.skeleton)
     system = _System.empty(len(frames), degrees, len(body.space) if free else 0)
     information = np.zeros((len(frames), degrees, degrees))
-    spreads = []
+    squares = total = 0.0
     matching, scale = schedule.at(round_)
     priors = (JointLimits(), Habit(share=settings.habit))
     for f, frame in enumerate(frames):
         posed = PosedBody(body, poses[f])
         found, weights, _ = match_all(posed, levels.at(frame).sightings, matching, scale)
-        spreads += [np.median(np.abs(match.residuals(posed))) for match in found]
+        squares += sum(float(w @ (match.residuals(posed) ** 2).sum(1)) for w, match in zip(weights, found, strict=True))
+        total += sum(float(w.sum()) for w in weights)
         if frame in free:
             hessian, gradient, _ = dense_equations(posed, found, weights, priors)
         else:
@@ -235,7 +236,7 @@ def _assemble(
         jacobian = white.jacobian[:, degrees:]
         system.corner += jacobian.T @ jacobian
         system.shape_gradient += jacobian.T @ white.residual
-    return system, information, 1.4826 * float(np.median(spreads)) if spreads else float("nan")
+    return system, information, float(np.sqrt(squares / total)) if total else float("nan")
 
 
 def _covariances(system: _System, degrees: int) -> Floats:

@@ -45,10 +45,14 @@ def trace_contour(mask: Mask, *, reach: int = 60, border: int = 2, blur: float =
     y, x = np.nonzero(ring)
     inner = (x + left >= border) & (x + left < width - border) & (y + top >= border) & (y + top < height - border)
     x, y = x[inner], y[inner]
+    normals = _normals(part, x, y, blur)
+    # Where a silhouette is a pixel wide both sides cancel, and no direction is left.
+    directed = np.linalg.norm(normals, axis=1) > 0.5
+    x, y, normals = x[directed], y[directed], normals[directed]
     if len(x) == 0:
         return Contour(mask, np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 0), np.int64), (0, 0))
-    return Contour(mask, np.stack([x + left, y + top], 1).astype(float), _normals(part, x, y, blur),
-                   nearest_pixel(x, y, part.shape), (int(left), int(top)))  # fmt: skip
+    pixels = np.stack([x + left, y + top], 1).astype(float)
+    return Contour(mask, pixels, normals, nearest_pixel(x, y, part.shape), (int(left), int(top)))
 
 
 _CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
@@ -59,7 +63,8 @@ def _normals(part: np.ndarray, x: Integers, y: Integers, blur: float) -> Floats:
     gx = cv2.Sobel(smooth, cv2.CV_32F, 1, 0)[y, x]
     gy = cv2.Sobel(smooth, cv2.CV_32F, 0, 1)[y, x]
     normals = np.stack([gx, gy], 1).astype(float)
-    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.where(length > 1e-6, normals / np.maximum(length, 1e-6), 0.0)
 
 
 def nearest_pixel(x: Integers, y: Integers, shape: tuple[int, ...]) -> Integers:

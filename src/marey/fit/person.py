@@ -1,0 +1,165 @@
+"""The recipe: from the silhouettes of a take to one person's motion and shape."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from marey.arrays import Floats, Mask
+from marey.body.pose import Pose
+from marey.body.surface import Body
+from marey.cameras.camera import Camera
+from marey.fit.levels import FrameLevels, level_factor
+from marey.fit.search import Candidate, StartSettings
+from marey.fit.sequence import SequenceFit, SequenceSettings, refine_sequence
+from marey.fit.start import find_start
+from marey.fit.track import TrackSettings, repair, track
+
+Done = Callable[[int], None]
+
+
+def _nothing(frame: int) -> None:
+    """Tell nobody."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PersonSettings:
+    """How a person is captured; the defaults are what measured best (docs/accuracy.md)."""
+
+    start: StartSettings = field(default_factory=StartSettings)
+    track: TrackSettings = field(default_factory=TrackSettings)
+    sequence: SequenceSettings = field(default_factory=SequenceSettings)
+    start_frames: int = 3
+    """Frames that are tried for the start."""
+    shape_frames: int = 25
+    """Frames from which the shape is learned."""
+    track_height: float = 160.0
+    """Height of the person in the pictures on which it is followed [px]."""
+    rough_height: float = 80.0
+    fine_height: float = 420.0
+    """Height of the person in the pictures on which the sequence is refined [px]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Take:
+    """A take as the fit sees it: cameras, and silhouettes by frame."""
+
+    cameras: tuple[Camera, ...]
+    masks_of: Callable[[int], Sequence[Mask]]
+    """Gives the silhouettes (height, width) of a frame, one a camera."""
+    frames: tuple[int, ...]
+    """Frames that show somebody, in order."""
+    rate: float
+
+    def levels(self, height: float) -> FrameLevels:
+        """Give the frames at the size at which the person is about so high [px]."""
+        sample = self.frames[:: max(1, len(self.frames) // 5)][:5]
+        tallest = [mask for frame in sample for mask in self.masks_of(frame)]
+        return FrameLevels(self.cameras, self.masks_of, level_factor(tallest, height))
+
+
+def promising_frames(take: Take, count: int) -> list[int]:
+    """Choose frames that show the person best: in every camera, large, and not cut by the border.
+
+    Args:
+        take: cameras and silhouettes.
+        count: how many; they lie apart in time.
+    """
+    stride = max(1, len(take.frames) // 40)
+    frames = list(take.frames[::stride])
+    shown = np.array([[_shown(mask) for mask in take.masks_of(frame)] for frame in frames])
+    usual = np.maximum(np.median(shown[:, :, 0], 0), 1.0)
+    merit = np.minimum(shown[:, :, 0] / usual, 1.1).mean(1) - 4.0 * shown[:, :, 1].mean(1)
+    merit -= 1.0 * (shown[:, :, 0] < 0.3 * usual).mean(1)
+    chosen: list[int] = []
+    apart = max(1, len(frames) // (2 * count))
+    for i in np.argsort(-merit):
+        if all(abs(i - other) >= apart for other in chosen):
+            chosen.append(int(i))
+        if len(chosen) == count:
+            break
+    return [frames[i] for i in chosen]
+
+
+def _shown(mask: Mask) -> tuple[float, float]:
+    """Give a silhouette's size [px] and the share of its extent that lies at the picture's border."""
+    area = float(np.count_nonzero(mask))
+    if area == 0:
+        return 0.0, 1.0
+    border = float(sum(np.count_nonzero(edge) for edge in (mask[0], mask[-1], mask[:, 0], mask[:, -1])))
+    return area, border / np.sqrt(area)
+
+
+def start_person(
+    take: Take, coarse: Body, fine: Body, settings: PersonSettings, *, done: Done = _nothing
+) -> tuple[int, Candidate] | None:
+    """Find the start in the frames that show the person best; give the frame and its best candidate."""
+    found: list[tuple[int, Candidate]] = []
+    for frame in promising_frames(take, settings.start_frames):
+        candidate = find_start(take.cameras, take.masks_of(frame), coarse, fine, settings.start)
+        if candidate is not None:
+            found.append((frame, candidate))
+        done(frame)
+    return max(found, key=lambda pair: pair[1].score) if found else None
+
+
+def track_person(
+    take: Take,
+    body: Body,
+    coarse: Body,
+    start: tuple[int, Pose],
+    settings: PersonSettings,
+    *,
+    done: Done = _nothing,
+) -> dict[int, Candidate]:
+    """Follow the person from the start to both ends of the take, and mend what went wrong."""
+    frame, pose = start
+    levels, rough = take.levels(settings.track_height), take.levels(settings.rough_height)
+    ahead = [f for f in take.frames if f >= frame]
+    behind = [f for f in reversed(take.frames) if f < frame]
+    found: dict[int, Candidate] = {}
+    for frames in (ahead, behind):
+        found |= track(
+            body, pose, frames, levels, rough, rate=take.rate, settings=settings.track, coarse=coarse, done=done
+        )
+    found = {f: found[f] for f in sorted(found)}
+    return repair(found, levels, rough, coarse=coarse)
+
+
+def shape_frames(found: Mapping[int, Candidate], count: int) -> list[int]:
+    """Choose frames for the shape: evenly among the best 70 in a hundred."""
+    scores = np.array([candidate.score for candidate in found.values()])
+    good = [f for f, s in zip(found, scores, strict=True) if s >= np.quantile(scores, 0.3)]
+    index = np.unique(np.linspace(0, len(good) - 1, min(count, len(good))).astype(int))
+    return [good[i] for i in index]
+
+
+def refine_person(
+    take: Take,
+    body: Body,
+    poses: Mapping[int, Pose],
+    for_shape: Sequence[int],
+    settings: PersonSettings,
+    *,
+    height: float,
+    rounds: int,
+    done: Done = _nothing,
+) -> SequenceFit:
+    """Refine motion and shape together at one size of the pictures."""
+    return refine_sequence(
+        list(poses), list(poses.values()), body, take.levels(height), rate=take.rate, rounds=rounds,
+        shape_frames=for_shape, settings=settings.sequence, done=done,
+    )  # fmt: skip
+
+
+def with_shape(body: Body, other: Body) -> Body:
+    """Give a body of another level the shape numbers of this one."""
+    return replace(other, numbers=body.numbers, numbers_covariance=body.numbers_covariance)
+
+
+def spread_of_joints(fit: SequenceFit, jacobians: Floats) -> Floats:
+    """Give standard deviations (F, J, 3) [m] of joint centres from their derivatives (F, J, 3, D)."""
+    degrees = jacobians.shape[-1]
+    covariance = fit.covariance[:, :degrees, :degrees]
+    variance = np.einsum("fjad,fde,fjae->fja", jacobians, covariance, jacobians)
+    return np.sqrt(np.maximum(variance, 0.0))

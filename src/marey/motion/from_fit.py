@@ -1,0 +1,110 @@
+"""From a fitted sequence to a motion: joints, coordinates and angles with their standard deviations."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from marey.arrays import Floats, Mask
+from marey.body.pose import Pose, PosedBody
+from marey.body.skeleton import ROOT_AXES, Skeleton, root_angles
+from marey.body.surface import Body
+from marey.fit.sequence import SequenceFit
+from marey.geometry import rotations
+from marey.motion.anatomical import anatomy_of, angles_with_sd, turns_of_steps
+from marey.motion.motion import LOST, MEASURED, NOBODY, Motion
+
+DETERMINED = 0.5
+"""A coordinate is determined where its own frame fixes it to this share of the spread that people's joints have."""
+ROOT_SPREAD = (0.2, 0.2, 0.2, 0.5, 0.5, 0.5)
+"""The same spread for the root [m, rad]: coarser, and nobody could say where the person is."""
+
+
+def motion_of(
+    fit: SequenceFit, *, count: int, rate: float, lost: Mask, camera_names: tuple[str, ...],
+    agreement: Mapping[int, Floats],
+) -> Motion:  # fmt: skip
+    """Write a fitted sequence as a motion with a row for every frame of the video.
+
+    Args:
+        fit: poses, body and covariances.
+        count: frames of the video.
+        rate: frames in a second.
+        lost: (count,) frames that show the person without an answer.
+        camera_names: C names.
+        agreement: (C,) of each fitted frame.
+    """
+    body, skeleton = fit.body, fit.body.skeleton
+    degrees = len(skeleton)
+    posed = [PosedBody(body, pose) for pose in fit.poses]
+    rotation = np.array([p.segment_rotation for p in posed])
+    origin = np.array([p.segment_origin for p in posed])
+    covariance = fit.covariance[:, :degrees, :degrees]
+    anatomy = anatomy_of(skeleton, body.joint_centres)
+    turns = np.array([turns_of_steps(skeleton, p.world_axes) for p in posed])
+    angles, angles_sd = angles_with_sd(anatomy, rotation, turns, covariance)
+    to_root = np.array([root_coordinates_from_turn(pose.rotation) for pose in fit.poses])
+    state = np.where(lost, LOST, NOBODY)
+    state[fit.frames] = MEASURED
+
+    def rows(values: Floats, fill: float = np.nan) -> Floats:
+        full = np.full((count, *values.shape[1:]), fill)
+        full[fit.frames] = values
+        return full
+
+    return Motion(
+        time=np.arange(count) / rate,
+        rate=rate,
+        joint_names=body.joint_names,
+        joint_centres=rows(origin[:, body.joint_segments]),
+        joint_centres_sd=rows(_joint_spread(posed, covariance)),
+        segment_names=skeleton.segment_names,
+        segment_rotation=rows(rotation),
+        segment_origin=rows(origin),
+        coordinate_names=skeleton.coordinate_names,
+        coordinates=rows(np.array([coordinates_of(pose) for pose in fit.poses])),
+        coordinates_sd=rows(_coordinate_spread(covariance, to_root)),
+        determined=rows(_determined(fit.information, skeleton), 0.0).astype(bool),
+        angle_names=anatomy.angle_names,
+        angles_deg=rows(np.degrees(angles)),
+        angles_deg_sd=rows(np.degrees(angles_sd)),
+        state=state,
+        camera_names=camera_names,
+        agreement=rows(np.array([agreement[int(f)] for f in fit.frames]).reshape(len(fit.frames), len(camera_names))),
+    )
+
+
+def coordinates_of(pose: Pose) -> Floats:
+    """Give the skeleton's coordinates (D,) in a pose: the root's place [m] and turns [rad], then the joints' [rad]."""
+    return np.concatenate([pose.translation, root_angles(pose.rotation), pose.angles])
+
+
+def root_coordinates_from_turn(rotation: Floats) -> Floats:
+    """Give how the root's three turns change (3, 3) with a small turn about the world's axes."""
+    turns = root_angles(rotation)
+    axes = np.array(ROOT_AXES)
+    first = rotations.about(axes[0], turns[0])
+    second = first @ rotations.about(axes[1], turns[1])
+    by_coordinate = np.stack([axes[0], first @ axes[1], second @ axes[2]], 1)
+    return np.linalg.pinv(by_coordinate)
+
+
+def _coordinate_spread(covariance: Floats, to_root: Floats) -> Floats:
+    variance = np.diagonal(covariance, axis1=1, axis2=2).copy()
+    variance[:, 3:6] = np.einsum("fij,fjk,fik->fi", to_root, covariance[:, 3:6, 3:6], to_root)
+    return np.sqrt(np.maximum(variance, 0.0))
+
+
+def _joint_spread(posed: list[PosedBody], covariance: Floats) -> Floats:
+    """Give the standard deviation (F, J, 3) of joint centres by the poses' uncertainty, for the body as it was found."""
+    spread = []
+    for p, c in zip(posed, covariance, strict=True):
+        jacobian = p.pose_jacobian(*p.joint_parts(p.body.joint_segments))
+        spread.append(np.sqrt(np.maximum(np.einsum("jad,de,jae->ja", jacobian, c, jacobian), 0.0)))
+    return np.array(spread)
+
+
+def _determined(information: Floats, skeleton: Skeleton) -> Floats:
+    """Tell which coordinates (F, D) their own frame fixes, without its neighbours' help."""
+    spread = np.concatenate([ROOT_SPREAD, skeleton.habit[1]])
+    own = np.linalg.inv(information + 1e-3 * np.diag(1.0 / spread**2))
+    return np.sqrt(np.diagonal(own, axis1=1, axis2=2)) < DETERMINED * spread
