@@ -3,7 +3,8 @@
 import numpy as np
 
 from marey.body.family import BodyFamily, Level, load_family
-from marey.body.skeleton import Skeleton, full_skeleton
+from marey.body.departures import departure_modes, wider
+from marey.body.skeleton import PARENTS, Skeleton, full_skeleton
 from marey.body.surface import Body, ShapeSpace
 
 
@@ -20,7 +21,7 @@ def family_skeleton(family: BodyFamily) -> Skeleton:
 def family_space(family: BodyFamily) -> ShapeSpace:
     """Give the shapes of the family, of unit variance."""
     count = family.numbers
-    order = [family.segment_names.index(name) for name in full_segment_names()]
+    order = [family.segment_names.index(name) for name in PARENTS]
     return ShapeSpace(
         names=tuple(f"family_{i + 1}" for i in range(count)),
         vertex_mean=family.vertices_mean,
@@ -32,19 +33,14 @@ def family_space(family: BodyFamily) -> ShapeSpace:
     )
 
 
-def full_segment_names() -> tuple[str, ...]:
-    """Name the segments of the full skeleton in its order."""
-    from marey.body.skeleton import PARENTS
-
-    return tuple(PARENTS)
+def person_space(family: BodyFamily, *, numbers: int) -> ShapeSpace:
+    """Give the shapes of people: the family's first numbers, and the departures from it, all of unit variance."""
+    return wider(family_space(family).keep(range(numbers)), departure_modes(family))
 
 
-def family_body(level: Level = "fine", numbers: int | None = None) -> Body:
-    """Make the mean body of the family, ready to be posed and fitted."""
-    family = load_family(level, numbers)
+def _body(family: BodyFamily, space: ShapeSpace) -> Body:
     skeleton = family_skeleton(family)
     index = np.array([skeleton.segment_names.index(name) for name in family.segment_names])
-    space = family_space(family)
     return Body(
         skeleton=skeleton,
         space=space,
@@ -53,3 +49,15 @@ def family_body(level: Level = "fine", numbers: int | None = None) -> Body:
         vertex_segments=index[family.vertex_segments],
         vertex_weights=family.vertex_weights,
     )
+
+
+def family_body(level: Level = "fine", numbers: int | None = None) -> Body:
+    """Make the mean body of the family, ready to be posed and fitted."""
+    family = load_family(level, numbers)
+    return _body(family, family_space(family))
+
+
+def person_body(level: Level = "fine", *, numbers: int = 10) -> Body:
+    """Make the mean body with all the numbers in which people differ: the family's first ones and the departures."""
+    family = load_family(level)
+    return _body(family, person_space(family, numbers=numbers))

@@ -126,10 +126,10 @@ def track_person(
     return repair(found, levels, rough, coarse=coarse)
 
 
-def shape_frames(found: Mapping[int, Candidate], count: int) -> list[int]:
+def shape_frames(agreements: Mapping[int, float], count: int) -> list[int]:
     """Choose frames for the shape: evenly among the best 70 in a hundred."""
-    scores = np.array([candidate.score for candidate in found.values()])
-    good = [f for f, s in zip(found, scores, strict=True) if s >= np.quantile(scores, 0.3)]
+    scores = np.array(list(agreements.values()))
+    good = [f for f, s in zip(agreements, scores, strict=True) if s >= np.quantile(scores, 0.3)]
     index = np.unique(np.linspace(0, len(good) - 1, min(count, len(good))).astype(int))
     return [good[i] for i in index]
 

@@ -40,7 +40,7 @@ def motion_of(
     origin = np.array([p.segment_origin for p in posed])
     covariance = fit.covariance[:, :degrees, :degrees]
     anatomy = anatomy_of(skeleton, body.joint_centres)
-    turns = np.array([turns_of_steps(skeleton, p.world_axes) for p in posed])
+    turns = turns_of_steps(skeleton, np.array([p.world_axes for p in posed]))
     angles, angles_sd = angles_with_sd(anatomy, rotation, turns, covariance)
     to_root = np.array([root_coordinates_from_turn(pose.rotation) for pose in fit.poses])
     state = np.where(lost, LOST, NOBODY)
