@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from marey.body.family import BodyFamily, Level, load_family
 from marey.body.departures import departure_modes, wider
+from marey.body.family import BodyFamily, Level, load_family
 from marey.body.skeleton import PARENTS, Skeleton, full_skeleton
 from marey.body.surface import Body, ShapeSpace
 

@@ -107,7 +107,9 @@ def _tracked(
         with progress.stage("Start", count) as step:
             found = start_person(take, coarse, fine, person, done=lambda frame: step())
         if found is None:
-            remedy = "Look whether the cameras are calibrated in one world, and whether the silhouettes show the person."
+            remedy = (
+                "Look whether the cameras are calibrated in one world, and whether the silhouettes show the person."
+            )
             raise FileProblem(trial.folder, "has silhouettes that have no point of space in common", remedy)
         return _packed({found[0]: found[1]}, found[1].posed.body)
 

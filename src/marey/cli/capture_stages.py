@@ -64,7 +64,9 @@ def backgrounds(trial: Trial, progress: Progress) -> list[Background]:
         index = np.unique(np.linspace(0, clip.count - 1, min(PLATES, clip.count)).astype(int))
         models[name] = from_pictures(list(clip.images([int(i) for i in index])))
     if wanting:
-        progress.warn(f"No picture of the empty room for {', '.join(wanting)}: it is put together from the take itself.")
+        progress.warn(
+            f"No picture of the empty room for {', '.join(wanting)}: it is put together from the take itself."
+        )
         take = trial.take
         index = np.unique(np.linspace(0, take.count - 1, min(SAMPLES, take.count)).astype(int))
         samples = [images for _, images in take.at([int(i) for i in index])]

@@ -7,7 +7,6 @@ import numpy as np
 from marey.arrays import Floats, Mask
 from marey.body.pose import Pose, PosedBody
 from marey.body.skeleton import ROOT_AXES, Skeleton, root_angles
-from marey.body.surface import Body
 from marey.fit.sequence import SequenceFit
 from marey.geometry import rotations
 from marey.motion.anatomical import anatomy_of, angles_with_sd, turns_of_steps
