@@ -11,6 +11,9 @@ from tests.people import any_points, any_pose, stick_person
 import marey.observations
 from marey.arrays import Floats
 from marey.body.pose import PosedBody
+from marey.cameras.camera import Camera
+from marey.geometry.rigid import RigidTransform
+from marey.observations.joint_point import JointPoints
 from marey.observations.observation import Observation
 from marey.observations.prior import Habit, JointLimits, NearPose, ShapePrior
 from marey.observations.silhouette import SilhouettePlanes, SilhouetteRays
@@ -47,9 +50,21 @@ def near_pose(rng: np.random.Generator, posed: PosedBody) -> Observation:
     return NearPose(pose=any_pose(rng, posed.body), spread=spread)
 
 
+def joints(rng: np.random.Generator, posed: PosedBody) -> Observation:
+    away = RigidTransform.from_vector(rng.normal(size=3) * 0.2, np.array([0.0, 0.0, 9.0]))
+    camera = Camera(
+        name="cam", size=(640, 480), matrix=np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]]),
+        distortion=np.array([-0.1, 0.02, 0.001, 0.0]), camera_from_world=away,
+    )  # fmt: skip
+    return JointPoints(
+        camera=camera, segments=np.array([3, 7, 8, 13]), pixels=rng.normal(size=(4, 2)) * 100, sigma_px=7.0
+    )
+
+
 CATALOGUE: dict[type[Observation], Make] = {
     SilhouettePlanes: planes,
     SilhouetteRays: rays,
+    JointPoints: joints,
     JointLimits: lambda rng, posed: JointLimits(),
     Habit: lambda rng, posed: Habit(share=0.7),
     NearPose: near_pose,

@@ -1,11 +1,15 @@
 """Presets: which segments and coordinates a capture uses, and the body that it starts from."""
 
+from dataclasses import replace
+
 import numpy as np
 
+from marey.body.anthropometry import condition, measures
 from marey.body.departures import departure_modes, wider
 from marey.body.family import BodyFamily, Level, load_family
 from marey.body.skeleton import PARENTS, Skeleton, full_skeleton
 from marey.body.surface import Body, ShapeSpace
+from marey.errors import SettingProblem
 
 
 def family_skeleton(family: BodyFamily) -> Skeleton:
@@ -57,7 +61,53 @@ def family_body(level: Level = "fine", numbers: int | None = None) -> Body:
     return _body(family, family_space(family))
 
 
-def person_body(level: Level = "fine", *, numbers: int = 10) -> Body:
-    """Make the mean body with all the numbers in which people differ: the family's first ones and the departures."""
+STATURE_SD = 0.01
+"""How well people know how tall they stand, shoes and posture included [m]."""
+
+_UPPER = ("lumbar_flexion",) + tuple(
+    f"{side}_{name}"
+    for side in ("left", "right")
+    for name in (
+        "shoulder_sweep",
+        "shoulder_lift",
+        "shoulder_turn",
+        "elbow_flexion",
+        "pronation",
+        "wrist_flexion",
+        "wrist_deviation",
+    )
+)
+PRESETS: dict[str, tuple[str, ...] | None] = {"full": None, "upper": _UPPER}
+"""Joint coordinates that each preset leaves free; None for all. `upper` is the paper's: 6 + back 1 + 7 an arm."""
+
+_UNSEEN = {"full": (), "upper": ("thigh", "shank", "foot", "toes")}
+"""Segments whose outline a preset does not believe."""
+
+
+def person_body(
+    level: Level = "fine", *, numbers: int = 10, preset: str = "full", stature_m: float | None = None
+) -> Body:
+    """Make the mean body with all the numbers in which people differ: the family's first ones and the departures.
+
+    Args:
+        level: "fine" or "coarse".
+        numbers: of the family; more of them absorb the clothes.
+        preset: one of `PRESETS`.
+        stature_m: the person's height, where it is known [m].
+
+    Raises:
+        SettingProblem: The preset is unknown.
+    """
+    if preset not in PRESETS:
+        raise SettingProblem(f"preset is '{preset}'; it should be one of {', '.join(PRESETS)}.")
     family = load_family(level)
-    return _body(family, person_space(family, numbers=numbers))
+    space = person_space(family, numbers=numbers)
+    if stature_m is not None:
+        space = condition(space, measures(family), {"stature": (stature_m, STATURE_SD)})
+    body = _body(family, space)
+    free = PRESETS[preset]
+    if free is not None:
+        kept = tuple(c for c in body.skeleton.coordinates if c.name in free)
+        body = replace(body, skeleton=replace(body.skeleton, coordinates=kept))
+    unseen = [s.removeprefix("left_").removeprefix("right_") in _UNSEEN[preset] for s in body.skeleton.segment_names]
+    return replace(body, numbers=space.prior_mean, outlined=~np.array(unseen)[body.face_segment])

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from marey.arrays import Floats, Integers, frozen
+from marey.arrays import Floats, Integers, Mask, frozen
 from marey.body.skeleton import JOINT_OF_SEGMENT, Skeleton
 
 
@@ -95,6 +95,8 @@ class Body:
     """(V, 4) segments that carry each vertex."""
     vertex_weights: Floats
     """(V, 4) their shares, of sum one; zero where fewer carry it."""
+    outlined: Mask | None = None
+    """(T,) faces whose outline counts; all when None. A preset leaves out the segments that it does not follow."""
     numbers_covariance: Floats | None = None
     """(M, M) of the numbers, once they were estimated."""
 

@@ -1,16 +1,17 @@
 """`marey capture`: from the videos of a trial to the motion of the person in it."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from marey.body.pose import Pose, PosedBody
+from marey.body.pose import Pose
 from marey.body.presets import person_body
 from marey.body.surface import Body
 from marey.cli import capture_stages as stages
+from marey.cli.capture_report import draw_overlays, report_capture
 from marey.cli.progress import Progress
 from marey.cli.run_record import StageCache, finished_together, write_record
 from marey.cli.settings import CaptureSettings
@@ -26,10 +27,16 @@ from marey.fit.person import (
 )
 from marey.fit.search import Candidate
 from marey.fit.sequence import SequenceFit
+from marey.fit.start_joints import start_from_joints
+from marey.io.body import open_body
 from marey.io.results import write_results
-from marey.io.stages import Arrays, file_fingerprint
+from marey.io.stages import Arrays, FrameLog, file_fingerprint
+from marey.io.start_joints import read_start_joints
 from marey.io.trial import Trial, read_trial
 from marey.motion.from_fit import motion_of
+
+SHAPE_ROUNDS = 4
+FINE_ROUNDS = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,94 +62,150 @@ def capture(folder: Path, settings: CaptureSettings, progress: Progress) -> Path
     Raises:
         FileProblem: Something in the trial cannot be used.
     """
-    trial = read_trial(
-        folder, cameras=settings.cameras, frames=settings.frames, stature_m=settings.stature_m,
-        mass_kg=settings.mass_kg, preset=None if settings.preset == "full" else settings.preset, rate=settings.rate,
-    )  # fmt: skip
+    trial = read_trial(folder, **settings.changes())
+    require_two_cameras(trial)
     out = settings.out or folder / "marey"
     for note in trial.take.notes:
         progress.warn(note)
     stages.quiet_threads()
     with threadpool_limits(1):
-        cache = StageCache(out, [file_fingerprint(path) for path in trial.input_files])
-        return _capture(trial, settings, progress, cache, out)
-
-
-def _capture(trial: Trial, settings: CaptureSettings, progress: Progress, cache: StageCache, out: Path) -> Path:
-    person = PersonSettings()
-    scope = (trial.rig.names, trial.take.first, trial.take.end, trial.settings.preset)
-    fine, coarse = person_body("fine"), person_body("coarse")
-    with cache.frames("silhouettes", depends=scope) as log, cache.frames("outlines", depends=scope) as second:
-        store = stages.MaskStore(log, trial.take.first, list(trial.rig))
-        models = stages.backgrounds(trial, progress)
-        stages.find_silhouettes(trial, models, store, progress, name="Silhouettes")
-        frames = stages.frames_with_somebody(store)
-        stages.require_somebody(trial, frames)
-        take = Take(tuple(trial.rig), store, frames, trial.take.rate)
-        tracked = _tracked(take, coarse, fine, person, progress, cache, scope, trial)
-        better = stages.MaskStore(second, trial.take.first, list(trial.rig))
-        predicted = stages.surface_masks(tracked.body, tracked.poses, list(trial.rig))
-        stages.find_silhouettes(trial, models, better, progress, name="Outlines about the body", predicted=predicted)
-        take = Take(tuple(trial.rig), better, tuple(tracked.poses), trial.take.rate)
-        fit = _refined(take, tracked, person, progress)
-        _write(trial, settings, fit, better, frames, progress, out)
-    cache.clear()
+        bodies = open_bodies(trial, settings)
+        named = [*trial.input_files, *([settings.body] if settings.body else [])]
+        cache = StageCache(out, [file_fingerprint(path) for path in named])
+        scope = (trial.rig.names, trial.take.first, trial.take.end, trial.settings.model_dump_json())
+        with cache.frames("silhouettes", depends=scope) as log, cache.frames("outlines", depends=scope) as better:
+            _capture(Run(trial, settings, progress, cache, scope, out), bodies, log, better)
+        cache.clear()
     return out
 
 
-def _tracked(
-    take: Take,
-    coarse: Body,
-    fine: Body,
-    person: PersonSettings,
-    progress: Progress,
-    cache: StageCache,
-    scope: object,
-    trial: Trial,
-) -> Tracked:
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One run of a capture: what is captured, how, and where to."""
+
+    trial: Trial
+    settings: CaptureSettings
+    progress: Progress
+    cache: StageCache
+    scope: object
+    """What every stage depends on besides the input files."""
+    out: Path
+    person: PersonSettings = field(default_factory=PersonSettings)
+
+
+@dataclass(frozen=True, eq=False)
+class Bodies:
+    """The body that is captured, with many vertices and with few."""
+
+    fine: Body
+    coarse: Body
+
+
+def require_two_cameras(trial: Trial) -> None:
+    """Check that depth can be measured.
+
+    Raises:
+        FileProblem: There is a single camera.
+    """
+    if len(trial.rig.names) < 2:
+        wrong = f"has only the camera '{trial.rig.names[0]}'"
+        raise FileProblem(trial.calibration, wrong, "Depth needs at least two cameras; keep more with --cameras.")
+
+
+def open_bodies(trial: Trial, settings: CaptureSettings) -> Bodies:
+    """Open the body that the user gave, or make the one of whom nothing is known but perhaps the stature."""
+    preset = trial.settings.preset or "full"
+    if settings.body is not None:
+        given = open_body(settings.body, person_body("fine", preset=preset))
+        return Bodies(given, given)
+    fine, coarse = (
+        person_body(level, preset=preset, stature_m=trial.settings.stature_m) for level in ("fine", "coarse")
+    )
+    return Bodies(fine, coarse)
+
+
+def _capture(run: Run, bodies: Bodies, log: FrameLog, better: FrameLog) -> None:
+    """Go from pictures to results: silhouettes, person, silhouettes about the person, and the person again."""
+    trial, progress = run.trial, run.progress
+    cameras, first = list(trial.rig), trial.take.first
+    store, outlines = stages.MaskStore(log, first, cameras), stages.MaskStore(better, first, cameras)
+    if trial.masks:
+        stages.known_silhouettes(trial, store, progress)
+        outlines = store
+    else:
+        models = stages.backgrounds(trial, progress)
+        stages.find_silhouettes(trial, models, store, progress, name="Silhouettes")
+    frames = stages.frames_with_somebody(store)
+    stages.require_somebody(trial, frames)
+    tracked = _tracked(run, Take(tuple(cameras), store, frames, trial.take.rate), bodies)
+    if not trial.masks:
+        predicted = stages.surface_masks(tracked.body, tracked.poses, cameras)
+        stages.find_silhouettes(trial, models, outlines, progress, name="Outlines", predicted=predicted)
+    fit = _refined(run, Take(tuple(cameras), outlines, tuple(tracked.poses), trial.take.rate), tracked)
+    write_capture(run, fit, outlines, frames)
+
+
+def _tracked(run: Run, take: Take, bodies: Bodies) -> Tracked:
     """Find the start, follow the person, and learn the shape."""
+    person, progress, cache = run.person, run.progress, run.cache
 
     def start() -> Arrays:
         count = min(person.start_frames, len(take.frames))
         with progress.stage("Start", count) as step:
-            found = start_person(take, coarse, fine, person, done=lambda frame: step())
-        if found is None:
-            remedy = (
-                "Look whether the cameras are calibrated in one world, and whether the silhouettes show the person."
-            )
-            raise FileProblem(trial.folder, "has silhouettes that have no point of space in common", remedy)
+            found = begin(run, take, bodies, done=lambda frame: step())
         return _packed({found[0]: found[1]}, found[1].posed.body)
 
     def follow() -> Arrays:
-        begun = _unpacked(cache.arrays("start", start, depends=scope), fine)
+        begun = _unpacked(cache.arrays("start", start, depends=run.scope), bodies.fine)
         frame = next(iter(begun.poses))
         with progress.stage("Tracking", len(take.frames)) as step:
             found = track_person(
-                take, begun.body, with_shape(begun.body, coarse), (frame, begun.poses[frame]), person,
+                take, begun.body, with_shape(begun.body, bodies.coarse), (frame, begun.poses[frame]), person,
                 done=lambda frame: step(),
             )  # fmt: skip
         return _packed(found, begun.body)
 
     def shape() -> Arrays:
-        followed = _unpacked(cache.arrays("tracked", follow, depends=scope), fine)
-        rounds = 4
-        with progress.stage("Shape and motion", rounds * len(followed.poses)) as step:
+        followed = _unpacked(cache.arrays("tracked", follow, depends=run.scope), bodies.fine)
+        with progress.stage("Shape and motion", SHAPE_ROUNDS * len(followed.poses)) as step:
             fit = refine_person(
                 take, followed.body, followed.poses, shape_frames(followed.scores, person.shape_frames), person,
-                height=person.track_height, rounds=rounds, done=lambda frame: step(),
+                height=person.track_height, rounds=SHAPE_ROUNDS, done=lambda frame: step(),
             )  # fmt: skip
         poses = dict(zip(map(int, fit.frames), fit.poses, strict=True))
         return _pack(poses, fit.body, followed.scores)
 
-    return _unpacked(cache.arrays("shape", shape, depends=scope), fine)
+    return _unpacked(cache.arrays("shape", shape, depends=run.scope), bodies.fine)
 
 
-def _refined(take: Take, tracked: Tracked, person: PersonSettings, progress: Progress) -> SequenceFit:
-    rounds = 3
-    with progress.stage("Refinement", rounds * len(tracked.poses)) as step:
+def begin(run: Run, take: Take, bodies: Bodies, *, done: Callable[[int], None]) -> tuple[int, Candidate]:
+    """Find the start: from the joints that the user gave, or without any.
+
+    Raises:
+        FileProblem: The silhouettes have nothing in common, or the person lies or hangs in a world nobody said is so.
+    """
+    trial = run.trial
+    if trial.start is not None:
+        joints = read_start_joints(trial.start, trial.rig, count=trial.take.count)
+        found: tuple[int, Candidate] | None = start_from_joints(
+            take, joints.frame, joints.joint_names, joints.pixels, bodies.fine, run.person
+        )
+        done(joints.frame)
+    else:
+        found = start_person(take, bodies.coarse, bodies.fine, run.person, done=done)
+    if found is None:
+        remedy = "Look whether the cameras are calibrated in one world, and whether the silhouettes show the person."
+        raise FileProblem(trial.folder, "has silhouettes that have no point of space in common", remedy)
+    stages.require_upright(trial, found[1].posed)
+    return found
+
+
+def _refined(run: Run, take: Take, tracked: Tracked) -> SequenceFit:
+    person = run.person
+    with run.progress.stage("Refinement", FINE_ROUNDS * len(tracked.poses)) as step:
         return refine_person(
             take, tracked.body, tracked.poses, shape_frames(tracked.scores, person.shape_frames), person,
-            height=person.fine_height, rounds=rounds, done=lambda frame: step(),
+            height=person.fine_height, rounds=FINE_ROUNDS, done=lambda frame: step(),
         )  # fmt: skip
 
 
@@ -171,34 +234,36 @@ def _unpacked(arrays: Arrays, body: Body) -> Tracked:
     )
 
 
-def _write(
-    trial: Trial,
-    settings: CaptureSettings,
-    fit: SequenceFit,
-    store: stages.MaskStore,
-    frames: Sequence[int],
-    progress: Progress,
-    out: Path,
-) -> None:
+def write_capture(run: Run, fit: SequenceFit, store: stages.MaskStore, frames: Sequence[int]) -> None:
     """Write all results at once."""
-    take, cameras = trial.take, list(trial.rig)
+    trial, progress, take = run.trial, run.progress, run.trial.take
+    cameras, body = list(trial.rig), fit.body
     poses = dict(zip(map(int, fit.frames), fit.poses, strict=True))
     lost = np.zeros(take.count, bool)
     lost[[frame for frame in frames if frame not in poses]] = True
-    with finished_together(out) as folder:
-        agreement = {}
-        with progress.stage("Results", len(poses)) as step:
-            for frame, _, overlap in stages.compare_with_silhouettes(fit.body, poses, cameras, store):
-                agreement[frame] = overlap
-                step()
+    drawn = stages.surface_masks(body, poses, cameras)
+    with finished_together(run.out) as folder:
+        with progress.stage("Comparison", len(poses)) as step:
+            agreement = stages.agreements(drawn, poses, store, done=step)
         motion = motion_of(
             fit, count=take.count, rate=take.rate, lost=lost, camera_names=trial.rig.names, agreement=agreement
         )
-        skin = np.full((take.count, len(fit.body.vertices), 3), np.nan)
-        for frame, pose in poses.items():
-            skin[frame] = PosedBody(fit.body, pose).vertices
-        write_results(folder, motion, fit.body, preset=settings.preset, mass_kg=trial.settings.mass_kg, skin=skin)
-        write_record(
-            folder, command="capture", settings=settings.as_text(), inputs=trial.input_files, root=trial.folder,
-            progress=progress,
+        with progress.stage("Results"):
+            stages.write_all_masks(folder, trial, store, drawn)
+            write_results(
+                folder, motion, body, preset=trial.settings.preset or "full", mass_kg=trial.settings.mass_kg,
+                skin=stages.skins(body, poses, take.count), seen=stages.seen_vertices(body, poses, cameras, take.count),
+            )  # fmt: skip
+        asked = {"preset": "full"} | trial.settings.model_dump(mode="json", exclude_none=True)
+        show = store.known
+        stills = (
+            draw_overlays(trial, body, poses, motion, show, folder=folder, progress=progress)
+            if run.settings.overlay
+            else []
+        )
+        report_capture(
+            trial, motion, body, show, stills=stills, settings=asked, folder=folder, progress=progress
         )  # fmt: skip
+        write_record(
+            folder, command="capture", settings=asked, inputs=trial.input_files, root=trial.folder, progress=progress
+        )

@@ -1,20 +1,21 @@
 """The stages of a capture that go through the videos, frame by frame, and remember what is done."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import cv2
 import numpy as np
 
-from marey.arrays import Image, Mask
+from marey.arrays import Floats, Image, Mask
 from marey.body.pose import Pose, PosedBody
 from marey.body.surface import Body
 from marey.cameras.camera import Camera
 from marey.cli.progress import Progress
 from marey.errors import FileProblem
-from marey.fit.pose_solver import overlap
 from marey.images.background import Background, from_pictures, from_take
 from marey.images.silhouettes import Silhouette, segment
+from marey.io.masks import pack_mask, unpack_mask, write_masks
 from marey.io.stages import FrameLog
 from marey.io.trial import Trial
 from marey.observations.correspondence import view_of
@@ -45,15 +46,16 @@ class MaskStore:
 
     def append(self, masks: Sequence[Mask]) -> None:
         """Add the next frame's silhouettes."""
-        self._log.append({f"camera_{c}": np.packbits(mask) for c, mask in enumerate(masks)})
+        self._log.append({f"camera_{c}": pack_mask(mask) for c, mask in enumerate(masks)})
+
+    def known(self, frame: int) -> list[Mask] | None:
+        """Give a frame's silhouettes, or None where there are none."""
+        return self(frame) if frame in self.frames else None
 
     def __call__(self, frame: int) -> list[Mask]:
         """Give a frame's silhouettes, one a camera."""
         record = self._log[frame - self._first]
-        return [
-            np.unpackbits(record[f"camera_{c}"], count=w * h).reshape(h, w).view(bool)
-            for c, (w, h) in enumerate(self._sizes)
-        ]
+        return [unpack_mask(record[f"camera_{c}"], (h, w)) for c, (w, h) in enumerate(self._sizes)]
 
 
 def backgrounds(trial: Trial, progress: Progress) -> list[Background]:
@@ -103,7 +105,7 @@ def find_silhouettes(
         ThreadPoolExecutor(max_workers=2) as pool,
     ):
         for frame, images in take.frames(first=take.first + done):
-            starts = predicted(frame) or [None] * len(models)
+            starts: Sequence[Mask | None] = predicted(frame) or [None] * len(models)
             found = list(pool.map(_segment, images, models, starts, before))
             before = [new if new.mask.any() else old for new, old in zip(found, before, strict=True)]
             store.append([silhouette.mask for silhouette in found])
@@ -114,12 +116,22 @@ def _segment(image: Image, background: Background, start: Mask | None, before: S
     return segment(image, background, start=start, before=before)
 
 
-def known_silhouettes(trial: Trial, store: MaskStore, masks: Mapping[str, np.ndarray], progress: Progress) -> None:
-    """Take silhouettes that the user gave: (F, height, width) by camera."""
+def known_silhouettes(trial: Trial, store: MaskStore, progress: Progress) -> None:
+    """Take the silhouettes that the user gave.
+
+    Raises:
+        FileProblem: A camera has none.
+    """
     take = trial.take
+    missing = [name for name in trial.rig.names if name not in trial.masks]
+    if missing:
+        wrong = f"has silhouettes of some cameras but none of {', '.join(missing)}"
+        raise FileProblem(trial.folder / "masks", wrong, "Give them for all cameras that are kept, or for none.")
+    files = [trial.masks[name] for name in trial.rig.names]
+    wanted = range(take.first + len(store.frames), take.end)
     with progress.stage("Silhouettes", take.end - take.first, done=len(store.frames)) as step:
-        for frame in range(take.first + len(store.frames), take.end):
-            store.append([masks[name][frame] for name in trial.rig.names])
+        for masks in zip(*(file.masks(wanted) for file in files), strict=True):
+            store.append(masks)
             step()
 
 
@@ -154,16 +166,78 @@ def surface_masks(
     return drawn
 
 
-def compare_with_silhouettes(
-    body: Body, poses: Mapping[int, Pose], cameras: Sequence[Camera], store: MaskStore
-) -> Iterator[tuple[int, list[Mask], np.ndarray]]:
-    """Go through the fitted frames: number, the surface's masks, and its agreement (C,) with the silhouettes."""
-    for frame, pose in poses.items():
-        posed = PosedBody(body, pose)
-        views = [view_of(posed, camera) for camera in cameras]
-        masks = store(frame)
-        agreement = np.array([overlap(view, mask) for view, mask in zip(views, masks, strict=True)])
-        yield frame, [view.mask() for view in views], agreement
+def agreements(
+    drawn: Callable[[int], Sequence[Mask] | None], frames: Iterable[int], store: MaskStore, *, done: Callable[[], None]
+) -> dict[int, Floats]:
+    """Compare surface and silhouettes in each frame: intersection over union (C,), NaN where both are empty."""
+    found = {}
+    for frame in frames:
+        found[frame] = np.array([_overlap(a, b) for a, b in zip(drawn(frame) or [], store(frame), strict=True)])
+        done()
+    return found
+
+
+def _overlap(a: Mask, b: Mask) -> float:
+    union = int(np.count_nonzero(a | b))
+    return int(np.count_nonzero(a & b)) / union if union else float("nan")
+
+
+def write_all_masks(
+    folder: Path, trial: Trial, store: MaskStore, drawn: Callable[[int], Sequence[Mask] | None]
+) -> None:
+    """Write the silhouettes and the fitted surface's, one file a camera."""
+    count = trial.take.count
+    for kind, masks_of in (("masks", store.known), ("surface_masks", drawn)):
+        (folder / kind).mkdir()
+        for c, camera in enumerate(trial.rig):
+            every = (masks_of(frame) for frame in range(count))
+            own = (None if masks is None else masks[c] for masks in every)
+            write_masks(folder / kind / f"{camera.name}.npz", own, shape=(count, camera.height, camera.width))
+
+
+def skins(body: Body, poses: Mapping[int, Pose], count: int) -> Iterator[Floats]:
+    """Pose the skin (V, 3) of every frame; NaN where there is no answer."""
+    for frame in range(count):
+        known = frame in poses
+        yield PosedBody(body, poses[frame]).vertices if known else np.full(body.vertices.shape, np.nan)
+
+
+def seen_vertices(body: Body, poses: Mapping[int, Pose], cameras: Sequence[Camera], count: int) -> Iterator[Mask]:
+    """Tell for every frame which vertices (V,) lie on the rim of the surface in some camera, where outlines speak."""
+    for frame in range(count):
+        seen = np.zeros(len(body.vertices), bool)
+        if frame in poses:
+            posed = PosedBody(body, poses[frame])
+            for camera in cameras:
+                rim = view_of(posed, camera).rim(body.faces)
+                seen[body.faces[rim.face]] = True
+        yield seen
+
+
+LEAST_UPRIGHT = 0.5
+"""Cosine of the angle between trunk and Z below which a person lies; bending forward and sitting stay above."""
+
+
+def require_upright(trial: Trial, posed: PosedBody) -> None:
+    """Check that Z points up, unless the user said which axis does.
+
+    Raises:
+        FileProblem: The person lies or hangs.
+    """
+    names = posed.body.skeleton.segment_names
+    at = {name: posed.segment_origin[k] for k, name in enumerate(names)}
+    trunk = at["neck"] - 0.5 * (at["left_thigh"] + at["right_thigh"])
+    trunk = trunk / np.linalg.norm(trunk)
+    if trial.up_given or trunk[2] >= LEAST_UPRIGHT:
+        return
+    axis = int(np.argmax(np.abs(trunk)))
+    guess = ("" if trunk[axis] > 0 else "-") + "xyz"[axis]
+    how = "hangs head down" if trunk[2] < -LEAST_UPRIGHT else "lies"
+    wrong = f"has a world in which the person {how}: Z should point up"
+    remedy = (
+        f'Write [world] up = "{guess}" into trial.toml if that axis points up, or up = "z" if the person really does.'
+    )
+    raise FileProblem(trial.calibration, wrong, remedy)
 
 
 def quiet_threads() -> None:

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from marey.arrays import Floats, Mask
+from marey.arrays import Floats
 from marey.body.pose import PosedBody
 from marey.fit.pose_solver import Schedule, match_all, solve_step
 from marey.observations.correspondence import Sighting
@@ -37,7 +37,6 @@ def fit_body(
     *,
     schedule: Schedule,
     clip: float = 3.0,
-    usable: Mask | None = None,
 ) -> PosedBody:
     """Fit pose and shape of one frame to its silhouettes.
 
@@ -47,14 +46,13 @@ def fit_body(
         others: priors of pose and shape; both need one.
         schedule: how the search narrows.
         clip: no shape number goes farther from the prior's mean than so many standard deviations.
-        usable: (T,) faces whose outline counts.
     """
     degrees = len(posed.body.skeleton)
     space = posed.body.space
     reach = clip * np.sqrt(np.diag(space.prior_covariance))
     for iteration in range(schedule.iterations):
         matching, scale = schedule.at(iteration)
-        found, weights, _ = match_all(posed, sightings, matching, scale, usable)
+        found, weights, _ = match_all(posed, sightings, matching, scale)
         hessian, gradient, _ = dense_equations(posed, found, weights, others)
         step = solve_step(hessian, gradient, degrees=degrees)
         numbers = posed.body.numbers + step[degrees:]

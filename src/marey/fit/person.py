@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from marey.arrays import Floats, Mask
+from marey.arrays import Mask
 from marey.body.pose import Pose
 from marey.body.surface import Body
 from marey.cameras.camera import Camera
@@ -155,11 +155,3 @@ def refine_person(
 def with_shape(body: Body, other: Body) -> Body:
     """Give a body of another level the shape numbers of this one."""
     return replace(other, numbers=body.numbers, numbers_covariance=body.numbers_covariance)
-
-
-def spread_of_joints(fit: SequenceFit, jacobians: Floats) -> Floats:
-    """Give standard deviations (F, J, 3) [m] of joint centres from their derivatives (F, J, 3, D)."""
-    degrees = jacobians.shape[-1]
-    covariance = fit.covariance[:, :degrees, :degrees]
-    variance = np.einsum("fjad,fde,fjae->fja", jacobians, covariance, jacobians)
-    return np.sqrt(np.maximum(variance, 0.0))

@@ -9,7 +9,7 @@ from marey.body.skeleton import Skeleton
 from marey.geometry import rotations
 
 LIMBS = ("left_arm", "right_arm", "left_leg", "right_leg")
-_ROOT_OF = {"arm": "upperarm", "leg": "thigh"}
+_HINGES = {"arm": "elbow_flexion", "leg": "knee_flexion"}
 _SEGMENTS = {"arm": ("upperarm", "forearm", "hand"), "leg": ("thigh", "shank", "foot", "toes")}
 
 
@@ -32,13 +32,20 @@ class Limb:
         return np.concatenate([self.ball, [self.hinge], self.others])
 
 
+def limbs_of(skeleton: Skeleton) -> dict[str, Limb]:
+    """Find the limbs whose shoulder or hip and hinge the skeleton leaves free, by their names in `LIMBS`."""
+    names = {c.name for c in skeleton.coordinates}
+    hinges = {f"{side}_{kind}": f"{side}_{hinge}" for side in ("left", "right") for kind, hinge in _HINGES.items()}
+    return {limb: limb_of(skeleton, limb) for limb in LIMBS if hinges[limb] in names}
+
+
 def limb_of(skeleton: Skeleton, name: str) -> Limb:
     """Find a limb's coordinates by its name, one of `LIMBS`."""
     side, kind = name.split("_")
     segments = tuple(f"{side}_{segment}" for segment in _SEGMENTS[kind])
     own = [i for i, c in enumerate(skeleton.coordinates) if c.segment in segments]
     ball = [i for i in own if skeleton.coordinates[i].segment == segments[0]]
-    hinge = next(i for i in own if skeleton.coordinates[i].name in (f"{side}_elbow_flexion", f"{side}_knee_flexion"))
+    hinge = next(i for i in own if skeleton.coordinates[i].name == f"{side}_{_HINGES[kind]}")
     others = [i for i in own if i not in ball and i != hinge]
     return Limb(name, segments, np.array(ball), hinge, np.array(others, dtype=np.int64))
 
@@ -157,19 +164,16 @@ def whole_postures(skeleton: Skeleton, arm: Floats, leg: Floats) -> Floats:
         arm: (3,) direction of the left arm at rest.
         leg: (3,) direction of the left leg at rest.
     """
+    limbs = limbs_of(skeleton)
     postures = []
-    for arms in _ARM_PAIRS:
-        for legs in _LEG_PAIRS:
+    for arms in _ARM_PAIRS if "left_arm" in limbs else _ARM_PAIRS[:1]:
+        for legs in _LEG_PAIRS if "left_leg" in limbs else _LEG_PAIRS[:1]:
             angles = np.zeros(len(skeleton) - 6)
-            pairs = (
-                *zip(("left_arm", "right_arm"), arms, strict=True),
-                *zip(("left_leg", "right_leg"), legs, strict=True),
-            )
-            for name, kind in pairs:
-                limb = limb_of(skeleton, name)
-                side = np.array([1, 1, 1] if name.startswith("left") else [-1, 1, 1])
-                rest, table = (arm, _ARMS) if "arm" in name else (leg, _LEGS)
-                towards, bend = table[kind]
+            for name, limb in limbs.items():
+                left = name.startswith("left")
+                side = np.array([1 if left else -1, 1, 1])
+                rest, table, kinds = (arm, _ARMS, arms) if "arm" in name else (leg, _LEGS, legs)
+                towards, bend = table[kinds[0 if left else 1]]
                 angles[np.append(limb.ball, limb.hinge)] = _point(
                     skeleton, limb, rest * side, np.array(towards) * side, bend
                 )

@@ -100,14 +100,14 @@ def solve_pose(
 
 
 def match_all(
-    posed: PosedBody, sightings: Sequence[Sighting], matching: Matching, scale: float, usable: Mask | None = None
+    posed: PosedBody, sightings: Sequence[Sighting], matching: Matching, scale: float
 ) -> tuple[list[SurfaceObservation], list[Floats], tuple[View, ...]]:
     """Match the surface in all cameras; give the matches, their robust weights, and the views."""
     views = tuple(view_of(posed, sighting.camera) for sighting in sightings)
     found: list[SurfaceObservation] = []
     weights = []
     for view, sighting in zip(views, sightings, strict=True):
-        match = match_outline(posed, view, sighting, matching, usable=usable)
+        match = match_outline(posed, view, sighting, matching)
         if match is not None:
             found.append(match)
             weights.append(geman_mcclure(match.residuals(posed), scale))
@@ -120,7 +120,6 @@ def fit_pose(
     others: Sequence[Observation] = (JointLimits(),),
     *,
     schedule: Schedule,
-    usable: Mask | None = None,
 ) -> PoseFit:
     """Fit the pose of one frame to its silhouettes.
 
@@ -129,14 +128,13 @@ def fit_pose(
         sightings: one for each camera that saw the person.
         others: further observations; a body whose views leave something open needs a prior.
         schedule: how the search narrows.
-        usable: (T,) faces whose outline counts.
     """
     hessian: Floats = np.zeros(0)
     matches = 0
     views: tuple[View, ...] = ()
     for iteration in range(schedule.iterations):
         matching, scale = schedule.at(iteration)
-        found, weights, views = match_all(posed, sightings, matching, scale, usable)
+        found, weights, views = match_all(posed, sightings, matching, scale)
         moments = gather_moments(posed, found, weights)
         matches = sum(len(match.where) for match in found)
         posed, hessian = solve_pose(posed, moments, others)

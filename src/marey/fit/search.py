@@ -93,11 +93,13 @@ class Search:
 
     def limbs(self, candidate: Candidate, *, numbers: int) -> Candidate:
         """Search every limb on its own, then exchange both arms and both legs; keep what is better."""
-        for name in placements.LIMBS:
+        limbs = placements.limbs_of(candidate.posed.body.skeleton)
+        for name in limbs:
             for posed in self.limb_proposals(candidate.posed, name):
                 candidate = self.better(candidate, posed, numbers)
         for kind in ("arm", "leg"):
-            candidate = self.better(candidate, exchanged(candidate.posed, kind), numbers)
+            if f"left_{kind}" in limbs and f"right_{kind}" in limbs:
+                candidate = self.better(candidate, exchanged(candidate.posed, kind), numbers)
         return candidate
 
     def better(self, candidate: Candidate, posed: PosedBody, numbers: int) -> Candidate:
@@ -162,8 +164,8 @@ def _centroids(body: Body, postures: Floats) -> Floats:
 def _ups(hull: Floats) -> list[Floats]:
     """Say which ways the body may stand: upright, and along the hull's long axis where that leans."""
     spread = np.linalg.svd(hull - hull.mean(0), full_matrices=False)
-    axis = spread[2][0] * (1 if spread[2][0, 2] >= 0 else -1)
     upright = np.array([0.0, 0.0, 1.0])
+    axis = spread[2][0] * (1 if spread[2][0, 2] >= 0 else -1)
     lean = np.degrees(np.arccos(np.clip(axis @ upright, -1, 1)))
     ways = [upright]
     if lean > 8:
@@ -171,6 +173,9 @@ def _ups(hull: Floats) -> list[Floats]:
     if lean > 25:
         middle = axis + upright
         ways.append(middle / np.linalg.norm(middle))
+    if lean > 60:
+        # Somebody who lies: the head may be at either end.
+        ways.append(-axis)
     return [placements.shortest_turn(upright, way[None])[0] for way in ways]
 
 

@@ -60,9 +60,9 @@ def motion_of(
         segment_rotation=rows(rotation),
         segment_origin=rows(origin),
         coordinate_names=skeleton.coordinate_names,
-        coordinates=rows(np.array([coordinates_of(pose) for pose in fit.poses])),
+        coordinates=rows(_without_jumps(np.array([coordinates_of(pose) for pose in fit.poses]))),
         coordinates_sd=rows(_coordinate_spread(covariance, to_root)),
-        determined=rows(_determined(fit.information, skeleton), 0.0).astype(bool),
+        determined=rows(_determined(fit.information, skeleton).astype(float), 0.0).astype(bool),
         angle_names=anatomy.angle_names,
         angles_deg=rows(np.degrees(angles)),
         angles_deg_sd=rows(np.degrees(angles_sd)),
@@ -75,6 +75,12 @@ def motion_of(
 def coordinates_of(pose: Pose) -> Floats:
     """Give the skeleton's coordinates (D,) in a pose: the root's place [m] and turns [rad], then the joints' [rad]."""
     return np.concatenate([pose.translation, root_angles(pose.rotation), pose.angles])
+
+
+def _without_jumps(coordinates: Floats) -> Floats:
+    """Let the root's turns (F, D) count on through full turns."""
+    coordinates[:, 3:6] = np.unwrap(coordinates[:, 3:6], axis=0)
+    return coordinates
 
 
 def root_coordinates_from_turn(rotation: Floats) -> Floats:
@@ -94,7 +100,7 @@ def _coordinate_spread(covariance: Floats, to_root: Floats) -> Floats:
 
 
 def _joint_spread(posed: list[PosedBody], covariance: Floats) -> Floats:
-    """Give the standard deviation (F, J, 3) of joint centres by the poses' uncertainty, for the body as it was found."""
+    """Give the standard deviation (F, J, 3) of joint centres by the poses' uncertainty, of the body as found."""
     spread = []
     for p, c in zip(posed, covariance, strict=True):
         jacobian = p.pose_jacobian(*p.joint_parts(p.body.joint_segments))
@@ -102,8 +108,8 @@ def _joint_spread(posed: list[PosedBody], covariance: Floats) -> Floats:
     return np.array(spread)
 
 
-def _determined(information: Floats, skeleton: Skeleton) -> Floats:
+def _determined(information: Floats, skeleton: Skeleton) -> Mask:
     """Tell which coordinates (F, D) their own frame fixes, without its neighbours' help."""
     spread = np.concatenate([ROOT_SPREAD, skeleton.habit[1]])
     own = np.linalg.inv(information + 1e-3 * np.diag(1.0 / spread**2))
-    return np.sqrt(np.diagonal(own, axis1=1, axis2=2)) < DETERMINED * spread
+    return np.asarray(np.sqrt(np.diagonal(own, axis1=1, axis2=2)) < DETERMINED * spread)

@@ -59,9 +59,7 @@ def view_of(posed: PosedBody, camera: Camera) -> View:
     return see(projected, posed.body.faces, camera.size)
 
 
-def match_outline(
-    posed: PosedBody, view: View, sighting: Sighting, matching: Matching, *, usable: Mask | None = None
-) -> SilhouettePlanes | None:
+def match_outline(posed: PosedBody, view: View, sighting: Sighting, matching: Matching) -> SilhouettePlanes | None:
     """Match the rim of the surface to an outline both ways: each rim point and each contour pixel looks for the other.
 
     Args:
@@ -69,7 +67,6 @@ def match_outline(
         view: what the camera sees of it.
         sighting: what the camera saw.
         matching: what counts as a match.
-        usable: (T,) faces whose outline counts; all when missing.
 
     Returns:
         The matches as observations, or None where there are none.
@@ -81,8 +78,8 @@ def match_outline(
     normals, offsets = sighting.planes
     i, j = _pairs(rim, view, contour, matching)
     good = np.isfinite(offsets[j])
-    if usable is not None:
-        good &= usable[rim.face[i]]
+    if posed.body.outlined is not None:
+        good &= posed.body.outlined[rim.face[i]]
     i, j = i[good], j[good]
     if len(i) == 0:
         return None
@@ -94,9 +91,7 @@ def match_outline(
     )  # fmt: skip
 
 
-def match_rays(
-    posed: PosedBody, view: View, sighting: Sighting, matching: Matching, *, usable: Mask | None = None
-) -> SilhouetteRays | None:
+def match_rays(posed: PosedBody, view: View, sighting: Sighting, matching: Matching) -> SilhouetteRays | None:
     """Match as `match_outline`, but draw each rim point to its contour pixel's ray, as the paper does."""
     rim = view.rim(posed.body.faces)
     contour = sighting.contour
@@ -105,8 +100,8 @@ def match_rays(
     i, j = _pairs(rim, view, contour, matching)
     rays = sighting.camera.rays(contour.pixels[j])
     good = np.isfinite(rays.directions[:, 0])
-    if usable is not None:
-        good &= usable[rim.face[i]]
+    if posed.body.outlined is not None:
+        good &= posed.body.outlined[rim.face[i]]
     if not good.any():
         return None
     i, j = i[good], j[good]

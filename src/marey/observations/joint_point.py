@@ -1,0 +1,41 @@
+"""Joint centres in pictures: clicked by a person, or found by somebody else's detector."""
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from marey.arrays import Floats, Integers
+from marey.body.pose import PosedBody
+from marey.cameras.camera import Camera
+from marey.observations.observation import Linearization, Observation
+
+
+@final
+@dataclass(frozen=True, eq=False, kw_only=True)
+class JointPoints(Observation):
+    """Joint centres appear where they were clicked: the collinearity equations of one camera."""
+
+    camera: Camera
+    segments: Integers
+    """(n,) segments whose proximal joint centres were clicked."""
+    pixels: Floats
+    """(n, 2) [px]."""
+    sigma_px: float
+    """Standard deviation of a click; a joint hides under the skin [px]."""
+
+    @property
+    def sigma(self) -> float:
+        """Standard deviation of a residual [px]."""
+        return self.sigma_px
+
+    def linearize(self, posed: PosedBody, *, shape: bool = False) -> Linearization:
+        """Project the joint centres; those behind the camera say nothing."""
+        seen, by_point = self.camera.project_with_derivative(posed.segment_origin[self.segments])
+        moved = posed.pose_jacobian(*posed.joint_parts(self.segments))
+        if shape:
+            moved = np.concatenate([moved, posed.origin_shape_jacobian()[self.segments]], 2)
+        residual, jacobian = seen - self.pixels, by_point @ moved
+        hidden = np.isnan(seen[:, 0])
+        residual[hidden], jacobian[hidden] = 0.0, 0.0
+        return Linearization(residual.ravel(), jacobian.reshape(-1, jacobian.shape[2]))
