@@ -136,19 +136,19 @@ def _ring(family: BodyFamily, point: Floats, normal: Floats) -> tuple[Integers, 
     height = (family.vertices_mean - point) @ normal
     height[np.abs(height) < 1e-9] = 1e-9  # no vertex lies in the plane itself
     loops = _loops(family.faces, height > 0)
-    best: tuple[float, Integers, Floats, Floats] | None = None
+    best: tuple[float, Integers, Floats, np.ndarray] | None = None
     for edges in loops:
         share = height[edges[:, 0]] / (height[edges[:, 0]] - height[edges[:, 1]])
         start, end = family.vertices_mean[edges[:, 0]], family.vertices_mean[edges[:, 1]]
-        corners = start + share[:, None] * (end - start)
+        corners = np.asarray(start + share[:, None] * (end - start), float)
         away = float(np.linalg.norm(corners.mean(0) - point))
         if best is None or away < best[0]:
             best = (away, edges, share, corners)
     assert best is not None, "the plane of a girth misses the body"
-    _, edges, share, corners = best
-    across = np.linalg.svd(normal[None])[2][1:]
-    taut = _hull((corners - corners.mean(0)) @ across.T)
-    return edges[taut], share[taut]
+    _, ring, shares, tape = best
+    across = np.asarray(np.linalg.svd(normal[None])[2][1:])
+    taut = _hull((tape - tape.mean(0)) @ across.T)
+    return ring[taut], shares[taut]
 
 
 def _loops(faces: Integers, above: np.ndarray) -> list[Integers]:
