@@ -75,7 +75,8 @@ def segment(
             nothing is found.
         before: Result of an earlier picture of this camera; its densities are used and carried on.
         prior: (H, W) what is known beforehand, added to the evidence: the place of the shape term,
-            [Rosenhahn2006] eq. (3)-(4), whose pull at a pixel is a weight times the expected surface's signed distance (inside positive).
+            [Rosenhahn2006] eq. (3)-(4), whose pull at a pixel is a weight times the expected surface's
+            signed distance (inside positive).
         length: Weight of the border's length.
 
     Raises:
