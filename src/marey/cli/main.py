@@ -140,7 +140,7 @@ def bench(
     """
     from marey.cli.bench import bench as measure
 
-    measure(trial)
+    measure(trial, example=example_folder())
 
 
 def _capture(trial: Path, settings: CaptureSettings, *, quiet: bool) -> None:
