@@ -7,6 +7,7 @@ import pytest
 from marey.cli.progress import Progress
 from marey.cli.run_record import StageCache, fingerprint, finished_together, write_record
 from marey.cli.settings import CaptureSettings
+from marey.errors import FileProblem
 
 
 def test_a_fingerprint_changes_with_every_part():
@@ -91,3 +92,24 @@ def test_the_record_tells_what_was_run_on_what(tmp_path):
     assert len(record["inputs"]["cam01.mp4"]) == 32
     assert "Poses" in record["timings_s"]
     assert record["files"] == ["cam01.mp4", "run.json"]
+
+
+@pytest.mark.parametrize(
+    ("error", "kept"), [(None, False), (FileProblem("a", "b"), False), (KeyboardInterrupt(), True)]
+)
+def test_what_was_found_is_kept_when_interrupted_and_forgotten_when_done_or_to_be_mended(tmp_path, error, kept):
+    out = tmp_path / "results"
+
+    def work() -> None:
+        with StageCache(out, 0) as cache:
+            cache.arrays("start", lambda: {"x": np.ones(1)})
+            if error is not None:
+                raise error
+
+    if error is None:
+        work()
+    else:
+        with pytest.raises(type(error)):
+            work()
+    assert out.exists() == kept
+    assert bool(list(out.rglob("start-*.npz"))) == kept

@@ -12,6 +12,7 @@ from marey.body.presets import person_body
 from marey.body.surface import Body
 from marey.cli import capture_stages as stages
 from marey.cli.capture_report import draw_overlays, report_capture
+from marey.cli.kept_candidates import KeptCandidates
 from marey.cli.progress import Progress
 from marey.cli.run_record import StageCache, finished_together, write_record
 from marey.cli.settings import CaptureSettings
@@ -64,6 +65,9 @@ def capture(folder: Path, settings: CaptureSettings, progress: Progress) -> Path
     """
     trial = read_trial(folder, **settings.changes())
     require_two_cameras(trial)
+    if trial.start is not None:
+        # Read again where it is needed; a wrong file shall be told of before the work begins.
+        read_start_joints(trial.start, trial.rig, count=trial.take.count)
     out = settings.out or folder / "marey"
     for note in trial.take.notes:
         progress.warn(note)
@@ -73,9 +77,12 @@ def capture(folder: Path, settings: CaptureSettings, progress: Progress) -> Path
         named = [*trial.input_files, *([settings.body] if settings.body else [])]
         cache = StageCache(out, [file_fingerprint(path) for path in named])
         scope = (trial.rig.names, trial.take.first, trial.take.end, trial.settings.model_dump_json())
-        with cache.frames("silhouettes", depends=scope) as log, cache.frames("outlines", depends=scope) as better:
+        with (
+            cache,
+            cache.frames("silhouettes", depends=scope) as log,
+            cache.frames("outlines", depends=scope) as better,
+        ):
             _capture(Run(trial, settings, progress, cache, scope, out), bodies, log, better)
-        cache.clear()
     return out
 
 
@@ -151,17 +158,24 @@ def _tracked(run: Run, take: Take, bodies: Bodies) -> Tracked:
 
     def start() -> Arrays:
         count = min(person.start_frames, len(take.frames))
-        with progress.stage("Start", count) as step:
-            found = begin(run, take, bodies, done=lambda frame: step())
+        with (
+            cache.frames("start_frames", depends=run.scope) as log,
+            progress.stage("Start", count) as step,
+        ):
+            kept = KeptCandidates(log, bodies.fine)
+            found = begin(run, take, bodies, kept, done=lambda frame: step())
         return _packed({found[0]: found[1]}, found[1].posed.body)
 
     def follow() -> Arrays:
         begun = _unpacked(cache.arrays("start", start, depends=run.scope), bodies.fine)
         frame = next(iter(begun.poses))
-        with progress.stage("Tracking", len(take.frames)) as step:
+        with (
+            cache.frames("tracked_frames", depends=run.scope) as log,
+            progress.stage("Tracking", len(take.frames)) as step,
+        ):
             found = track_person(
                 take, begun.body, with_shape(begun.body, bodies.coarse), (frame, begun.poses[frame]), person,
-                done=lambda frame: step(),
+                done=lambda frame: step(), memory=KeptCandidates(log, begun.body),
             )  # fmt: skip
         return _packed(found, begun.body)
 
@@ -178,7 +192,9 @@ def _tracked(run: Run, take: Take, bodies: Bodies) -> Tracked:
     return _unpacked(cache.arrays("shape", shape, depends=run.scope), bodies.fine)
 
 
-def begin(run: Run, take: Take, bodies: Bodies, *, done: Callable[[int], None]) -> tuple[int, Candidate]:
+def begin(
+    run: Run, take: Take, bodies: Bodies, kept: KeptCandidates, *, done: Callable[[int], None]
+) -> tuple[int, Candidate]:
     """Find the start: from the joints that the user gave, or without any.
 
     Raises:
@@ -192,7 +208,7 @@ def begin(run: Run, take: Take, bodies: Bodies, *, done: Callable[[int], None]) 
         )
         done(joints.frame)
     else:
-        found = start_person(take, bodies.coarse, bodies.fine, run.person, done=done)
+        found = start_person(take, bodies.coarse, bodies.fine, run.person, done=done, memory=kept)
     if found is None:
         remedy = "Look whether the cameras are calibrated in one world, and whether the silhouettes show the person."
         raise FileProblem(trial.folder, "has silhouettes that have no point of space in common", remedy)

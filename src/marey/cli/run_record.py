@@ -6,7 +6,7 @@ import os
 import platform
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import fields, is_dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -15,7 +15,7 @@ import numpy as np
 
 import marey
 from marey.cli.progress import Progress
-from marey.errors import FileProblem
+from marey.errors import FileProblem, MareyError
 from marey.io.stages import Arrays, FrameLog, file_fingerprint, load_arrays, save_arrays
 
 WORK = ".work"
@@ -53,7 +53,9 @@ def _add(digest: "hashlib.blake2b", part: object) -> None:
 class StageCache:
     """Results of the stages of a run, kept in the folder of its results while the run lasts.
 
-    A stage's result is found again only for the same version, the same inputs and the same settings.
+    A stage's result is found again only for the same version, the same inputs and the same settings. Used as a
+    context, it forgets everything when the run has ended, or when the user must mend something first; what an
+    interruption or a fault of the program leaves is there for the next run.
 
     Args:
         out: Where the run's results go.
@@ -83,8 +85,17 @@ class StageCache:
         return FrameLog(self._path(name, depends, ".log"))
 
     def clear(self) -> None:
-        """Forget everything."""
+        """Forget everything, and leave no empty folder behind."""
         shutil.rmtree(self.folder, ignore_errors=True)
+        with suppress(OSError):
+            self.folder.parent.rmdir()
+
+    def __enter__(self) -> "StageCache":
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is None or issubclass(kind, MareyError):
+            self.clear()
 
     def _path(self, name: str, depends: object, ending: str) -> Path:
         path = self.folder / f"{name}-{fingerprint(self._key, name, depends)}{ending}"

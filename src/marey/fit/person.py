@@ -1,6 +1,6 @@
 """The recipe: from the silhouettes of a take to one person's motion and shape."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -91,14 +91,27 @@ def _shown(mask: Mask) -> tuple[float, float]:
 
 
 def start_person(
-    take: Take, coarse: Body, fine: Body, settings: PersonSettings, *, done: Done = _nothing
+    take: Take,
+    coarse: Body,
+    fine: Body,
+    settings: PersonSettings,
+    *,
+    done: Done = _nothing,
+    memory: MutableMapping[int, Candidate] | None = None,
 ) -> tuple[int, Candidate] | None:
-    """Find the start in the frames that show the person best; give the frame and its best candidate."""
+    """Find the start in the frames that show the person best; give the frame and its best candidate.
+
+    A memory takes every candidate as soon as it is found; what it holds already is not sought again.
+    """
+    memory = {} if memory is None else memory
     found: list[tuple[int, Candidate]] = []
     for frame in promising_frames(take, settings.start_frames):
-        candidate = find_start(take.cameras, take.masks_of(frame), coarse, fine, settings.start)
-        if candidate is not None:
-            found.append((frame, candidate))
+        if frame not in memory:
+            candidate = find_start(take.cameras, take.masks_of(frame), coarse, fine, settings.start)
+            if candidate is not None:
+                memory[frame] = candidate
+        if frame in memory:
+            found.append((frame, memory[frame]))
         done(frame)
     return max(found, key=lambda pair: pair[1].score) if found else None
 
@@ -111,8 +124,12 @@ def track_person(
     settings: PersonSettings,
     *,
     done: Done = _nothing,
+    memory: MutableMapping[int, Candidate] | None = None,
 ) -> dict[int, Candidate]:
-    """Follow the person from the start to both ends of the take, and mend what went wrong."""
+    """Follow the person from the start to both ends of the take, and mend what went wrong.
+
+    A memory takes every frame's candidate as soon as it is found; what it holds already is not sought again.
+    """
     frame, pose = start
     levels, rough = take.levels(settings.track_height), take.levels(settings.rough_height)
     ahead = [f for f in take.frames if f >= frame]
@@ -120,8 +137,9 @@ def track_person(
     found: dict[int, Candidate] = {}
     for frames in (ahead, behind):
         found |= track(
-            body, pose, frames, levels, rough, rate=take.rate, settings=settings.track, coarse=coarse, done=done
-        )
+            body, pose, frames, levels, rough, rate=take.rate, settings=settings.track, coarse=coarse, done=done,
+            memory=memory,
+        )  # fmt: skip
     found = {f: found[f] for f in sorted(found)}
     return repair(found, levels, rough, coarse=coarse)
 

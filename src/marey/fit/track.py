@@ -1,6 +1,6 @@
 """From frame to frame: predict, fit, and look for limbs again where the agreement falls."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, MutableMapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -55,6 +55,7 @@ def track(
     settings: TrackSettings | None = None,
     coarse: Body | None = None,
     done: Callable[[int], None] = lambda frame: None,
+    memory: MutableMapping[int, Candidate] | None = None,
 ) -> dict[int, Candidate]:
     """Follow a person from a known pose through frames in either direction.
 
@@ -68,20 +69,25 @@ def track(
         settings: how the person is followed.
         coarse: the same body with few vertices, for the search; the body itself when missing.
         done: told of every frame that is finished.
+        memory: takes every candidate as soon as it is found; what it holds already is not sought again.
 
     Returns:
         A candidate for each frame until the person was lost.
     """
     settings = settings or TrackSettings()
+    memory = {} if memory is None else memory
     spread = prediction_spread(body.skeleton, settings, rate=rate)
     last, before = start, start
     found: dict[int, Candidate] = {}
     for frame in frames:
-        predicted = last.step(settings.momentum * before.change_to(last))
-        candidate = _follow(PosedBody(body, predicted), levels, frame, spread, settings)
-        usual = float(np.median([c.score for c in list(found.values())[-15:]] or [candidate.score]))
-        if candidate.score < usual - settings.fall:
-            candidate = _search_limbs(candidate, coarse or body, levels, rough, frame)
+        if frame not in memory:
+            predicted = last.step(settings.momentum * before.change_to(last))
+            candidate = _follow(PosedBody(body, predicted), levels, frame, spread, settings)
+            usual = float(np.median([c.score for c in list(found.values())[-15:]] or [candidate.score]))
+            if candidate.score < usual - settings.fall:
+                candidate = _search_limbs(candidate, coarse or body, levels, rough, frame)
+            memory[frame] = candidate
+        candidate = memory[frame]
         done(frame)
         if candidate.score < settings.lost:
             break
