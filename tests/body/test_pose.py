@@ -66,6 +66,15 @@ def test_points_move_with_pose_and_shape_as_the_derivative_says(posed, rng):
         np.testing.assert_allclose(jacobian[:, :, column], difference, atol=2e-8)
 
 
+def test_constraints_on_points_change_as_the_points_move(posed, rng):
+    where, rows = people.any_points(rng, posed.body, 30), rng.normal(size=(30, 2, 3))
+    moved = np.concatenate([posed.pose_jacobian(*posed.parts(where)), posed.shape_jacobian(where)], 2)
+    expected = np.einsum("nra,nad->nrd", rows, moved)
+    np.testing.assert_allclose(posed.constraint_jacobian(where, rows, shape=True), expected, atol=1e-12)
+    degrees = len(posed.body.skeleton)
+    np.testing.assert_allclose(posed.constraint_jacobian(where, rows), expected[:, :, :degrees], atol=1e-12)
+
+
 def test_joint_centres_move_with_pose_and_shape_as_the_derivative_says(posed):
     segments, step = posed.body.joint_segments, 1e-6
     by_pose = posed.pose_jacobian(*posed.joint_parts(segments))

@@ -105,6 +105,18 @@ def blend_skin(vertices, vertex_segments, vertex_weights, joints, rotation, orig
 
 
 @numba.njit(cache=True, nogil=True)
+def points_on_faces(vertices, faces, face, barycentric):
+    """Place points (n, 3) given by faces (n,) and barycentric weights (n, 3)."""
+    points = np.empty((face.shape[0], 3))
+    for i in range(face.shape[0]):
+        a, b, c = faces[face[i], 0], faces[face[i], 1], faces[face[i], 2]
+        u, v, w = barycentric[i, 0], barycentric[i, 1], barycentric[i, 2]
+        for k in range(3):
+            points[i, k] = u * vertices[a, k] + v * vertices[b, k] + w * vertices[c, k]
+    return points
+
+
+@numba.njit(cache=True, nogil=True)
 def gather_parts(faces, corners, vertices, vertex_segments, vertex_weights, joints, face, barycentric, segment, part):
     """Split surface points into the shares that their segments carry.
 
@@ -255,3 +267,80 @@ def shape_jacobian(
                 x, y, z = vertex_modes[v, m, 0], vertex_modes[v, m, 1], vertex_modes[v, m, 2]
                 for a in range(3):
                     jacobian[i, a, m] += blend[a, 0] * x + blend[a, 1] * y + blend[a, 2] * z
+
+
+@numba.njit(cache=True, nogil=True)
+def pose_rows(parents, coordinate_segment, rotation, origin, world_axes, segment, part, rows, jacobian):
+    """Add how rows (n, r, 3) of points change with the pose to the first D columns of jacobian (n, r, ...).
+
+    A force a on the share y of segment k turns a joint by axis . ((y - w o) x a): `point_jacobian`, multiplied out.
+    """
+    segments, coordinates = rotation.shape[0], world_axes.shape[0]
+    first = np.zeros(segments + 1, np.int64)
+    for i in range(coordinates):
+        first[coordinate_segment[i] + 1] += 1
+    for k in range(segments):
+        first[k + 1] += first[k]
+    for i in range(segment.shape[0]):
+        for n in range(segment.shape[1]):
+            k = segment[i, n]
+            if k < 0:
+                break
+            p0, p1, p2, w = part[i, n, 0], part[i, n, 1], part[i, n, 2], part[i, n, 3]
+            turn = rotation[k]
+            y0 = turn[0, 0] * p0 + turn[0, 1] * p1 + turn[0, 2] * p2 + origin[k, 0] * w
+            y1 = turn[1, 0] * p0 + turn[1, 1] * p1 + turn[1, 2] * p2 + origin[k, 1] * w
+            y2 = turn[2, 0] * p0 + turn[2, 1] * p1 + turn[2, 2] * p2 + origin[k, 2] * w
+            for r in range(rows.shape[1]):
+                a0, a1, a2 = rows[i, r, 0], rows[i, r, 1], rows[i, r, 2]
+                out = jacobian[i, r]
+                out[0] += w * a0
+                out[1] += w * a1
+                out[2] += w * a2
+                j = k
+                while j >= 0:
+                    d0, d1, d2 = y0 - w * origin[j, 0], y1 - w * origin[j, 1], y2 - w * origin[j, 2]
+                    t0, t1, t2 = d1 * a2 - d2 * a1, d2 * a0 - d0 * a2, d0 * a1 - d1 * a0
+                    for q in range(first[j], first[j + 1]):
+                        out[6 + q] += world_axes[q, 0] * t0 + world_axes[q, 1] * t1 + world_axes[q, 2] * t2
+                    if parents[j] < 0:
+                        out[3] += t0
+                        out[4] += t1
+                        out[5] += t2
+                    j = parents[j]
+
+
+@numba.njit(cache=True, nogil=True, fastmath=True)
+def shape_rows(
+    faces, vertex_segments, vertex_weights, vertex_modes, rotation, anchored, face, barycentric, segment, part,
+    rows, degrees, jacobian,
+):  # fmt: skip
+    """Add how rows (n, r, 3) of surface points change with the shape to jacobian (n, r, D + M) from column D on.
+
+    `shape_jacobian`, multiplied out; vertex_modes is (V, 3, M) and anchored (S, 3, M).
+    """
+    modes = vertex_modes.shape[2]
+    for i in range(face.shape[0]):
+        for r in range(rows.shape[1]):
+            a0, a1, a2 = rows[i, r, 0], rows[i, r, 1], rows[i, r, 2]
+            out = jacobian[i, r, degrees:]
+            for n in range(segment.shape[1]):
+                k = segment[i, n]
+                if k < 0:
+                    break
+                w = part[i, n, 3]
+                b0, b1, b2 = w * a0, w * a1, w * a2
+                for m in range(modes):
+                    out[m] += b0 * anchored[k, 0, m] + b1 * anchored[k, 1, m] + b2 * anchored[k, 2, m]
+            for c in range(3):
+                v = faces[face[i], c]
+                b0 = b1 = b2 = 0.0
+                for n in range(vertex_weights.shape[1]):
+                    w = vertex_weights[v, n] * barycentric[i, c]
+                    if w > 0.0:
+                        turn = rotation[vertex_segments[v, n]]
+                        b0 += w * (turn[0, 0] * a0 + turn[1, 0] * a1 + turn[2, 0] * a2)
+                        b1 += w * (turn[0, 1] * a0 + turn[1, 1] * a1 + turn[2, 1] * a2)
+                        b2 += w * (turn[0, 2] * a0 + turn[1, 2] * a1 + turn[2, 2] * a2)
+                for m in range(modes):
+                    out[m] += b0 * vertex_modes[v, 0, m] + b1 * vertex_modes[v, 1, m] + b2 * vertex_modes[v, 2, m]

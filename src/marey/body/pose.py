@@ -100,7 +100,7 @@ class PosedBody:
 
     def points(self, where: SurfacePoints) -> Floats:
         """Place points (n, 3) of the surface in the world."""
-        return np.einsum("nc,nca->na", where.barycentric, self.vertices[self.body.faces[where.face]])
+        return kinematics.points_on_faces(self.vertices, self.body.faces, where.face, where.barycentric)
 
     def parts(self, where: SurfacePoints) -> tuple[Integers, Floats]:
         """Split surface points into the shares that their segments carry, see `kinematics.gather_parts`."""
@@ -120,6 +120,35 @@ class PosedBody:
         part = np.zeros((len(segments), 1, 4))
         part[:, 0, 3] = 1.0
         return segment, part
+
+    def constraint_jacobian(self, where: SurfacePoints, rows: Floats, *, shape: bool = False) -> Floats:
+        """Give how rows p of surface points p change with the pose, and with the shape.
+
+        Args:
+            where: n points.
+            rows: (n, r, 3).
+            shape: whether the shape numbers' columns follow.
+
+        Returns:
+            (n, r, D) or (n, r, D + M).
+        """
+        body, packed = self.body, self.body.packed
+        degrees = 6 + len(packed.axes)
+        numbers = len(body.space) if shape else 0
+        jacobian = np.zeros((*rows.shape[:2], degrees + numbers))
+        segment, part = self.parts(where)
+        rows = np.ascontiguousarray(rows)
+        kinematics.pose_rows(
+            packed.parents, packed.coordinate_segment, self.segment_rotation, self.segment_origin, self.world_axes,
+            segment, part, rows, jacobian,
+        )  # fmt: skip
+        if numbers:
+            kinematics.shape_rows(
+                body.faces, body.vertex_segments, body.vertex_weights, body.space.modes_by_number_last,
+                self.segment_rotation, self._anchored_by_number_last, where.face, where.barycentric, segment, part,
+                rows, degrees, jacobian,
+            )  # fmt: skip
+        return jacobian
 
     def pose_jacobian(self, segment: Integers, part: Floats) -> Floats:
         """Give how points move with the pose.
@@ -143,6 +172,11 @@ class PosedBody:
     def _origin_modes(self) -> tuple[Floats, Floats]:
         modes = self.body.space.joint_modes
         return kinematics.origin_modes(self.body.packed.parents, self.segment_rotation, modes)
+
+    @cached_property
+    def _anchored_by_number_last(self) -> Floats:
+        """(S, 3, M)."""
+        return np.ascontiguousarray(np.swapaxes(self._origin_modes[1], 1, 2))
 
     def shape_jacobian(self, where: SurfacePoints) -> Floats:
         """Give how surface points move with the shape numbers: (n, 3, M) [m by standard unit]."""

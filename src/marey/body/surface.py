@@ -53,6 +53,11 @@ class ShapeSpace:
         """(V, M, 3): the vertices' modes, for kernels that walk over vertices."""
         return frozen(np.swapaxes(self.vertex_modes, 0, 1))
 
+    @cached_property
+    def modes_by_number_last(self) -> Floats:
+        """(V, 3, M): the vertices' modes, for kernels that sum over many numbers at once."""
+        return frozen(np.moveaxis(self.vertex_modes, 0, 2))
+
     def first(self, numbers: int) -> "ShapeSpace":
         """Keep only the first numbers."""
         return self.keep(range(numbers))

@@ -13,8 +13,8 @@ from marey.arrays import Floats, Integers, Mask
 class Rim(NamedTuple):
     """The outermost covered pixels of a mesh in a picture, and the surface points seen there."""
 
-    pixels: Integers
-    """(n, 2) x, y in the picture."""
+    pixels: Floats
+    """(n, 2) x, y in the picture, whole numbers."""
     inward: Floats
     """(n, 2) unit normals of the outline, towards the inside [px]."""
     face: Integers
@@ -73,16 +73,32 @@ def see(projected: Floats, faces: Integers, size: tuple[int, int], *, margin: in
         size: width and height of the picture.
         margin: pixels kept around the mesh.
     """
-    seen = np.isfinite(projected[:, 2])
-    if not seen.any():
-        empty = np.zeros((0, 0))
-        return View((0, 0), size, empty, np.full((0, 0), -1, np.int32), projected)
-    low = np.clip(np.floor(projected[seen, :2].min(0)) - margin, 0, size).astype(int)
-    high = np.clip(np.ceil(projected[seen, :2].max(0)) + margin + 1, low, size).astype(int)
-    inverse_depth = np.zeros((high[1] - low[1], high[0] - low[0]))
-    face = np.full(inverse_depth.shape, -1, np.int32)
-    draw_faces(projected, faces, low[0], low[1], inverse_depth, face)
-    return View((int(low[0]), int(low[1])), size, inverse_depth, face, projected)
+    corner, inverse_depth, face = draw_window(projected, faces, size[0], size[1], margin)
+    return View(corner, size, inverse_depth, face, projected)
+
+
+@numba.njit(cache=True, nogil=True)
+def draw_window(projected, faces, width, height, margin):
+    """Find the part of the picture that the vertices may cover, and draw the faces into it."""
+    left, top, right, bottom = np.inf, np.inf, -np.inf, -np.inf
+    for v in range(projected.shape[0]):
+        x, y = projected[v, 0], projected[v, 1]
+        # Comparisons with NaN are false: what is not to be seen does not count.
+        left = x if x < left else left
+        right = x if x > right else right
+        top = y if y < top else top
+        bottom = y if y > bottom else bottom
+    if not left <= right:
+        left = top = 0.0
+        right = bottom = -2.0 * margin - 1.0
+    x0 = int(min(max(np.floor(left) - margin, 0), width))
+    y0 = int(min(max(np.floor(top) - margin, 0), height))
+    x1 = int(min(max(np.ceil(right) + margin + 1, x0), width))
+    y1 = int(min(max(np.ceil(bottom) + margin + 1, y0), height))
+    inverse_depth = np.zeros((y1 - y0, x1 - x0))
+    face = np.full((y1 - y0, x1 - x0), -1, np.int32)
+    draw_faces(projected, faces, x0, y0, inverse_depth, face)
+    return (x0, y0), inverse_depth, face
 
 
 @numba.njit(cache=True, nogil=True)
@@ -104,12 +120,13 @@ def draw_faces(projected, faces, left, top, inverse_depth, face):
         ymax = min(height - 1, int(np.floor(max(y0, max(y1, y2)))))
         if xmin > xmax or ymin > ymax:
             continue
-        d0, d1 = -(y2 - y1) / area, -(y0 - y2) / area
+        scale = 1.0 / area
+        d0, d1 = -(y2 - y1) * scale, -(y0 - y2) * scale
         d2 = -d0 - d1
         dz = d0 * z0 + d1 * z1 + d2 * z2
         for y in range(ymin, ymax + 1):
-            e0 = ((x2 - x1) * (y - y1) - (y2 - y1) * (xmin - x1)) / area
-            e1 = ((x0 - x2) * (y - y2) - (y0 - y2) * (xmin - x2)) / area
+            e0 = ((x2 - x1) * (y - y1) - (y2 - y1) * (xmin - x1)) * scale
+            e1 = ((x0 - x2) * (y - y2) - (y0 - y2) * (xmin - x2)) * scale
             e2 = 1.0 - e0 - e1
             z = e0 * z0 + e1 * z1 + e2 * z2
             for x in range(xmin, xmax + 1):
@@ -126,42 +143,36 @@ def draw_faces(projected, faces, left, top, inverse_depth, face):
 def rim_pixels(face, projected, faces, left, top):
     """List the rim's pixels, inward normals, faces, barycentric weights and depths, see `View.rim`."""
     height, width = face.shape
+    found = np.empty((height * width, 2), np.int32)
     count = 0
     for y in range(1, height - 1):
         for x in range(1, width - 1):
             if face[y, x] >= 0 and (
                 face[y - 1, x] < 0 or face[y + 1, x] < 0 or face[y, x - 1] < 0 or face[y, x + 1] < 0
             ):
+                found[count, 0], found[count, 1] = x, y
                 count += 1
-    pixels = np.empty((count, 2), np.int64)
+    pixels = np.empty((count, 2))
     inward = np.empty((count, 2))
     rim_face = np.empty(count, np.int64)
     barycentric = np.empty((count, 3))
     depth = np.empty(count)
-    i = 0
-    for y in range(1, height - 1):
-        for x in range(1, width - 1):
-            f = face[y, x]
-            if f < 0 or not (face[y - 1, x] < 0 or face[y + 1, x] < 0 or face[y, x - 1] < 0 or face[y, x + 1] < 0):
-                continue
-            nx = ny = 0.0
-            for dy in range(-2, 3):
-                for dx in range(-2, 3):
-                    yy, xx = y + dy, x + dx
-                    if 0 <= yy < height and 0 <= xx < width and face[yy, xx] >= 0:
-                        nx += dx
-                        ny += dy
-            length = np.sqrt(nx * nx + ny * ny)
-            if length > 0.0:
-                nx /= length
-                ny /= length
-            pixels[i, 0] = x + left
-            pixels[i, 1] = y + top
-            inward[i, 0] = nx
-            inward[i, 1] = ny
-            rim_face[i] = f
-            depth[i] = _perspective_weights(projected, faces, f, x + left, y + top, barycentric[i])
-            i += 1
+    for i in range(count):
+        x, y = int(found[i, 0]), int(found[i, 1])
+        nx = ny = 0.0
+        for yy in range(max(y - 2, 0), min(y + 3, height)):
+            for xx in range(max(x - 2, 0), min(x + 3, width)):
+                if face[yy, xx] >= 0:
+                    nx += xx - x
+                    ny += yy - y
+        length = np.sqrt(nx * nx + ny * ny)
+        if length > 0.0:
+            nx /= length
+            ny /= length
+        pixels[i, 0], pixels[i, 1] = x + left, y + top
+        inward[i, 0], inward[i, 1] = nx, ny
+        rim_face[i] = face[y, x]
+        depth[i] = _perspective_weights(projected, faces, rim_face[i], x + left, y + top, barycentric[i])
     return pixels, inward, rim_face, barycentric, depth
 
 

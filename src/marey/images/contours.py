@@ -1,11 +1,13 @@
-"""The outline of a silhouette: its pixels, their normals, and which of them is nearest to any pixel."""
+"""The outline of a silhouette: its pixels, their normals, and which of them is nearest to a place."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
 
 from marey.arrays import Floats, Integers, Mask
+from marey.images.nearest import Cells, sort_into_cells
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,18 +20,18 @@ class Contour:
     """(n, 2) x, y of the ring's pixels."""
     inward: Floats
     """(n, 2) unit normals towards the inside."""
-    nearest: Integers
-    """(h, w) for every pixel of the window the index of the nearest contour pixel."""
-    corner: tuple[int, int]
-    """x, y of the window's first pixel."""
+
+    @cached_property
+    def cells(self) -> Cells:
+        """The ring's pixels, sorted so that the nearest one is found quickly."""
+        return sort_into_cells(self.pixels)
 
 
-def trace_contour(mask: Mask, *, reach: int = 60, border: int = 2, blur: float = 1.5) -> Contour:
+def trace_contour(mask: Mask, *, border: int = 2, blur: float = 1.5) -> Contour:
     """Trace the outline of a silhouette.
 
     Args:
         mask: (height, width) true inside.
-        reach: pixels around the silhouette for which the nearest contour pixel is kept.
         border: contour pixels nearer than this to the picture's border are left out: a person cut by
             the border has no outline there.
         blur: standard deviation [px] of the smoothing from which normals are taken.
@@ -37,9 +39,10 @@ def trace_contour(mask: Mask, *, reach: int = 60, border: int = 2, blur: float =
     height, width = mask.shape
     rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
     if len(rows) == 0:
-        return Contour(mask, np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 0), np.int64), (0, 0))
-    top, bottom = max(rows[0] - reach, 0), min(rows[-1] + reach + 1, height)
-    left, right = max(columns[0] - reach, 0), min(columns[-1] + reach + 1, width)
+        return Contour(mask, np.zeros((0, 2)), np.zeros((0, 2)))
+    margin = int(np.ceil(4 * blur)) + 1
+    top, bottom = max(rows[0] - margin, 0), min(rows[-1] + margin + 1, height)
+    left, right = max(columns[0] - margin, 0), min(columns[-1] + margin + 1, width)
     part = mask[top:bottom, left:right].astype(np.uint8)
     ring = part.astype(bool) & (cv2.erode(part, _CROSS, borderType=cv2.BORDER_REPLICATE) == 0)
     y, x = np.nonzero(ring)
@@ -50,9 +53,9 @@ def trace_contour(mask: Mask, *, reach: int = 60, border: int = 2, blur: float =
     directed = np.linalg.norm(normals, axis=1) > 0.5
     x, y, normals = x[directed], y[directed], normals[directed]
     if len(x) == 0:
-        return Contour(mask, np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 0), np.int64), (0, 0))
+        return Contour(mask, np.zeros((0, 2)), np.zeros((0, 2)))
     pixels = np.stack([x + left, y + top], 1).astype(float)
-    return Contour(mask, pixels, normals, nearest_pixel(x, y, part.shape), (int(left), int(top)))
+    return Contour(mask, pixels, normals)
 
 
 _CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
@@ -66,21 +69,3 @@ def _normals(part: np.ndarray, x: Integers, y: Integers, blur: float) -> Floats:
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     return np.where(length > 1e-6, normals / np.maximum(length, 1e-6), 0.0)
 
-
-def nearest_pixel(x: Integers, y: Integers, shape: tuple[int, ...]) -> Integers:
-    """Find for every pixel of a window which of some pixels is nearest.
-
-    Args:
-        x: (n,) columns in the window, at least one.
-        y: (n,) rows.
-        shape: rows and columns of the window.
-
-    Returns:
-        (rows, columns) index of the nearest one.
-    """
-    away = np.ones(shape, np.uint8)
-    away[y, x] = 0
-    _, labels = cv2.distanceTransformWithLabels(away, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
-    index = np.zeros(labels.max() + 1, np.int64)
-    index[labels[y, x]] = np.arange(len(x))
-    return index[labels]

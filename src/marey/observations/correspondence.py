@@ -10,8 +10,10 @@ from marey.arrays import Floats, Integers, Mask
 from marey.body.pose import PosedBody, SurfacePoints
 from marey.cameras import lens
 from marey.cameras.camera import Camera
-from marey.cameras.visibility import Rim, View, see
-from marey.images.contours import Contour, nearest_pixel, trace_contour
+from marey.cameras.rays import PluckerLines
+from marey.cameras.visibility import View, see
+from marey.images.contours import Contour, trace_contour
+from marey.images.nearest import nearest_within, sort_into_cells
 from marey.observations.silhouette import SilhouettePlanes, SilhouetteRays
 
 
@@ -31,6 +33,16 @@ class Sighting:
     def planes(self) -> tuple[Floats, Floats]:
         """Unit normals (n, 3), towards the inside, and offsets (n,) of the contour's tangent planes."""
         return self.camera.contour_planes(self.contour.pixels, self.contour.inward)
+
+    @cached_property
+    def seen(self) -> Mask:
+        """(n,) true where the contour's plane is known: the lens shows nothing beyond."""
+        return np.isfinite(self.planes[1])
+
+    @cached_property
+    def rays(self) -> PluckerLines:
+        """The rays (n,) of the contour's pixels."""
+        return self.camera.rays(self.contour.pixels)
 
     @cached_property
     def radians_per_pixel(self) -> Floats:
@@ -71,92 +83,94 @@ def match_outline(posed: PosedBody, view: View, sighting: Sighting, matching: Ma
     Returns:
         The matches as observations, or None where there are none.
     """
-    rim = view.rim(posed.body.faces)
-    contour = sighting.contour
-    if len(rim.face) == 0 or len(contour.pixels) == 0:
+    found = _matches(posed, view, sighting, matching)
+    if found is None:
         return None
+    where, j, pixels_per_metre = found
     normals, offsets = sighting.planes
-    i, j = _pairs(rim, view, contour, matching)
-    good = np.isfinite(offsets[j])
-    if posed.body.outlined is not None:
-        good &= posed.body.outlined[rim.face[i]]
-    i, j = i[good], j[good]
-    if len(i) == 0:
-        return None
-    where = SurfacePoints(face=rim.face[i], barycentric=rim.barycentric[i])
-    reach = np.linalg.norm(posed.points(where) - sighting.camera.centre, axis=1)
     return SilhouettePlanes(
-        where=where, normals=normals[j], offsets=offsets[j],
-        pixels_per_metre=1.0 / (sighting.radians_per_pixel[j] * reach), sigma_px=matching.sigma_px,
+        where=where, normals=normals[j], offsets=offsets[j], pixels_per_metre=pixels_per_metre,
+        sigma_px=matching.sigma_px,
     )  # fmt: skip
 
 
 def match_rays(posed: PosedBody, view: View, sighting: Sighting, matching: Matching) -> SilhouetteRays | None:
     """Match as `match_outline`, but draw each rim point to its contour pixel's ray, as the paper does."""
-    rim = view.rim(posed.body.faces)
-    contour = sighting.contour
+    found = _matches(posed, view, sighting, matching)
+    if found is None:
+        return None
+    where, j, pixels_per_metre = found
+    rays = sighting.rays
+    return SilhouetteRays(
+        where=where, directions=rays.directions[j], moments=rays.moments[j], pixels_per_metre=pixels_per_metre,
+        sigma_px=matching.sigma_px,
+    )  # fmt: skip
+
+
+def _matches(
+    posed: PosedBody, view: View, sighting: Sighting, matching: Matching
+) -> tuple[SurfacePoints, Integers, Floats] | None:
+    """Give the surface points that were matched, their contour pixels (n,), and the scale (n,) there [px/m]."""
+    body, contour = posed.body, sighting.contour
+    rim = view.rim(body.faces)
     if len(rim.face) == 0 or len(contour.pixels) == 0:
         return None
-    i, j = _pairs(rim, view, contour, matching)
-    rays = sighting.camera.rays(contour.pixels[j])
-    good = np.isfinite(rays.directions[:, 0])
-    if posed.body.outlined is not None:
-        good &= posed.body.outlined[rim.face[i]]
-    if not good.any():
+    outlined = np.ones(len(body.faces), bool) if body.outlined is None else body.outlined
+    i, j = pair_both_ways(
+        rim.pixels, rim.inward, outlined[rim.face], contour.cells, contour.inward, sighting.seen, matching.gate,
+        matching.cosine,
+    )  # fmt: skip
+    if len(i) == 0:
         return None
-    i, j = i[good], j[good]
     where = SurfacePoints(face=rim.face[i], barycentric=rim.barycentric[i])
-    reach = np.linalg.norm(posed.points(where) - sighting.camera.centre, axis=1)
-    return SilhouetteRays(
-        where=where, directions=rays.directions[good], moments=rays.moments[good],
-        pixels_per_metre=1.0 / (sighting.radians_per_pixel[j] * reach), sigma_px=matching.sigma_px,
-    )  # fmt: skip
-
-
-def _pairs(rim: Rim, view: View, contour: Contour, matching: Matching) -> tuple[Integers, Integers]:
-    """List the pairs (rim, contour), from the rim to the contour and back."""
-    x, y = (rim.pixels - view.corner).T
-    nearest_rim = nearest_pixel(x, y, view.face.shape)
-    return pair_both_ways(
-        rim.pixels, rim.inward, contour.pixels, contour.inward, contour.nearest, contour.corner[0], contour.corner[1],
-        nearest_rim, view.corner[0], view.corner[1], matching.gate, matching.cosine,
-    )  # fmt: skip
+    reach = distances(posed.points(where), sighting.camera.centre)
+    return where, j, 1.0 / (sighting.radians_per_pixel[j] * reach)
 
 
 @numba.njit(cache=True, nogil=True)
-def pair_both_ways(
-    rim, rim_inward, contour, contour_inward, nearest_contour, contour_left, contour_top,
-    nearest_rim, rim_left, rim_top, gate, cosine,
-):  # fmt: skip
-    """Pair rim pixels with their nearest contour pixels and contour pixels with their nearest rim pixels."""
-    first = np.empty(rim.shape[0] + contour.shape[0], np.int64)
-    second = np.empty(rim.shape[0] + contour.shape[0], np.int64)
+def distances(points, centre):
+    """Give how far points (n, 3) lie from a centre (3,): (n,)."""
+    out = np.empty(points.shape[0])
+    for i in range(points.shape[0]):
+        x, y, z = points[i, 0] - centre[0], points[i, 1] - centre[1], points[i, 2] - centre[2]
+        out[i] = np.sqrt(x * x + y * y + z * z)
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
+def pair_both_ways(rim, rim_inward, rim_counts, contour, contour_inward, contour_counts, gate, cosine):
+    """Pair rim pixels with their nearest contour pixels and contour pixels with their nearest rim pixels.
+
+    Args:
+        rim: (n, 2) pixels.
+        rim_inward: (n, 2).
+        rim_counts: (n,) false where a rim pixel may not be used; it still hides others from the contour.
+        contour: the contour's `Cells`.
+        contour_inward: (m, 2).
+        contour_counts: (m,).
+        gate: greatest distance [px].
+        cosine: least cosine between the normals.
+
+    Returns:
+        Indices (k,) of rim pixels and (k,) of contour pixels.
+    """
+    rim_cells = sort_into_cells(rim)
+    count = rim.shape[0] + contour.pixels.shape[0]
+    first, second = np.empty(count, np.int64), np.empty(count, np.int64)
     count = 0
-    height, width = nearest_contour.shape
     for i in range(rim.shape[0]):
-        x, y = rim[i, 0] - contour_left, rim[i, 1] - contour_top
-        if x < 0 or y < 0 or x >= width or y >= height:
-            continue
-        j = nearest_contour[y, x]
-        if _fits(rim[i], rim_inward[i], contour[j], contour_inward[j], gate, cosine):
-            first[count] = i
-            second[count] = j
+        j = nearest_within(contour, rim[i, 0], rim[i, 1], gate)
+        if j >= 0 and rim_counts[i] and contour_counts[j] and _alike(rim_inward[i], contour_inward[j], cosine):
+            first[count], second[count] = i, j
             count += 1
-    height, width = nearest_rim.shape
-    for j in range(contour.shape[0]):
-        # Beyond the drawn window the nearest rim pixel is looked up from the window's own border.
-        x = min(max(int(contour[j, 0]) - rim_left, 0), width - 1)
-        y = min(max(int(contour[j, 1]) - rim_top, 0), height - 1)
-        i = nearest_rim[y, x]
-        if _fits(rim[i], rim_inward[i], contour[j], contour_inward[j], gate, cosine):
-            first[count] = i
-            second[count] = j
+    for j in range(contour.pixels.shape[0]):
+        i = nearest_within(rim_cells, contour.pixels[j, 0], contour.pixels[j, 1], gate)
+        if i >= 0 and rim_counts[i] and contour_counts[j] and _alike(rim_inward[i], contour_inward[j], cosine):
+            first[count], second[count] = i, j
             count += 1
     return first[:count], second[:count]
 
 
 @numba.njit(cache=True, nogil=True)
-def _fits(rim, rim_inward, contour, contour_inward, gate, cosine):
-    dx, dy = rim[0] - contour[0], rim[1] - contour[1]
-    along = rim_inward[0] * contour_inward[0] + rim_inward[1] * contour_inward[1]
-    return dx * dx + dy * dy <= gate * gate and along >= cosine
+def _alike(first, second, cosine):
+    return first[0] * second[0] + first[1] * second[1] >= cosine

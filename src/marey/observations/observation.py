@@ -4,6 +4,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import final
 
+import numba
 import numpy as np
 
 from marey.arrays import Floats
@@ -57,15 +58,27 @@ class SurfaceObservation(Observation):
     def residuals(self, posed: PosedBody) -> Floats:
         """Give the residuals (n, r)."""
         rows, offsets = self.constraints(posed)
-        return np.einsum("nra,na->nr", rows, posed.points(self.where)) - offsets
+        return residuals(np.ascontiguousarray(rows), offsets, posed.points(self.where))
 
     @final
     def linearize(self, posed: PosedBody, *, shape: bool = False) -> Linearization:
         """Chain the constraints with the motion of the surface points."""
         rows, offsets = self.constraints(posed)
-        residual = np.einsum("nra,na->nr", rows, posed.points(self.where)) - offsets
-        moved = posed.pose_jacobian(*posed.parts(self.where))
-        if shape:
-            moved = np.concatenate([moved, posed.shape_jacobian(self.where)], 2)
-        jacobian = np.einsum("nra,nad->nrd", rows, moved)
+        residual = residuals(np.ascontiguousarray(rows), offsets, posed.points(self.where))
+        jacobian = posed.constraint_jacobian(self.where, rows, shape=shape)
         return Linearization(residual.ravel(), jacobian.reshape(-1, jacobian.shape[2]))
+
+
+@numba.njit(cache=True, nogil=True)
+def residuals(rows, offsets, points):
+    """Give rows p - offsets (n, r) for rows (n, r, 3), offsets (n, r) and points (n, 3)."""
+    out = np.empty(offsets.shape)
+    for i in range(rows.shape[0]):
+        for r in range(rows.shape[1]):
+            out[i, r] = (
+                rows[i, r, 0] * points[i, 0]
+                + rows[i, r, 1] * points[i, 1]
+                + rows[i, r, 2] * points[i, 2]
+                - offsets[i, r]
+            )
+    return out

@@ -1,0 +1,79 @@
+"""Which of some pixels is nearest: they are sorted into square cells, and only cells around a place are searched."""
+
+from typing import NamedTuple
+
+import numba
+import numpy as np
+
+from marey.arrays import Floats, Integers
+
+CELL = 8
+"""Width of a cell [px]: about what lies between matched outlines."""
+
+
+class Cells(NamedTuple):
+    """Pixels, sorted into cells."""
+
+    pixels: Floats
+    """(n, 2) x, y."""
+    left: int
+    """x of the first cell's corner."""
+    top: int
+    rows: int
+    columns: int
+    first: Integers
+    """(rows columns + 1,) where each cell begins in `order`."""
+    order: Integers
+    """(n,) indices of the pixels, cell by cell."""
+
+
+@numba.njit(cache=True, nogil=True)
+def sort_into_cells(pixels):
+    """Sort pixels (n, 2) into cells; gives what `Cells` holds."""
+    count = pixels.shape[0]
+    left = top = right = bottom = 0
+    for i in range(count):
+        x, y = int(np.floor(pixels[i, 0])), int(np.floor(pixels[i, 1]))
+        left, right = (x, x) if i == 0 else (min(left, x), max(right, x))
+        top, bottom = (y, y) if i == 0 else (min(top, y), max(bottom, y))
+    rows, columns = (bottom - top) // CELL + 1, (right - left) // CELL + 1
+    cell = np.empty(count, np.int64)
+    first = np.zeros(rows * columns + 1, np.int64)
+    for i in range(count):
+        x, y = int(np.floor(pixels[i, 0])), int(np.floor(pixels[i, 1]))
+        cell[i] = (y - top) // CELL * columns + (x - left) // CELL
+        first[cell[i] + 1] += 1
+    for c in range(rows * columns):
+        first[c + 1] += first[c]
+    place = first[:-1].copy()
+    order = np.empty(count, np.int64)
+    for i in range(count):
+        order[place[cell[i]]] = i
+        place[cell[i]] += 1
+    return Cells(pixels, left, top, rows, columns, first, order)
+
+
+@numba.njit(cache=True, nogil=True)
+def nearest_within(cells, x, y, reach):
+    """Give the index of the pixel nearest to a place, -1 where none is within reach [px]."""
+    row, column = int(np.floor(y - cells.top)) // CELL, int(np.floor(x - cells.left)) // CELL
+    best, found = reach * reach, -1
+    ring = 0
+    while True:
+        for r in range(max(row - ring, 0), min(row + ring + 1, cells.rows)):
+            # Of the rows between the first and the last only both ends belong to the ring.
+            stride = 1 if r in (row - ring, row + ring) else 2 * ring
+            for c in range(column - ring, column + ring + 1, stride):
+                if c < 0 or c >= cells.columns:
+                    continue
+                cell = r * cells.columns + c
+                for k in range(cells.first[cell], cells.first[cell + 1]):
+                    i = cells.order[k]
+                    dx, dy = cells.pixels[i, 0] - x, cells.pixels[i, 1] - y
+                    distance = dx * dx + dy * dy
+                    if distance < best or (distance == best and found < 0):
+                        best, found = distance, i
+        # What lies in rings farther out is farther away than this.
+        if best <= (ring * CELL) ** 2:
+            return found
+        ring += 1
