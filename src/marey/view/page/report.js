@@ -96,5 +96,7 @@ if (scene) {
 const drawAll = () => { for (const plot of plots) plot.draw(); if (scene) scene.show(current); };
 window.addEventListener("resize", drawAll);
 drawAll();
-const firstSeen = state.findIndex(s => s === 1);
-showFrame(firstSeen < 0 ? 0 : firstSeen, false);
+// report.html#frame=120 opens at that frame.
+const asked = /frame=(\d+)/.exec(location.hash);
+const firstSeen = Math.max(0, state.findIndex(s => s === 1));
+showFrame(asked ? Math.round(Number(asked[1]) / data.stride) : firstSeen, false);
