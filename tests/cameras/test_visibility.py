@@ -68,3 +68,13 @@ def test_a_person_cut_by_the_border_has_no_rim_there():
 
 def test_a_mesh_behind_the_camera_is_not_seen():
     assert not see(np.full((3, 3), np.nan), np.array([[0, 2, 1]]), (60, 60)).mask().any()
+
+
+def test_what_reaches_behind_the_camera_is_seen_as_far_as_it_lies_before_it():
+    corners = np.array([[10.0, 10, 1], [40, 10, 1], [10, 40, 1], [np.nan, np.nan, 0.0]])
+    faces = np.array([[0, 2, 1], [1, 2, 3]])
+    whole = see(corners, faces, (60, 60))
+    np.testing.assert_array_equal(whole.mask(), see(corners[:3], faces[:1], (60, 60)).mask())
+    behind = np.tile([np.nan, np.nan, 0.0], (4, 1))
+    assert not see(behind, faces, (60, 60)).mask().any()
+    assert len(see(behind, faces, (60, 60)).rim(faces).face) == 0
