@@ -48,7 +48,7 @@ def shrink(mask: Mask, size: tuple[int, int]) -> Mask:
         return mask
     share = cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA)
     # Half pixels are many at a factor of two: all left out, they would make the person thinner by a quarter of a pixel.
-    row, column = np.indices(share.shape, sparse=True)
+    row, column = np.indices(share.shape)
     return (share > 0.5) | ((share == 0.5) & ((row + column) % 2 == 0))
 
 
