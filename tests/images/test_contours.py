@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from marey.images.contours import nearest_pixel, trace_contour
+from marey.images.contours import trace_contour
 
 
 def disc(radius: float, centre=(50.0, 40.0), shape=(90, 110)):
@@ -64,26 +64,3 @@ def test_a_line_of_one_pixel_has_no_side_and_is_left_out():
     column = trace_contour(mask).pixels[:, 0]
     # The smoothing reaches seven pixels: farther inside, nothing is left of the line's ends.
     assert not ((column > 17) & (column < 42)).any()
-
-
-def test_the_nearest_pixel_is_the_nearest(rng):
-    points = rng.permutation(40 * 50)[:25]
-    y, x = np.unravel_index(points, (40, 50))
-    found = nearest_pixel(x, y, (40, 50))
-    rows, columns = np.mgrid[:40, :50]
-    distance = np.hypot(rows[..., None] - y, columns[..., None] - x)
-    chosen = np.take_along_axis(distance, found[..., None], 2)[..., 0]
-    # OpenCV's mask of five pixels measures distances to within 2 in a hundred.
-    assert (chosen <= distance.min(2) * 1.03 + 1e-9).all()
-    np.testing.assert_array_equal(found[y, x], np.arange(25))
-
-
-def test_the_window_of_nearest_pixels_reaches_round_the_silhouette_and_stays_in_the_picture():
-    mask = np.zeros((80, 120), bool)
-    mask[30:50, 5:25] = True
-    contour = trace_contour(mask, reach=10)
-    assert contour.corner == (0, 20)
-    assert contour.nearest.shape == (40, 35)
-    left, top = contour.corner
-    x, y = contour.pixels.astype(int).T
-    np.testing.assert_array_equal(contour.nearest[y - top, x - left], np.arange(len(x)))
