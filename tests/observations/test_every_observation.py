@@ -3,6 +3,7 @@
 import importlib
 import pkgutil
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -91,6 +92,11 @@ def test_the_catalogue_is_complete():
 
 def test_kinds_are_final_so_that_nobody_bends_the_contract():
     assert all(getattr(kind, "__final__", False) for kind in every_kind())
+
+
+def test_the_page_for_newcomers_lists_every_kind():
+    page = (Path(__file__).parents[2] / "docs" / "adding-an-observation.md").read_text(encoding="utf-8")
+    assert [kind.__name__ for kind in CATALOGUE if f"| `{kind.__name__}` |" not in page] == []
 
 
 @pytest.mark.parametrize("shape", [False, True], ids=["pose", "pose and shape"])
