@@ -29,12 +29,12 @@ def video(path: Path) -> np.ndarray:
         pictures.append(picture)
 
 
-def plate(trial: Path, camera: str, pictures: np.ndarray, kind: str) -> backgrounds.Background:
+def plate(trial: Path, camera: str, pictures: list[np.ndarray], kind: str, convert) -> backgrounds.Background:
     if kind == "take":
-        return backgrounds.from_take(list(pictures[:: max(1, len(pictures) // 30)]))
+        return backgrounds.from_take(pictures)
     file = next((trial / "background").glob(f"{camera}.*"))
-    if file.suffix == ".avi" or file.suffix == ".mp4":
-        return backgrounds.from_pictures(list(video(file)[::6]))
+    if file.suffix in (".avi", ".mp4"):
+        return backgrounds.doubted(backgrounds.from_pictures([convert(p) for p in video(file)[::6]]), pictures)
     picture = cv2.imread(str(file))
     if kind == "dark":
         noise = np.random.default_rng(1).normal(0, 3, picture.shape)
@@ -44,13 +44,14 @@ def plate(trial: Path, camera: str, pictures: np.ndarray, kind: str) -> backgrou
         picture[: height // 50] = 0
         part = (slice(height // 3, height // 2), slice(width // 3, width // 3 + width // 12))
         picture[part] = picture[part] // 3 + np.array([20, 60, 120], np.uint8)
-    return backgrounds.from_pictures([picture])
+    return backgrounds.doubted(backgrounds.from_pictures([convert(picture)]), pictures)
 
 
 def silhouettes(trial: Path, camera: str, options: argparse.Namespace) -> tuple[np.ndarray, list[float]]:
     pictures = video(next(trial.glob(f"{camera}.*")))
     convert = backgrounds.grey if options.grey else np.ascontiguousarray
-    behind = plate(trial, camera, np.stack([convert(p) for p in pictures]) if options.grey else pictures, options.plate)
+    every = max(1, len(pictures) // (30 if options.plate == "take" else 12))
+    behind = plate(trial, camera, [convert(p) for p in pictures[::every]], options.plate, convert)
     masks, times = np.zeros(pictures.shape[:3], bool), []
     last: Silhouette | None = None
     for k in range(0, len(pictures), options.every):

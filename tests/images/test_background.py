@@ -53,3 +53,68 @@ def test_pictures_of_two_sizes_are_refused():
     plate = backgrounds.from_pictures([np.zeros((4, 4, 3), np.uint8)])
     with pytest.raises(ValueError, match="background of"):
         backgrounds.exposure(np.zeros((5, 4, 3), np.uint8), plate)
+
+
+def smooth_room(shape=(120, 160)):
+    y, x = np.indices(shape)
+    return np.stack([100 + 0.3 * x, 110 + 0.2 * y, 120 + 0.1 * x], axis=2)
+
+
+def take_of(room, rng, count=8):
+    """A dark figure goes through the room."""
+    pictures = []
+    for k in range(count):
+        picture = room.copy()
+        picture[20:110, 5 + 18 * k : 20 + 18 * k] = 30
+        pictures.append(shown(picture, rng, 1.0))
+    return pictures
+
+
+def test_a_ghost_in_the_plate_is_mended_from_the_take(rng):
+    room = smooth_room()
+    plate = room.copy()
+    plate[40:80, 60:80] = (40, 60, 170)
+    mended = backgrounds.doubted(backgrounds.from_pictures([shown(plate, rng, 1.0)]), take_of(room, rng))
+    assert abs(mended.mean[40:80, 60:80] - room[40:80, 60:80]).mean() < 3
+
+
+def test_someone_who_never_moves_is_not_mended_into_the_background(rng):
+    room = smooth_room()
+    pictures = []
+    for _ in range(6):
+        picture = room.copy()
+        picture[40:80, 60:80] = (40, 60, 170)
+        pictures.append(shown(picture, rng, 1.0))
+    kept = backgrounds.doubted(backgrounds.from_pictures([shown(room, rng, 1.0)]), pictures)
+    assert abs(kept.mean[40:80, 60:80] - room[40:80, 60:80]).mean() < 3
+
+
+def test_what_is_doubtful_is_learned_where_the_person_is_not(rng):
+    room = smooth_room()
+    wrong = backgrounds.from_pictures([shown(room + 40, rng, 1.0)])
+    trust = np.ones((120, 160))
+    trust[:60] = 0.5
+    background = backgrounds.Background(mean=wrong.mean, steepness=wrong.steepness, trust=trust, size=wrong.size)
+    plain = backgrounds.Exposure(gain=np.ones(3), offset=np.zeros(3), noise=np.ones(3), jitter=0.1)
+    person = np.zeros((120, 160), bool)
+    person[:60, :40] = True
+    for _ in range(6):
+        background = backgrounds.taught(background, shown(room, rng, 1.0), plain, person)
+    assert abs(background.mean[:60, 40:] - room[:60, 40:]).mean() < 3
+    assert abs(background.mean[:60, :40] - room[:60, :40] - 40).mean() < 3
+    assert abs(background.mean[60:] - room[60:] - 40).mean() < 3
+    assert (background.trust[:60, 40:] > 0.95).all()
+
+
+def test_black_bars_are_no_part_of_what_is_shown(rng):
+    room = smooth_room()
+    picture = room.copy()
+    picture[:7] = 2
+    picture[:, -3:] = 2
+    plate = backgrounds.from_pictures([shown(room, rng, 1.0)])
+    exposure = backgrounds.exposure(shown(picture, rng, 1.0), plate)
+    rows, columns = backgrounds.shown_lines(shown(picture, rng, 1.0), plate, exposure)
+    assert (rows.start, rows.stop, columns.start, columns.stop) == (7, 120, 0, 157)
+    empty = backgrounds.exposure(shown(room, rng, 1.0), plate)
+    rows, columns = backgrounds.shown_lines(shown(room, rng, 1.0), plate, empty)
+    assert (rows.start, rows.stop, columns.start, columns.stop) == (0, 120, 0, 160)

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from marey.images import background as backgrounds
-from marey.images.silhouettes import segment
+from marey.images.silhouettes import segment, shape_term
 
 SHAPE = (120, 160)
 
@@ -94,3 +94,31 @@ def test_a_prior_decides_where_the_picture_does_not(empty, background, rng):
 def test_a_start_of_another_size_is_refused(empty, background, rng):
     with pytest.raises(ValueError, match="start"):
         segment(shown(empty, rng), background, start=np.zeros((3, 3), bool))
+
+
+def test_a_black_bar_is_nobody(empty, background, rng):
+    image = with_person(empty)
+    image[-6:] = 1
+    found = segment(shown(image, rng), background)
+    assert not found.mask[-6:].any()
+    assert overlap(found.mask, person()) > 0.97
+
+
+def test_nothing_is_found_far_from_the_start(empty, background, rng):
+    twins = np.where(person(shift=-50)[..., None], np.array([40.0, 60.0, 150.0]), with_person(empty))
+    found = segment(shown(twins, rng), background, start=person())
+    assert overlap(found.mask, person()) > 0.95
+
+
+def test_a_reflection_on_the_floor_is_not_the_person(empty, background, rng):
+    y, x = np.indices(SHAPE)
+    veil = 18 * np.exp(-(((y - 100) / 14) ** 2 + ((x - 112) / 20) ** 2))
+    image = np.where(person()[..., None], with_person(empty), empty + veil[..., None] * np.array([0.7, 0.9, 1.0]))
+    assert overlap(segment(shown(image, rng), background).mask, person()) > 0.95
+
+
+def test_the_shape_term_is_the_signed_distance():
+    term = shape_term(person(), 0.5, 4.0)
+    assert term[50, 80] == 2.0
+    assert term[5, 5] == -2.0
+    assert (np.sign(term) == np.where(person(), 1, -1)).all()

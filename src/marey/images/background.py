@@ -15,6 +15,12 @@ LEAST_NOISE = 1.0
 BLACK = 24
 """A bar is darker than this, grey levels."""
 
+GHOST = 3.0
+"""A place is a ghost when the step across its outline is so many times higher in the plate than in the take."""
+
+DOUBT = 3.0
+"""A background that differs by more standard deviations (over 5 x 5 pixels) does not explain a picture."""
+
 _MEDIAN_TO_DEVIATION = 1 / 0.6745
 _SAMPLES = 5000
 
@@ -72,6 +78,104 @@ def part(background: Background, roi: tuple[slice, slice]) -> Background:
     )
 
 
+def doubted(background: Background, pictures: Sequence[np.ndarray]) -> Background:
+    """The background with less trust where it explains no picture of the take, and mended where it shows a ghost.
+
+    Either the person covers such a place all the time or the plate is wrong there (a ghost of somebody, a thing that
+    was moved). Where all around is explained the outline tells: a person's outline is an edge in the pictures, a
+    ghost's is one in the plate. A ghost gives way to the most frequent colours of the take. Elsewhere half the trust
+    is left, and colours and expectation decide.
+
+    Args:
+        background: From a plate or a clip.
+        pictures: (H, W, C) uint8 each, spread over the take; a dozen are enough.
+
+    Raises:
+        ValueError: A picture is not of the background's size.
+    """
+    least, changed = np.full(background.size, np.inf, np.float32), np.zeros(background.size, np.float32)
+    average = np.zeros(background.mean.shape, np.float32)
+    for picture in pictures:
+        shown = exposure(picture, background)
+        light = exposed(background, shown)
+        misfit = (picture - light) ** 2
+        misfit /= shown.noise**2 + np.float32(shown.jitter**2) * background.steepness[..., None]
+        misfit = cv2.blur(misfit.mean(axis=2), (5, 5))
+        least = np.minimum(least, misfit)
+        changed += (misfit > DOUBT**2) / np.float32(len(pictures))
+        average += picture / np.float32(len(pictures))
+    wrong = cv2.morphologyEx((least > DOUBT**2).astype(np.uint8), cv2.MORPH_OPEN, np.ones((5, 5), np.uint8))
+    trust, ghost = _outlines(wrong, changed, background.mean, average)
+    mean = background.mean
+    if ghost.any():
+        rows, columns = np.flatnonzero(ghost.any(axis=1)), np.flatnonzero(ghost.any(axis=0))
+        box = (slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1))
+        frequent, _ = _most_frequent(np.stack([picture[box] for picture in pictures]), np.float32(6.0))
+        mean = mean.copy()
+        mean[box][ghost[box]] = frequent[ghost[box]]
+    return _background(mean, trust=np.minimum(trust, background.trust))
+
+
+def _outlines(
+    wrong: np.ndarray, changed: np.ndarray, plate: np.ndarray, average: np.ndarray
+) -> tuple[np.ndarray, Mask]:
+    """Trust in the plate and where it has ghosts, from the steps across the outlines of what is wrong in it."""
+    trust, ghost = np.ones(wrong.shape, np.float32), np.zeros(wrong.shape, bool)
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(wrong)
+    square, wide = np.ones((7, 7), np.uint8), np.ones((15, 15), np.uint8)
+    for k in range(1, count):
+        x, y, width, height, area = stats[k]
+        if area < 50:
+            continue
+        box = (slice(max(y - 8, 0), y + height + 8), slice(max(x - 8, 0), x + width + 8))
+        part = (labels[box] == k).astype(np.uint8)
+        place = cv2.dilate(part, square) > 0
+        ratio = _step(plate[box], part) / max(_step(average[box], part), 1e-3)
+        alone = changed[box][(cv2.dilate(part, wide) > 0) & ~place].mean() < 0.5
+        if alone and ratio > GHOST:
+            ghost[box] |= place
+        elif not alone:
+            trust[box][place] = 0.5
+    return trust, ghost
+
+
+def _step(picture: np.ndarray, part: np.ndarray) -> float:
+    """Mean step in grey levels across the outline of a part, between rings within eight pixels inside and outside."""
+    near, far = np.ones((5, 5), np.uint8), np.ones((15, 15), np.uint8)
+    outside = (cv2.dilate(part, far) - cv2.dilate(part, near)).astype(np.float32)
+    # The part was found with a window of 5 x 5 and is two pixels too large.
+    inside = (cv2.erode(part, near) - cv2.erode(part, far)).astype(np.float32)
+    sides = []
+    for ring in (inside, outside):
+        weight = cv2.blur(ring, (17, 17))
+        total = cv2.blur(picture * ring[..., None], (17, 17)).reshape(picture.shape)
+        sides.append((total / np.maximum(weight, 1e-6)[..., None], weight > 0.01))
+    both = (inside > 0) & sides[0][1] & sides[1][1]
+    difference = np.linalg.norm(sides[0][0] - sides[1][0], axis=2)[both]
+    return float(difference.mean()) if difference.size else 0.0
+
+
+def taught(
+    background: Background, picture: np.ndarray, shown: Exposure, person: Mask, *, share: float = 0.5
+) -> Background:
+    """The background after a picture in which it is known where the person is not: there it mends what is doubtful.
+
+    Args:
+        background: As `doubted` gives it; where it is trusted it stays.
+        picture: (H, W, C) uint8.
+        shown: How the picture exposes the background.
+        person: (H, W) where the person may be, generously: a fitted surface grown by what it may be off.
+        share: How far mean and trust move at once.
+    """
+    learn = (background.trust < 1) & ~person
+    if not learn.any():
+        return background
+    mean, trust = background.mean.copy(), background.trust.copy()
+    mean[learn] += share * ((picture[learn] - shown.offset) / shown.gain - mean[learn])
+    trust[learn] += share * (1 - trust[learn])
+    return _background(mean, trust=trust)
+
+
 def exposed(background: Background, shown: Exposure) -> np.ndarray:
     """Mean of the background as a picture exposes it, at least one grey level: (H, W, C) float32."""
     return _exposed(background.mean, shown.gain, shown.offset)
@@ -110,7 +214,8 @@ def from_pictures(pictures: Sequence[np.ndarray]) -> Background:
 def from_take(pictures: Sequence[np.ndarray], *, tolerance: float = 6.0) -> Background:
     """Background from the take itself, where each pixel is empty at some time: the most frequent colour of each pixel.
 
-    A pixel that a person covers in most of the pictures without moving shows the person here.
+    A pixel that a person covers in most of the pictures without moving shows the person here. All the trust goes
+    to a colour that at least half of the pictures show, half of it to a rare one.
 
     Args:
         pictures: (H, W, C) uint8 each, all of one size, spread over the take; some two or three dozen.
@@ -121,7 +226,7 @@ def from_take(pictures: Sequence[np.ndarray], *, tolerance: float = 6.0) -> Back
     """
     _check(pictures)
     mean, share = _most_frequent(np.stack(pictures), np.float32(tolerance))
-    return _background(mean, trust=share)
+    return _background(mean, trust=np.clip(2 * share, 0.5, 1.0))
 
 
 def _check(pictures: Sequence[np.ndarray]) -> None:
@@ -133,12 +238,15 @@ def _check(pictures: Sequence[np.ndarray]) -> None:
 
 def _background(mean: np.ndarray, trust: np.ndarray | None = None) -> Background:
     mean = mean.astype(np.float32)
-    smooth = cv2.GaussianBlur(mean, (0, 0), 0.7).reshape(mean.shape)
-    across = cv2.Scharr(smooth, cv2.CV_32F, 1, 0).reshape(mean.shape) / 32
-    down = cv2.Scharr(smooth, cv2.CV_32F, 0, 1).reshape(mean.shape) / 32
-    steepness = np.mean(across**2 + down**2, axis=2)
     trust = np.ones(mean.shape[:2]) if trust is None else trust
-    return Background(mean=mean, steepness=steepness, trust=trust, size=mean.shape[:2])
+    return Background(mean=mean, steepness=_steepness(mean), trust=trust, size=mean.shape[:2])
+
+
+def _steepness(picture: np.ndarray) -> np.ndarray:
+    smooth = cv2.GaussianBlur(picture, (0, 0), 0.7).reshape(picture.shape)
+    across = cv2.Scharr(smooth, cv2.CV_32F, 1, 0).reshape(picture.shape) / 32
+    down = cv2.Scharr(smooth, cv2.CV_32F, 0, 1).reshape(picture.shape) / 32
+    return np.mean(across**2 + down**2, axis=2)
 
 
 @numba.njit(cache=True, nogil=True)

@@ -75,7 +75,7 @@ def colour_density(image: np.ndarray, region: Mask) -> np.ndarray:
         smooth, volume = _smooth_cube(counts, _kernel(1.0)), float(1 << 3 * COLOUR_SHIFT)
     else:
         counts = np.bincount(image[..., 0][region], minlength=256).astype(np.float32)
-        smooth, volume = np.convolve(np.pad(counts, 20, mode="reflect"), _kernel(8.0), "same")[20:-20], 1.0
+        smooth, volume = np.convolve(np.pad(counts, 20, mode="symmetric"), _kernel(8.0), "same")[20:-20], 1.0
     total = float(counts.sum())
     if total == 0:
         return np.full(counts.shape, COMMON[image.shape[2]] * 256.0 ** -image.shape[2], np.float32)
@@ -131,7 +131,7 @@ def shadow_density(ratios: np.ndarray, *, strength: float = 500.0) -> np.ndarray
     """
     low, high = RATIO_RANGE
     counts, _ = np.histogram(ratios, RATIO_BINS, RATIO_RANGE)
-    smooth = np.convolve(np.pad(counts.astype(float), 8, mode="reflect"), _kernel(3.0), "same")[8:-8]
+    smooth = np.convolve(np.pad(counts.astype(float), 8, mode="symmetric"), _kernel(3.0), "same")[8:-8]
     prior = _shadow_prior()
     scale = RATIO_BINS / (high - low)
     return ((smooth * scale + strength * prior) / (counts.sum() + strength)).astype(np.float32)

@@ -93,12 +93,14 @@ def segment(
     light = exposed(behind, shown)
     least = LEAST_SHARE * image.shape[0] * image.shape[1]
     known, near = (np.float32(0), None) if begin is None else _too_far(begin, _margin(image.shape))
+    if begin is not None:
+        known = known + (1 - behind.trust) * shape_term(begin, 2 * LIMIT / _margin(image.shape), _margin(image.shape))
     if prior is not None:
         known = known + prior[roi].astype(np.float32)
     for k in range(ROUNDS + 1 if before is None else 1):
         votes, shade = evidence(picture, light, behind, shown, look, near=near)
         region = begin = _fragments(_coarse_to_fine(votes + known, begin, length), least)
-        new = _learned(picture, region, votes, shade)
+        new = _learned(picture, region, votes, shade, behind.trust)
         if before is None and k < ROUNDS:
             look = new
     if region.any():
@@ -183,10 +185,14 @@ def _fragments(region: Mask, least: float) -> Mask:
     return np.concatenate([[False], areas >= FRAGMENT_SHARE * areas.max()])[labels]
 
 
-def _learned(picture: np.ndarray, region: Mask, votes: np.ndarray, shade: np.ndarray) -> Appearance:
+def _learned(
+    picture: np.ndarray, region: Mask, votes: np.ndarray, shade: np.ndarray, trust: np.ndarray
+) -> Appearance:
+    """Densities from the region as it is; where the background is doubtful it teaches only if there is nothing else."""
+    sure = region & (votes > SURE) & (trust > 0.5)
     dark = shade[(shade > 0) & ~region]
     return Appearance(
-        person=colour_density(picture, region & (votes > SURE)),
+        person=colour_density(picture, sure if 4 * sure.sum() > region.sum() else region),
         surroundings=colour_density(picture, ~region),
         shadow=shadow_density(dark[dark < 0.97]),
     )
