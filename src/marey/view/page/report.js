@@ -63,7 +63,7 @@ function anglePlots() {
 function agreementPlot() {
   const values = floats(data.cameras.agreement), names = data.cameras.names;
   const curves = names.map((name, i) => curve(values, null, names.length, i, name, CAMERA_COLOURS[i % CAMERA_COLOURS.length]));
-  const least = Math.min(0.8, ...values.filter(v => v === v));
+  const least = values.reduce((low, v) => v < low ? v : low, 0.8);
   const title = new Plot(byId("agreement-plots"), "", curves, { range: [Math.max(0, least - 0.03), 1], digits: 2, unit: "" }).figure.querySelector("span");
   for (const c of curves) {
     const part = document.createElement("span");
