@@ -82,15 +82,26 @@ def silhouettes(posed: PosedBody, cameras: Sequence[Camera]) -> list[Mask]:
     return [view_of(posed, camera).mask() for camera in cameras]
 
 
-def take(posed: Sequence[PosedBody], cameras: Sequence[Camera], *, rate: float = RATE) -> Take:
+def seen(
+    posed: Sequence[PosedBody], cameras: Sequence[Camera], *, noise: float = 0.0, rng: np.random.Generator | None = None
+) -> list[list[Mask]]:
+    """The silhouettes of a motion, frame by frame, with noise on their outlines [px] where that is asked for."""
+    masks = [silhouettes(p, cameras) for p in posed]
+    return masks if rng is None else [[rough(mask, rng, spread=noise) for mask in frame] for frame in masks]
+
+
+def take(posed: Sequence[PosedBody], cameras: Sequence[Camera]) -> Take:
     """A take of a motion, one posed body a frame."""
-    masks = [silhouettes(p, cameras) for p in posed]
-    return Take(tuple(cameras), lambda frame: masks[frame], tuple(range(len(posed))), rate)
+    masks = seen(posed, cameras)
+    return Take(tuple(cameras), lambda frame: masks[frame], tuple(range(len(posed))), RATE)
 
 
-def levels(posed: Sequence[PosedBody], cameras: Sequence[Camera], factor: float = 1.0) -> FrameLevels:
+def levels(
+    posed: Sequence[PosedBody], cameras: Sequence[Camera], factor: float = 1.0, *, noise: float = 0.0,
+    rng: np.random.Generator | None = None,
+) -> FrameLevels:  # fmt: skip
     """The silhouettes of a motion at one size."""
-    masks = [silhouettes(p, cameras) for p in posed]
+    masks = seen(posed, cameras, noise=noise, rng=rng)
     return FrameLevels(cameras, lambda frame: masks[frame], factor)
 
 

@@ -1,0 +1,117 @@
+"""A fitted sequence as a motion: what is copied, what is derived, and how uncertain it is."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests import worlds
+
+from marey.body.pose import Pose, PosedBody
+from marey.body.skeleton import ROOT_COORDINATES, root_angles, root_rotation
+from marey.fit.sequence import SequenceFit
+from marey.geometry import rotations
+from marey.motion.from_fit import coordinates_of, motion_of, root_coordinates_from_turn
+from marey.motion.motion import LOST, MEASURED, NOBODY
+
+COUNT, FRAMES = 12, np.array([2, 3, 4, 5, 8, 9])
+
+
+@pytest.fixture
+def fit(rng):
+    body = worlds.person()
+    degrees = len(body.skeleton)
+    roots = rng.normal(size=(len(FRAMES), degrees, degrees)) * 0.003
+    covariance = roots @ np.swapaxes(roots, 1, 2) + 1e-6 * np.eye(degrees)
+    return SequenceFit(FRAMES, tuple(worlds.swing(body, len(FRAMES))), body, covariance, np.linalg.inv(covariance), 0.5)
+
+
+@pytest.fixture
+def motion(fit):
+    lost = np.zeros(COUNT, bool)
+    lost[6:8] = True
+    agreement = {int(f): np.array([0.9, np.nan]) for f in FRAMES}
+    return motion_of(fit, count=COUNT, rate=50.0, lost=lost, camera_names=("cam01", "cam02"), agreement=agreement)
+
+
+def test_every_frame_of_the_video_has_a_row_and_no_answer_is_nan(motion):
+    expected = np.full(COUNT, NOBODY)
+    expected[FRAMES], expected[6:8] = MEASURED, LOST
+    np.testing.assert_array_equal(motion.state, expected)
+    np.testing.assert_allclose(motion.time, np.arange(COUNT) / 50)
+    rest = np.setdiff1d(np.arange(COUNT), FRAMES)
+    for values in (
+        motion.joint_centres, motion.joint_centres_sd, motion.segment_rotation, motion.segment_origin,
+        motion.coordinates, motion.coordinates_sd, motion.angles_deg, motion.angles_deg_sd, motion.agreement,
+    ):  # fmt: skip
+        assert len(values) == COUNT
+        assert np.isnan(values[rest]).all()
+        assert np.isfinite(values[FRAMES]).any()
+    assert motion.determined.dtype == bool
+    assert not motion.determined[rest].any()
+
+
+def test_joints_and_segments_are_those_of_the_poses(fit, motion):
+    for frame, pose in zip(FRAMES, fit.poses, strict=True):
+        posed = PosedBody(fit.body, pose)
+        np.testing.assert_array_equal(motion.segment_rotation[frame], posed.segment_rotation)
+        np.testing.assert_array_equal(motion.joint_centres[frame], posed.segment_origin[fit.body.joint_segments])
+
+
+def test_coordinates_make_the_pose_again(fit, motion):
+    for frame, pose in zip(FRAMES, fit.poses, strict=True):
+        q = motion.coordinates[frame]
+        again = Pose(q[:3], root_rotation(q[3:6]), q[6:])
+        np.testing.assert_allclose(again.change_to(pose), 0, atol=1e-12)
+    assert motion.coordinate_names[:6] == ROOT_COORDINATES
+
+
+def test_turns_count_on_through_full_turns(fit):
+    body = fit.body
+    yaws = np.linspace(0, 4 * np.pi, len(FRAMES) * 3)
+    frames = np.arange(len(yaws))
+    covariance = np.tile(np.eye(len(body.skeleton)) * 1e-4, (len(yaws), 1, 1))
+    turning = SequenceFit(
+        frames, tuple(worlds.pose(body, yaw=yaw) for yaw in yaws), body, covariance, np.linalg.inv(covariance), 0.5
+    )
+    motion = motion_of(
+        turning, count=len(yaws), rate=30.0, lost=np.zeros(len(yaws), bool), camera_names=(),
+        agreement={int(f): np.zeros(0) for f in frames},
+    )  # fmt: skip
+    np.testing.assert_allclose(motion.coordinates[:, 3], yaws, atol=1e-9)
+
+
+def test_the_roots_turns_follow_a_small_turn_as_the_derivative_says(rng):
+    step = 1e-6
+    for _ in range(10):
+        rotation = root_rotation(rng.uniform(-1.3, 1.3, 3) * [2, 1, 2])
+        derivative = root_coordinates_from_turn(rotation)
+        for axis in np.eye(3):
+            ahead, behind = (root_angles(rotations.exp(s * step * axis) @ rotation) for s in (1, -1))
+            change = (ahead - behind + np.pi) % (2 * np.pi) - np.pi
+            np.testing.assert_allclose(derivative @ axis, change / (2 * step), atol=1e-7)
+
+
+def test_standard_deviations_are_those_of_poses_drawn_from_the_covariance(fit, motion, rng):
+    k, frame = 2, FRAMES[2]
+    pose, draws = fit.poses[k], 4000
+    changes = rng.multivariate_normal(np.zeros(len(fit.covariance[k])), fit.covariance[k], draws)
+    drawn = [PosedBody(fit.body, pose.step(change)) for change in changes]
+    coordinates = np.array([coordinates_of(p.pose) for p in drawn])
+    centres = np.array([p.segment_origin[fit.body.joint_segments] for p in drawn])
+    # The spread of n draws errs by 1 / sqrt(2 n) = 1.1 %; the worst of a hundred by four times that, and curvature.
+    np.testing.assert_allclose(motion.coordinates_sd[frame], coordinates.std(0), rtol=0.06)
+    np.testing.assert_allclose(motion.joint_centres_sd[frame], centres.std(0), rtol=0.06)
+
+
+def test_what_a_frame_does_not_fix_is_not_determined(fit):
+    body = fit.body
+    turn = 6 + worlds.column(body.skeleton, "left_pronation")
+    information = np.array(100 * fit.information)
+    information[:, turn, :] = information[:, :, turn] = 0.0
+    agreement = {int(f): np.zeros(0) for f in FRAMES}
+    motion = motion_of(
+        replace(fit, information=information), count=COUNT, rate=30.0, lost=np.zeros(COUNT, bool), camera_names=(),
+        agreement=agreement,
+    )  # fmt: skip
+    assert not motion.determined[FRAMES, turn].any()
+    assert np.delete(motion.determined[FRAMES], turn, 1).all()

@@ -1,0 +1,119 @@
+"""Which point of the surface belongs to which point of an outline."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests import worlds
+
+from marey.body.pose import PosedBody
+from marey.images.nearest import sort_into_cells
+from marey.observations.correspondence import Matching, Sighting, match_outline, match_rays, pair_both_ways, view_of
+
+
+@pytest.fixture(scope="module")
+def scene():
+    body, camera = worlds.person("fine"), worlds.ring(1)[0]
+    posed = PosedBody(body, worlds.pose(body))
+    return posed, camera, Sighting.of(camera, view_of(posed, camera).mask())
+
+
+def shifted(posed, metres):
+    return replace(posed, pose=worlds.pose(posed.body, at=metres))
+
+
+def test_a_body_in_place_matches_its_own_outline_within_a_pixel(scene):
+    posed, camera, sighting = scene
+    match = match_outline(posed, view_of(posed, camera), sighting, Matching())
+    assert len(match.where) == pytest.approx(2 * len(sighting.contour.pixels), rel=0.02)
+    # The rim's points and the contour's pixels are the same pixels.
+    assert np.abs(match.residuals(posed)).max() < 1.0
+    rays = match_rays(posed, view_of(posed, camera), sighting, Matching())
+    assert np.linalg.norm(rays.residuals(posed), axis=1).max() < 1.0
+
+
+def test_residuals_are_pixels_across_the_contour_towards_the_inside(scene):
+    posed, camera, sighting = scene
+    right = camera.camera_from_world.rotation[0]
+    moved = shifted(posed, 0.02 * right)
+    match = match_outline(moved, view_of(moved, camera), sighting, Matching())
+    pixel = 300.0 * 0.02 / 3.2
+    points = camera.project(moved.points(match.where))
+    mean = points.mean(0)[0]
+    along = match.normals @ right
+    across = np.abs(along) > 0.9
+    residual = match.residuals(moved)[:, 0]
+    # What moved to the right lies farther inside on the left of a limb and farther outside on its right.
+    np.testing.assert_allclose(np.median(np.sign(along[across]) * residual[across]), pixel, atol=0.35)
+    assert np.isfinite(mean)
+
+
+def test_rays_and_planes_see_the_same_points_and_planes_are_the_nearer(scene):
+    posed, camera, sighting = scene
+    moved = shifted(posed, (0.01, 0.01, 0.02))
+    view = view_of(moved, camera)
+    planes, rays = (match(moved, view, sighting, Matching()) for match in (match_outline, match_rays))
+    np.testing.assert_array_equal(planes.where.face, rays.where.face)
+    near, far = np.abs(planes.residuals(moved)[:, 0]), np.linalg.norm(rays.residuals(moved), axis=1)
+    # A plane through a ray is never farther away than the ray; both measure in pixels at the point's depth.
+    assert (near <= far * 1.05 + 1e-6).all()
+
+
+def test_matches_keep_to_the_gate_and_to_the_direction(scene):
+    posed, camera, sighting = scene
+    moved = shifted(posed, (0.05, 0.02, 0.03))
+    view = view_of(moved, camera)
+    wide = match_outline(moved, view, sighting, Matching(gate=25.0, cosine=0.3))
+    narrow = match_outline(moved, view, sighting, Matching(gate=3.0, cosine=0.3))
+    strict = match_outline(moved, view, sighting, Matching(gate=25.0, cosine=0.95))
+    assert len(narrow.where) < len(wide.where)
+    assert len(strict.where) < len(wide.where)
+    assert np.abs(narrow.residuals(moved)).max() <= 3.0 * 1.05
+
+
+def test_faces_whose_outline_does_not_count_are_not_matched(scene):
+    posed, camera, sighting = scene
+    body = posed.body
+    legs = np.array([name.endswith(("thigh", "shank", "foot", "toes")) for name in body.skeleton.segment_names])
+    without = replace(posed, body=replace(body, outlined=~legs[body.face_segment]))
+    match = match_outline(without, view_of(without, camera), sighting, Matching())
+    assert len(match.where) > 100
+    assert not legs[body.face_segment[match.where.face]].any()
+    nothing = replace(posed, body=replace(body, outlined=np.zeros(len(body.faces), bool)))
+    assert match_outline(nothing, view_of(nothing, camera), sighting, Matching()) is None
+
+
+def test_without_a_silhouette_or_without_a_body_in_view_nothing_matches(scene):
+    posed, camera, sighting = scene
+    nobody = Sighting.of(camera, np.zeros((camera.height, camera.width), bool))
+    away = shifted(posed, (0, 0, 30))
+    for match in (match_outline, match_rays):
+        assert match(posed, view_of(posed, camera), nobody, Matching()) is None
+        assert match(away, view_of(away, camera), sighting, Matching()) is None
+
+
+def test_somebody_who_reaches_behind_the_camera_is_drawn_as_far_as_he_lies_before_it():
+    body = worlds.person()
+    camera = worlds.looking_at(np.array([0.0, 0, -0.3]), np.array([0.05, -0.02, 0.55]), size=(100, 120), focal=60.0)
+    posed = PosedBody(body, worlds.pose(body))
+    depths = camera.depths(posed.vertices)
+    assert depths.min() < 0 < depths.max()
+    view = view_of(posed, camera)
+    assert view.mask().any()
+    assert np.isfinite(view.rim(body.faces).depth).all()
+
+
+def test_pairs_are_those_that_a_look_at_all_of_them_finds(rng):
+    rim, contour = rng.uniform(0, 60, (80, 2)), rng.uniform(0, 60, (90, 2))
+    rim_in, contour_in = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in rng.normal(size=(2, 90, 2)))
+    rim_in = rim_in[:80]
+    rim_counts, contour_counts = rng.random(80) > 0.2, rng.random(90) > 0.2
+    gate, cosine = 6.0, 0.1
+    found = pair_both_ways(
+        rim, rim_in, rim_counts, sort_into_cells(contour), contour_in, contour_counts, gate, cosine
+    )  # fmt: skip
+    distance = np.linalg.norm(rim[:, None] - contour, axis=2)
+    fits = (distance <= gate) & (rim_in @ contour_in.T >= cosine) & rim_counts[:, None] & contour_counts
+    wanted = [(i, distance[i].argmin()) for i in range(80) if fits[i, distance[i].argmin()]]
+    wanted += [(distance[:, j].argmin(), j) for j in range(90) if fits[distance[:, j].argmin(), j]]
+    assert list(zip(*found, strict=True)) == wanted
