@@ -60,8 +60,7 @@ def _vote(evidence, phi, y, x, length, weights):
     if y >= 2 and x >= 2 and y < height - 2 and x < width - 2:
         for i in range(5):
             for j in range(5):
-                if phi[y + i - 2, x + j - 2] < 0:
-                    share += weights[i, j]
+                share += weights[i, j] * np.float32(phi[y + i - 2, x + j - 2] < 0)
     else:
         for i in range(5):
             row = min(max(y + i - 2, 0), height - 1)
@@ -73,18 +72,20 @@ def _vote(evidence, phi, y, x, length, weights):
 
 
 @numba.njit(cache=True, nogil=True)
-def _switch(evidence, phi, own, count, other, other_count, side, length, weights):
+def _switch(evidence, phi, stamp, sweep, own, count, other, other_count, side, length, weights):
     """Move the pixels of a list that vote for the other side; side is +1 for the outer list, -1 for the inner."""
     height, width = phi.shape
     kept, last, moved = 0, count, 0
     for k in range(count):
         y, x = own[k] // width, own[k] % width
-        if side * _vote(evidence, phi, y, x, length, weights) <= 0:
+        # A vote can only differ from the last one when something within its reach has changed since.
+        if stamp[y, x] < sweep - 1 or side * _vote(evidence, phi, y, x, length, weights) <= 0:
             own[kept] = own[k]
             kept += 1
             continue
         moved += 1
         phi[y, x] = -side
+        stamp[max(y - 2, 0) : y + 3, max(x - 2, 0) : x + 3] = sweep
         other[other_count] = own[k]
         other_count += 1
         for dy, dx in ((-1, 0), (1, 0), (0, -1), (0, 1)):
@@ -151,13 +152,14 @@ def _evolve(evidence, inside, length, weights, sweeps):
     # A pixel may stand on a list twice for the length of one sweep; hence the room.
     inner, outer = np.empty(2 * height * width, np.int32), np.empty(2 * height * width, np.int32)
     inner_count, outer_count = _lists(inside, phi, inner, outer)
-    for _ in range(sweeps):
+    stamp = np.zeros((height, width), np.int16)
+    for sweep in range(1, sweeps + 1):
         outer_count, inner_count, joined = _switch(
-            evidence, phi, outer, outer_count, inner, inner_count, 1, length, weights
+            evidence, phi, stamp, sweep, outer, outer_count, inner, inner_count, 1, length, weights
         )
         inner_count = _clean(phi, inner, inner_count, -1)
         inner_count, outer_count, left = _switch(
-            evidence, phi, inner, inner_count, outer, outer_count, -1, length, weights
+            evidence, phi, stamp, sweep, inner, inner_count, outer, outer_count, -1, length, weights
         )
         outer_count = _clean(phi, outer, outer_count, 1)
         if joined + left == 0:

@@ -93,7 +93,7 @@ def segment(
     light = exposed(behind, shown)
     least = LEAST_SHARE * image.shape[0] * image.shape[1]
     known, near = (np.float32(0), None) if begin is None else _too_far(begin, _margin(image.shape))
-    if begin is not None:
+    if begin is not None and (behind.trust < 1).any():
         known = known + (1 - behind.trust) * shape_term(begin, 2 * LIMIT / _margin(image.shape), _margin(image.shape))
     if prior is not None:
         known = known + prior[roi].astype(np.float32)
