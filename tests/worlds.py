@@ -1,6 +1,7 @@
 """Small worlds whose truth is known: the family's body in a pose, seen by a ring of cameras."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import lru_cache
 
 import cv2
@@ -59,6 +60,12 @@ def ring(
 def person(detail: Detail = "coarse", numbers: int = 6) -> Body:
     """The mean body of the family's first few numbers."""
     return family_body(detail, numbers)
+
+
+def scan(detail: Detail = "coarse") -> Body:
+    """A person whose shape is known, as that of a scan: there is no number left to find."""
+    body = person(detail)
+    return replace(body, space=body.space.keep(range(0)), numbers=np.zeros(0))
 
 
 def column(skeleton: Skeleton, name: str) -> int:

@@ -197,3 +197,12 @@ def test_no_rounds_are_no_fit(motion):
     body, _, levels, start = motion
     with pytest.raises(ValueError, match="one round"):
         refine_sequence(range(9), start, body, levels, rate=30, rounds=0)
+
+
+def test_a_scan_keeps_its_shape():
+    body = worlds.scan()
+    truth = [PosedBody(body, pose) for pose in worlds.swing(body, 3)]
+    levels = worlds.levels(truth, worlds.ring())
+    fit = refine_sequence(range(3), [t.pose for t in truth], body, levels, rate=30, rounds=2, shape_frames=[1])
+    np.testing.assert_array_equal(fit.body.vertices, body.vertices)
+    assert worlds.joint_errors(PosedBody(fit.body, fit.poses[1]), truth[1]).mean() < 0.003

@@ -60,3 +60,11 @@ def test_where_nothing_is_known_of_a_coordinate_it_may_go_anywhere(posed):
     assert cost(near, posed.moved(change)) == 0.0
     change[3:6] = [0.0, 0.2, 0.0]
     assert cost(near, posed.moved(change)) == pytest.approx(4.0)
+
+
+def test_a_scan_has_no_numbers_and_its_prior_says_nothing(posed):
+    scanned = PosedBody(worlds.scan(), posed.pose)
+    for shape in (False, True):
+        model = ShapePrior().linearize(scanned, shape=shape)
+        assert model.residual.shape == (0,)
+        assert model.jacobian.shape == (0, len(posed.body.skeleton))

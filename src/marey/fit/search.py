@@ -66,7 +66,8 @@ class Search:
         return Candidate(posed, overlap - self.settings.prior_cost * cost)
 
     def fit(self, posed: PosedBody, *, numbers: int, iterations: int, gate: tuple[float, float]) -> Candidate:
-        """Fit the pose and the first shape numbers, of which there may be none."""
+        """Fit the pose and the first shape numbers, of which there may be none, as a scan has."""
+        numbers = min(numbers, len(posed.body.space))
         schedule = Schedule(iterations=iterations, gate=gate, scale=(10.0, 3.0) if iterations > 5 else (6.0, 3.0))
         others: list[Observation] = [JointLimits(), Habit(share=0.03)]
         if numbers == 0:

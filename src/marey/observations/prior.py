@@ -102,5 +102,5 @@ class ShapePrior(Observation):
         whiten = np.linalg.inv(np.linalg.cholesky(space.prior_covariance))
         jacobian = np.zeros((len(space), _columns(posed, shape)))
         if shape:
-            jacobian[:, -len(space) :] = whiten
+            jacobian[:, jacobian.shape[1] - len(space) :] = whiten
         return Linearization(whiten @ (posed.body.numbers - space.prior_mean), jacobian)
