@@ -26,6 +26,16 @@ def test_log_inverts_exp(rng, angle):
     np.testing.assert_allclose(rotations.log(rotations.exp(vector)), vector, atol=1e-14, rtol=1e-9)
 
 
+@pytest.mark.parametrize("angle", [*ANGLES, np.pi - 1e-9, np.pi])
+def test_the_kernel_finds_the_turn_between_rotations_as_log_does(rng, angle):
+    for _ in range(8):
+        first, turn = rotations.exp(rng.normal(size=3)), rotations.exp(draw(rng, angle))
+        found = rotations.turn_between(first, turn @ first)
+        # Half a turn may be found about either end of the axis: the rotation is the same.
+        np.testing.assert_allclose(rotations.exp(found), turn, atol=1e-14)
+        assert np.linalg.norm(found) <= np.pi + 1e-12
+
+
 @pytest.mark.parametrize("angle", ANGLES)
 def test_left_jacobian_is_the_derivative_of_exp(rng, angle):
     vector, step = draw(rng, angle), 1e-6

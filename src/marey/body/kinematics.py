@@ -136,31 +136,42 @@ def gather_parts(faces, corners, vertices, vertex_segments, vertex_weights, join
         part: (n, corners, 4) written.
     """
     for i in range(face.shape[0]):
-        used = 0
-        for n in range(corners):
-            segment[i, n] = -1
-        for c in range(3):
-            v = faces[face[i], c]
-            b = barycentric[i, c]
-            for n in range(vertex_weights.shape[1]):
-                w = vertex_weights[v, n] * b
-                if w <= 0.0:
+        split_point(
+            faces, corners, vertices, vertex_segments, vertex_weights, joints, face[i], barycentric, i, segment, part, i
+        )
+
+
+@numba.njit(inline="always", cache=True, nogil=True)
+def split_point(
+    faces, corners, vertices, vertex_segments, vertex_weights, joints, face, barycentric, i, segment, part, row
+):  # fmt: skip
+    """Split one surface point, that of barycentric weights i, into a row of segment and part, see `gather_parts`."""
+    used = 0
+    for n in range(corners):
+        segment[row, n] = -1
+    for c in range(3):
+        v = faces[face, c]
+        b = barycentric[i, c]
+        for n in range(vertex_weights.shape[1]):
+            w = vertex_weights[v, n] * b
+            if w <= 0.0:
+                continue
+            k = vertex_segments[v, n]
+            slot = -1
+            for m in range(used):
+                if segment[row, m] == k:
+                    slot = m
+            if slot < 0:
+                if used == corners:
                     continue
-                k = vertex_segments[v, n]
-                slot = -1
-                for m in range(used):
-                    if segment[i, m] == k:
-                        slot = m
-                if slot < 0:
-                    if used == corners:
-                        continue
-                    slot = used
-                    used += 1
-                    segment[i, slot] = k
-                    part[i, slot, :] = 0.0
-                for a in range(3):
-                    part[i, slot, a] += w * (vertices[v, a] - joints[k, a])
-                part[i, slot, 3] += w
+                slot = used
+                used += 1
+                segment[row, slot] = k
+                for a in range(4):
+                    part[row, slot, a] = 0.0
+            for a in range(3):
+                part[row, slot, a] += w * (vertices[v, a] - joints[k, a])
+            part[row, slot, 3] += w
 
 
 @numba.njit(cache=True, nogil=True)

@@ -37,7 +37,7 @@ class Pose:
 
     def change_to(self, other: "Pose") -> Floats:
         """Give the change (D,) with self.step(change) = other."""
-        turn = rotations.log(other.rotation @ self.rotation.T)
+        turn = rotations.turn_between(self.rotation, other.rotation)
         return np.concatenate([other.translation - self.translation, turn, other.angles - self.angles])
 
     def between(self, other: "Pose", share: float) -> "Pose":

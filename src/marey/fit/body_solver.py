@@ -7,7 +7,7 @@ import numpy as np
 
 from marey.arrays import Floats
 from marey.body.pose import PosedBody
-from marey.fit.pose_solver import Schedule, match_all, solve_step
+from marey.fit.pose_solver import Schedule, add_dense, match_all, solve_step
 from marey.observations.correspondence import Sighting
 from marey.observations.observation import Observation, SurfaceObservation
 
@@ -18,16 +18,14 @@ def dense_equations(
     """Assemble H (D + M, D + M), g (D + M,) and the cost of pose and shape together."""
     size = len(posed.body.skeleton) + len(posed.body.space)
     hessian, gradient, cost = np.zeros((size, size)), np.zeros(size), 0.0
-    rows = [observation.whiten(posed, shape=True) for observation in found]
-    per_row = [np.repeat(w, len(r.residual) // len(w)) for w, r in zip(weights, rows, strict=True)]
-    rows += [observation.whiten(posed, shape=True) for observation in others]
-    per_row += [np.ones(len(r.residual)) for r in rows[len(found) :]]
-    for weight, row in zip(per_row, rows, strict=True):
-        weighted = row.jacobian * weight[:, None]
-        hessian += row.jacobian.T @ weighted
-        gradient += weighted.T @ row.residual
-        cost += float(weight @ row.residual**2)
-    return hessian, gradient, cost
+    for observation, weight in zip(found, weights, strict=True):
+        row = observation.linearize(posed, shape=True)
+        scale = np.repeat(np.sqrt(weight), len(row.residual) // len(weight)) / observation.sigma
+        jacobian, residual = row.jacobian * scale[:, None], row.residual * scale
+        hessian += jacobian.T @ jacobian
+        gradient += jacobian.T @ residual
+        cost += float(residual @ residual)
+    return hessian, gradient, cost + add_dense(posed, others, hessian, gradient, shape=True)
 
 
 def fit_body(

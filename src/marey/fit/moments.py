@@ -12,7 +12,8 @@ import numba
 import numpy as np
 
 from marey.arrays import Floats, Integers
-from marey.body.pose import PosedBody
+from marey.body.kinematics import split_point
+from marey.body.pose import PARTS, PosedBody
 from marey.observations.observation import SurfaceObservation
 
 _AB = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
@@ -42,31 +43,37 @@ def gather_moments(
         observations: any kinds.
         weights: for each observation (n,) robust weights of its points; all one when missing.
     """
-    segments = len(posed.body.skeleton.segment_names)
+    body = posed.body
+    segments = len(body.skeleton.segment_names)
     slot = np.full((segments, segments), -1, np.int64)
-    products = np.zeros((segments * (segments + 1) // 2, 6, 4, 4))
+    products = np.zeros((segments * (segments + 1) // 2, 6, 16))
     linear = np.zeros((segments, 3, 4))
     constant = used = 0
     for i, observation in enumerate(observations):
         rows, offsets = observation.constraints(posed)
         weight = np.ones(len(rows)) if weights is None else weights[i]
-        segment, part = posed.parts(observation.where)
         used, more = add_moments(
-            np.ascontiguousarray(rows), np.ascontiguousarray(offsets), weight / observation.sigma**2,
-            segment, part, slot, used, products, linear,
+            body.faces, body.vertices, body.vertex_segments, body.vertex_weights, body.joint_centres,
+            observation.where.face, observation.where.barycentric, np.ascontiguousarray(rows),
+            np.ascontiguousarray(offsets), weight / observation.sigma**2, slot, used, products, linear,
         )  # fmt: skip
         constant += more
     pairs = np.zeros((used, 2), np.int64)
     k, j = np.nonzero(slot >= 0)
     pairs[slot[k, j]] = np.stack([k, j], 1)
-    return Moments(pairs, products[:used], linear, float(constant))
+    return Moments(pairs, products[:used].reshape(-1, 6, 4, 4), linear, float(constant))
 
 
 @numba.njit(cache=True, nogil=True, fastmath=True)
-def add_moments(rows, offsets, weight, segment, part, slot, used, products, linear):
+def add_moments(
+    faces, vertices, vertex_segments, vertex_weights, joints, face, barycentric, rows, offsets, weight,
+    slot, used, products, linear,
+):  # fmt: skip
     """Add observations to the moments; give the number of pairs in use and the sum of w b'b."""
     constant = 0.0
     q = np.empty(6)
+    segment = np.empty((1, PARTS), np.int64)
+    part = np.empty((1, PARTS, 4))
     for i in range(rows.shape[0]):
         w = weight[i]
         if w <= 0.0:
@@ -86,17 +93,20 @@ def add_moments(rows, offsets, weight, segment, part, slot, used, products, line
             u2 += wz * b
             constant += w * b * b
         q[0], q[1], q[2], q[3], q[4], q[5] = q0, q1, q2, q3, q4, q5
-        for n in range(segment.shape[1]):
-            k = segment[i, n]
+        split_point(
+            faces, PARTS, vertices, vertex_segments, vertex_weights, joints, face[i], barycentric, i, segment, part, 0
+        )
+        for n in range(PARTS):
+            k = segment[0, n]
             if k < 0:
                 break
             for c in range(4):
-                y = part[i, n, c]
+                y = part[0, n, c]
                 linear[k, 0, c] += u0 * y
                 linear[k, 1, c] += u1 * y
                 linear[k, 2, c] += u2 * y
-            for m in range(segment.shape[1]):
-                j = segment[i, m]
+            for m in range(PARTS):
+                j = segment[0, m]
                 if j < 0:
                     break
                 if j < k:
@@ -104,21 +114,37 @@ def add_moments(rows, offsets, weight, segment, part, slot, used, products, line
                 if slot[k, j] < 0:
                     slot[k, j] = used
                     used += 1
-                _add_product(q, part[i, n], part[i, m], products[slot[k, j]])
+                _add_product(q, part, n, m, products[slot[k, j]])
     return used, constant
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True)
-def _add_product(q, first, second, product):
-    """Add q[ab] first second' to a pair's products (6, 4, 4); written out so that the compiler makes vectors of it."""
-    y0, y1, y2, y3 = second[0], second[1], second[2], second[3]
+@numba.njit(inline="always", cache=True, nogil=True, fastmath=True)
+def _add_product(q, part, n, m, product):
+    """Add q[ab] y_n y_m' to a pair's products (6, 16); written out so that the compiler makes vectors of it."""
+    a0, a1, a2, a3 = part[0, n, 0], part[0, n, 1], part[0, n, 2], part[0, n, 3]
+    b0, b1, b2, b3 = part[0, m, 0], part[0, m, 1], part[0, m, 2], part[0, m, 3]
+    y0, y1, y2, y3 = a0 * b0, a0 * b1, a0 * b2, a0 * b3
+    y4, y5, y6, y7 = a1 * b0, a1 * b1, a1 * b2, a1 * b3
+    y8, y9, y10, y11 = a2 * b0, a2 * b1, a2 * b2, a2 * b3
+    y12, y13, y14, y15 = a3 * b0, a3 * b1, a3 * b2, a3 * b3
     for ab in range(6):
-        for c in range(4):
-            t = q[ab] * first[c]
-            product[ab, c, 0] += t * y0
-            product[ab, c, 1] += t * y1
-            product[ab, c, 2] += t * y2
-            product[ab, c, 3] += t * y3
+        t = q[ab]
+        product[ab, 0] += t * y0
+        product[ab, 1] += t * y1
+        product[ab, 2] += t * y2
+        product[ab, 3] += t * y3
+        product[ab, 4] += t * y4
+        product[ab, 5] += t * y5
+        product[ab, 6] += t * y6
+        product[ab, 7] += t * y7
+        product[ab, 8] += t * y8
+        product[ab, 9] += t * y9
+        product[ab, 10] += t * y10
+        product[ab, 11] += t * y11
+        product[ab, 12] += t * y12
+        product[ab, 13] += t * y13
+        product[ab, 14] += t * y14
+        product[ab, 15] += t * y15
 
 
 def normal_equations(posed: PosedBody, moments: Moments) -> tuple[Floats, Floats, float]:
@@ -135,60 +161,82 @@ def normal_equations(posed: PosedBody, moments: Moments) -> tuple[Floats, Floats
 
 
 @numba.njit(cache=True, nogil=True)
-def segment_twists(parents, coordinate_segment, origin, world_axes):
-    """List for each segment the coordinates that move it, and their twists (v, w) about the world's origin.
+def coordinate_twists(coordinate_segment, origin, world_axes):
+    """Give for each coordinate the segment with which its motion begins, and its twist (v, w) about the world's origin.
 
     Returns:
-        count (S,), column (S, D), twist (S, D, 6).
+        start (D,), twist (D, 6).
     """
-    segments, coordinates = parents.shape[0], world_axes.shape[0]
-    count = np.zeros(segments, np.int64)
-    column = np.zeros((segments, 6 + coordinates), np.int64)
-    twist = np.zeros((segments, 6 + coordinates, 6))
-    for k in range(segments):
-        parent = parents[k]
-        if parent < 0:
-            for a in range(3):
-                twist[k, a, a] = 1.0
-                twist[k, 3 + a, 3 + a] = 1.0
-            # v = origin x w
-            x, y, z = origin[k, 0], origin[k, 1], origin[k, 2]
-            twist[k, 3, 1], twist[k, 3, 2] = z, -y
-            twist[k, 4, 0], twist[k, 4, 2] = -z, x
-            twist[k, 5, 0], twist[k, 5, 1] = y, -x
-            for a in range(6):
-                column[k, a] = a
-            n = 6
-        else:
-            n = count[parent]
-            column[k, :n] = column[parent, :n]
-            twist[k, :n] = twist[parent, :n]
-        for i in range(coordinates):
-            if coordinate_segment[i] == k:
-                w = world_axes[i]
-                column[k, n] = 6 + i
-                twist[k, n, 0] = origin[k, 1] * w[2] - origin[k, 2] * w[1]
-                twist[k, n, 1] = origin[k, 2] * w[0] - origin[k, 0] * w[2]
-                twist[k, n, 2] = origin[k, 0] * w[1] - origin[k, 1] * w[0]
-                twist[k, n, 3:] = w
-                n += 1
-        count[k] = n
-    return count, column, twist
+    degrees = 6 + world_axes.shape[0]
+    start = np.zeros(degrees, np.int64)
+    twist = np.zeros((degrees, 6))
+    for a in range(3):
+        twist[a, a] = 1.0
+        twist[3 + a, 3 + a] = 1.0
+    for i in range(world_axes.shape[0]):
+        start[6 + i] = coordinate_segment[i]
+        twist[6 + i, 3:] = world_axes[i]
+    for q in range(3, degrees):
+        # v = origin x w
+        o, w = origin[start[q]], twist[q, 3:]
+        twist[q, 0] = o[1] * w[2] - o[2] * w[1]
+        twist[q, 1] = o[2] * w[0] - o[0] * w[2]
+        twist[q, 2] = o[0] * w[1] - o[1] * w[0]
+    return start, twist
 
 
 @numba.njit(cache=True, nogil=True, fastmath=True)
 def assemble(
     parents, coordinate_segment, rotation, origin, world_axes, pairs, products, linear, hessian, gradient
 ):  # fmt: skip
-    """Add the normal equations of all pairs of segments; give the cost without its constant."""
-    count, column, twist = segment_twists(parents, coordinate_segment, origin, world_axes)
+    """Add the normal equations of all pairs of segments; give the cost without its constant.
+
+    A coordinate moves its segment and all that hang on it: what pairs of segments say is first summed
+    from the far ends of the limbs towards the root, and each pair of coordinates then needs one product.
+    """
     segments = parents.shape[0]
-    degrees = 6 + world_axes.shape[0]
+    block = np.zeros((segments, segments, 36))
+    force = np.zeros((segments, 6))
+    cost = _pair_sums(rotation, origin, pairs, products, block, force)
+    for k in range(segments):
+        cost += _subtract_target(rotation[k], origin[k], linear[k], force[k])
+    for k in range(segments - 1, 0, -1):
+        for a in range(6):
+            force[parents[k], a] += force[k, a]
+        for j in range(segments):
+            for e in range(36):
+                block[parents[k], j, e] += block[k, j, e]
+    for j in range(segments - 1, 0, -1):
+        for k in range(segments):
+            for e in range(36):
+                block[k, parents[j], e] += block[k, j, e]
+    start, twist = coordinate_twists(coordinate_segment, origin, world_axes)
+    moved = np.empty((segments, 6))
+    for q in range(start.shape[0]):
+        for a in range(6):
+            gradient[q] += twist[q, a] * force[start[q], a]
+        for k in range(start[q] + 1):
+            for a in range(6):
+                t = 0.0
+                for b in range(6):
+                    t += block[start[q], k, 6 * b + a] * twist[q, b]
+                moved[k, a] = t
+        for p in range(q + 1):
+            t = 0.0
+            for a in range(6):
+                t += twist[p, a] * moved[start[p], a]
+            hessian[q, p] += t
+            if p < q:
+                hessian[p, q] += t
+    return cost
+
+
+@numba.njit(cache=True, nogil=True, fastmath=True)
+def _pair_sums(rotation, origin, pairs, products, blocks, force):
+    """Write each pair's block of twists (S, S, 36), add the points' pull to the forces; give the cost's square part."""
     z = np.empty((3, 3, 4, 4))
     half = np.empty((4, 4))
     block = np.empty((6, 6))
-    moved = np.empty((6, degrees))
-    force = np.zeros((segments, 6))
     tk = np.zeros((4, 4))
     tl = np.zeros((4, 4))
     tk[3, 3] = tl[3, 3] = 1.0
@@ -198,25 +246,16 @@ def assemble(
         for a in range(3):
             for b in range(3):
                 tk[a, b] = rotation[k, a, b]
-                tl[a, b] = rotation[j, a, b]
+                tl[b, a] = rotation[j, a, b]
             tk[a, 3] = origin[k, a]
-            tl[a, 3] = origin[j, a]
+            tl[3, a] = origin[j, a]
         ab = 0
         for a in range(3):
             for b in range(a, 3):
-                for r in range(4):
-                    for c in range(4):
-                        t = 0.0
-                        for s in range(4):
-                            t += tk[r, s] * products[m, ab, s, c]
-                        half[r, c] = t
-                for r in range(4):
-                    for c in range(4):
-                        t = 0.0
-                        for s in range(4):
-                            t += half[r, s] * tl[c, s]
-                        z[a, b, r, c] = t
-                        z[b, a, r, c] = t
+                _times(tk, products[m, ab], half)
+                _times(half, tl, z[a, b])
+                if b > a:
+                    z[b, a] = z[a, b]
                 ab += 1
         twice = 1.0 if k == j else 2.0
         for a in range(3):
@@ -224,29 +263,20 @@ def assemble(
                 cost += twice * z[a, b, a, b]
         _pair_block(z, block)
         _add_forces(z, k, j, force)
-        for c in range(count[j]):
-            for r in range(6):
-                t = 0.0
-                for s in range(6):
-                    t += block[r, s] * twist[j, c, s]
-                moved[r, c] = t
-        for r in range(count[k]):
-            row = column[k, r]
-            for c in range(count[j]):
-                t = 0.0
-                for s in range(6):
-                    t += twist[k, r, s] * moved[s, c]
-                hessian[row, column[j, c]] += t
-                if k != j:
-                    hessian[column[j, c], row] += t
-    for k in range(segments):
-        cost += _subtract_target(rotation[k], origin[k], linear[k], force[k])
-        for r in range(count[k]):
-            t = 0.0
-            for s in range(6):
-                t += twist[k, r, s] * force[k, s]
-            gradient[column[k, r]] += t
+        for a in range(6):
+            for b in range(6):
+                blocks[k, j, 6 * a + b] = block[a, b]
+                blocks[j, k, 6 * b + a] = block[a, b]
     return cost
+
+
+@numba.njit(cache=True, nogil=True, fastmath=True)
+def _times(first, second, out):
+    """Write the product of two matrices (4, 4)."""
+    for r in range(4):
+        f0, f1, f2, f3 = first[r, 0], first[r, 1], first[r, 2], first[r, 3]
+        for c in range(4):
+            out[r, c] = f0 * second[0, c] + f1 * second[1, c] + f2 * second[2, c] + f3 * second[3, c]
 
 
 @numba.njit(cache=True, nogil=True, fastmath=True)

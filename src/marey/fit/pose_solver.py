@@ -12,7 +12,7 @@ from marey.cameras.visibility import View
 from marey.fit.moments import Moments, gather_moments, normal_equations
 from marey.fit.robust import geman_mcclure
 from marey.observations.correspondence import Matching, Sighting, match_outline, view_of
-from marey.observations.observation import Observation, SurfaceObservation
+from marey.observations.observation import AngleObservation, Observation, SurfaceObservation
 from marey.observations.prior import JointLimits
 
 
@@ -55,18 +55,32 @@ LONGEST_TURN = 0.5
 
 def solve_step(hessian: Floats, gradient: Floats, *, degrees: int | None = None) -> Floats:
     """Solve for a Gauss-Newton step, shortened where it turns one of the pose's degrees of freedom too far."""
-    damping = 1e-9 * np.trace(hessian) / len(hessian)
-    factor = scipy.linalg.cho_factor(hessian + damping * np.eye(len(hessian)), check_finite=False)
-    step = -scipy.linalg.cho_solve(factor, gradient, check_finite=False)
+    damped = hessian.copy()
+    np.einsum("ii->i", damped)[:] += 1e-9 * np.trace(hessian) / len(hessian)
+    factor, failed = scipy.linalg.lapack.dpotrf(damped)
+    if failed:
+        raise np.linalg.LinAlgError("the observations leave a coordinate open; a prior is missing")
+    step = -scipy.linalg.lapack.dpotrs(factor, gradient)[0]
     longest = np.abs(step[3:degrees]).max()
     return step if longest <= LONGEST_TURN else step * (LONGEST_TURN / longest)
 
 
-def add_dense(posed: PosedBody, observations: Sequence[Observation], hessian: Floats, gradient: Floats) -> float:
-    """Add observations that are no surface points to the normal equations; give their cost."""
+def add_dense(
+    posed: PosedBody, observations: Sequence[Observation], hessian: Floats, gradient: Floats, *, shape: bool = False
+) -> float:
+    """Add observations that are no surface points to the equations of the pose (and the shape); give their cost."""
     cost = 0.0
+    diagonal = np.einsum("ii->i", hessian)
+    angles = slice(6, len(posed.body.skeleton))
     for observation in observations:
-        white = observation.whiten(posed)
+        if isinstance(observation, AngleObservation):
+            residual, slope = observation.by_angle(posed)
+            weight = 1.0 / observation.sigma**2
+            diagonal[angles] += weight * slope**2
+            gradient[angles] += weight * slope * residual
+            cost += weight * float(residual @ residual)
+            continue
+        white = observation.whiten(posed, shape=shape)
         hessian += white.jacobian.T @ white.jacobian
         gradient += white.jacobian.T @ white.residual
         cost += float(white.residual @ white.residual)

@@ -11,4 +11,4 @@ def geman_mcclure(residual: Floats, scale: float) -> Floats:
         scale: the length at which an observation counts a quarter, in the residual's unit.
     """
     squared = residual**2 if residual.ndim == 1 else (residual**2).sum(1)
-    return (1 + squared / scale**2) ** -2.0
+    return 1.0 / (1.0 + squared / scale**2) ** 2

@@ -195,3 +195,32 @@ def turn_about(axis, angle, out):  # pragma: no cover - compiled
     out[2, 0] = -s * y + c * x * z
     out[2, 1] = s * x + c * y * z
     out[2, 2] = 1.0 - c * (x * x + y * y)
+
+
+@numba.njit(cache=True, nogil=True)
+def turn_between(first, second):  # pragma: no cover - compiled
+    """Give the vector (3,) that turns one rotation (3, 3) into another one: log(second first') for kernels."""
+    r = np.empty((3, 3))
+    for a in range(3):
+        for b in range(3):
+            r[a, b] = second[a, 0] * first[b, 0] + second[a, 1] * first[b, 1] + second[a, 2] * first[b, 2]
+    # The quaternion from its largest component, as `to_quaternion`.
+    trace = r[0, 0] + r[1, 1] + r[2, 2]
+    best, largest = 0, 1.0 + trace
+    for i in range(3):
+        if 1.0 + 2.0 * r[i, i] - trace > largest:
+            best, largest = i + 1, 1.0 + 2.0 * r[i, i] - trace
+    q = np.empty(4)
+    q[best] = largest
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        if best == 0:
+            q[i + 1] = r[k, j] - r[j, k]
+        elif best == i + 1:
+            q[0] = r[k, j] - r[j, k]
+            q[j + 1], q[k + 1] = r[i, j] + r[j, i], r[i, k] + r[k, i]
+    sine = np.sqrt(q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
+    if q[0] < 0.0:
+        q *= -1.0
+    scale = 2.0 / q[0] if sine < 1e-9 * q[0] else 2.0 * np.arctan2(sine, q[0]) / sine
+    return scale * q[1:]

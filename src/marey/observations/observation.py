@@ -40,6 +40,22 @@ class Observation(ABC):
         return Linearization(raw.residual / self.sigma, raw.jacobian / self.sigma)
 
 
+class AngleObservation(Observation):
+    """Measurements of the joint angles, one of each: their Jacobian is a diagonal."""
+
+    @abstractmethod
+    def by_angle(self, posed: PosedBody) -> tuple[Floats, Floats]:
+        """Give the residuals (D - 6,) and how fast (D - 6,) each changes with its own angle."""
+
+    @final
+    def linearize(self, posed: PosedBody, *, shape: bool = False) -> Linearization:
+        """Write the diagonal out."""
+        residual, slope = self.by_angle(posed)
+        jacobian = np.zeros((len(slope), 6 + len(slope) + (len(posed.body.space) if shape else 0)))
+        jacobian[np.arange(len(slope)), 6 + np.arange(len(slope))] = slope
+        return Linearization(residual, jacobian)
+
+
 class SurfaceObservation(Observation):
     """Measurements that are linear in points of the body's surface: r = rows p - offsets.
 

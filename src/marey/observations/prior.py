@@ -8,7 +8,7 @@ import numpy as np
 from marey.arrays import Floats
 from marey.body.pose import Pose, PosedBody
 from marey.geometry import rotations
-from marey.observations.observation import Linearization, Observation
+from marey.observations.observation import AngleObservation, Linearization, Observation
 
 
 def _columns(posed: PosedBody, shape: bool) -> int:
@@ -17,7 +17,7 @@ def _columns(posed: PosedBody, shape: bool) -> int:
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
-class JointLimits(Observation):
+class JointLimits(AngleObservation):
     """Angles stay within the limits of their joints: only what lies beyond counts."""
 
     sigma_rad: float = float(np.deg2rad(3.0))
@@ -28,20 +28,17 @@ class JointLimits(Observation):
         """Standard deviation of a residual [rad]."""
         return self.sigma_rad
 
-    def linearize(self, posed: PosedBody, *, shape: bool = False) -> Linearization:
+    def by_angle(self, posed: PosedBody) -> tuple[Floats, Floats]:
         """Give the overshoot of each angle, zero inside the limits."""
         low, high = posed.body.skeleton.limits.T
         angles = posed.pose.angles
         residual = np.minimum(angles - low, 0.0) + np.maximum(angles - high, 0.0)
-        jacobian = np.zeros((len(angles), _columns(posed, shape)))
-        beyond = np.flatnonzero(residual)
-        jacobian[beyond, 6 + beyond] = 1.0
-        return Linearization(residual, jacobian)
+        return residual, (residual != 0.0).astype(float)
 
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Habit(Observation):
+class Habit(AngleObservation):
     """Angles lie where people's joints usually are."""
 
     share: float = 1.0
@@ -52,12 +49,10 @@ class Habit(Observation):
         """Standard deviation of a residual, in units of each joint's own spread."""
         return 1.0 / np.sqrt(self.share)
 
-    def linearize(self, posed: PosedBody, *, shape: bool = False) -> Linearization:
+    def by_angle(self, posed: PosedBody) -> tuple[Floats, Floats]:
         """Give each angle's distance from its habit, in units of its spread."""
         mean, sd = posed.body.skeleton.habit
-        jacobian = np.zeros((len(mean), _columns(posed, shape)))
-        jacobian[np.arange(len(mean)), 6 + np.arange(len(mean))] = 1.0 / sd
-        return Linearization((posed.pose.angles - mean) / sd, jacobian)
+        return (posed.pose.angles - mean) / sd, 1.0 / sd
 
 
 @final
