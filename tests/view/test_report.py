@@ -94,3 +94,10 @@ def test_every_segment_has_a_colour_of_its_own_and_bones_join_named_joints():
     assert len({tuple(c) for c in colours}) == len(SEGMENTS) == 21
     np.testing.assert_array_equal(bone_pairs(["left_knee", "left_hip", "x"]), [[1, 0]])
     assert bone_pairs(["x"]).shape == (0, 2)
+
+
+def test_frames_that_nobody_asked_for_are_not_counted(content):
+    asked = np.arange(FRAMES) < 9
+    text = report_html(replace(content, asked=asked))
+    assert "5 of 7" in text
+    assert "1 filled, 1 lost, 2 without a person, 3 not asked for" in text

@@ -155,7 +155,7 @@ def report_capture(
     person = trial.settings.person
     title = trial.folder.resolve().name + (f" · {person}" if person is not None else "")
     content = ReportContent(
-        title=title, motion=motion, body=body, rig=trial.rig, sizes=person_sizes(body), problems=problems,
+        title=title, motion=motion, body=body, rig=trial.rig, asked=asked, sizes=person_sizes(body), problems=problems,
         stills=stills, timings=progress.timings, settings=settings, files=FILES,
     )  # fmt: skip
     write_report(folder / "report.html", content)

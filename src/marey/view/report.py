@@ -11,7 +11,7 @@ import jinja2
 import numpy as np
 
 import marey
-from marey.arrays import Floats, Image
+from marey.arrays import Floats, Image, Mask
 from marey.body.surface import Body
 from marey.cameras.rig import Rig
 from marey.io.atomic import replacing
@@ -53,6 +53,8 @@ class ReportContent:
     body: Body
     """Found or given; posed by the motion's segments in the replay."""
     rig: Rig
+    asked: Mask | None = None
+    """(F,) the frames that were to be captured; all when missing."""
     sizes: Sequence[Size] = ()
     """The stature first, then what else is known."""
     problems: Sequence[Problem] = ()
@@ -95,16 +97,18 @@ def report_html(content: ReportContent) -> str:
 def _tiles(content: ReportContent) -> list[tuple[str, str, str]]:
     """Give the key figures: label, value, and what stands below it."""
     motion = content.motion
-    counts = {state: int((motion.state == state).sum()) for state in (NOBODY, MEASURED, FILLED, LOST)}
-    asked = len(motion) - counts[NOBODY]
+    asked = motion.state if content.asked is None else motion.state[content.asked]
+    counts = {state: int((asked == state).sum()) for state in (NOBODY, MEASURED, FILLED, LOST)}
+    others = [f"{counts[FILLED]} filled, {counts[LOST]} lost"]
+    others += [f"{counts[NOBODY]} without a person"] if counts[NOBODY] else []
+    others += [f"{len(motion) - len(asked)} not asked for"] if len(asked) < len(motion) else []
     known = motion.agreement[np.isfinite(motion.agreement)]
     tiles = [
-        ("frames measured", f"{counts[MEASURED]} of {asked}", f"{counts[FILLED]} filled, {counts[LOST]} lost, "
-         f"{counts[NOBODY]} without a person"),
-        ("duration", f"{len(motion) / motion.rate:.2f} s", f"{motion.rate:g} Hz, {len(motion)} frames"),
+        ("frames measured", f"{counts[MEASURED]} of {len(asked) - counts[NOBODY]}", ", ".join(others)),
+        ("duration", f"{len(asked) / motion.rate:.2f} s", f"{motion.rate:g} Hz, {len(asked)} frames"),
         ("cameras", f"{len(content.rig)}", ", ".join(content.rig.names)),
         ("agreement", f"{np.mean(known):.3f}" if known.size else "none", "surface and silhouettes, mean overlap"),
-    ]  # fmt: skip
+    ]
     for size in content.sizes[:1]:
         tiles.append((size.name, f"{size.value_m:.3f} m", f"± {1.96 * size.sd_m * 1e3:.0f} mm (95 %)"))
     middle = _median_sd_mm(motion)
