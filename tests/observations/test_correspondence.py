@@ -8,7 +8,15 @@ from tests import worlds
 
 from marey.body.pose import PosedBody
 from marey.images.nearest import sort_into_cells
-from marey.observations.correspondence import Matching, Sighting, match_outline, match_rays, pair_both_ways, view_of
+from marey.observations.correspondence import (
+    Matching,
+    Sighting,
+    match_outline,
+    match_rays,
+    pair_both_ways,
+    see_outline,
+    view_of,
+)
 
 
 @pytest.fixture(scope="module")
@@ -30,6 +38,21 @@ def test_a_body_in_place_matches_its_own_outline_within_a_pixel(scene):
     assert np.abs(match.residuals(posed)).max() < 1.0
     rays = match_rays(posed, view_of(posed, camera), sighting, Matching())
     assert np.linalg.norm(rays.residuals(posed), axis=1).max() < 1.0
+
+
+@pytest.mark.parametrize("metres", [0.0, 0.03, 1.0, 50.0])
+def test_drawing_and_matching_in_one_go_give_the_same(scene, metres):
+    posed, camera, sighting = scene
+    moved = shifted(posed, np.array([metres, 0.3 * metres, 0.0]))
+    view, match = see_outline(moved, sighting, Matching())
+    plain = view_of(moved, camera)
+    np.testing.assert_array_equal(view.mask(), plain.mask())
+    expected = match_outline(moved, plain, sighting, Matching())
+    assert (match is None) == (expected is None)
+    if match is not None and expected is not None:
+        np.testing.assert_array_equal(match.where.face, expected.where.face)
+        for name in ("normals", "offsets", "pixels_per_metre"):
+            np.testing.assert_array_equal(getattr(match, name), getattr(expected, name))
 
 
 def test_residuals_are_pixels_across_the_contour_towards_the_inside(scene):

@@ -137,6 +137,11 @@ class Body:
                 np.add.at(votes, (np.arange(len(v)), self.vertex_segments[v, n]), self.vertex_weights[v, n])
         return frozen(np.argmax(votes, 1), np.int64)
 
+    @cached_property
+    def outline_counts(self) -> Mask:
+        """(T,) whether the outline of each face counts."""
+        return frozen(np.ones(len(self.faces)) if self.outlined is None else self.outlined, np.bool_)
+
     @property
     def joint_names(self) -> tuple[str, ...]:
         """Names of the joint centres that results report."""

@@ -61,7 +61,11 @@ class View:
         return Rim(*rim_pixels(self.face, self.projected, faces, self.corner[0], self.corner[1]))
 
 
-def see(projected: Floats, faces: Integers, size: tuple[int, int], *, margin: int = 3) -> View:
+MARGIN = 3
+"""Pixels kept around the mesh."""
+
+
+def see(projected: Floats, faces: Integers, size: tuple[int, int], *, margin: int = MARGIN) -> View:
     """Draw a mesh into a depth buffer.
 
     Faces count where they turn their counter-clockwise side to the camera. A pixel is covered when

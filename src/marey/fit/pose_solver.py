@@ -11,7 +11,7 @@ from marey.body.pose import PosedBody
 from marey.cameras.visibility import View
 from marey.fit.moments import Moments, gather_moments, normal_equations
 from marey.fit.robust import geman_mcclure
-from marey.observations.correspondence import Matching, Sighting, match_outline, view_of
+from marey.observations.correspondence import Matching, Sighting, see_outline
 from marey.observations.observation import AngleObservation, Observation, SurfaceObservation
 from marey.observations.prior import JointLimits
 
@@ -117,15 +117,10 @@ def match_all(
     posed: PosedBody, sightings: Sequence[Sighting], matching: Matching, scale: float
 ) -> tuple[list[SurfaceObservation], list[Floats], tuple[View, ...]]:
     """Match the surface in all cameras; give the matches, their robust weights, and the views."""
-    views = tuple(view_of(posed, sighting.camera) for sighting in sightings)
-    found: list[SurfaceObservation] = []
-    weights = []
-    for view, sighting in zip(views, sightings, strict=True):
-        match = match_outline(posed, view, sighting, matching)
-        if match is not None:
-            found.append(match)
-            weights.append(geman_mcclure(match.residuals(posed), scale))
-    return found, weights, views
+    seen = [see_outline(posed, sighting, matching) for sighting in sightings]
+    found: list[SurfaceObservation] = [match for _, match in seen if match is not None]
+    weights = [geman_mcclure(match.residuals(posed), scale) for match in found]
+    return found, weights, tuple(view for view, _ in seen)
 
 
 def fit_pose(

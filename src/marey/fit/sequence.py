@@ -19,7 +19,9 @@ from marey.fit.body_solver import dense_equations
 from marey.fit.levels import FrameLevels
 from marey.fit.moments import gather_moments, normal_equations
 from marey.fit.pose_solver import Schedule, add_dense, match_all
+from marey.fit.side_by_side import side_by_side
 from marey.fit.track import TRUNK
+from marey.observations.correspondence import Sighting
 from marey.observations.prior import Habit, JointLimits, ShapePrior
 
 
@@ -218,19 +220,26 @@ def _assemble(
     squares = total = 0.0
     matching, scale = schedule.at(round_)
     priors = (JointLimits(), Habit(share=settings.habit))
-    for f, frame in enumerate(frames):
+
+    def equations(f: int, sightings: Sequence[Sighting]) -> tuple[Floats, Floats, float, float]:
         posed = PosedBody(body, poses[f])
-        found, weights, _ = match_all(posed, levels.at(frame).sightings, matching, scale)
-        squares += sum(float(w @ (match.residuals(posed) ** 2).sum(1)) for w, match in zip(weights, found, strict=True))
-        total += sum(float(w.sum()) for w in weights)
-        if frame in free:
+        found, weights, _ = match_all(posed, sightings, matching, scale)
+        if frames[f] in free:
             hessian, gradient, _ = dense_equations(posed, found, weights, priors)
         else:
             hessian, gradient, _ = normal_equations(posed, gather_moments(posed, found, weights))
             add_dense(posed, priors, hessian, gradient)
+        across = [float(w @ (m.residuals(posed) ** 2).sum(1)) for w, m in zip(weights, found, strict=True)]
+        return hessian, gradient, sum(across), sum(float(w.sum()) for w in weights)
+
+    # The silhouettes are read here, one frame after the other; only what is computed from them runs side by side.
+    tasks = ((f, levels.at(frame).sightings) for f, frame in enumerate(frames))
+    for f, (hessian, gradient, across, weight) in enumerate(side_by_side(lambda task: equations(*task), tasks)):
+        squares += across
+        total += weight
         information[f] = hessian[:degrees, :degrees]
         system.add_frame(f, hessian, gradient, degrees)
-        done(frame)
+        done(frames[f])
     if free:
         white = ShapePrior().whiten(PosedBody(body, poses[0]), shape=True)
         jacobian = white.jacobian[:, degrees:]

@@ -7,11 +7,12 @@ import numba
 import numpy as np
 
 from marey.arrays import Floats, Integers, Mask
+from marey.body.kinematics import points_on_faces
 from marey.body.pose import PosedBody, SurfacePoints
 from marey.cameras import lens
 from marey.cameras.camera import Camera
 from marey.cameras.rays import PluckerLines
-from marey.cameras.visibility import View, see
+from marey.cameras.visibility import MARGIN, View, draw_window, rim_pixels, see
 from marey.images.contours import Contour, trace_contour
 from marey.images.nearest import nearest_within, sort_into_cells
 from marey.observations.silhouette import SilhouettePlanes, SilhouetteRays
@@ -94,6 +95,44 @@ def match_outline(posed: PosedBody, view: View, sighting: Sighting, matching: Ma
     )  # fmt: skip
 
 
+def see_outline(posed: PosedBody, sighting: Sighting, matching: Matching) -> tuple[View, SilhouettePlanes | None]:
+    """Draw the posed surface as a camera sees it and match its outline: `view_of` and `match_outline` in one go."""
+    body, camera, contour = posed.body, sighting.camera, sighting.contour
+    if len(contour.pixels) == 0:
+        return view_of(posed, camera), None
+    normals, offsets = sighting.planes
+    corner, inverse_depth, face, projected, on_face, barycentric, j, scale = draw_and_match(
+        posed.vertices, body.faces, body.outline_counts, camera.packed, camera.width, camera.height, camera.centre,
+        contour.cells, contour.inward, sighting.seen, sighting.radians_per_pixel, matching.gate, matching.cosine,
+    )  # fmt: skip
+    view = View(corner, camera.size, inverse_depth, face, projected)
+    if len(j) == 0:
+        return view, None
+    match = SilhouettePlanes(
+        where=SurfacePoints(face=on_face, barycentric=barycentric), normals=normals[j], offsets=offsets[j],
+        pixels_per_metre=scale, sigma_px=matching.sigma_px,
+    )  # fmt: skip
+    return view, match
+
+
+@numba.njit(cache=True, nogil=True)
+def draw_and_match(
+    vertices, faces, outlined, camera, width, height, centre, contour, inward, seen, radians_per_pixel, gate, cosine
+):  # fmt: skip
+    """Do what `view_of` and `_matches` do, without returning to Python in between."""
+    projected = np.empty_like(vertices)
+    lens.project_points(camera, vertices, projected)
+    corner, inverse_depth, face = draw_window(projected, faces, width, height, MARGIN)
+    pixels, rim_inward, rim_face, barycentric, _ = rim_pixels(face, projected, faces, corner[0], corner[1])
+    if len(pixels) == 0:
+        i = j = np.empty(0, np.int64)
+    else:
+        i, j = pair_both_ways(pixels, rim_inward, outlined[rim_face], contour, inward, seen, gate, cosine)
+    on_face, weights = rim_face[i], barycentric[i]
+    reach = distances(points_on_faces(vertices, faces, on_face, weights), centre)
+    return corner, inverse_depth, face, projected, on_face, weights, j, 1.0 / (radians_per_pixel[j] * reach)
+
+
 def match_rays(posed: PosedBody, view: View, sighting: Sighting, matching: Matching) -> SilhouetteRays | None:
     """Match as `match_outline`, but draw each rim point to its contour pixel's ray, as the paper does."""
     found = _matches(posed, view, sighting, matching)
@@ -115,10 +154,9 @@ def _matches(
     rim = view.rim(body.faces)
     if len(rim.face) == 0 or len(contour.pixels) == 0:
         return None
-    outlined = np.ones(len(body.faces), bool) if body.outlined is None else body.outlined
     i, j = pair_both_ways(
-        rim.pixels, rim.inward, outlined[rim.face], contour.cells, contour.inward, sighting.seen, matching.gate,
-        matching.cosine,
+        rim.pixels, rim.inward, body.outline_counts[rim.face], contour.cells, contour.inward, sighting.seen,
+        matching.gate, matching.cosine,
     )  # fmt: skip
     if len(i) == 0:
         return None
