@@ -50,8 +50,9 @@ def plate(trial: Path, camera: str, pictures: list[np.ndarray], kind: str, conve
 def silhouettes(trial: Path, camera: str, options: argparse.Namespace) -> tuple[np.ndarray, list[float]]:
     pictures = video(next(trial.glob(f"{camera}.*")))
     convert = backgrounds.grey if options.grey else np.ascontiguousarray
-    every = max(1, len(pictures) // (30 if options.plate == "take" else 12))
-    behind = plate(trial, camera, [convert(p) for p in pictures[::every]], options.plate, convert)
+    take = options.plate == "take"
+    frames = backgrounds.worth_seeing(len(pictures)) if take else np.linspace(0, len(pictures) - 1, 12).astype(int)
+    behind = plate(trial, camera, [convert(pictures[k]) for k in frames], options.plate, convert)
     masks, times = np.zeros(pictures.shape[:3], bool), []
     last: Silhouette | None = None
     for k in range(0, len(pictures), options.every):

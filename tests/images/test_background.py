@@ -118,3 +118,18 @@ def test_black_bars_are_no_part_of_what_is_shown(rng):
     empty = backgrounds.exposure(shown(room, rng, 1.0), plate)
     rows, columns = backgrounds.shown_lines(shown(room, rng, 1.0), plate, empty)
     assert (rows.start, rows.stop, columns.start, columns.stop) == (0, 120, 0, 160)
+
+
+def test_a_take_that_begins_empty_shows_its_background_though_a_person_then_stays(rng):
+    room, pictures = smooth_room(), []
+    for k in range(12):
+        picture = room.copy()
+        if k >= 3:
+            picture[30:100, 60:85] = (40, 60, 170)
+        pictures.append(shown(picture, rng, 1.0))
+    assert abs(backgrounds.from_take(pictures).mean - room)[35:95, 65:80].mean() < 3
+
+
+def test_the_frames_worth_seeing_are_frames_of_the_take():
+    assert list(backgrounds.worth_seeing(3)) == [0, 1, 2]
+    assert set(backgrounds.worth_seeing(500)) >= {*range(10), 499}
