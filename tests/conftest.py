@@ -1,9 +1,19 @@
 """What the tests share."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.linalg  # noqa: F401  (its threads are limited below, too)
+from threadpoolctl import threadpool_limits
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_thread() -> Iterator[None]:
+    """Small matrices on several threads wait for each other most of the time; a capture uses one, too."""
+    with threadpool_limits(1):
+        yield
 
 
 @pytest.fixture

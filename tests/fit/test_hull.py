@@ -56,6 +56,7 @@ def test_an_empty_silhouette_says_nothing_and_a_contradiction_leaves_nothing():
     masks = ball_masks(cameras, np.zeros(3), 0.25)
     nobody = [*masks[:3], np.zeros_like(masks[3])]
     np.testing.assert_array_equal(visual_hull(cameras, nobody), visual_hull(cameras[:3], masks[:3]))
+    assert visual_hull(cameras, [np.zeros_like(mask) for mask in masks]).shape == (0, 3)
     elsewhere = [*masks[:3], ball_masks(cameras[3:], np.array([0, 0, 0.6]), 0.1)[0]]
     assert len(visual_hull(cameras, elsewhere)) == 0
 

@@ -21,6 +21,8 @@ def visual_hull(cameras: Sequence[Camera], masks: Sequence[Mask], *, cell: float
         (n, 3) centres of the filled cells [m]; empty where the silhouettes have nothing in common.
     """
     seeing = [(camera, mask) for camera, mask in zip(cameras, masks, strict=True) if mask.any()]
+    if not seeing:
+        return np.zeros((0, 3))
     centre = meeting_point(seeing)
     steps = np.arange(-reach, reach + cell / 2, cell)
     grid = centre + np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), -1).reshape(-1, 3)

@@ -1,0 +1,112 @@
+"""A person followed from frame to frame through motions that are known."""
+
+import numpy as np
+import pytest
+from tests import worlds
+
+from marey.body.pose import PosedBody
+from marey.fit.levels import FrameLevels
+from marey.fit.search import Candidate, Search, StartSettings
+from marey.fit.track import TrackSettings, prediction_spread, repair, track
+
+FRAMES = 12
+
+
+@pytest.fixture(scope="module")
+def motion():
+    """A motion of the coarse body, and its silhouettes at two sizes."""
+    body, cameras = worlds.person("coarse"), worlds.ring()
+    truth = [PosedBody(body, pose) for pose in worlds.swing(body, FRAMES)]
+    masks = worlds.seen(truth, cameras)
+    fine, rough = (FrameLevels(cameras, lambda frame: masks[frame], factor) for factor in (1.0, 0.5))
+    return truth, fine, rough
+
+
+def errors(found, truth):
+    return np.array([worlds.joint_errors(found[f].posed, truth[f]).max() for f in sorted(found)])
+
+
+def test_a_motion_is_followed_to_its_end(motion):
+    truth, fine, rough = motion
+    start = truth[0].pose.step(np.full(len(truth[0].body.skeleton), 0.02))
+    told = []
+    found = track(truth[0].body, start, range(FRAMES), fine, rough, rate=30, done=told.append)
+    assert list(found) == told == list(range(FRAMES))
+    # A pixel is eleven millimetres; the whole outline fixes a joint to a part of it, and toes to about two.
+    assert errors(found, truth).max() < 0.03
+    assert np.mean([worlds.joint_errors(found[f].posed, truth[f]).mean() for f in found]) < 0.008
+    assert min(c.score for c in found.values()) > 0.9
+
+
+def test_a_motion_is_followed_backwards_too(motion):
+    truth, fine, rough = motion
+    found = track(truth[0].body, truth[-1].pose, reversed(range(FRAMES)), fine, rough, rate=30)
+    assert errors(found, truth).max() < 0.03
+
+
+def test_fewer_frames_in_a_second_are_followed_as_well(motion):
+    truth, fine, rough = motion
+    found = track(truth[0].body, truth[0].pose, range(0, FRAMES, 3), fine, rough, rate=10)
+    assert list(found) == [0, 3, 6, 9]
+    assert max(worlds.joint_errors(found[f].posed, truth[f]).max() for f in found) < 0.04
+
+
+def test_who_leaves_the_pictures_is_lost_and_not_invented(motion):
+    truth, fine, _ = motion
+    cameras = fine.at(0).cameras
+    masks = [list(fine.at(f).masks) for f in range(FRAMES)]
+    masks[6:] = [[np.zeros_like(m) for m in masks[0]]] * 6
+    levels = FrameLevels(cameras, lambda frame: masks[frame], 1.0)
+    found = track(truth[0].body, truth[0].pose, range(FRAMES), levels, levels, rate=30)
+    assert list(found) == list(range(6))
+
+
+def test_what_is_remembered_is_not_sought_again(motion):
+    truth, fine, rough = motion
+    memory = {f: Candidate(truth[f], 0.99) for f in range(4)}
+    found = track(truth[0].body, truth[0].pose, range(6), fine, rough, rate=30, memory=memory)
+    assert all(found[f].posed is truth[f] for f in range(4))
+    assert set(memory) == set(range(6))
+    assert errors(found, truth).max() < 0.03
+
+
+def test_a_limb_that_jumps_is_found_again(motion):
+    truth, fine, _ = motion
+    body, cameras = truth[0].body, fine.at(0).cameras
+    raised = dict(worlds.ARMS_AND_KNEES) | {"left_shoulder_lift": -35, "left_elbow_flexion": 10}
+    jumped = [truth[0], truth[0], PosedBody(body, worlds.pose(body, raised))]
+    levels, rough = worlds.levels(jumped, cameras), worlds.levels(jumped, cameras, 0.5)
+    found = track(body, jumped[0].pose, range(3), levels, rough, rate=30)
+    wrist = list(body.joint_names).index("left_wrist")
+    assert worlds.joint_errors(jumped[1], jumped[2])[wrist] > 0.5
+    assert worlds.joint_errors(found[2].posed, jumped[2])[wrist] < 0.05
+
+
+def test_a_frame_that_went_wrong_is_mended_by_its_neighbours(motion):
+    truth, fine, rough = motion
+    search = [Search(fine.at(f), StartSettings()) for f in range(9)]
+    found = {f: search[f].judge(truth[f]) for f in range(9)}
+    wrong = worlds.pose(truth[4].body, dict(worlds.ARMS_AND_KNEES) | {"left_shoulder_lift": -35})
+    found[4] = search[4].judge(PosedBody(truth[4].body, wrong))
+    mended = repair(found, fine, rough, coarse=truth[0].body, sweeps=1)
+    assert worlds.joint_errors(found[4].posed, truth[4]).max() > 0.3
+    assert worlds.joint_errors(mended[4].posed, truth[4]).max() < 0.03
+    assert all(mended[f] is found[f] for f in (0, 1, 7, 8))
+    assert found[4] is not mended[4]
+
+
+def test_few_frames_are_left_as_they_are(motion):
+    truth, fine, rough = motion
+    found = {f: Candidate(truth[f], 0.5) for f in range(4)}
+    assert repair(found, fine, rough, coarse=truth[0].body) == found
+
+
+def test_the_prediction_is_wider_where_frames_lie_farther_apart():
+    skeleton, settings = worlds.person().skeleton, TrackSettings()
+    usual = prediction_spread(skeleton, settings, rate=30)
+    assert usual[6 + worlds.column(skeleton, "left_elbow_flexion")] == settings.limb_turn
+    assert usual[6 + worlds.column(skeleton, "neck_flexion")] == settings.trunk_turn
+    np.testing.assert_allclose(prediction_spread(skeleton, settings, rate=15), 2 * usual)
+    # But nobody is anywhere after a second, nor nowhere within a thousandth.
+    np.testing.assert_allclose(prediction_spread(skeleton, settings, rate=1), 3 * usual)
+    np.testing.assert_allclose(prediction_spread(skeleton, settings, rate=1000), 0.25 * usual)
