@@ -215,8 +215,7 @@ def from_take(pictures: Sequence[np.ndarray], *, tolerance: float = 3.0) -> Back
     """Background from the take itself, where each pixel is empty at some time.
 
     It begins with the most frequent colour of each pixel. Where a person stays for most of the take that is the
-    person; if the first or the last picture shows the place without a step across the outline it mends it (see
-    `doubted`). All the trust goes to a colour that at least half of the pictures show, half of it to a rare one.
+    person; if the first picture shows the place without a step across the outline it mends it (see `doubted`). All the trust goes to a colour that at least half of the pictures show, half of it to a rare one.
 
     Args:
         pictures: (H, W, C) uint8 each, all of one size: see `worth_seeing`.
@@ -227,9 +226,9 @@ def from_take(pictures: Sequence[np.ndarray], *, tolerance: float = 3.0) -> Back
     """
     _check(pictures)
     mean, share = _most_frequent(np.stack(pictures), np.float32(tolerance))
-    for picture, beside in ((pictures[-1], pictures[-2:-1]), (pictures[0], pictures[1:2])):
-        for other in beside:
-            mean = _without_outlines(mean, picture.astype(np.float32), other.astype(np.float32), 4 * tolerance)
+    if len(pictures) > 1:
+        first, second = (picture.astype(np.float32) for picture in pictures[:2])
+        mean = _without_outlines(mean, first, second, 4 * tolerance)
     return _background(mean, trust=np.clip(2 * share, 0.5, 1.0))
 
 
