@@ -215,7 +215,8 @@ def from_take(pictures: Sequence[np.ndarray], *, tolerance: float = 3.0) -> Back
     """Background from the take itself, where each pixel is empty at some time.
 
     It begins with the most frequent colour of each pixel. Where a person stays for most of the take that is the
-    person; if the first picture shows the place without a step across the outline it mends it (see `doubted`). All the trust goes to a colour that at least half of the pictures show, half of it to a rare one.
+    person; if the first picture shows the place without a step across the outline it mends it (see `doubted`). All
+    the trust goes to a colour that at least half of the pictures show, half of it to a rare one.
 
     Args:
         pictures: (H, W, C) uint8 each, all of one size: see `worth_seeing`.
