@@ -11,9 +11,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 import scipy.optimize
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
@@ -21,7 +23,6 @@ from marey.arrays import Floats, Image, Mask
 from marey.body.pose import Pose, PosedBody, SurfacePoints
 from marey.body.presets import family_body
 from marey.cameras.camera import Camera
-from marey.cameras.rays import PluckerLines
 from marey.cli.progress import Progress
 from marey.cli.settings import CaptureSettings
 from marey.fit.moments import Moments, gather_moments
@@ -34,7 +35,7 @@ from marey.io.calibration import read_rig
 from marey.io.take import open_take
 from marey.io.video import read_picture
 from marey.observations.correspondence import view_of
-from marey.observations.silhouette import SilhouetteRays
+from marey.observations.silhouette import SilhouettePlanes
 
 CORRESPONDENCES = 5000
 SOLVE_LIMIT_MS = 1.0
@@ -64,17 +65,19 @@ def bench(trial: Path | None, *, example: Path | None = None) -> list[Speed]:
     Returns:
         What was printed.
     """
+    cv2.setNumThreads(1)
     with threadpool_limits(1):
         speeds = [*solve_speeds(), drawing_speed()]
         if example is not None:
             speeds += silhouette_speeds(example)
     if trial is not None:
         speeds += capture_speeds(trial)
-    table = Table(title=f"marey bench on {machine()}", title_justify="left", box=None, pad_edge=False)
+    title = f"marey bench on {machine()}; times of one core"
+    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
     for heading in ("what", "measured", "beside", "remark"):
         table.add_column(heading, overflow="fold")
     for speed in speeds:
-        table.add_row(speed.what, speed.measured, speed.beside, speed.remark)
+        table.add_row(*map(escape, (speed.what, speed.measured, speed.beside, speed.remark)))
     Console(width=None if sys.stdout.isatty() else 200).print(table)
     return speeds
 
@@ -90,27 +93,30 @@ def machine() -> str:
 
 
 def median_ms(work: Callable[[], object], *, repeats: int) -> float:
-    """Time a work [ms]: the median of some repeats, after one that compiles and fills caches."""
+    """Time a work [ms of the processor]: the median of some repeats, after one that compiles and fills caches.
+
+    The processor's time rather than the clock's, so that other work on the same machine counts little.
+    """
     work()
     times = []
     for _ in range(repeats):
-        started = time.perf_counter()
+        started = time.process_time()
         work()
-        times.append(time.perf_counter() - started)
+        times.append(time.process_time() - started)
     return 1e3 * statistics.median(times)
 
 
 @dataclass(frozen=True, eq=False)
 class SolveTask:
-    """A pose to be found from given pairs of surface point and ray."""
+    """A pose to be found from given pairs of surface point and contour tangent, as tracking has them."""
 
     start: PosedBody
     truth: Pose
-    rays: SilhouetteRays
+    planes: SilhouettePlanes
 
     def solve(self) -> Pose:
         """Solve with moments and Gauss-Newton."""
-        return self.steps(gather_moments(self.start, [self.rays]))
+        return self.steps(gather_moments(self.start, [self.planes]))
 
     def steps(self, moments: Moments) -> Pose:
         """Do the Gauss-Newton steps alone, until one is shorter than where tracking stops."""
@@ -120,20 +126,20 @@ class SolveTask:
         """Solve with `scipy.optimize.least_squares` (MINPACK), given the exact derivative."""
 
         def derivative(change: Floats) -> Floats:
-            jacobian = self.rays.linearize(self.start.moved(change)).jacobian
+            jacobian = self.planes.linearize(self.start.moved(change)).jacobian
             # The root turns by exp(change) from the start on, not by a small step from where it is.
             jacobian[:, 3:6] = jacobian[:, 3:6] @ rotations.left_jacobian(change[3:6])
             return jacobian
 
         zero = np.zeros(len(self.start.body.skeleton))
         answer = scipy.optimize.least_squares(
-            lambda change: self.rays.residuals(self.start.moved(change)).ravel(), zero, derivative, method="lm"
+            lambda change: self.planes.residuals(self.start.moved(change)).ravel(), zero, derivative, method="lm"
         )
         return self.start.pose.step(answer.x)
 
 
 def solve_task(rng: np.random.Generator) -> SolveTask:
-    """Make a task: 5000 rays of four cameras, 2 mm noise, a start 14 degrees off in every joint."""
+    """Make a task: 5000 contour tangents of four cameras, 2 mm noise, a start 14 degrees off in every joint."""
     body = family_body("fine")
     angles = body.skeleton.habit[0] + rng.normal(size=len(body.skeleton) - 6) * 0.2
     truth = Pose(np.array([0.1, 0.2, 1.0]), rotations.exp(rng.normal(size=3)), angles)
@@ -143,14 +149,16 @@ def solve_task(rng: np.random.Generator) -> SolveTask:
     )
     targets = PosedBody(body, truth).points(where) + rng.normal(size=(CORRESPONDENCES, 3)) * 0.002
     centres = np.array([[4.0, 0, 1], [0, 4, 1], [-4, 0, 1], [0, -4, 1]])[rng.integers(0, 4, CORRESPONDENCES)]
-    lines = PluckerLines.through(centres, targets - centres)
-    rays = SilhouetteRays(
-        where=where, directions=lines.directions, moments=lines.moments,
+    contour = rng.normal(size=(CORRESPONDENCES, 3))
+    normals = np.cross(targets - centres, contour)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    planes = SilhouettePlanes(
+        where=where, normals=normals, offsets=np.einsum("na,na->n", normals, targets),
         pixels_per_metre=np.full(CORRESPONDENCES, 200.0), sigma_px=1.0,
     )  # fmt: skip
     off = rng.normal(size=len(body.skeleton))
     off *= np.concatenate([np.full(3, 0.05), np.full(3, 0.1), np.full(len(off) - 6, np.deg2rad(14))])
-    return SolveTask(PosedBody(body, truth.step(off)), truth, rays)
+    return SolveTask(PosedBody(body, truth.step(off)), truth, planes)
 
 
 def solve_speeds() -> list[Speed]:
@@ -159,9 +167,9 @@ def solve_speeds() -> list[Speed]:
     ours, theirs = task.solve(), task.peer()
     apart = float(np.rad2deg(np.abs(ours.angles - theirs.angles).max()))
     own_ms, peer_ms = median_ms(task.solve, repeats=30), median_ms(task.peer, repeats=3)
-    moments = gather_moments(task.start, [task.rays])
+    moments = gather_moments(task.start, [task.planes])
     steps_ms = median_ms(lambda: task.steps(moments), repeats=30)
-    what = f"pose from {CORRESPONDENCES} rays, {len(task.start.body.skeleton)} degrees of freedom"
+    what = f"pose from {CORRESPONDENCES} correspondences, {len(task.start.body.skeleton)} degrees of freedom"
     same = f"poses {apart:.1e} degrees apart"
     return [
         Speed(what=what, measured=f"{own_ms:.2f} ms", beside=f"limit {SOLVE_LIMIT_MS:g} ms",
