@@ -29,7 +29,7 @@ def scene():
 def test_the_poses_part_of_the_dense_equations_is_that_of_the_moments(scene, rng):
     truth, level = scene
     posed = replace(truth, pose=truth.pose.step(rng.normal(size=len(truth.body.skeleton)) * 0.02))
-    found, weights, _ = match_all(posed, level.sightings, Matching(), 5.0)
+    found, weights = match_all(posed, level.sightings, Matching(), 5.0)
     others = PRIORS[:2]
     dense, slope, _ = dense_equations(posed, found, weights, others)
     hessian, gradient, cost = normal_equations(posed, gather_moments(posed, found, weights))
@@ -44,7 +44,7 @@ def test_the_poses_part_of_the_dense_equations_is_that_of_the_moments(scene, rng
 def test_the_gradient_is_half_the_slope_of_the_cost(scene, rng):
     truth, level = scene
     posed = truth.moved(rng.normal(size=len(truth.body.skeleton) + len(truth.body.space)) * 0.01)
-    found, weights, _ = match_all(posed, level.sightings, Matching(), 5.0)
+    found, weights = match_all(posed, level.sightings, Matching(), 5.0)
     _, gradient, _ = dense_equations(posed, found, weights, PRIORS)
     for column in rng.permutation(len(gradient))[:15]:
         change = np.zeros(len(gradient))
@@ -59,7 +59,7 @@ def test_shape_and_pose_are_found_from_one_frame(scene):
     rng = np.random.default_rng(1)
     start = PosedBody(mean, truth.pose.step(rng.normal(size=len(mean.skeleton)) * 0.03))
     fitted = fit_body(start, level.sightings, PRIORS, schedule=SCHEDULE)
-    found, weights, _ = match_all(fitted, level.sightings, Matching(gate=5.0), 3.0)
+    found, weights = match_all(fitted, level.sightings, Matching(gate=5.0), 3.0)
     hessian, _, _ = dense_equations(fitted, found, weights, PRIORS)
     sd = np.sqrt(np.diag(np.linalg.inv(hessian))[-5:])
     assert (np.abs(fitted.body.numbers - truth.body.numbers) < 3 * sd).all()

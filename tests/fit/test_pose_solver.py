@@ -138,7 +138,7 @@ def test_without_silhouettes_the_priors_decide(scene):
 def test_a_solved_pose_is_a_stationary_point_of_its_cost(scene):
     truth, level = scene
     start = replace(truth, pose=truth.pose.step(np.full(len(truth.body.skeleton), 0.01)))
-    found, weights, _ = match_all(start, level.sightings, Matching(), 5.0)
+    found, weights = match_all(start, level.sightings, Matching(), 5.0)
     moments = gather_moments(start, found, weights)
     near = NearPose(pose=start.pose, spread=np.full(len(truth.body.skeleton), 0.5))
     posed, _ = solve_pose(start, moments, (near,), steps=30, stop=1e-12)

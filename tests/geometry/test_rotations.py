@@ -37,6 +37,13 @@ def test_the_kernel_finds_the_turn_between_rotations_as_log_does(rng, angle):
 
 
 @pytest.mark.parametrize("angle", ANGLES)
+def test_the_kernels_inverse_of_the_left_jacobian_is_the_same(rng, angle):
+    vector = draw(rng, angle)
+    ours, plain = rotations.inverse_left_jacobian_of(vector), rotations.inverse_left_jacobian(vector)
+    np.testing.assert_allclose(ours, plain, atol=1e-12)
+
+
+@pytest.mark.parametrize("angle", ANGLES)
 def test_left_jacobian_is_the_derivative_of_exp(rng, angle):
     vector, step = draw(rng, angle), 1e-6
     jacobian = np.stack(

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -83,15 +84,15 @@ class Skeleton:
         """(D - 6, 3) unit axes in the rest posture."""
         return np.array([c.axis for c in self.coordinates], dtype=float).reshape(-1, 3)
 
-    @property
+    @cached_property
     def limits(self) -> Floats:
         """(D - 6, 2) lower and upper limit [rad]."""
-        return np.array([(c.lower, c.upper) for c in self.coordinates], dtype=float).reshape(-1, 2)
+        return frozen(np.array([(c.lower, c.upper) for c in self.coordinates]).reshape(-1, 2))
 
-    @property
+    @cached_property
     def habit(self) -> tuple[Floats, Floats]:
         """Mean and standard deviation (D - 6,) of each joint coordinate over many postures [rad]."""
-        return np.array([c.mean for c in self.coordinates]), np.array([c.sd for c in self.coordinates])
+        return frozen([c.mean for c in self.coordinates]), frozen([c.sd for c in self.coordinates])
 
     def __len__(self) -> int:
         """Count the coordinates, the root's six among them."""

@@ -21,7 +21,8 @@ def dense_equations(
     for observation, weight in zip(found, weights, strict=True):
         row = observation.linearize(posed, shape=True)
         scale = np.repeat(np.sqrt(weight), len(row.residual) // len(weight)) / observation.sigma
-        jacobian, residual = row.jacobian * scale[:, None], row.residual * scale
+        jacobian, residual = row.jacobian, row.residual * scale
+        jacobian *= scale[:, None]
         hessian += jacobian.T @ jacobian
         gradient += jacobian.T @ residual
         cost += float(residual @ residual)
@@ -50,7 +51,7 @@ def fit_body(
     reach = clip * np.sqrt(np.diag(space.prior_covariance))
     for iteration in range(schedule.iterations):
         matching, scale = schedule.at(iteration)
-        found, weights, _ = match_all(posed, sightings, matching, scale)
+        found, weights = match_all(posed, sightings, matching, scale)
         hessian, gradient, _ = dense_equations(posed, found, weights, others)
         step = solve_step(hessian, gradient, degrees=degrees)
         numbers = posed.body.numbers + step[degrees:]

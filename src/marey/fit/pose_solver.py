@@ -43,8 +43,6 @@ class PoseFit:
     posed: PosedBody
     hessian: Floats
     """(D, D) information of the pose from all observations."""
-    views: tuple[View, ...]
-    """The surface as the cameras see it in the pose before the last step."""
     matches: int
     """Pairs of rim and contour in the last iteration."""
 
@@ -115,12 +113,16 @@ def solve_pose(
 
 def match_all(
     posed: PosedBody, sightings: Sequence[Sighting], matching: Matching, scale: float
-) -> tuple[list[SurfaceObservation], list[Floats], tuple[View, ...]]:
-    """Match the surface in all cameras; give the matches, their robust weights, and the views."""
-    seen = [see_outline(posed, sighting, matching) for sighting in sightings]
-    found: list[SurfaceObservation] = [match for _, match in seen if match is not None]
-    weights = [geman_mcclure(match.residuals(posed), scale) for match in found]
-    return found, weights, tuple(view for view, _ in seen)
+) -> tuple[list[SurfaceObservation], list[Floats]]:
+    """Match the surface in all cameras; give the matches and their weights: robust ones, twice where found twice."""
+    outlines = [see_outline(posed, sighting, matching) for sighting in sightings]
+    found: list[SurfaceObservation] = []
+    weights: list[Floats] = []
+    for outline in outlines:
+        if outline is not None:
+            found.append(outline.match)
+            weights.append(outline.counts * geman_mcclure(outline.match.residuals(posed), scale))
+    return found, weights
 
 
 def fit_pose(
@@ -140,14 +142,13 @@ def fit_pose(
     """
     hessian: Floats = np.zeros(0)
     matches = 0
-    views: tuple[View, ...] = ()
     for iteration in range(schedule.iterations):
         matching, scale = schedule.at(iteration)
-        found, weights, views = match_all(posed, sightings, matching, scale)
+        found, weights = match_all(posed, sightings, matching, scale)
         moments = gather_moments(posed, found, weights)
         matches = sum(len(match.where) for match in found)
         posed, hessian = solve_pose(posed, moments, others)
-    return PoseFit(posed, hessian, views, matches)
+    return PoseFit(posed, hessian, matches)
 
 
 def agreement(views: Sequence[View], masks: Sequence[Mask]) -> Floats:

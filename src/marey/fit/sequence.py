@@ -223,7 +223,7 @@ def _assemble(
 
     def equations(f: int, sightings: Sequence[Sighting]) -> tuple[Floats, Floats, float, float]:
         posed = PosedBody(body, poses[f])
-        found, weights, _ = match_all(posed, sightings, matching, scale)
+        found, weights = match_all(posed, sightings, matching, scale)
         if frames[f] in free:
             hessian, gradient, _ = dense_equations(posed, found, weights, priors)
         else:

@@ -224,3 +224,24 @@ def turn_between(first, second):  # pragma: no cover - compiled
         q *= -1.0
     scale = 2.0 / q[0] if sine < 1e-9 * q[0] else 2.0 * np.arctan2(sine, q[0]) / sine
     return scale * q[1:]
+
+
+@numba.njit(cache=True, nogil=True)
+def inverse_left_jacobian_of(vector):  # pragma: no cover - compiled
+    """Give `inverse_left_jacobian` (3, 3) of one vector, for kernels."""
+    x, y, z = vector[0], vector[1], vector[2]
+    squared = x * x + y * y + z * z
+    if squared < _SERIES_BELOW**2:
+        third = 1.0 / 12.0 + squared / 720.0 + squared * squared / 30240.0
+    else:
+        angle = np.sqrt(squared)
+        third = 1.0 / squared - 1.0 / (2.0 * angle * np.tan(0.5 * angle))
+    omega = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    out = np.empty((3, 3))
+    for a in range(3):
+        for b in range(3):
+            t = (1.0 if a == b else 0.0) - 0.5 * omega[a, b]
+            for c in range(3):
+                t += third * omega[a, c] * omega[c, b]
+            out[a, b] = t
+    return out

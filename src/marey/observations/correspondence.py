@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -95,42 +96,74 @@ def match_outline(posed: PosedBody, view: View, sighting: Sighting, matching: Ma
     )  # fmt: skip
 
 
-def see_outline(posed: PosedBody, sighting: Sighting, matching: Matching) -> tuple[View, SilhouettePlanes | None]:
+class Outline(NamedTuple):
+    """Matches of an outline, each listed once."""
+
+    match: SilhouettePlanes
+    counts: Floats
+    """(n,) two where rim point and contour pixel found each other, else one."""
+
+
+def see_outline(posed: PosedBody, sighting: Sighting, matching: Matching) -> Outline | None:
     """Draw the posed surface as a camera sees it and match its outline: `view_of` and `match_outline` in one go."""
     body, camera, contour = posed.body, sighting.camera, sighting.contour
     if len(contour.pixels) == 0:
-        return view_of(posed, camera), None
+        return None
     normals, offsets = sighting.planes
-    corner, inverse_depth, face, projected, on_face, barycentric, j, scale = draw_and_match(
+    face, barycentric, j, scale, counts = draw_and_match(
         posed.vertices, body.faces, body.outline_counts, camera.packed, camera.width, camera.height, camera.centre,
         contour.cells, contour.inward, sighting.seen, sighting.radians_per_pixel, matching.gate, matching.cosine,
     )  # fmt: skip
-    view = View(corner, camera.size, inverse_depth, face, projected)
     if len(j) == 0:
-        return view, None
+        return None
     match = SilhouettePlanes(
-        where=SurfacePoints(face=on_face, barycentric=barycentric), normals=normals[j], offsets=offsets[j],
+        where=SurfacePoints(face=face, barycentric=barycentric), normals=normals[j], offsets=offsets[j],
         pixels_per_metre=scale, sigma_px=matching.sigma_px,
     )  # fmt: skip
-    return view, match
+    return Outline(match, counts)
 
 
 @numba.njit(cache=True, nogil=True)
 def draw_and_match(
     vertices, faces, outlined, camera, width, height, centre, contour, inward, seen, radians_per_pixel, gate, cosine
 ):  # fmt: skip
-    """Do what `view_of` and `_matches` do, without returning to Python in between."""
+    """Do what `view_of` and `_matches` do without returning to Python in between; pairs found twice are counted."""
     projected = np.empty_like(vertices)
     lens.project_points(camera, vertices, projected)
-    corner, inverse_depth, face = draw_window(projected, faces, width, height, MARGIN)
+    corner, _, face = draw_window(projected, faces, width, height, MARGIN)
     pixels, rim_inward, rim_face, barycentric, _ = rim_pixels(face, projected, faces, corner[0], corner[1])
-    if len(pixels) == 0:
-        i = j = np.empty(0, np.int64)
-    else:
+    i = j = np.empty(0, np.int64)
+    if len(pixels) > 0:
         i, j = pair_both_ways(pixels, rim_inward, outlined[rim_face], contour, inward, seen, gate, cosine)
+    i, j, counts = merge_pairs(i, j, len(pixels))
     on_face, weights = rim_face[i], barycentric[i]
     reach = distances(points_on_faces(vertices, faces, on_face, weights), centre)
-    return corner, inverse_depth, face, projected, on_face, weights, j, 1.0 / (radians_per_pixel[j] * reach)
+    return on_face, weights, j, 1.0 / (radians_per_pixel[j] * reach), counts
+
+
+@numba.njit(cache=True, nogil=True)
+def merge_pairs(first, second, rims):
+    """List each pair once, and count (n,) how often it was found: `pair_both_ways` names a rim pixel's own match first.
+
+    Args:
+        first: (k,) rim pixels.
+        second: (k,) contour pixels.
+        rims: number of rim pixels.
+    """
+    place = np.full(rims, -1, np.int64)
+    kept = np.empty(len(first), np.int64)
+    counts = np.ones(len(first))
+    count = 0
+    for k in range(len(first)):
+        i = first[k]
+        if place[i] >= 0 and second[kept[place[i]]] == second[k]:
+            counts[place[i]] += 1.0
+            continue
+        if place[i] < 0:
+            place[i] = count
+        kept[count] = k
+        count += 1
+    return first[kept[:count]], second[kept[:count]], counts[:count]
 
 
 def match_rays(posed: PosedBody, view: View, sighting: Sighting, matching: Matching) -> SilhouetteRays | None:

@@ -74,7 +74,7 @@ class NearPose(Observation):
         change = self.pose.change_to(posed.pose)
         jacobian = np.zeros((len(change), _columns(posed, shape)))
         np.fill_diagonal(jacobian, 1.0 / self.spread)
-        jacobian[3:6, 3:6] = rotations.inverse_left_jacobian(change[3:6]) / self.spread[3:6, None]
+        jacobian[3:6, 3:6] = rotations.inverse_left_jacobian_of(change[3:6]) / self.spread[3:6, None]
         return Linearization(change / self.spread, jacobian)
 
 
