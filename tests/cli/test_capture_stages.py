@@ -1,0 +1,133 @@
+"""The stages of a capture: what they keep, what they compare, and what they refuse."""
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from tests import worlds
+
+from marey.body.pose import Pose, PosedBody
+from marey.cli import capture_stages as stages
+from marey.cli.capture import require_two_cameras
+from marey.cli.progress import Progress
+from marey.errors import FileProblem
+from marey.geometry import rotations
+from marey.io.stages import FrameLog
+
+
+def trial(**parts):
+    """What the stages ask of a trial."""
+    return SimpleNamespace(**{"folder": "walk01", "calibration": "walk01/cameras.toml", "up_given": False} | parts)
+
+
+@pytest.fixture
+def store(tmp_path):
+    cameras = worlds.ring(3, size=(40, 30))
+    with FrameLog(tmp_path / "masks.log") as log:
+        yield stages.MaskStore(log, 5, cameras)
+
+
+def person(*shown):
+    masks = [np.zeros((30, 40), bool) for _ in shown]
+    for mask, share in zip(masks, shown, strict=True):
+        mask[: int(30 * share), 10:20] = True
+    return masks
+
+
+def test_silhouettes_are_kept_by_their_frame(store):
+    frames = [person(0.5, 0.2, 0.9), person(0, 0, 0)]
+    for masks in frames:
+        store.append(masks)
+    assert store.frames == range(5, 7)
+    np.testing.assert_array_equal(store(5), frames[0])
+    assert store.known(4) is None
+    assert store.known(7) is None
+
+
+def test_somebody_is_there_where_two_cameras_see_him(store):
+    for shown in ((0, 0, 0), (0.5, 0, 0), (0.5, 0, 0.3), (0.5, 0.5, 0.5), (0, 0, 0)):
+        store.append(person(*shown))
+    frames = stages.frames_with_somebody(store)
+    assert frames == (7, 8)
+    stages.require_somebody(trial(), frames)
+    with pytest.raises(FileProblem, match="walk01: shows nobody whom at least two cameras see"):
+        stages.require_somebody(trial(), ())
+
+
+def test_one_camera_is_refused_with_a_remedy():
+    with pytest.raises(FileProblem, match=r"cameras.toml: has only the camera 'cam01'. Depth needs at least two"):
+        require_two_cameras(trial(rig=SimpleNamespace(names=("cam01",))))
+    require_two_cameras(trial(rig=SimpleNamespace(names=("cam01", "cam02"))))
+
+
+def turned(axis, degrees, **coordinates):
+    body = worlds.person()
+    turn = rotations.about(np.array(axis, float), np.array(np.deg2rad(degrees)))
+    return PosedBody(body, Pose(np.zeros(3), turn, worlds.pose(body, coordinates).angles))
+
+
+@pytest.mark.parametrize(
+    ("axis", "degrees", "how", "guess"),
+    [
+        ((1, 0, 0), 90, "lies", '"-y"'),
+        ((1, 0, 0), -90, "lies", '"y"'),
+        ((0, 1, 0), 90, "lies", '"x"'),
+        ((0, 1, 0), 180, "hangs head down", '"-z"'),
+    ],
+)
+def test_who_lies_or_hangs_asks_for_the_worlds_up_and_names_the_axis(axis, degrees, how, guess):
+    posed = turned(axis, degrees)
+    with pytest.raises(FileProblem, match=how) as caught:
+        stages.require_upright(trial(), posed)
+    # The guess is where the head is: with it given, the person stands.
+    head = posed.segment_origin[posed.body.skeleton.segment("head")]
+    letter = guess.strip('"-')
+    assert np.argmax(np.abs(head)) == "xyz".index(letter)
+    assert (head["xyz".index(letter)] < 0) == ("-" in guess)
+    assert f"up = {guess}" in str(caught.value)
+    stages.require_upright(trial(up_given=True), posed)
+
+
+@pytest.mark.parametrize("posture", [{}, {"lumbar_flexion": 40, "thoracic_flexion": 15}], ids=["standing", "bowing"])
+def test_who_stands_or_bows_is_upright(posture):
+    for yaw in (0, 120, 240):
+        stages.require_upright(trial(), turned((0, 0, 1), yaw, **posture))
+
+
+def test_the_surface_is_drawn_where_a_pose_is_known_and_compared_with_what_was_seen(tmp_path):
+    cameras, body = worlds.ring(2), worlds.person()
+    poses = {3: worlds.pose(body), 4: worlds.pose(body, yaw=1.0)}
+    drawn = stages.surface_masks(body, poses, cameras)
+    assert drawn(2) is None
+    with FrameLog(tmp_path / "masks.log") as log:
+        store = stages.MaskStore(log, 3, cameras)
+        store.append(drawn(3))
+        half = [mask & (np.arange(mask.shape[1]) < mask.shape[1] // 2) for mask in drawn(4)]
+        store.append(half)
+        told = []
+        agreement = stages.agreements(drawn, poses, store, done=lambda: told.append(1))
+    np.testing.assert_array_equal(agreement[3], 1.0)
+    shares = [h.sum() / d.sum() for h, d in zip(half, drawn(4), strict=True)]
+    np.testing.assert_allclose(agreement[4], shares)
+    assert len(told) == 2
+
+
+def test_skins_and_what_is_seen_of_them_have_a_row_for_each_frame():
+    cameras, body = worlds.ring(2), worlds.person()
+    poses = {1: worlds.pose(body)}
+    skins = list(stages.skins(body, poses, 3))
+    assert len(skins) == 3
+    assert np.isnan(skins[0]).all()
+    np.testing.assert_array_equal(skins[1], PosedBody(body, poses[1]).vertices)
+    seen = list(stages.seen_vertices(body, poses, cameras, 3))
+    assert not seen[0].any()
+    assert not seen[2].any()
+    assert 0.05 < seen[1].mean() < 0.8
+
+
+def test_silhouettes_of_some_cameras_only_are_refused(store):
+    names = ("cam01", "cam02", "cam03")
+    some = trial(masks={"cam01": None}, rig=SimpleNamespace(names=names), take=None, folder=Path("walk01"))
+    with pytest.raises(FileProblem, match="none of cam02, cam03"):
+        stages.known_silhouettes(some, store, Progress(quiet=True))
