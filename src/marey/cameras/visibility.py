@@ -1,5 +1,6 @@
 """What a camera sees of a triangle mesh: depth buffer, visible faces and rim."""
 
+import threading
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -84,6 +85,16 @@ def see(projected: Floats, faces: Integers, size: tuple[int, int], *, margin: in
 @numba.njit(cache=True, nogil=True)
 def draw_window(projected, faces, width, height, margin):
     """Find the part of the picture that the vertices may cover, and draw the faces into it."""
+    left, top, right, bottom = find_window(projected, width, height, margin)
+    inverse_depth = np.zeros((bottom - top, right - left))
+    face = np.full((bottom - top, right - left), -1, np.int32)
+    draw_faces(projected, faces, left, top, inverse_depth, face)
+    return (left, top), inverse_depth, face
+
+
+@numba.njit(cache=True, nogil=True)
+def find_window(projected, width, height, margin):
+    """Find the part of the picture that the vertices may cover: first x, first y, and the ones behind the last."""
     left, top, right, bottom = np.inf, np.inf, -np.inf, -np.inf
     for v in range(projected.shape[0]):
         x, y = projected[v, 0], projected[v, 1]
@@ -93,16 +104,50 @@ def draw_window(projected, faces, width, height, margin):
         top = y if y < top else top
         bottom = y if y > bottom else bottom
     if not left <= right:
-        left = top = 0.0
-        right = bottom = -2.0 * margin - 1.0
+        return 0, 0, 0, 0
     x0 = int(min(max(np.floor(left) - margin, 0), width))
     y0 = int(min(max(np.floor(top) - margin, 0), height))
     x1 = int(min(max(np.ceil(right) + margin + 1, x0), width))
     y1 = int(min(max(np.ceil(bottom) + margin + 1, y0), height))
-    inverse_depth = np.zeros((y1 - y0, x1 - x0))
-    face = np.full((y1 - y0, x1 - x0), -1, np.int32)
-    draw_faces(projected, faces, x0, y0, inverse_depth, face)
-    return (x0, y0), inverse_depth, face
+    return x0, y0, x1, y1
+
+
+class Scratch(NamedTuple):
+    """Buffers in which a view is drawn again and again: memory that is new to a process costs more than the drawing."""
+
+    projected: Floats
+    """(V, 3)."""
+    inverse_depth: Floats
+    """(width height,)."""
+    face: NDArray[np.int32]
+    """(width height,)."""
+
+    @staticmethod
+    def of(vertices: int, size: tuple[int, int]) -> "Scratch":
+        """Give this thread's buffers for a mesh of so many vertices in a picture of a size."""
+        known = _BUFFERS.__dict__.setdefault("known", {})
+        if (vertices, size) not in known:
+            if len(known) > 8:
+                known.clear()
+            pixels = size[0] * size[1]
+            known[vertices, size] = Scratch(np.empty((vertices, 3)), np.empty(pixels), np.empty(pixels, np.int32))
+        return known[vertices, size]
+
+
+_BUFFERS = threading.local()
+
+
+@numba.njit(cache=True, nogil=True)
+def draw_into(scratch, faces, width, height, margin):
+    """Do what `draw_window` does with the scratch's projected vertices; what is given lives in the scratch."""
+    left, top, right, bottom = find_window(scratch.projected, width, height, margin)
+    count = (bottom - top) * (right - left)
+    inverse_depth = scratch.inverse_depth[:count].reshape((bottom - top, right - left))
+    face = scratch.face[:count].reshape((bottom - top, right - left))
+    inverse_depth[:] = 0.0
+    face[:] = -1
+    draw_faces(scratch.projected, faces, left, top, inverse_depth, face)
+    return left, top, face
 
 
 @numba.njit(cache=True, nogil=True)
@@ -147,13 +192,15 @@ def draw_faces(projected, faces, left, top, inverse_depth, face):
 def rim_pixels(face, projected, faces, left, top):
     """List the rim's pixels, inward normals, faces, barycentric weights and depths, see `View.rim`."""
     height, width = face.shape
-    found = np.empty((height * width, 2), np.int32)
     count = 0
     for y in range(1, height - 1):
         for x in range(1, width - 1):
-            if face[y, x] >= 0 and (
-                face[y - 1, x] < 0 or face[y + 1, x] < 0 or face[y, x - 1] < 0 or face[y, x + 1] < 0
-            ):
+            count += _on_rim(face, y, x)
+    found = np.empty((count, 2), np.int64)
+    count = 0
+    for y in range(1, height - 1):
+        for x in range(1, width - 1):
+            if _on_rim(face, y, x):
                 found[count, 0], found[count, 1] = x, y
                 count += 1
     pixels = np.empty((count, 2))
@@ -162,7 +209,7 @@ def rim_pixels(face, projected, faces, left, top):
     barycentric = np.empty((count, 3))
     depth = np.empty(count)
     for i in range(count):
-        x, y = int(found[i, 0]), int(found[i, 1])
+        x, y = found[i, 0], found[i, 1]
         nx = ny = 0.0
         for yy in range(max(y - 2, 0), min(y + 3, height)):
             for xx in range(max(x - 2, 0), min(x + 3, width)):
@@ -178,6 +225,13 @@ def rim_pixels(face, projected, faces, left, top):
         rim_face[i] = face[y, x]
         depth[i] = _perspective_weights(projected, faces, rim_face[i], x + left, y + top, barycentric[i])
     return pixels, inward, rim_face, barycentric, depth
+
+
+@numba.njit(cache=True, nogil=True)
+def _on_rim(face, y, x):
+    """Tell whether a covered pixel has an uncovered one beside it; bit by bit, since branches cost more here."""
+    beside = face[y - 1, x] | face[y + 1, x] | face[y, x - 1] | face[y, x + 1]
+    return (face[y, x] >= 0) & (beside < 0)
 
 
 @numba.njit(cache=True, nogil=True)

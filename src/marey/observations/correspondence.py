@@ -13,7 +13,7 @@ from marey.body.pose import PosedBody, SurfacePoints
 from marey.cameras import lens
 from marey.cameras.camera import Camera
 from marey.cameras.rays import PluckerLines
-from marey.cameras.visibility import MARGIN, View, draw_window, rim_pixels, see
+from marey.cameras.visibility import MARGIN, Scratch, View, draw_into, rim_pixels, see
 from marey.images.contours import Contour, trace_contour
 from marey.images.nearest import nearest_within, sort_into_cells
 from marey.observations.silhouette import SilhouettePlanes, SilhouetteRays
@@ -111,8 +111,9 @@ def see_outline(posed: PosedBody, sighting: Sighting, matching: Matching) -> Out
         return None
     normals, offsets = sighting.planes
     face, barycentric, j, scale, counts = draw_and_match(
-        posed.vertices, body.faces, body.outline_counts, camera.packed, camera.width, camera.height, camera.centre,
-        contour.cells, contour.inward, sighting.seen, sighting.radians_per_pixel, matching.gate, matching.cosine,
+        Scratch.of(len(posed.vertices), camera.size), posed.vertices, body.faces, body.outline_counts,
+        camera.packed, camera.width, camera.height, camera.centre, contour.cells, contour.inward, sighting.seen,
+        sighting.radians_per_pixel, matching.gate, matching.cosine,
     )  # fmt: skip
     if len(j) == 0:
         return None
@@ -125,13 +126,13 @@ def see_outline(posed: PosedBody, sighting: Sighting, matching: Matching) -> Out
 
 @numba.njit(cache=True, nogil=True)
 def draw_and_match(
-    vertices, faces, outlined, camera, width, height, centre, contour, inward, seen, radians_per_pixel, gate, cosine
+    scratch, vertices, faces, outlined, camera, width, height, centre, contour, inward, seen, radians_per_pixel,
+    gate, cosine,
 ):  # fmt: skip
     """Do what `view_of` and `_matches` do without returning to Python in between; pairs found twice are counted."""
-    projected = np.empty_like(vertices)
-    lens.project_points(camera, vertices, projected)
-    corner, _, face = draw_window(projected, faces, width, height, MARGIN)
-    pixels, rim_inward, rim_face, barycentric, _ = rim_pixels(face, projected, faces, corner[0], corner[1])
+    lens.project_points(camera, vertices, scratch.projected)
+    left, top, face = draw_into(scratch, faces, width, height, MARGIN)
+    pixels, rim_inward, rim_face, barycentric, _ = rim_pixels(face, scratch.projected, faces, left, top)
     i = j = np.empty(0, np.int64)
     if len(pixels) > 0:
         i, j = pair_both_ways(pixels, rim_inward, outlined[rim_face], contour, inward, seen, gate, cosine)
