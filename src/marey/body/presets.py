@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from marey.body.anthropometry import condition, measures
-from marey.body.departures import departure_modes, wider
+from marey.body.departures import JOINT_SD, departure_modes, wider
 from marey.body.family import BodyFamily, Level, load_family
 from marey.body.skeleton import PARENTS, Skeleton, full_skeleton
 from marey.body.surface import Body, ShapeSpace
@@ -37,9 +37,17 @@ def family_space(family: BodyFamily) -> ShapeSpace:
     )
 
 
+JOINT_SHARE = 0.3
+"""Share of the joint centres' spread among people that is left to outlines: they see a joint only by its motion, and
+take up other errors with it when they may move it freely (docs/accuracy.md)."""
+
+
 def person_space(family: BodyFamily, *, numbers: int) -> ShapeSpace:
     """Give the shapes of people: the family's first numbers, and the departures from it, all of unit variance."""
-    return wider(family_space(family).keep(range(numbers)), departure_modes(family))
+    space = wider(family_space(family).keep(range(numbers)), departure_modes(family))
+    joints = np.array([name.startswith(tuple(f"{joint}_" for joint in JOINT_SD)) for name in space.names])
+    scale = np.where(joints, JOINT_SHARE, 1.0)
+    return replace(space, prior_covariance=space.prior_covariance * np.outer(scale, scale))
 
 
 def _body(family: BodyFamily, space: ShapeSpace) -> Body:
@@ -85,7 +93,7 @@ _UNSEEN = {"full": (), "upper": ("thigh", "shank", "foot", "toes")}
 
 
 def person_body(
-    level: Level = "fine", *, numbers: int = 10, preset: str = "full", stature_m: float | None = None
+    level: Level = "fine", *, numbers: int = 8, preset: str = "full", stature_m: float | None = None
 ) -> Body:
     """Make the mean body with all the numbers in which people differ: the family's first ones and the departures.
 

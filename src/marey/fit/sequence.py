@@ -43,6 +43,10 @@ class SequenceSettings:
     """No shape number goes farther from the prior's mean than so many standard deviations."""
 
 
+TRUST_M, TRUST_RAD, TRUST_SHAPE = 0.1, 0.2, 0.7
+"""How far one round may go where the observations leave it open: Levenberg's and Marquardt's damping [m, rad, sd]."""
+
+
 @dataclass(frozen=True, eq=False)
 class SequenceFit:
     """The refined motion and shape, and what is known of them."""
@@ -128,14 +132,20 @@ class _System:
         columns = np.arange(column * degrees, (column + 1) * degrees)
         self.band[len(self.band) - 1 - offset, columns] += values
 
-    def solve(self, damping: float = 1e-9) -> tuple[Floats, Floats, Floats]:
-        """Solve by eliminating the poses: give their step (F D,), the shape's (M,) and its information (M, M)."""
+    def solve(self, trust: Floats, shape_trust: float) -> tuple[Floats, Floats, Floats]:
+        """Solve by eliminating the poses: give their step (F D,), the shape's (M,) and its information (M, M).
+
+        Args:
+            trust: (D,) how far a coordinate is believed to lie from where it stands; it damps what nothing fixes.
+            shape_trust: the same for the shape's numbers.
+        """
         band = self.band.copy()
-        band[-1] += damping * band[-1].max()
+        band[-1] += np.tile(1.0 / trust**2, band.shape[1] // len(trust))
+        corner = self.corner + np.eye(len(self.corner)) / shape_trust**2
         factor = scipy.linalg.cholesky_banded(band, check_finite=False)
         right = np.concatenate([self.gradient[:, None], self.border], 1)
         solved = scipy.linalg.cho_solve_banded((factor, False), right, check_finite=False)
-        information = self.corner - self.border.T @ solved[:, 1:]
+        information = corner - self.border.T @ solved[:, 1:]
         if len(self.corner) == 0:
             return -solved[:, 0], np.zeros(0), information
         shape = -np.linalg.solve(information, self.shape_gradient - self.border.T @ solved[:, 0])
@@ -180,11 +190,11 @@ def refine_sequence(
         for f in range(1, len(frames) - 1):
             if frames[f + 1] - frames[f - 1] == 2:
                 system.add_smoothness(f, poses, spread)
-        step, shape, shape_information = system.solve()
         degrees = len(spread)
-        longest = np.abs(step.reshape(-1, degrees)[:, 3:]).max(1)
-        shorter = np.minimum(1.0, 0.3 / np.maximum(longest, 1e-12))
-        poses = [p.step(s * k) for p, s, k in zip(poses, step.reshape(-1, degrees), shorter, strict=True)]
+        step, shape, shape_information = system.solve(
+            np.array([TRUST_M] * 3 + [TRUST_RAD] * (degrees - 3)), TRUST_SHAPE
+        )
+        poses = [p.step(s) for p, s in zip(poses, step.reshape(-1, degrees), strict=True)]
         if free:
             body = _reshape(body, shape, settings.clip)
         if round_ == rounds - 1:
@@ -297,5 +307,8 @@ def _inverse_blocks(factor: Floats, count: int, degrees: int) -> Floats:
         )  # fmt: skip
         inverse[f, f + 1] = -(first @ near + second @ beyond.T)
         inverse[f, f + 2] = -(first @ beyond + second @ far)
-        inverse[f, f] = own @ own.T - inverse[f, f + 1] @ first.T - inverse[f, f + 2] @ second.T
-    return np.array([0.5 * (inverse[f, f] + inverse[f, f].T) for f in range(count)])
+        # A sum of squares, so that rounding cannot make a variance negative.
+        cross = first @ beyond @ second.T
+        whole = own @ own.T + first @ near @ first.T + second @ far @ second.T + cross + cross.T
+        inverse[f, f] = 0.5 * (whole + whole.T)
+    return np.array([inverse[f, f] for f in range(count)])

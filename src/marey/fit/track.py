@@ -3,15 +3,17 @@
 from collections.abc import Callable, Iterable, MutableMapping
 from dataclasses import dataclass, field, replace
 
+import cv2
 import numpy as np
 
 from marey.arrays import Floats
 from marey.body.pose import Pose, PosedBody
 from marey.body.skeleton import Skeleton
 from marey.body.surface import Body
-from marey.fit.levels import FrameLevels
+from marey.fit.levels import FrameLevels, Level
 from marey.fit.pose_solver import Schedule, fit_pose
 from marey.fit.search import Candidate, Search, StartSettings
+from marey.observations.correspondence import view_of
 from marey.observations.prior import Habit, JointLimits, NearPose
 
 TRUNK = ("abdomen", "thorax", "neck", "head", "left_clavicle", "right_clavicle")
@@ -33,6 +35,8 @@ class TrackSettings:
     habit: float = 0.01
     fall: float = 0.012
     """Loss of agreement, against the running median, at which limbs are searched again."""
+    unexplained: float = 0.008
+    """Share of the silhouettes, thin edges apart, that the body may leave uncovered beyond what is usual."""
     lost: float = 0.45
     """Agreement below which nobody is followed any more."""
 
@@ -79,13 +83,17 @@ def track(
     spread = prediction_spread(body.skeleton, settings, rate=rate)
     last, before = start, start
     found: dict[int, Candidate] = {}
+    bare: list[float] = []
     for frame in frames:
         if frame not in memory:
             predicted = last.step(settings.momentum * before.change_to(last))
             candidate = _follow(PosedBody(body, predicted), levels, frame, spread, settings)
             usual = float(np.median([c.score for c in list(found.values())[-15:]] or [candidate.score]))
-            if candidate.score < usual - settings.fall:
+            left_over = unexplained(candidate.posed, levels.at(frame))
+            if candidate.score < usual - settings.fall or left_over > _usual(bare) + settings.unexplained:
                 candidate = _search_limbs(candidate, coarse or body, levels, rough, frame)
+                left_over = unexplained(candidate.posed, levels.at(frame))
+            bare.append(left_over)
             memory[frame] = candidate
         candidate = memory[frame]
         done(frame)
@@ -115,56 +123,86 @@ def _search_limbs(candidate: Candidate, coarse: Body, levels: FrameLevels, rough
     return max(candidate, again, key=lambda c: c.score)
 
 
+def unexplained(posed: PosedBody, level: Level) -> float:
+    """Give the share of the silhouettes that the body leaves uncovered but for thin edges; mean of the cameras."""
+    shares = []
+    for camera, mask in zip(level.cameras, level.masks, strict=True):
+        area = int(np.count_nonzero(mask))
+        if area:
+            bare = (mask & ~view_of(posed, camera).mask()).astype(np.uint8)
+            shares.append(np.count_nonzero(cv2.erode(bare, np.ones((3, 3), np.uint8))) / area)
+    return float(np.mean(shares)) if shares else 0.0
+
+
+def _usual(values: list[float]) -> float:
+    return float(np.quantile(values[-30:], 0.25)) if values else 0.0
+
+
 def repair(
     found: dict[int, Candidate],
     levels: FrameLevels,
     rough: FrameLevels,
     *,
     coarse: Body,
-    sweeps: int = 2,
+    settings: TrackSettings | None = None,
     roughness: float = 0.0015,
     done: Callable[[int], None] = lambda frame: None,
 ) -> dict[int, Candidate]:
-    """Mend frames that agree worse, or move more roughly, than their neighbours.
+    """Mend frames that agree worse, explain less, or move more roughly than their neighbours.
 
     Each such frame tries its neighbours' poses, the pose midway between them, and a search of its limbs;
-    agreement less roughness (in degrees from the middle of the neighbours) decides.
+    agreement decides, less the distance (in degrees) from the neighbour that was mended before it. One
+    sweep goes forward and one back, so that a run of bad frames is mended from both its ends.
     """
+    settings = settings or TrackSettings()
     found = dict(found)
-    for _ in range(sweeps):
-        for frame in _suspects(found):
-            found[frame] = _mend(frame, found, levels, rough, coarse, roughness)
+    suspects = _suspects(found, levels, settings)
+    for order, step in ((suspects, 1), (suspects[::-1], -1)):
+        for frame in order:
+            found[frame] = _mend(frame, step, found, levels, rough, coarse, roughness)
             done(frame)
     return found
 
 
 def _roughness(pose: Pose, before: Pose, after: Pose) -> float:
-    middle = before.between(after, 0.5)
-    return float(np.degrees(np.sqrt(np.mean(middle.change_to(pose)[3:] ** 2))))
+    return _apart(pose, before.between(after, 0.5))
 
 
-def _suspects(found: dict[int, Candidate]) -> list[int]:
+def _apart(pose: Pose, other: Pose) -> float:
+    """Give the root mean square of the turns between two poses [degrees]."""
+    return float(np.degrees(np.sqrt(np.mean(other.change_to(pose)[3:] ** 2))))
+
+
+def _suspects(found: dict[int, Candidate], levels: FrameLevels, settings: TrackSettings) -> list[int]:
     frames = [f for f in sorted(found) if f - 1 in found and f + 1 in found]
     if len(frames) < 5:
         return []
     rough = {f: _roughness(*(found[f + k].posed.pose for k in (0, -1, 1))) for f in frames}
-    usual = float(np.median(list(rough.values())))
+    bare = {f: unexplained(found[f].posed, levels.at(f)) for f in frames}
+    usual, clean = float(np.median(list(rough.values()))), float(np.quantile(list(bare.values()), 0.25))
     suspects = []
     for f in frames:
         near = [found[g].score for g in range(f - 8, f + 9) if g in found]
-        if found[f].score < np.median(near) - 0.01 or rough[f] > 3 * usual:
+        low = found[f].score < np.median(near) - 0.01
+        if low or rough[f] > 3 * usual or bare[f] > clean + settings.unexplained:
             suspects.append(f)
     return suspects
 
 
 def _mend(
-    frame: int, found: dict[int, Candidate], levels: FrameLevels, rough: FrameLevels, coarse: Body, weight: float
+    frame: int,
+    step: int,
+    found: dict[int, Candidate],
+    levels: FrameLevels,
+    rough: FrameLevels,
+    coarse: Body,
+    weight: float,
 ) -> Candidate:
-    before, after = found[frame - 1].posed.pose, found[frame + 1].posed.pose
+    last, other = found[frame - step].posed.pose, found[frame + step].posed.pose
     current = found[frame]
     search = Search(levels.at(frame), StartSettings())
     tries = [current]
-    for pose in (before, after, before.between(after, 0.5)):
+    for pose in (last, other, last.between(other, 0.5)):
         tries.append(search.fit(replace(current.posed, pose=pose), numbers=0, iterations=6, gate=(16.0, 5.0)))
     tries.append(_search_limbs(current, coarse, levels, rough, frame))
-    return max(tries, key=lambda c: c.score - weight * _roughness(c.posed.pose, before, after))
+    return max(tries, key=lambda c: c.score - weight * _apart(c.posed.pose, last))
