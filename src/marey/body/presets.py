@@ -51,6 +51,7 @@ def person_space(family: BodyFamily, *, numbers: int) -> ShapeSpace:
 
 
 def _body(family: BodyFamily, space: ShapeSpace) -> Body:
+    """Make the mean body of a space over a family, in the skeleton's order of segments."""
     skeleton = family_skeleton(family)
     index = np.array([skeleton.segment_names.index(name) for name in family.segment_names])
     return Body(
@@ -60,6 +61,7 @@ def _body(family: BodyFamily, space: ShapeSpace) -> Body:
         faces=family.faces,
         vertex_segments=index[family.vertex_segments],
         vertex_weights=family.vertex_weights,
+        joint_sd=family.joints_sd[[family.segment_names.index(name) for name in PARENTS]],
     )
 
 
@@ -108,7 +110,7 @@ def person_body(
     """
     if preset not in PRESETS:
         raise SettingProblem(f"preset is '{preset}'; it should be one of {', '.join(PRESETS)}.")
-    family = load_family(level)
+    family = load_family(level, numbers)
     space = person_space(family, numbers=numbers)
     if stature_m is not None:
         space = condition(space, measures(family), {"stature": (stature_m, STATURE_SD)})

@@ -102,6 +102,8 @@ class Body:
     """(V, 4) their shares, of sum one; zero where fewer carry it."""
     outlined: Mask | None = None
     """(T,) faces whose outline counts; all when None. A preset leaves out the segments that it does not follow."""
+    joint_sd: Floats | None = None
+    """(S,) how far, by axis, a joint centre lies from where skin and numbers say [m]; None where nobody knows."""
     numbers_covariance: Floats | None = None
     """(M, M) of the numbers, once they were estimated."""
 

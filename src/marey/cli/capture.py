@@ -20,6 +20,7 @@ from marey.errors import FileProblem
 from marey.fit.person import (
     PersonSettings,
     Take,
+    mend_person,
     refine_person,
     shape_frames,
     start_person,
@@ -148,7 +149,7 @@ def _capture(run: Run, bodies: Bodies, log: FrameLog, better: FrameLog) -> None:
     if not trial.masks:
         predicted = stages.surface_masks(tracked.body, tracked.poses, cameras)
         stages.find_silhouettes(trial, models, outlines, progress, name="Outlines", predicted=predicted)
-    fit = _refined(run, Take(tuple(cameras), outlines, tuple(tracked.poses), trial.take.rate), tracked)
+    fit = _refined(run, Take(tuple(cameras), outlines, tuple(tracked.poses), trial.take.rate), tracked, bodies)
     write_capture(run, fit, outlines, frames)
 
 
@@ -216,11 +217,14 @@ def begin(
     return found
 
 
-def _refined(run: Run, take: Take, tracked: Tracked) -> SequenceFit:
+def _refined(run: Run, take: Take, tracked: Tracked, bodies: Bodies) -> SequenceFit:
+    """Mend single frames and refine the whole, now that body and silhouettes are better known."""
     person = run.person
-    with run.progress.stage("Refinement", FINE_ROUNDS * len(tracked.poses)) as step:
+    with run.progress.stage("Mending"):
+        poses = mend_person(take, tracked.body, with_shape(tracked.body, bodies.coarse), tracked.poses, person)
+    with run.progress.stage("Refinement", FINE_ROUNDS * len(poses)) as step:
         return refine_person(
-            take, tracked.body, tracked.poses, shape_frames(tracked.scores, person.shape_frames), person,
+            take, tracked.body, poses, shape_frames(tracked.scores, person.shape_frames), person,
             height=person.fine_height, rounds=FINE_ROUNDS, done=lambda frame: step(),
         )  # fmt: skip
 

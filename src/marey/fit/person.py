@@ -6,11 +6,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from marey.arrays import Mask
-from marey.body.pose import Pose
+from marey.body.pose import Pose, PosedBody
 from marey.body.surface import Body
 from marey.cameras.camera import Camera
 from marey.fit.levels import FrameLevels, level_factor
-from marey.fit.search import Candidate, StartSettings
+from marey.fit.search import Candidate, Search, StartSettings
 from marey.fit.sequence import SequenceFit, SequenceSettings, refine_sequence
 from marey.fit.start import find_start
 from marey.fit.track import TrackSettings, repair, track
@@ -99,7 +99,7 @@ def start_person(
     done: Done = _nothing,
     memory: MutableMapping[int, Candidate] | None = None,
 ) -> tuple[int, Candidate] | None:
-    """Find the start in the frames that show the person best; give the frame and its best candidate.
+    """Find the start in the frames that show the person best, until one is explained well; give the best of them.
 
     A memory takes every candidate as soon as it is found; what it holds already is not sought again.
     """
@@ -113,6 +113,8 @@ def start_person(
         if frame in memory:
             found.append((frame, memory[frame]))
         done(frame)
+        if found and found[-1][1].score >= settings.start.good:
+            break
     return max(found, key=lambda pair: pair[1].score) if found else None
 
 
@@ -141,7 +143,17 @@ def track_person(
             memory=memory,
         )  # fmt: skip
     found = {f: found[f] for f in sorted(found)}
-    return repair(found, levels, rough, coarse=coarse)
+    return repair(found, levels, rough, coarse=coarse, settings=settings.track)
+
+
+def mend_person(
+    take: Take, body: Body, coarse: Body, poses: Mapping[int, Pose], settings: PersonSettings, *, done: Done = _nothing
+) -> dict[int, Pose]:
+    """Mend single frames of a sequence once its body and its silhouettes are better known."""
+    levels, rough = take.levels(settings.track_height), take.levels(settings.rough_height)
+    judged = {f: Search(levels.at(f), settings.start).judge(PosedBody(body, pose)) for f, pose in poses.items()}
+    mended = repair(judged, levels, rough, coarse=coarse, settings=settings.track, done=done)
+    return {f: candidate.posed.pose for f, candidate in mended.items()}
 
 
 def shape_frames(agreements: Mapping[int, float], count: int) -> list[int]:

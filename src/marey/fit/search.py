@@ -36,6 +36,10 @@ class StartSettings:
     finalists: int = 5
     arm_directions: int = 60
     leg_directions: int = 50
+    doubtful: float = 0.72
+    """Score below which a person who hangs head down is looked for as well."""
+    good: float = 0.93
+    """Score at which no other frame is tried."""
     prior_cost: float = 3e-4
     """What a unit of the posture's prior cost takes from the score."""
     coarse_height: float = 80.0
@@ -70,6 +74,7 @@ class Search:
         numbers = min(numbers, len(posed.body.space))
         schedule = Schedule(iterations=iterations, gate=gate, scale=(10.0, 3.0) if iterations > 5 else (6.0, 3.0))
         others: list[Observation] = [JointLimits(), Habit(share=0.03)]
+        numbers = min(numbers, len(posed.body.space))
         if numbers == 0:
             return self.judge(fit_pose(posed, self.level.sightings, others, schedule=schedule).posed)
         narrowed = _narrow(posed, numbers)
@@ -77,14 +82,14 @@ class Search:
         fitted = fit_body(narrowed, self.level.sightings, others, schedule=schedule)
         return self.judge(replace(fitted, body=_widen(fitted.body, posed.body)))
 
-    def coarse_poses(self, body: Body, hull: Floats) -> list[PosedBody]:
+    def coarse_poses(self, body: Body, hull: Floats, ways: Sequence[Floats]) -> list[PosedBody]:
         """Compare the whole postures in all directions; keep the two best of each direction."""
         arm, leg = limb_directions(body)
         postures = placements.whole_postures(body.skeleton, arm, leg)
         centre = hull.mean(0)
         centroids = _centroids(body, postures)
         kept = []
-        for up in _ups(hull):
+        for up in ways:
             for yaw in np.arange(self.settings.yaws) * 2 * np.pi / self.settings.yaws:
                 turn = up @ rotations.about(np.array([0.0, 0.0, 1.0]), yaw)
                 poses = [Pose(centre - turn @ c, turn, a) for c, a in zip(centroids, postures, strict=True)]
@@ -162,8 +167,8 @@ def _centroids(body: Body, postures: Floats) -> Floats:
     return np.array([posed.vertices.mean(0) for posed in rest])
 
 
-def _ups(hull: Floats) -> list[Floats]:
-    """Say which ways the body may stand: upright, and along the hull's long axis where that leans."""
+def standing_ways(hull: Floats) -> list[Floats]:
+    """Give the turns (3, 3) from upright to the ways a body may stand: upright, and along the hull's long axis."""
     spread = np.linalg.svd(hull - hull.mean(0), full_matrices=False)
     upright = np.array([0.0, 0.0, 1.0])
     axis = spread[2][0] * (1 if spread[2][0, 2] >= 0 else -1)

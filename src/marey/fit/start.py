@@ -5,12 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from marey.arrays import Mask
+from marey.arrays import Floats, Mask
 from marey.body.surface import Body
 from marey.cameras.camera import Camera
 from marey.fit.hull import visual_hull
 from marey.fit.levels import Level, level_factor
-from marey.fit.search import Candidate, Search, StartSettings, about_face
+from marey.fit.search import Candidate, Search, StartSettings, about_face, standing_ways
 
 
 def find_start(
@@ -32,13 +32,26 @@ def find_start(
         The best candidate with the fine body, or None where the silhouettes have nothing in common.
     """
     settings = settings or StartSettings()
-    rough = Level.of(cameras, masks, level_factor(masks, settings.coarse_height))
-    medium = Level.of(cameras, masks, level_factor(masks, settings.fine_height))
     hull = visual_hull(cameras, masks)
     if len(hull) == 0:
         return None
+    found = _search(cameras, masks, hull, coarse, fine, settings, standing_ways(hull))
+    if found.score >= settings.doubtful:
+        return found
+    # Nobody explains the silhouettes well: perhaps the person hangs, or the world stands on its head.
+    hanging = _search(cameras, masks, hull, coarse, fine, settings, [np.diag([1.0, -1.0, -1.0])])
+    return max(found, hanging, key=lambda candidate: candidate.score)
+
+
+def _search(
+    cameras: Sequence[Camera], masks: Sequence[Mask], hull: Floats, coarse: Body, fine: Body,
+    settings: StartSettings, ways: Sequence[Floats],
+) -> Candidate:  # fmt: skip
+    """Search among bodies that stand in the given ways, see `standing_ways`."""
+    rough = Level.of(cameras, masks, level_factor(masks, settings.coarse_height))
+    medium = Level.of(cameras, masks, level_factor(masks, settings.fine_height))
     search = Search(rough, settings)
-    first = search.coarse_poses(coarse, hull)
+    first = search.coarse_poses(coarse, hull, ways)
     fitted = [search.fit(posed, numbers=3, iterations=10, gate=(25.0, 8.0)) for posed in first]
     kept = _best(fitted, settings.kept, apart=2)
     searched = [search.limbs(candidate, numbers=4) for candidate in kept]
@@ -52,7 +65,7 @@ def _finish(searched: list[Candidate], rough: Level, medium: Level, fine: Body, 
         for _ in range(2):
             candidate = search.limbs(candidate, numbers=6)
         posed = replace(candidate.posed, body=_on(candidate.posed.body, fine))
-        return last.fit(posed, numbers=10, iterations=12, gate=(16.0, 5.0))
+        return last.fit(posed, numbers=8, iterations=12, gate=(16.0, 5.0))
 
     polished = [polish(candidate) for candidate in _best(searched, settings.finalists, apart=2)]
     winner = max(polished, key=lambda candidate: candidate.score)

@@ -69,4 +69,3 @@ def _normals(part: np.ndarray, x: Integers, y: Integers, blur: float) -> Floats:
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     # The faintest true edge is far above this, what rounding leaves of two sides that cancel far below.
     return np.where(length > 1e-3, normals / np.maximum(length, 1e-3), 0.0)
-

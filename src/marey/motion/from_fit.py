@@ -100,11 +100,16 @@ def _coordinate_spread(covariance: Floats, to_root: Floats) -> Floats:
 
 
 def _joint_spread(posed: list[PosedBody], covariance: Floats) -> Floats:
-    """Give the standard deviation (F, J, 3) of joint centres by the poses' uncertainty, of the body as found."""
+    """Give the standard deviation (F, J, 3) of joint centres: the poses', and how far joints lie from where skin says.
+
+    The part that is constant over the take (the body's own numbers) is left out; body.npz holds it.
+    """
     spread = []
     for p, c in zip(posed, covariance, strict=True):
         jacobian = p.pose_jacobian(*p.joint_parts(p.body.joint_segments))
-        spread.append(np.sqrt(np.maximum(np.einsum("jad,de,jae->ja", jacobian, c, jacobian), 0.0)))
+        variance = np.einsum("jad,de,jae->ja", jacobian, c, jacobian)
+        beneath = np.zeros(len(variance)) if p.body.joint_sd is None else p.body.joint_sd[p.body.joint_segments]
+        spread.append(np.sqrt(np.maximum(variance, 0.0) + beneath[:, None] ** 2))
     return np.array(spread)
 
 
