@@ -10,7 +10,7 @@ from marey.body.pose import Pose, PosedBody
 from marey.body.skeleton import ROOT_COORDINATES, root_angles, root_rotation
 from marey.fit.sequence import SequenceFit
 from marey.geometry import rotations
-from marey.motion.from_fit import coordinates_of, motion_of, root_coordinates_from_turn
+from marey.motion.from_fit import VARYING, coordinates_of, motion_of, root_coordinates_from_turn
 from marey.motion.motion import LOST, MEASURED, NOBODY
 
 COUNT, FRAMES = 12, np.array([2, 3, 4, 5, 8, 9])
@@ -100,7 +100,8 @@ def test_standard_deviations_are_those_of_poses_drawn_from_the_covariance(fit, m
     centres = np.array([p.segment_origin[fit.body.joint_segments] for p in drawn])
     # The spread of n draws errs by 1 / sqrt(2 n) = 1.1 %; the worst of a hundred by four times that, and curvature.
     np.testing.assert_allclose(motion.coordinates_sd[frame], coordinates.std(0), rtol=0.06)
-    np.testing.assert_allclose(motion.joint_centres_sd[frame], centres.std(0), rtol=0.06)
+    beneath = VARYING * fit.body.joint_sd[fit.body.joint_segments][:, None]
+    np.testing.assert_allclose(motion.joint_centres_sd[frame], np.hypot(centres.std(0), beneath), rtol=0.06)
 
 
 def test_what_a_frame_does_not_fix_is_not_determined(fit):

@@ -191,17 +191,14 @@ def refine_sequence(
             if frames[f + 1] - frames[f - 1] == 2:
                 system.add_smoothness(f, poses, spread)
         degrees = len(spread)
-        step, shape, shape_information = system.solve(
-            np.array([TRUST_M] * 3 + [TRUST_RAD] * (degrees - 3)), TRUST_SHAPE
-        )
+        step, shape, _ = system.solve(np.array([TRUST_M] * 3 + [TRUST_RAD] * (degrees - 3)), TRUST_SHAPE)
         poses = [p.step(s) for p, s in zip(poses, step.reshape(-1, degrees), strict=True)]
         if free:
             body = _reshape(body, shape, settings.clip)
         if round_ == rounds - 1:
-            body = replace(body, numbers_covariance=np.linalg.inv(shape_information)) if free else body
-            fit = SequenceFit(
-                np.array(frames), tuple(poses), body, _covariances(system, degrees), information, residual
-            )
+            covariance = _covariances(system, degrees)
+            body = replace(body, numbers_covariance=covariance[0, degrees:, degrees:]) if free else body
+            fit = SequenceFit(np.array(frames), tuple(poses), body, covariance, information, residual)
     if fit is None:
         raise ValueError("at least one round is needed")
     return fit
@@ -266,7 +263,7 @@ def _covariances(system: _System, degrees: int) -> Floats:
     """
     count = len(system.gradient) // degrees
     band = system.band.copy()
-    band[-1] += 1e-9 * band[-1].max()
+    band[-1] += 1e-12 * band[-1].max()
     factor = scipy.linalg.cholesky_banded(band, check_finite=False)
     blocks = _inverse_blocks(factor, count, degrees)
     numbers = len(system.corner)

@@ -185,9 +185,7 @@ def _fragments(region: Mask, least: float) -> Mask:
     return np.concatenate([[False], areas >= FRAGMENT_SHARE * areas.max()])[labels]
 
 
-def _learned(
-    picture: np.ndarray, region: Mask, votes: np.ndarray, shade: np.ndarray, trust: np.ndarray
-) -> Appearance:
+def _learned(picture: np.ndarray, region: Mask, votes: np.ndarray, shade: np.ndarray, trust: np.ndarray) -> Appearance:
     """Densities from the region as it is; where the background is doubtful it teaches only if there is nothing else."""
     sure = region & (votes > SURE) & (trust > 0.5)
     dark = shade[(shade > 0) & ~region]
