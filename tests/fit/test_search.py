@@ -149,7 +149,7 @@ def test_a_score_is_the_overlap_less_what_the_posture_costs(scene):
 def test_who_leans_is_tried_upright_and_along_the_hulls_axis(rng, lean, ways):
     trunk = rng.normal(size=(500, 3)) * [0.15, 0.15, 0.5]
     turn = rotations.exp(np.array([np.deg2rad(lean), 0, 0]))
-    found = steps._ups(trunk @ turn.T)
+    found = steps.standing_ways(trunk @ turn.T)
     assert len(found) == ways
     np.testing.assert_allclose(found[0], np.eye(3), atol=1e-12)
     if ways > 1:

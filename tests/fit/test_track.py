@@ -88,7 +88,7 @@ def test_a_frame_that_went_wrong_is_mended_by_its_neighbours(motion):
     found = {f: search[f].judge(truth[f]) for f in range(9)}
     wrong = worlds.pose(truth[4].body, dict(worlds.ARMS_AND_KNEES) | {"left_shoulder_lift": -35})
     found[4] = search[4].judge(PosedBody(truth[4].body, wrong))
-    mended = repair(found, fine, rough, coarse=truth[0].body, sweeps=1)
+    mended = repair(found, fine, rough, coarse=truth[0].body)
     assert worlds.joint_errors(found[4].posed, truth[4]).max() > 0.3
     assert worlds.joint_errors(mended[4].posed, truth[4]).max() < 0.03
     assert all(mended[f] is found[f] for f in (0, 1, 7, 8))

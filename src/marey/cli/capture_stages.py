@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import cv2
@@ -13,8 +14,8 @@ from marey.body.surface import Body
 from marey.cameras.camera import Camera
 from marey.cli.progress import Progress
 from marey.errors import FileProblem
-from marey.images.background import Background, from_pictures, from_take
-from marey.images.silhouettes import Silhouette, segment
+from marey.images.background import Background, doubted, from_pictures, from_take, taught, worth_seeing
+from marey.images.silhouettes import Silhouette, segment, shape_term
 from marey.io.masks import pack_mask, unpack_mask, write_masks
 from marey.io.stages import FrameLog
 from marey.io.trial import Trial
@@ -22,8 +23,12 @@ from marey.observations.correspondence import view_of
 
 PLATES = 25
 """Pictures of a clip of the empty room that are looked at."""
-SAMPLES = 36
-"""Pictures of a take from which an empty room is put together."""
+DOUBTS = 12
+"""Pictures of a take with which plates are compared."""
+LESSONS = 10
+"""Every so many pictures a doubtful background learns where the followed body is not."""
+PULL, PULL_REACH = 0.5, 8.0
+"""How strongly the followed body pulls its silhouette: evidence a pixel of distance, up to so many pixels."""
 
 
 class MaskStore:
@@ -59,22 +64,29 @@ class MaskStore:
 
 
 def backgrounds(trial: Trial, progress: Progress) -> list[Background]:
-    """Model every camera's empty picture: from plates, from a clip, or from the take itself."""
-    wanting = [name for name in trial.rig.names if name not in trial.background]
-    models: dict[str, Background] = {}
-    for name, clip in trial.background.items():
-        index = np.unique(np.linspace(0, clip.count - 1, min(PLATES, clip.count)).astype(int))
-        models[name] = from_pictures(list(clip.images([int(i) for i in index])))
-    if wanting:
-        progress.warn(
-            f"No picture of the empty room for {', '.join(wanting)}: it is put together from the take itself."
-        )
-        take = trial.take
-        index = np.unique(np.linspace(0, take.count - 1, min(SAMPLES, take.count)).astype(int))
-        samples = [images for _, images in take.at([int(i) for i in index])]
+    """Model every camera's empty picture: from plates, from a clip, or from the take itself.
+
+    Plates are compared with pictures of the take, and doubted where they explain none.
+    """
+    take = trial.take
+    with progress.stage("Empty room"):
+        models: dict[str, Background] = {}
+        for name, clip in trial.background.items():
+            index = np.unique(np.linspace(0, clip.count - 1, min(PLATES, clip.count)).astype(int))
+            models[name] = from_pictures(list(clip.images([int(i) for i in index])))
+        wanting = [name for name in trial.rig.names if name not in models]
+        if wanting:
+            progress.warn(
+                f"No picture of the empty room for {', '.join(wanting)}: it is put together from the take itself."
+            )
+        spread = np.unique(np.linspace(0, take.count - 1, min(DOUBTS, take.count)).astype(int))
+        sampled = sorted({int(i) for i in spread} | {int(i) for i in worth_seeing(take.count) if wanting})
+        samples = dict(take.at(sampled))
         for c, name in enumerate(trial.rig.names):
             if name in wanting:
-                models[name] = from_take([images[c] for images in samples])
+                models[name] = from_take([samples[int(i)][c] for i in worth_seeing(take.count)])
+            else:
+                models[name] = doubted(models[name], [samples[int(i)][c] for i in spread])
     return [models[name] for name in trial.rig.names]
 
 
@@ -99,21 +111,57 @@ def find_silhouettes(
     """
     take = trial.take
     done = len(store.frames)
-    before: list[Silhouette | None] = [None] * len(models)
+    views = [Watched(model) for model in models]
     with (
         progress.stage(name, take.end - take.first, done=done) as step,
         ThreadPoolExecutor(max_workers=2) as pool,
     ):
         for frame, images in take.frames(first=take.first + done):
             starts: Sequence[Mask | None] = predicted(frame) or [None] * len(models)
-            found = list(pool.map(_segment, images, models, starts, before))
-            before = [new if new.mask.any() else old for new, old in zip(found, before, strict=True)]
-            store.append([silhouette.mask for silhouette in found])
+            views = list(pool.map(watch, views, images, starts))
+            store.append([view.mask for view in views])
             step()
 
 
-def _segment(image: Image, background: Background, start: Mask | None, before: Silhouette | None) -> Silhouette:
-    return segment(image, background, start=start, before=before)
+@dataclass(frozen=True, eq=False)
+class Watched:
+    """What one camera's silhouettes of a take know so far."""
+
+    background: Background
+    before: Silhouette | None = None
+    """The last silhouette that showed somebody."""
+    mask: Mask = field(default_factory=lambda: np.zeros((0, 0), bool))
+    """The silhouette of the last picture."""
+    pictures: int = 0
+    """Pictures seen with the body known."""
+
+
+def watch(view: Watched, image: Image, start: Mask | None) -> Watched:
+    """Find the silhouette in the next picture of a camera; where the body is known, it pulls at its silhouette."""
+    if start is not None and not start.any():
+        start = None
+    prior = None if start is None else pull_of(start)
+    found = segment(image, view.background, start=start, before=view.before, prior=prior)
+    background = view.background
+    if start is not None and view.pictures % LESSONS == 0:
+        reach = max(image.shape[:2]) // 16
+        near = cv2.dilate((start | found.mask).astype(np.uint8), np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)) > 0
+        background = taught(background, image, found.exposure, near)
+    before = found if found.mask.any() else view.before
+    return Watched(background, before, found.mask, view.pictures + (start is not None))
+
+
+def pull_of(start: Mask) -> Floats:
+    """Give the pull of the followed body's silhouette, [Rosenhahn2006] eq. (4); computed about the body only."""
+    margin = int(PULL_REACH) + 2
+    rows, columns = np.flatnonzero(start.any(1)), np.flatnonzero(start.any(0))
+    part = (
+        slice(max(rows[0] - margin, 0), rows[-1] + margin + 1),
+        slice(max(columns[0] - margin, 0), columns[-1] + margin + 1),
+    )
+    pull = np.full(start.shape, -PULL * PULL_REACH, np.float32)
+    pull[part] = shape_term(start[part], PULL, PULL_REACH)
+    return pull
 
 
 def known_silhouettes(trial: Trial, store: MaskStore, progress: Progress) -> None:
