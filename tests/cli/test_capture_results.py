@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.cli.test_capture import EMPTY, EXAMPLE, give_start, truth
+from tests.cli.test_capture import EMPTY, EXAMPLE, give_silhouettes, give_start, truth
 
 from marey.cli.main import run
 from marey.io.masks import open_masks
@@ -136,3 +136,22 @@ def test_the_record_says_what_was_run_on_what(results):
     assert {"cam01.mp4", "cameras.toml", "background/cam01.png"} <= set(record["inputs"])
     assert record["timings_s"]
     assert set(record["files"]) == {p.relative_to(results).as_posix() for p in results.rglob("*") if p.is_file()}
+
+
+def test_the_body_found_is_followed_again_from_a_start_without_clicks(results, tmp_path):
+    trial = tmp_path / "trial"
+    trial.mkdir()
+    for path in (results.parent / "trial").iterdir():
+        if path.name != "clicks.json":
+            (trial / path.name).symlink_to(path.resolve())
+    give_silhouettes(trial)
+    options = ["--frames", f"{FIRST}:{FIRST + 1}", "--body", str(results / "body.npz"), "--no-overlay", "--quiet"]
+    assert run(["capture", str(trial), "--out", str(tmp_path / "out"), *options]) == 0
+    first, again = arrays(results / "motion.npz"), arrays(tmp_path / "out" / "motion.npz")
+    np.testing.assert_array_equal(np.flatnonzero(again["state"] == 1), [FIRST])
+    apart = np.linalg.norm(again["joint_centres"][FIRST] - first["joint_centres"][FIRST], axis=1)
+    # Two ways to the same pose: within what both say of themselves, about two centimetres.
+    assert np.mean(apart) < 0.02
+    assert np.nanmin(again["agreement"]) > 0.8
+    bodies = [arrays(folder / "body.npz") for folder in (results, tmp_path / "out")]
+    np.testing.assert_allclose(bodies[1]["segment_length"], bodies[0]["segment_length"], rtol=0.05)
