@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 from tests import worlds
 
-from marey.body.pose import PosedBody
+from marey.body.pose import Pose, PosedBody
+from marey.body.presets import person_body
 from marey.fit.search import Candidate, StartSettings
 from marey.fit.start import _best, find_start
+from marey.geometry import rotations
 
 QUICK = StartSettings(yaws=8, kept=2, finalists=1, arm_directions=24, leg_directions=16)
 POSTURES = {
@@ -43,3 +45,46 @@ def test_of_candidates_that_face_alike_only_some_are_kept():
     candidates = [Candidate(posed, score) for posed, score in zip(turned, (0.9, 0.8, 0.7, 0.1), strict=True)]
     assert [c.score for c in _best(candidates, 4, apart=2)] == [0.9, 0.8, 0.1]
     assert [c.score for c in _best(candidates, 1, apart=2)] == [0.9]
+
+
+@pytest.mark.parametrize("kept", [(0, 1, 2), (1, 2, 3)], ids=["without the last", "without the first"])
+def test_three_cameras_are_enough_to_face_the_right_way(kept):
+    body = worlds.person("coarse")
+    truth = PosedBody(body, worlds.pose(body, POSTURES["bent"], yaw=1.2))
+    cameras = [worlds.ring()[k] for k in kept]
+    found = find_start(cameras, worlds.silhouettes(truth, cameras), body, body, QUICK)
+    assert found.posed.pose.rotation[:, 1] @ truth.pose.rotation[:, 1] > np.cos(np.deg2rad(20))
+    assert np.median(worlds.joint_errors(found.posed, truth)) < 0.04
+
+
+def test_who_is_cut_at_the_hips_is_found_by_the_upper_preset():
+    whole, body = worlds.person("coarse"), person_body("coarse", preset="upper")
+    posture = {"left_elbow_flexion": 80, "right_shoulder_lift": 30, "right_elbow_flexion": 30}
+    truth = PosedBody(whole, worlds.pose(whole, posture, yaw=0.8))
+    cameras = worlds.ring(size=(200, 135), target=(0, 0, 0.32))
+    masks = worlds.silhouettes(truth, cameras)
+    assert all(mask[-1].any() for mask in masks)
+    found = find_start(cameras, masks, body, body)
+    assert found.posed.pose.rotation[:, 1] @ truth.pose.rotation[:, 1] > np.cos(np.deg2rad(20))
+    arms = [i for i, name in enumerate(body.joint_names) if name.endswith(("shoulder", "elbow", "wrist"))]
+    assert worlds.joint_errors(found.posed, truth)[arms].max() < 0.02
+
+
+def test_a_scan_starts_with_the_shape_that_it_has():
+    body = worlds.scan()
+    truth = PosedBody(body, worlds.pose(body, POSTURES["raised"], yaw=5.0))
+    cameras = worlds.ring()
+    found = find_start(cameras, worlds.silhouettes(truth, cameras), body, body, QUICK)
+    np.testing.assert_array_equal(found.posed.body.vertices, body.vertices)
+    assert worlds.joint_errors(found.posed, truth).max() < 0.1
+
+
+def test_who_lies_is_found_lying():
+    body = worlds.person("coarse")
+    standing = worlds.pose(body, POSTURES["bent"])
+    lying = Pose(np.array([0.0, 0, -0.3]), rotations.about(np.array([1.0, 0, 0]), np.array(np.pi / 2)), standing.angles)
+    truth = PosedBody(body, lying)
+    cameras = worlds.ring(size=(300, 240), focal=240.0)
+    found = find_start(cameras, worlds.silhouettes(truth, cameras), body, body, QUICK)
+    trunk = found.posed.pose.rotation[:, 2]
+    assert abs(trunk[2]) < 0.3
