@@ -12,7 +12,13 @@ Image = NDArray[np.uint8]
 
 
 def frozen(values: object, dtype: type = np.float64) -> NDArray:
-    """Copy values into a read-only, contiguous array."""
+    """Copy values into a read-only, contiguous array; one that is so already, and its own, is given as it is."""
+    if isinstance(values, np.ndarray) and values.dtype == dtype and values.base is None and _finished(values):
+        return values
     array: NDArray = np.array(values, dtype=dtype, order="C")
     array.setflags(write=False)
     return array
+
+
+def _finished(array: NDArray) -> bool:
+    return array.flags.c_contiguous and not array.flags.writeable

@@ -74,15 +74,15 @@ class Skeleton:
         """Names of all D coordinates, the root's six first."""
         return ROOT_COORDINATES + tuple(c.name for c in self.coordinates)
 
-    @property
+    @cached_property
     def coordinate_segment(self) -> Integers:
         """(D - 6,) index of the segment that each joint coordinate turns."""
-        return np.array([self.segment_names.index(c.segment) for c in self.coordinates], dtype=np.int64)
+        return frozen([self.segment_names.index(c.segment) for c in self.coordinates], np.int64)
 
-    @property
+    @cached_property
     def axes(self) -> Floats:
         """(D - 6, 3) unit axes in the rest posture."""
-        return np.array([c.axis for c in self.coordinates], dtype=float).reshape(-1, 3)
+        return frozen(np.array([c.axis for c in self.coordinates], dtype=float).reshape(-1, 3))
 
     @cached_property
     def limits(self) -> Floats:

@@ -61,7 +61,10 @@ def gather_moments(
     pairs = np.zeros((used, 2), np.int64)
     k, j = np.nonzero(slot >= 0)
     pairs[slot[k, j]] = np.stack([k, j], 1)
-    return Moments(pairs, products[:used].reshape(-1, 6, 4, 4), linear, float(constant))
+    blocks = products[:used].reshape(-1, 6, 4, 4)
+    own = pairs[:, 0] == pairs[:, 1]
+    blocks[own] += np.swapaxes(np.triu(blocks[own], 1), 2, 3)
+    return Moments(pairs, blocks, linear, float(constant))
 
 
 @numba.njit(cache=True, nogil=True, fastmath=True)
@@ -114,7 +117,10 @@ def add_moments(
                 if slot[k, j] < 0:
                     slot[k, j] = used
                     used += 1
-                _add_product(q, part, n, m, products[slot[k, j]])
+                if m == n:
+                    _add_square(q, part, n, products[slot[k, k]])
+                else:
+                    _add_product(q, part, n, m, products[slot[k, j]])
     return used, constant
 
 
@@ -144,6 +150,28 @@ def _add_product(q, part, n, m, product):
         product[ab, 12] += t * y12
         product[ab, 13] += t * y13
         product[ab, 14] += t * y14
+        product[ab, 15] += t * y15
+
+
+@numba.njit(inline="always", cache=True, nogil=True, fastmath=True)
+def _add_square(q, part, n, product):
+    """Add q[ab] y_n y_n' to a segment's own products (6, 16): the upper triangle only, the rest is its image."""
+    a0, a1, a2, a3 = part[0, n, 0], part[0, n, 1], part[0, n, 2], part[0, n, 3]
+    y0, y1, y2, y3 = a0 * a0, a0 * a1, a0 * a2, a0 * a3
+    y5, y6, y7 = a1 * a1, a1 * a2, a1 * a3
+    y10, y11 = a2 * a2, a2 * a3
+    y15 = a3 * a3
+    for ab in range(6):
+        t = q[ab]
+        product[ab, 0] += t * y0
+        product[ab, 1] += t * y1
+        product[ab, 2] += t * y2
+        product[ab, 3] += t * y3
+        product[ab, 5] += t * y5
+        product[ab, 6] += t * y6
+        product[ab, 7] += t * y7
+        product[ab, 10] += t * y10
+        product[ab, 11] += t * y11
         product[ab, 15] += t * y15
 
 

@@ -11,6 +11,7 @@ from marey.cameras.camera import Camera
 from marey.fit.hull import visual_hull
 from marey.fit.levels import Level, level_factor
 from marey.fit.search import Candidate, Search, StartSettings, about_face, standing_ways
+from marey.fit.side_by_side import side_by_side
 
 
 def find_start(
@@ -52,9 +53,9 @@ def _search(
     medium = Level.of(cameras, masks, level_factor(masks, settings.fine_height))
     search = Search(rough, settings)
     first = search.coarse_poses(coarse, hull, ways)
-    fitted = [search.fit(posed, numbers=3, iterations=10, gate=(25.0, 8.0)) for posed in first]
+    fitted = list(side_by_side(lambda posed: search.fit(posed, numbers=3, iterations=10, gate=(25.0, 8.0)), first))
     kept = _best(fitted, settings.kept, apart=2)
-    searched = [search.limbs(candidate, numbers=4) for candidate in kept]
+    searched = list(side_by_side(lambda candidate: search.limbs(candidate, numbers=4), kept))
     return _finish(searched, rough, medium, fine, settings)
 
 
@@ -67,7 +68,7 @@ def _finish(searched: list[Candidate], rough: Level, medium: Level, fine: Body, 
         posed = replace(candidate.posed, body=_on(candidate.posed.body, fine))
         return last.fit(posed, numbers=8, iterations=12, gate=(16.0, 5.0))
 
-    polished = [polish(candidate) for candidate in _best(searched, settings.finalists, apart=2)]
+    polished = list(side_by_side(polish, _best(searched, settings.finalists, apart=2)))
     winner = max(polished, key=lambda candidate: candidate.score)
     turned = polish(
         search.judge(

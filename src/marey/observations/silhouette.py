@@ -62,8 +62,13 @@ class SilhouetteRays(SurfaceObservation):
 
     def constraints(self, posed: PosedBody) -> tuple[Floats, Floats]:
         """Give three rows a point, of rank two: p x n - m, in pixels."""
-        x, y, z = self.directions.T * self.pixels_per_metre
-        zero = np.zeros_like(x)
-        # p x n = -[n]x p
-        rows = np.stack([np.stack(r, -1) for r in ((zero, z, -y), (-z, zero, x), (y, -x, zero))], 1)
+        rows = self.pixels_per_metre[:, None, None] * _across(self.directions)
         return rows, self.moments * self.pixels_per_metre[:, None]
+
+
+def _across(directions: Floats) -> Floats:
+    """Give the matrices (n, 3, 3) with p x n = -[n]x p."""
+    rows = np.zeros((len(directions), 3, 3))
+    rows[:, 0, 1], rows[:, 0, 2], rows[:, 1, 2] = directions[:, 2], -directions[:, 1], directions[:, 0]
+    rows[:, 1, 0], rows[:, 2, 0], rows[:, 2, 1] = -directions[:, 2], directions[:, 1], -directions[:, 0]
+    return rows
