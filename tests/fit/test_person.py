@@ -10,6 +10,7 @@ from marey.body.pose import PosedBody
 from marey.fit.person import (
     PersonSettings,
     Take,
+    mend_person,
     promising_frames,
     refine_person,
     shape_frames,
@@ -116,3 +117,28 @@ def test_a_person_is_followed_both_ways_and_refined_with_its_shape(cameras):
     errors = [worlds.joint_errors(PosedBody(fit.body, p), t).mean() for p, t in zip(fit.poses, truth, strict=True)]
     assert np.mean(errors) < 0.012
     assert np.abs(fit.body.numbers - person.numbers).max() < 0.5
+
+
+def test_single_frames_are_mended_once_the_body_is_known():
+    body = worlds.person("coarse", 3)
+    truth = [PosedBody(body, pose) for pose in worlds.swing(body, 9)]
+    poses = {f: t.pose for f, t in enumerate(truth)}
+    poses[4] = worlds.pose(body, dict(worlds.ARMS_AND_KNEES) | {"left_shoulder_lift": -35})
+    mended = mend_person(worlds.take(truth, worlds.ring()), body, body, poses, PersonSettings())
+    assert list(mended) == list(range(9))
+    assert worlds.joint_errors(PosedBody(body, mended[4]), truth[4]).max() < 0.03
+    assert mended[0] is poses[0]
+
+
+def test_a_good_start_is_enough(monkeypatch):
+    body = worlds.person()
+    posed = PosedBody(body, worlds.pose(body))
+    take, asked = worlds.take([posed] * 3, worlds.ring()), []
+
+    def find(cameras, masks, coarse, fine, settings):
+        asked.append(masks)
+        return Candidate(posed, 0.97)
+
+    monkeypatch.setattr("marey.fit.person.find_start", find)
+    start_person(take, body, body, PersonSettings())
+    assert len(asked) == 1

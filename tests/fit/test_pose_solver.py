@@ -163,8 +163,8 @@ def test_a_step_solves_the_system_and_no_joint_turns_too_far(rng):
     np.testing.assert_allclose(hessian @ solve_step(hessian, gradient), -gradient, atol=1e-8)
     long = solve_step(hessian, gradient * 1e4)
     assert np.abs(long[3:]).max() == pytest.approx(LONGEST_TURN)
-    np.testing.assert_allclose(long / np.linalg.norm(long), np.linalg.solve(hessian, -gradient) / np.linalg.norm(
-        np.linalg.solve(hessian, -gradient)), atol=1e-6)  # fmt: skip
+    whole = np.linalg.solve(hessian, -gradient)
+    np.testing.assert_allclose(long / np.linalg.norm(long), whole / np.linalg.norm(whole), atol=1e-6)
     # Shape numbers behind the pose's degrees may go as far as they like.
     np.testing.assert_allclose(hessian @ solve_step(hessian, hessian[:, 8] * 5.0, degrees=8), -5 * hessian[:, 8])
 

@@ -88,3 +88,12 @@ def test_who_lies_is_found_lying():
     found = find_start(cameras, worlds.silhouettes(truth, cameras), body, body, QUICK)
     trunk = found.posed.pose.rotation[:, 2]
     assert abs(trunk[2]) < 0.3
+
+
+def test_who_hangs_head_down_is_found_hanging():
+    body = worlds.person("coarse")
+    arms_up = worlds.pose(body, {"left_shoulder_lift": 50, "left_elbow_flexion": 60, "right_hip_abduction": 30})
+    truth = PosedBody(body, Pose(np.zeros(3), rotations.about(np.array([1.0, 0, 0]), np.array(np.pi)), arms_up.angles))
+    cameras = worlds.ring(target=(0, 0, 0.1))
+    found = find_start(cameras, worlds.silhouettes(truth, cameras), body, body, QUICK)
+    assert found.posed.pose.rotation[2, 2] < -0.8

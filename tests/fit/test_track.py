@@ -1,13 +1,14 @@
 """A person followed from frame to frame through motions that are known."""
 
+import cv2
 import numpy as np
 import pytest
 from tests import worlds
 
-from marey.body.pose import PosedBody
+from marey.body.pose import Pose, PosedBody
 from marey.fit.levels import FrameLevels
 from marey.fit.search import Candidate, Search, StartSettings
-from marey.fit.track import TrackSettings, prediction_spread, repair, track
+from marey.fit.track import TrackSettings, prediction_spread, repair, track, unexplained
 
 FRAMES = 12
 
@@ -110,3 +111,31 @@ def test_the_prediction_is_wider_where_frames_lie_farther_apart():
     # But nobody is anywhere after a second, nor nowhere within a thousandth.
     np.testing.assert_allclose(prediction_spread(skeleton, settings, rate=1), 3 * usual)
     np.testing.assert_allclose(prediction_spread(skeleton, settings, rate=1000), 0.25 * usual)
+
+
+def test_what_a_body_leaves_uncovered_is_told_but_for_thin_edges(motion):
+    truth, fine, _ = motion
+    body, level = truth[0].body, fine.at(0)
+    assert unexplained(truth[0], level) == 0.0
+    thin = level.at_size(level.cameras, [cv2.dilate(m.astype(np.uint8), np.ones((3, 3))) > 0 for m in level.masks])
+    assert unexplained(truth[0], thin) == 0.0
+    elsewhere = PosedBody(body, worlds.pose(body, dict(worlds.ARMS_AND_KNEES) | {"left_shoulder_lift": -35}))
+    # A forearm and a hand are some hundredths of a person.
+    assert unexplained(elsewhere, level) > 0.02
+    nobody = level.at_size(level.cameras, [np.zeros_like(m) for m in level.masks])
+    assert unexplained(truth[0], nobody) == 0.0
+
+
+def test_a_run_of_wrong_frames_is_mended_from_both_ends(motion):
+    truth, fine, rough = motion
+    search = [Search(fine.at(f), StartSettings()) for f in range(FRAMES)]
+    found = {f: search[f].judge(truth[f]) for f in range(FRAMES)}
+    for f in (4, 5, 6):
+        angles = np.array(truth[f].pose.angles)
+        angles[worlds.column(truth[f].body.skeleton, "left_elbow_flexion")] = np.deg2rad(130)
+        wrong = Pose(truth[f].pose.translation, truth[f].pose.rotation, angles)
+        found[f] = search[f].judge(PosedBody(truth[f].body, wrong))
+    mended = repair(found, fine, rough, coarse=truth[0].body)
+    before, after = (max(worlds.joint_errors(c[f].posed, truth[f]).max() for f in (4, 5, 6)) for c in (found, mended))
+    assert before > 0.2
+    assert after < 0.03
