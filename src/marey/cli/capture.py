@@ -141,14 +141,15 @@ def _capture(run: Run, bodies: Bodies, log: FrameLog, better: FrameLog) -> None:
         stages.known_silhouettes(trial, store, progress)
         outlines = store
     else:
-        models = stages.backgrounds(trial, progress)
-        stages.find_silhouettes(trial, models, store, progress, name="Silhouettes")
+        views = [stages.Watched(model) for model in stages.backgrounds(trial, progress)]
+        # The second time around the looks of the person are known from the first frame on.
+        views = stages.find_silhouettes(trial, views, store, progress, name="Silhouettes")
     frames = stages.frames_with_somebody(store)
     stages.require_somebody(trial, frames)
     tracked = _tracked(run, Take(tuple(cameras), store, frames, trial.take.rate), bodies)
     if not trial.masks:
         predicted = stages.surface_masks(tracked.body, tracked.poses, cameras)
-        stages.find_silhouettes(trial, models, outlines, progress, name="Outlines", predicted=predicted)
+        stages.find_silhouettes(trial, views, outlines, progress, name="Outlines", predicted=predicted)
     fit = _refined(run, Take(tuple(cameras), outlines, tuple(tracked.poses), trial.take.rate), tracked, bodies)
     write_capture(run, fit, outlines, frames)
 

@@ -26,7 +26,7 @@ PLATES = 25
 DOUBTS = 12
 """Pictures of a take with which plates are compared."""
 LESSONS = 10
-"""Every so many pictures a doubtful background learns where the followed body is not."""
+"""Every so many pictures the person is sought everywhere, or a doubtful background learns where the body is not."""
 PULL, PULL_REACH = 0.5, 8.0
 """How strongly the followed body pulls its silhouette: evidence a pixel of distance, up to so many pixels."""
 
@@ -92,35 +92,39 @@ def backgrounds(trial: Trial, progress: Progress) -> list[Background]:
 
 def find_silhouettes(
     trial: Trial,
-    models: Sequence[Background],
+    views: "Sequence[Watched]",
     store: MaskStore,
     progress: Progress,
     *,
     name: str,
     predicted: Callable[[int], Sequence[Mask] | None] = lambda frame: None,
-) -> None:
+) -> "list[Watched]":
     """Find the silhouettes of all frames that are not in the store yet.
 
     Args:
         trial: Its take is gone through once, in order.
-        models: The empty picture of each camera.
+        views: What is known of each camera's empty picture, and of the person's looks.
         store: Takes the silhouettes.
         progress: Is told.
         name: Of the stage.
         predicted: Gives for a frame where the body is believed, one mask a camera; None where nobody knows.
+
+    Returns:
+        What is known of each camera in the end.
     """
     take = trial.take
     done = len(store.frames)
-    views = [Watched(model) for model in models]
+    views = list(views)
     with (
         progress.stage(name, take.end - take.first, done=done) as step,
         ThreadPoolExecutor(max_workers=2) as pool,
     ):
         for frame, images in take.frames(first=take.first + done):
-            starts: Sequence[Mask | None] = predicted(frame) or [None] * len(models)
+            starts: Sequence[Mask | None] = predicted(frame) or [None] * len(views)
             views = list(pool.map(watch, views, images, starts))
             store.append([view.mask for view in views])
             step()
+    return views
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,22 +137,25 @@ class Watched:
     mask: Mask = field(default_factory=lambda: np.zeros((0, 0), bool))
     """The silhouette of the last picture."""
     pictures: int = 0
-    """Pictures seen with the body known."""
+    """Pictures seen."""
 
 
 def watch(view: Watched, image: Image, start: Mask | None) -> Watched:
     """Find the silhouette in the next picture of a camera; where the body is known, it pulls at its silhouette."""
-    if start is not None and not start.any():
-        start = None
-    prior = None if start is None else pull_of(start)
+    followed = start is not None and bool(start.any())
+    prior = pull_of(start) if start is not None and followed else None
+    if not followed:
+        # Near the last silhouette; now and then everywhere, so that what was lost is found again.
+        near_last = view.mask.any() and view.pictures % LESSONS != 0
+        start = view.mask if near_last else None
     found = segment(image, view.background, start=start, before=view.before, prior=prior)
     background = view.background
-    if start is not None and view.pictures % LESSONS == 0:
+    if start is not None and followed and view.pictures % LESSONS == 0:
         reach = max(image.shape[:2]) // 16
         near = cv2.dilate((start | found.mask).astype(np.uint8), np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)) > 0
         background = taught(background, image, found.exposure, near)
     before = found if found.mask.any() else view.before
-    return Watched(background, before, found.mask, view.pictures + (start is not None))
+    return Watched(background, before, found.mask, view.pictures + 1)
 
 
 def pull_of(start: Mask) -> Floats:
