@@ -228,27 +228,28 @@ def assemble(
     cost = _pair_sums(rotation, origin, pairs, products, block, force)
     for k in range(segments):
         cost += _subtract_target(rotation[k], origin[k], linear[k], force[k])
+    size = block.shape[2]
     for k in range(segments - 1, 0, -1):
         for a in range(6):
             force[parents[k], a] += force[k, a]
         for j in range(segments):
-            for e in range(36):
+            for e in range(size):
                 block[parents[k], j, e] += block[k, j, e]
     for j in range(segments - 1, 0, -1):
         for k in range(segments):
-            for e in range(36):
+            for e in range(size):
                 block[k, parents[j], e] += block[k, j, e]
     start, twist = coordinate_twists(coordinate_segment, origin, world_axes)
     moved = np.empty((segments, 6))
     for q in range(start.shape[0]):
         for a in range(6):
             gradient[q] += twist[q, a] * force[start[q], a]
+        w0, w1, w2, w3, w4, w5 = twist[q, 0], twist[q, 1], twist[q, 2], twist[q, 3], twist[q, 4], twist[q, 5]
         for k in range(start[q] + 1):
+            own = block[start[q], k]
             for a in range(6):
-                t = 0.0
-                for b in range(6):
-                    t += block[start[q], k, 6 * b + a] * twist[q, b]
-                moved[k, a] = t
+                t = own[a] * w0 + own[6 + a] * w1 + own[12 + a] * w2
+                moved[k, a] = t + own[18 + a] * w3 + own[24 + a] * w4 + own[30 + a] * w5
         for p in range(q + 1):
             t = 0.0
             for a in range(6):
