@@ -6,7 +6,7 @@ import time
 import numpy as np
 import pytest
 
-from marey.fit.side_by_side import THREADS, side_by_side
+from marey.fit.side_by_side import THREADS, side_by_side, together
 
 
 def test_results_come_in_the_order_of_the_items_whatever_takes_longest(rng):
@@ -57,3 +57,16 @@ def test_kernels_on_several_threads_give_the_same_numbers(rng):
     matrices = rng.normal(size=(40, 30, 30))
     again = list(side_by_side(lambda m: m @ m.T, matrices))
     np.testing.assert_array_equal(again, [m @ m.T for m in matrices])
+
+
+def test_short_work_together_gives_results_in_order_and_errors():
+    assert together(lambda i: i * i, range(7)) == [i * i for i in range(7)]
+    with pytest.raises(ZeroDivisionError):
+        together(lambda i: 1 / i, [1, 0])
+
+
+def test_short_work_inside_of_work_side_by_side_stays_in_its_thread():
+    def outer(item):
+        return set(together(lambda _: threading.get_ident(), range(3))) == {threading.get_ident()}
+
+    assert all(side_by_side(outer, range(5)))

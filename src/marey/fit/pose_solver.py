@@ -11,6 +11,7 @@ from marey.body.pose import PosedBody
 from marey.cameras.visibility import View
 from marey.fit.moments import Moments, gather_moments, normal_equations
 from marey.fit.robust import geman_mcclure
+from marey.fit.side_by_side import together
 from marey.observations.correspondence import Matching, Sighting, see_outline
 from marey.observations.observation import AngleObservation, Observation, SurfaceObservation
 from marey.observations.prior import JointLimits
@@ -115,7 +116,7 @@ def match_all(
     posed: PosedBody, sightings: Sequence[Sighting], matching: Matching, scale: float
 ) -> tuple[list[SurfaceObservation], list[Floats]]:
     """Match the surface in all cameras; give the matches and their weights: robust ones, twice where found twice."""
-    outlines = [see_outline(posed, sighting, matching) for sighting in sightings]
+    outlines = together(lambda sighting: see_outline(posed, sighting, matching), sightings)
     found: list[SurfaceObservation] = []
     weights: list[Floats] = []
     for outline in outlines:
