@@ -26,7 +26,7 @@ PLATES = 25
 DOUBTS = 12
 """Pictures of a take with which plates are compared."""
 LESSONS = 10
-"""Every so many pictures the person is sought everywhere, or a doubtful background learns where the body is not."""
+"""Every so many pictures a doubtful background learns where the followed body is not."""
 PULL, PULL_REACH = 0.5, 8.0
 """How strongly the followed body pulls its silhouette: evidence a pixel of distance, up to so many pixels."""
 
@@ -142,15 +142,12 @@ class Watched:
 
 def watch(view: Watched, image: Image, start: Mask | None) -> Watched:
     """Find the silhouette in the next picture of a camera; where the body is known, it pulls at its silhouette."""
-    followed = start is not None and bool(start.any())
-    prior = pull_of(start) if start is not None and followed else None
-    if not followed:
-        # Near the last silhouette; now and then everywhere, so that what was lost is found again.
-        near_last = view.mask.any() and view.pictures % LESSONS != 0
-        start = view.mask if near_last else None
+    if start is not None and not start.any():
+        start = None
+    prior = None if start is None else pull_of(start)
     found = segment(image, view.background, start=start, before=view.before, prior=prior)
     background = view.background
-    if start is not None and followed and view.pictures % LESSONS == 0:
+    if start is not None and view.pictures % LESSONS == 0:
         reach = max(image.shape[:2]) // 16
         near = cv2.dilate((start | found.mask).astype(np.uint8), np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)) > 0
         background = taught(background, image, found.exposure, near)
