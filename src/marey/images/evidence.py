@@ -1,6 +1,6 @@
 """Evidence of a pixel for the person: log p_person - log p_rest, the rest being background, perhaps in shadow."""
 
-from math import lgamma, log, pi
+from math import exp, lgamma, log, pi
 
 import cv2
 import numba
@@ -73,7 +73,7 @@ def evidence(
     uniform = UNKNOWN_SHARE * COMMON[channels] * 256.0**-channels
     person = ((1 - UNKNOWN_SHARE) * appearance.person + uniform).ravel().astype(np.float32)
     return _evidence(
-        picture, near, light, background.steepness, background.trust, shade, change, reach, exposure.noise**2,
+        picture, near, light, background.steepness, background.trust, shade, change, reach, tuple(exposure.noise**2),
         np.float32(exposure.jitter**2), person, appearance.surroundings.ravel(), appearance.shadow,
         veil.astype(np.float32), np.float32(np.exp(peak)),
     )  # fmt: skip
@@ -97,7 +97,7 @@ def _products(picture, light):
     return product, square, change
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, fastmath=True)
 def _nearest_shade(shade, own, y, x, reach):
     """Of five windows about a pixel the darkening nearest to its own: a border does not spoil them all."""
     height, width = shade.shape
@@ -109,84 +109,99 @@ def _nearest_shade(shade, own, y, x, reach):
     return best, best_row, best_column
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
 def _tail(misfit, channels):
     """(1 + m^2 / nu) to the power of (nu + C) / 2: 4 for colours, 3 for grey values; and no call of pow."""
     base = np.float32(1.0) + misfit * np.float32(1 / FREEDOM)
     return base * base * base * (base if channels == 3 else np.float32(1.0))
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _plain(seen, light, variance):
+@numba.njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+def _plain(picture, light, y, x, noise, spread):
     """Squared distance from the background in standard deviations, and the product of the variances."""
     misfit, volume = np.float32(0.0), np.float32(1.0)
-    for c in range(seen.size):
-        difference = np.float32(seen[c]) - light[c]
-        misfit += difference * difference / variance[c]
-        volume *= variance[c]
+    for c in range(len(noise)):
+        difference = np.float32(picture[y, x, c]) - light[y, x, c]
+        variance = noise[c] + spread
+        misfit += difference * difference / variance
+        volume *= variance
     return misfit, volume
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _shadowed(seen, light, variance, ratio, square, shadow):
+@numba.njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+def _shadowed(picture, light, y, x, noise, spread, ratio, square, shadow):
     """Density of a shadow that leaves this share of the light, less the t density's peak."""
     low, high = np.float32(RATIO_RANGE[0]), np.float32(RATIO_RANGE[1])
     if not low < ratio < high:
         return np.float32(0.0)
+    channels = len(noise)
+    slack = np.float32(SHADE_SLACK**2 / channels) * square + spread
     misfit, volume, widths = np.float32(0.0), np.float32(1.0), np.float32(0.0)
-    for c in range(seen.size):
-        difference = np.float32(seen[c]) - ratio * light[c]
-        width = variance[c] + np.float32(SHADE_SLACK**2 / seen.size) * square
+    for c in range(channels):
+        difference = np.float32(picture[y, x, c]) - ratio * light[y, x, c]
+        width = noise[c] + slack
         misfit += difference * difference / width
         volume *= width
         widths += width
     # The t density takes the darkening for known; to within the noise it has 2.5 sd of its density.
-    known = shadow[int((ratio - low) * np.float32(RATIO_BINS / (high - low)))] * np.sqrt(widths / (seen.size * square))
-    return np.float32(2.5 * SHADOW_SHARE) * known / (np.sqrt(volume) * _tail(misfit, seen.size))
+    place = min(int((ratio - low) * np.float32(RATIO_BINS / (high - low))), RATIO_BINS - 1)
+    known = shadow[place] * np.sqrt(widths / (channels * square))
+    return np.float32(2.5 * SHADOW_SHARE) * known / (np.sqrt(volume) * _tail(misfit, channels))
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _veiled(seen, light, variance, change, veil):
+@numba.njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+def _veiled(picture, light, y, x, noise, spread, change, row, column, veil):
     """Density of a veil that changes the pixels around by this much."""
     misfit, strength = np.float32(0.0), np.float32(0.0)
-    for c in range(seen.size):
-        difference = np.float32(seen[c]) - light[c]
-        rest = difference - change[c]
-        misfit += rest * rest / (variance[c] + np.float32(VEIL_SLACK**2) * difference * difference)
-        strength += change[c] * change[c]
-    return veil[int(np.sqrt(strength))] / _tail(misfit, seen.size)
+    for c in range(len(noise)):
+        difference = np.float32(picture[y, x, c]) - light[y, x, c]
+        around = change[row, column, c]
+        rest = difference - around
+        misfit += rest * rest / (noise[c] + spread + np.float32(VEIL_SLACK**2) * difference * difference)
+        strength += around * around
+    return veil[int(np.sqrt(strength))] / _tail(misfit, len(noise))
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+def _log_ratio(above, below):
+    """Logarithm of a ratio of densities, held within the limit; most pixels are beyond it and cost no logarithm."""
+    if above <= np.float32(exp(-LIMIT)) * below:
+        return np.float32(-LIMIT)
+    if above >= np.float32(exp(LIMIT)) * below:
+        return np.float32(LIMIT)
+    return np.log(above / below)
+
+
+@numba.njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
 def _evidence(
     picture, near, light, steepness, trust, shade, change, reach, noise, jitter, person, around, shadow, veil, peak
 ):
-    height, width, channels = picture.shape
+    # The noise comes as a tuple: its length is known when this is compiled, and the loops over channels unroll.
+    (height, width), channels = near.shape, len(noise)
     result, darkening = np.empty((height, width), np.float32), np.zeros((height, width), np.float32)
-    limit, one = np.float32(LIMIT), np.float32(1.0)
-    variance = np.empty(channels, np.float32)
+    one = np.float32(1.0)
     for y in range(height):
         for x in range(width):
             if not near[y, x]:
-                result[y, x] = -limit
+                result[y, x] = np.float32(-LIMIT)
                 continue
-            seen, behind, index = picture[y, x], light[y, x], 0
+            index = 0
             for c in range(channels):
-                index = (index << 5) + (seen[c] >> 3) if channels == 3 else seen[c]
-                variance[c] = noise[c] + jitter * steepness[y, x]
-            misfit, volume = _plain(seen, behind, variance)
+                index = (index << 5) + (picture[y, x, c] >> 3) if channels == 3 else picture[y, x, c]
+            spread = jitter * steepness[y, x]
+            misfit, volume = _plain(picture, light, y, x, noise, spread)
             density = peak / (np.sqrt(volume) * _tail(misfit, channels))
             # Where the plain background explains the pixel well the others add nothing.
             if misfit > 2 * channels:
                 above, below = np.float32(0.0), np.float32(0.0)
                 for c in range(channels):
-                    above += np.float32(seen[c]) * behind[c]
-                    below += behind[c] * behind[c]
+                    above += np.float32(picture[y, x, c]) * light[y, x, c]
+                    below += light[y, x, c] * light[y, x, c]
                 ratio, row, column = _nearest_shade(shade, above / below, y, x, reach)
-                dark = peak * _shadowed(seen, behind, variance, ratio, below, shadow)
+                dark = peak * _shadowed(picture, light, y, x, noise, spread, ratio, below, shadow)
                 if dark > density:
                     darkening[y, x] = ratio
-                density += dark + _veiled(seen, behind, variance, change[row, column], veil)
+                density += dark + _veiled(picture, light, y, x, noise, spread, change, row, column, veil)
             density = trust[y, x] * density + (one - trust[y, x]) * around[index]
-            result[y, x] = min(max(np.log(person[index] / density), -limit), limit)
+            result[y, x] = _log_ratio(person[index], density)
     return result, darkening

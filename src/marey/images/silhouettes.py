@@ -24,6 +24,12 @@ COARSER = 2
 ROUNDS = 4
 """Densities and regions are estimated in turn so often where nothing is known of the person's colours."""
 
+REDUCED = 4
+"""Somebody is first sought in a picture reduced by this, where no start says where to look."""
+
+LEAST_REDUCED = 60
+"""Rows and columns that a reduced picture must have to be worth a look."""
+
 LEARNING = 0.2
 """Share of a new picture in the densities that are handed on."""
 
@@ -88,27 +94,117 @@ def segment(
     shown = exposure(image, background, person=start, before=None if before is None else before.exposure)
     look = unknown(image.shape[2]) if before is None else before.appearance
     roi = _neighbourhood(start, shown_lines(image, background, shown))
+    rounds = ROUNDS if before is None else 0
     begin = None if start is None or not start.any() else start[roi]
-    picture, behind = np.ascontiguousarray(image[roi]), part(background, roi)
-    light = exposed(behind, shown)
-    least = LEAST_SHARE * image.shape[0] * image.shape[1]
+    if begin is None and prior is None and min(image.shape[:2]) >= REDUCED * LEAST_REDUCED:
+        seen = _where_somebody_is(image, background, roi, shown, look, length, rounds)
+        if seen is None:
+            return Silhouette(mask=np.zeros(image.shape[:2], bool), appearance=look, exposure=shown)
+        (roi, look), rounds = seen, min(rounds, 1)
+    scene = _scene(image, background, roi, shown)
     known, near = (np.float32(0), None) if begin is None else _too_far(begin, _margin(image.shape))
-    if begin is not None and (behind.trust < 1).any():
-        known = known + (1 - behind.trust) * shape_term(begin, 2 * LIMIT / _margin(image.shape), _margin(image.shape))
+    if begin is not None and (scene.background.trust < 1).any():
+        far = _margin(image.shape)
+        known = known + (1 - scene.background.trust) * shape_term(begin, 2 * LIMIT / far, far)
     if prior is not None:
         known = known + prior[roi].astype(np.float32)
-    for k in range(ROUNDS + 1 if before is None else 1):
-        votes, shade = evidence(picture, light, behind, shown, look, near=near)
-        region = begin = _fragments(_coarse_to_fine(votes + known, begin, length), least)
-        new = _learned(picture, region, votes, shade, behind.trust)
-        if before is None and k < ROUNDS:
-            look = new
+    least = LEAST_SHARE * image.shape[0] * image.shape[1]
+    found = _in_turn(scene, look, begin, known, near, length=length, least=least, rounds=rounds)
+    region = found.region
     if region.any():
-        edges = edge_evidence(picture, light, shown.noise, votes, region)
+        edges = edge_evidence(scene.picture, scene.light, shown.noise, found.votes, region)
         region = evolve(edges + known, region, length=EDGE_LENGTH)
     mask = np.zeros(image.shape[:2], bool)
     mask[roi] = region
-    return Silhouette(mask=mask, appearance=blended(look, new, LEARNING), exposure=shown)
+    return Silhouette(mask=mask, appearance=blended(found.look, found.learned, LEARNING), exposure=shown)
+
+
+@dataclass(frozen=True, eq=False)
+class _Scene:
+    """A part of a picture, the empty picture behind it, and that as the picture exposes it."""
+
+    picture: np.ndarray
+    background: Background
+    light: np.ndarray
+    shown: Exposure
+
+
+@dataclass(frozen=True, eq=False)
+class _Turned:
+    """What `_in_turn` finds: the region, its evidence, the densities used last and those learned from it."""
+
+    region: Mask
+    votes: np.ndarray
+    look: Appearance
+    learned: Appearance
+
+
+def _scene(image: np.ndarray, background: Background, roi: tuple[slice, slice], shown: Exposure) -> _Scene:
+    behind = part(background, roi)
+    return _Scene(np.ascontiguousarray(image[roi]), behind, exposed(behind, shown), shown)
+
+
+def _in_turn(
+    scene: _Scene,
+    look: Appearance,
+    begin: Mask | None,
+    known: np.ndarray | np.float32,
+    near: Mask | None,
+    *,
+    length: float,
+    least: float,
+    rounds: int,
+) -> _Turned:
+    """Estimate the region and the densities in turn."""
+    for k in range(rounds + 1):
+        votes, shade = evidence(scene.picture, scene.light, scene.background, scene.shown, look, near=near)
+        region = begin = _fragments(_coarse_to_fine(votes + known, begin, length), least)
+        new = _learned(scene.picture, region, votes, shade, scene.background.trust)
+        if k < rounds:
+            look = new
+    return _Turned(region, votes, look, new)
+
+
+def _where_somebody_is(
+    image: np.ndarray,
+    background: Background,
+    shown_part: tuple[slice, slice],
+    shown: Exposure,
+    look: Appearance,
+    length: float,
+    rounds: int,
+) -> tuple[tuple[slice, slice], Appearance] | None:
+    """Rows and columns about whoever the reduced picture shows, and the looks learned there; None for nobody."""
+    scene = _reduced(_scene(image, background, shown_part, shown))
+    # Somebody just large enough may be smaller here.
+    least = LEAST_SHARE * image.shape[0] * image.shape[1] / REDUCED**2 / 2
+    size = length / REDUCED
+    found = _in_turn(scene, look, None, np.float32(0), None, length=size, least=least, rounds=rounds)
+    if not found.region.any():
+        return None
+    roi, margin = [], _margin(image.shape)
+    for axis, whole in enumerate(shown_part):
+        lines = whole.start + REDUCED * np.flatnonzero(found.region.any(axis=1 - axis))
+        roi.append(slice(max(whole.start, lines[0] - margin), min(whole.stop, lines[-1] + REDUCED + margin)))
+    return (roi[0], roi[1]), found.look
+
+
+def _reduced(scene: _Scene) -> _Scene:
+    """The scene in a picture of a quarter of the width and height; what does not fill a pixel is left out."""
+    height, width = (n // REDUCED for n in scene.picture.shape[:2])
+
+    def smaller(image: np.ndarray) -> np.ndarray:
+        whole = image[: height * REDUCED, : width * REDUCED]
+        return cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA).reshape(height, width, *image.shape[2:])
+
+    full = scene.background
+    behind = Background(
+        mean=smaller(full.mean),
+        steepness=smaller(full.steepness),
+        trust=smaller(full.trust),
+        size=(full.size[0] // REDUCED, full.size[1] // REDUCED),
+    )
+    return _Scene(smaller(scene.picture), behind, exposed(behind, scene.shown), scene.shown)
 
 
 def shape_term(expected: Mask, weight: float, reach: float) -> np.ndarray:
