@@ -373,12 +373,27 @@ def shown_lines(image: np.ndarray, background: Background, exposure: Exposure) -
 def _bar(image: np.ndarray, background: Background, exposure: Exposure, axis: int, lines: range) -> int:
     """How many lines of a bar there are among these, which begin at a border."""
     for width, line in enumerate(lines):
-        seen, mean = np.take(image, line, axis).astype(np.float32), np.take(background.mean, line, axis)
-        blackest = min(np.median(seen.max(axis=1)), np.median(mean.max(axis=1)))
+        seen, mean = np.take(image, line, axis), np.take(background.mean, line, axis)
+        if width == 0 and min(_brightness(seen), _brightness(mean)) > BLACK:
+            return 0
         rest = np.abs(seen - mean * exposure.gain - exposure.offset) / exposure.noise
-        if (width == 0 and blackest > BLACK) or np.mean(rest.max(axis=1) > 4) < 0.9:
+        if np.mean(rest.max(axis=1) > 4) < 0.9:
             return width
     return len(lines)
+
+
+def _brightness(line: np.ndarray) -> float:
+    """Median over a line of the brightest channel."""
+    brightest = line[:, 0]
+    for c in range(1, line.shape[1]):
+        brightest = np.maximum(brightest, line[:, c])
+    return float(np.partition(brightest, len(brightest) // 2)[len(brightest) // 2])
+
+
+def _median_size(rest: np.ndarray) -> np.ndarray:
+    """Median of the absolute values in each column; of two in the middle the larger."""
+    middle = len(rest) // 2
+    return np.partition(np.abs(np.ascontiguousarray(rest.T)), middle, axis=1)[:, middle]
 
 
 def _gain_and_offset(
@@ -387,7 +402,7 @@ def _gain_and_offset(
     """Fit seen = gain * mean + offset a channel, (n, C) each; where the mean hardly varies the gain stays near one."""
     for _ in range(rounds):
         rest = seen - gain * mean - offset
-        spread = np.maximum(np.median(np.abs(rest), axis=0) * _MEDIAN_TO_DEVIATION, LEAST_NOISE)
+        spread = np.maximum(_median_size(rest) * _MEDIAN_TO_DEVIATION, LEAST_NOISE)
         weight = 1 / (1 + np.sum((rest / (2 * spread)) ** 2, axis=1, keepdims=True))
         total = weight.sum(axis=0)
         centre, middle = (weight * mean).sum(axis=0) / total, (weight * seen).sum(axis=0) / total

@@ -6,6 +6,7 @@ background model.
 """
 
 from dataclasses import dataclass
+from functools import cache
 
 import numba
 import numpy as np
@@ -53,6 +54,7 @@ def unknown(channels: int) -> Appearance:
     return Appearance(person=uniform * COMMON[channels], surroundings=uniform, shadow=_shadow_prior())
 
 
+@cache
 def _shadow_prior() -> np.ndarray:
     low, high = RATIO_RANGE
     ratios = low + (np.arange(RATIO_BINS) + 0.5) * (high - low) / RATIO_BINS
@@ -82,6 +84,7 @@ def colour_density(image: np.ndarray, region: Mask) -> np.ndarray:
     return (smooth / (total * volume)).astype(np.float32)
 
 
+@cache
 def _kernel(deviation: float) -> np.ndarray:
     reach = int(np.ceil(2.5 * deviation))
     weights = np.exp(-(np.arange(-reach, reach + 1) ** 2) / (2 * deviation**2))
@@ -130,8 +133,11 @@ def shadow_density(ratios: np.ndarray, *, strength: float = 500.0) -> np.ndarray
         strength: As many pixels the general expectation counts for.
     """
     low, high = RATIO_RANGE
-    counts, _ = np.histogram(ratios, RATIO_BINS, RATIO_RANGE)
-    smooth = np.convolve(np.pad(counts.astype(float), 8, mode="symmetric"), _kernel(3.0), "same")[8:-8]
+    seen = ratios[(ratios >= low) & (ratios <= high)]
+    places = ((seen - low) * (RATIO_BINS / (high - low))).astype(np.int64)
+    counts = np.bincount(np.minimum(places, RATIO_BINS - 1), minlength=RATIO_BINS).astype(float)
+    mirrored = np.concatenate([counts[7::-1], counts, counts[:-9:-1]])
+    smooth = np.convolve(mirrored, _kernel(3.0), "same")[8:-8]
     prior = _shadow_prior()
     scale = RATIO_BINS / (high - low)
     return ((smooth * scale + strength * prior) / (counts.sum() + strength)).astype(np.float32)

@@ -36,43 +36,45 @@ def edge_evidence(
         (H, W) float32 evidence, changed only within two pixels of the border.
     """
     square = np.ones((5, 5), np.uint8)
-    mask = region.astype(np.uint8)
+    mask = region.view(np.uint8)
     core = cv2.erode(mask, square, borderType=cv2.BORDER_REPLICATE)
     near = cv2.dilate(mask, square, borderType=cv2.BORDER_REPLICATE)
-    zone = (core + near).astype(np.uint8)
-    return _edge_evidence(picture, light, 1 / noise**2, votes, zone)
+    return _edge_evidence(picture, light, tuple(1 / noise**2), votes, cv2.add(core, near))
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
 def _edge_evidence(picture, light, weight, votes, zone):
-    height, width, channels = picture.shape
+    # The weights come as a tuple: its length is known when this is compiled, and the loops over channels unroll.
+    (height, width), channels = zone.shape, len(weight)
     result = votes.copy()
-    inside, limit = np.empty(channels, np.float32), np.float32(LIMIT)
-    enough = np.float32(CONTRAST**2)
+    inside, limit = np.empty(channels, np.int64), np.float32(LIMIT)
     for y in range(height):
         for x in range(width):
             if zone[y, x] != 1:
                 continue
-            inside[:] = 0
             count, above, below = 0, np.float32(0.0), np.float32(0.0)
+            for c in range(channels):
+                inside[c] = 0
             for row in range(max(y - NEAR, y % 2), min(y + NEAR + 1, height), 2):
                 for column in range(max(x - NEAR, x % 2), min(x + NEAR + 1, width), 2):
-                    if zone[row, column] == 2:
+                    side = zone[row, column]
+                    if side == 2:
                         count += 1
                         for c in range(channels):
                             inside[c] += picture[row, column, c]
-                    elif zone[row, column] == 0:
+                    elif side == 0:
                         for c in range(channels):
                             level = light[row, column, c]
                             above += level * np.float32(picture[row, column, c])
                             below += level * level
             if count == 0 or below == 0:
                 continue
-            shade, contrast, lean = above / below, np.float32(0.0), np.float32(0.0)
+            share, shade = np.float32(1.0) / np.float32(count), above / below
+            contrast, lean = np.float32(0.0), np.float32(0.0)
             for c in range(channels):
-                own, rest = inside[c] / count, shade * light[y, x, c]
+                own, rest = np.float32(inside[c]) * share, shade * light[y, x, c]
                 contrast += weight[c] * (own - rest) ** 2
                 lean += weight[c] * (own - rest) * (np.float32(picture[y, x, c]) - np.float32(0.5) * (own + rest))
-            if contrast > enough:
+            if contrast > np.float32(CONTRAST**2):
                 result[y, x] = min(max(lean, -limit), limit)
     return result

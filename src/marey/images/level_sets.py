@@ -126,20 +126,18 @@ def _lists(inside, phi, inner, outer):
     height, width = inside.shape
     inner_count, outer_count = 0, 0
     for y in range(height):
+        own, line = inside[y], phi[y]
+        above, below = inside[max(y - 1, 0)], inside[min(y + 1, height - 1)]
+        # Without a branch, so that the compiler makes vectors of it.
         for x in range(width):
-            own = inside[y, x]
-            border = (
-                (y > 0 and inside[y - 1, x] != own)
-                or (y < height - 1 and inside[y + 1, x] != own)
-                or (x > 0 and inside[y, x - 1] != own)
-                or (x < width - 1 and inside[y, x + 1] != own)
-            )
-            size = 1 if border else 3
-            phi[y, x] = -size if own else size
-            if border and own:
+            border = (own[x] ^ above[x]) | (own[x] ^ below[x])
+            border |= (own[x] ^ own[max(x - 1, 0)]) | (own[x] ^ own[min(x + 1, width - 1)])
+            line[x] = (1 - 2 * np.int8(own[x])) * (3 - 2 * np.int8(border))
+        for x in range(width):
+            if line[x] == -1:
                 inner[inner_count] = y * width + x
                 inner_count += 1
-            elif border:
+            elif line[x] == 1:
                 outer[outer_count] = y * width + x
                 outer_count += 1
     return inner_count, outer_count

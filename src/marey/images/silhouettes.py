@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import cv2
+import numba
 import numpy as np
 
 from marey.arrays import Mask
@@ -215,9 +216,12 @@ def shape_term(expected: Mask, weight: float, reach: float) -> np.ndarray:
         weight: Evidence a pixel of distance.
         reach: The pull stays the same from this distance on, pixels.
     """
-    inside = expected.astype(np.uint8)
-    distance = cv2.distanceTransform(inside, cv2.DIST_L2, 3) - cv2.distanceTransform(1 - inside, cv2.DIST_L2, 3)
-    return weight * np.clip(distance, -reach, reach)
+    inside, outside = (np.ascontiguousarray(side).view(np.uint8) for side in (expected, ~expected))
+    distance = cv2.distanceTransform(inside, cv2.DIST_L2, 3)
+    distance -= cv2.distanceTransform(outside, cv2.DIST_L2, 3)
+    np.clip(distance, -reach, reach, out=distance)
+    distance *= weight
+    return distance
 
 
 def _margin(shape: tuple[int, ...]) -> int:
@@ -227,9 +231,19 @@ def _margin(shape: tuple[int, ...]) -> int:
 
 def _too_far(start: Mask, margin: int) -> tuple[np.ndarray, Mask]:
     """Evidence against what is far from the start, from half the margin on; the pixels within the margin."""
-    distance = cv2.distanceTransform(1 - start.astype(np.uint8), cv2.DIST_L2, 3)
-    against = np.float32(-4 * LIMIT / margin) * np.maximum(distance - np.float32(margin / 2), 0)
-    return against, distance < margin
+    distance = cv2.distanceTransform((~start).view(np.uint8), cv2.DIST_L2, 3)
+    return _against(distance, np.float32(margin), np.float32(4 * LIMIT / margin))
+
+
+@numba.njit(cache=True, nogil=True)
+def _against(distance, margin, slope):
+    height, width = distance.shape
+    against, near = np.empty((height, width), np.float32), np.empty((height, width), np.bool_)
+    for y in range(height):
+        for x in range(width):
+            against[y, x] = -slope * max(distance[y, x] - np.float32(0.5) * margin, np.float32(0))
+            near[y, x] = distance[y, x] < margin
+    return against, near
 
 
 def _neighbourhood(start: Mask | None, shown: tuple[slice, slice]) -> tuple[slice, slice]:
@@ -270,23 +284,41 @@ def _coarse_to_fine(votes: np.ndarray, start: Mask | None, length: float) -> Mas
 
 def _fragments(region: Mask, least: float) -> Mask:
     """The largest connected region and those not too small beside it; nothing where the largest is below least."""
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(region.astype(np.uint8), connectivity=8)
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(region.view(np.uint8), connectivity=8)
     if count <= 1:
         return region
     areas = stats[1:, cv2.CC_STAT_AREA]
     if areas.max() < least:
         return np.zeros_like(region)
-    if count == 2:
-        return region
-    return np.concatenate([[False], areas >= FRAGMENT_SHARE * areas.max()])[labels]
+    kept = region.copy()
+    for k in np.flatnonzero(areas < FRAGMENT_SHARE * areas.max()) + 1:
+        x, y, width, height, _ = stats[k]
+        box = (slice(y, y + height), slice(x, x + width))
+        kept[box] &= labels[box] != k
+    return kept
 
 
 def _learned(picture: np.ndarray, region: Mask, votes: np.ndarray, shade: np.ndarray, trust: np.ndarray) -> Appearance:
     """Densities from the region as it is; where the background is doubtful it teaches only if there is nothing else."""
-    sure = region & (votes > SURE) & (trust > 0.5)
-    dark = shade[(shade > 0) & ~region]
+    sure, dark = _lessons(region, votes, shade, trust)
     return Appearance(
-        person=colour_density(picture, sure if 4 * sure.sum() > region.sum() else region),
+        person=colour_density(picture, sure if 4 * np.count_nonzero(sure) > np.count_nonzero(region) else region),
         surroundings=colour_density(picture, ~region),
-        shadow=shadow_density(dark[dark < 0.97]),
+        shadow=shadow_density(dark),
     )
+
+
+@numba.njit(cache=True, nogil=True)
+def _lessons(region, votes, shade, trust):
+    """Pixels that teach the person's colours; the darkening of the pixels that teach what shadows are like."""
+    height, width = region.shape
+    sure, dark = np.zeros((height, width), np.bool_), np.empty(height * width, np.float32)
+    count = 0
+    for y in range(height):
+        for x in range(width):
+            if region[y, x]:
+                sure[y, x] = votes[y, x] > np.float32(SURE) and trust[y, x] > np.float32(0.5)
+            elif np.float32(0) < shade[y, x] < np.float32(0.97):
+                dark[count] = shade[y, x]
+                count += 1
+    return sure, dark[:count].copy()
