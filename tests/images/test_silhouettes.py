@@ -122,3 +122,16 @@ def test_the_shape_term_is_the_signed_distance():
     assert term[50, 80] == 2.0
     assert term[5, 5] == -2.0
     assert (np.sign(term) == np.where(person(), 1, -1)).all()
+
+
+def test_in_a_large_picture_somebody_is_found_without_a_start_and_nobody_is_too(rng):
+    shape = (360, 480)
+    empty = np.kron(room(rng), np.ones((3, 3, 1)))
+    background = backgrounds.from_pictures([shown(empty, rng)])
+    somebody = np.kron(person(), np.ones((3, 3))) > 0
+    image = np.where(somebody[..., None], np.array([40.0, 60.0, 150.0]), empty)
+    assert somebody.shape == shape
+    assert overlap(segment(shown(image, rng), background).mask, somebody) > 0.98
+    nobody = segment(shown(empty, rng), background)
+    assert nobody.mask.shape == shape
+    assert not nobody.mask.any()

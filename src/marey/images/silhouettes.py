@@ -217,7 +217,7 @@ def shape_term(expected: Mask, weight: float, reach: float) -> np.ndarray:
         reach: The pull stays the same from this distance on, pixels.
     """
     inside, outside = (np.ascontiguousarray(side).view(np.uint8) for side in (expected, ~expected))
-    distance = cv2.distanceTransform(inside, cv2.DIST_L2, 3)
+    distance: np.ndarray = cv2.distanceTransform(inside, cv2.DIST_L2, 3)
     distance -= cv2.distanceTransform(outside, cv2.DIST_L2, 3)
     np.clip(distance, -reach, reach, out=distance)
     distance *= weight
