@@ -38,7 +38,7 @@ from marey.io.trial import Trial, read_trial
 from marey.motion.from_fit import motion_of
 
 SHAPE_ROUNDS = 4
-FINE_ROUNDS = 3
+FINE_ROUNDS = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,20 +136,23 @@ def _capture(run: Run, bodies: Bodies, log: FrameLog, better: FrameLog) -> None:
     """Go from pictures to results: silhouettes, person, silhouettes about the person, and the person again."""
     trial, progress = run.trial, run.progress
     cameras, first = list(trial.rig), trial.take.first
-    store, outlines = stages.MaskStore(log, first, cameras), stages.MaskStore(better, first, cameras)
+    outlines, small = stages.MaskStore(better, first, cameras), cameras
     if trial.masks:
-        stages.known_silhouettes(trial, store, progress)
-        outlines = store
+        stages.known_silhouettes(trial, outlines, progress)
+        store = outlines
     else:
-        views = [stages.Watched(model) for model in stages.backgrounds(trial, progress)]
-        # The second time around the looks of the person are known from the first frame on.
-        views = stages.find_silhouettes(trial, views, store, progress, name="Silhouettes")
+        models = stages.backgrounds(trial, progress)
+        small = stages.enough_for_tracking(trial, models)
+        store = stages.MaskStore(log, first, small)
+        views = [stages.Watched(stages.shrunk(m, c.size)) for m, c in zip(models, small, strict=True)]
+        stages.find_silhouettes(trial, views, small, store, progress, name="Silhouettes")
     frames = stages.frames_with_somebody(store)
     stages.require_somebody(trial, frames)
-    tracked = _tracked(run, Take(tuple(cameras), store, frames, trial.take.rate), bodies)
+    tracked = _tracked(run, Take(tuple(small), store, frames, trial.take.rate), bodies)
     if not trial.masks:
+        views = [stages.Watched(model) for model in models]
         predicted = stages.surface_masks(tracked.body, tracked.poses, cameras)
-        stages.find_silhouettes(trial, views, outlines, progress, name="Outlines", predicted=predicted)
+        stages.find_silhouettes(trial, views, cameras, outlines, progress, name="Outlines", predicted=predicted)
     fit = _refined(run, Take(tuple(cameras), outlines, tuple(tracked.poses), trial.take.rate), tracked, bodies)
     write_capture(run, fit, outlines, frames)
 
@@ -206,7 +209,12 @@ def begin(
     if trial.start is not None:
         joints = read_start_joints(trial.start, trial.rig, count=trial.take.count)
         found: tuple[int, Candidate] | None = start_from_joints(
-            take, joints.frame, joints.joint_names, joints.pixels, bodies.fine, run.person
+            take,
+            joints.frame,
+            joints.joint_names,
+            stages.in_small_pictures(joints.pixels, list(trial.rig), take.cameras),
+            bodies.fine,
+            run.person,
         )
         done(joints.frame)
     else:

@@ -14,7 +14,7 @@ from marey.body.surface import Body
 from marey.cameras.camera import Camera
 from marey.cli.progress import Progress
 from marey.errors import FileProblem
-from marey.images.background import Background, doubted, from_pictures, from_take, taught, worth_seeing
+from marey.images.background import Background, doubted, from_pictures, from_take, shrunk, taught, worth_seeing
 from marey.images.silhouettes import Silhouette, segment, shape_term
 from marey.io.masks import pack_mask, unpack_mask, write_masks
 from marey.io.stages import FrameLog
@@ -29,6 +29,10 @@ LESSONS = 10
 """Every so many pictures a doubtful background learns where the followed body is not."""
 PULL, PULL_REACH = 0.5, 8.0
 """How strongly the followed body pulls its silhouette: evidence a pixel of distance, up to so many pixels."""
+PEEK, PEEKS = 0.25, 6
+"""How much pictures are shrunken, and how many are looked at, to see how tall the person appears."""
+TRACKED_PX = 150.0
+"""Height of the person in pictures that are large enough for a start and for tracking [px]."""
 
 
 class MaskStore:
@@ -90,27 +94,56 @@ def backgrounds(trial: Trial, progress: Progress) -> list[Background]:
     return [models[name] for name in trial.rig.names]
 
 
+def enough_for_tracking(trial: Trial, models: Sequence[Background]) -> list[Camera]:
+    """Give the cameras of pictures that are just large enough for the first silhouettes and for tracking.
+
+    Some pictures of the take, much shrunken, tell how tall the person appears.
+    """
+    take, cameras = trial.take, list(trial.rig)
+    small = [camera.scaled(PEEK) for camera in cameras]
+    peeks = [shrunk(model, camera.size) for model, camera in zip(models, small, strict=True)]
+    heights = []
+    for _, images in take.at([int(i) for i in np.unique(np.linspace(take.first, take.end - 1, PEEKS).astype(int))]):
+        for image, model, camera in zip(images, peeks, small, strict=True):
+            seen = segment(_resized(image, camera), model).mask
+            heights.append(np.count_nonzero(seen.any(1)) / PEEK)
+    tallest = max(heights)
+    factor = min(1.0, float(2.0 ** np.ceil(np.log2(TRACKED_PX / tallest)))) if tallest > 0 else 1.0
+    return [camera.scaled(factor) for camera in cameras]
+
+
+def _resized(image: Image, camera: Camera) -> Image:
+    if (image.shape[1], image.shape[0]) == camera.size:
+        return image
+    return np.asarray(cv2.resize(image, camera.size, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def in_small_pictures(pixels: Floats, cameras: Sequence[Camera], small: Sequence[Camera]) -> Floats:
+    """Carry pixels (C, n, 2) of whole pictures to shrunken ones, whose pixel centres lie at whole numbers too."""
+    factors = np.array([after.width / before.width for before, after in zip(cameras, small, strict=True)])
+    return (pixels + 0.5) * factors[:, None, None] - 0.5
+
+
 def find_silhouettes(
     trial: Trial,
     views: "Sequence[Watched]",
+    cameras: Sequence[Camera],
     store: MaskStore,
     progress: Progress,
     *,
     name: str,
     predicted: Callable[[int], Sequence[Mask] | None] = lambda frame: None,
-) -> "list[Watched]":
+) -> None:
     """Find the silhouettes of all frames that are not in the store yet.
 
     Args:
         trial: Its take is gone through once, in order.
-        views: What is known of each camera's empty picture, and of the person's looks.
+        views: What is known of each camera's empty picture.
+        cameras: Of the pictures' size that is wanted.
         store: Takes the silhouettes.
         progress: Is told.
         name: Of the stage.
         predicted: Gives for a frame where the body is believed, one mask a camera; None where nobody knows.
-
-    Returns:
-        What is known of each camera in the end.
     """
     take = trial.take
     done = len(store.frames)
@@ -121,10 +154,9 @@ def find_silhouettes(
     ):
         for frame, images in take.frames(first=take.first + done):
             starts: Sequence[Mask | None] = predicted(frame) or [None] * len(views)
-            views = list(pool.map(watch, views, images, starts))
+            views = list(pool.map(watch, views, map(_resized, images, cameras), starts))
             store.append([view.mask for view in views])
             step()
-    return views
 
 
 @dataclass(frozen=True, eq=False)

@@ -272,6 +272,15 @@ def _check(pictures: Sequence[np.ndarray]) -> None:
         raise ValueError("the pictures of a background must be (H, W, C) and of one size")
 
 
+def shrunk(background: Background, size: tuple[int, int]) -> Background:
+    """The background of pictures that are resized to a width and height, smaller ones."""
+    if (background.size[1], background.size[0]) == size:
+        return background
+    mean = cv2.resize(background.mean, size, interpolation=cv2.INTER_AREA)
+    trust = cv2.resize(background.trust, size, interpolation=cv2.INTER_AREA)
+    return _background(mean.reshape(size[1], size[0], -1), trust=trust)
+
+
 def _background(mean: np.ndarray, trust: np.ndarray | None = None) -> Background:
     mean = mean.astype(np.float32)
     trust = np.ones(mean.shape[:2]) if trust is None else trust
