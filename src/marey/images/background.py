@@ -409,17 +409,39 @@ def _gain_and_offset(
     seen: np.ndarray, mean: np.ndarray, gain: np.ndarray, offset: np.ndarray, *, rounds: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Fit seen = gain * mean + offset a channel, (n, C) each; where the mean hardly varies the gain stays near one."""
+    gain, offset = np.array(gain, np.float64), np.array(offset, np.float64)
     for _ in range(rounds):
-        rest = seen - gain * mean - offset
+        rest = seen - gain.astype(np.float32) * mean - offset.astype(np.float32)
         spread = np.maximum(_median_size(rest) * _MEDIAN_TO_DEVIATION, LEAST_NOISE)
-        weight = 1 / (1 + np.sum((rest / (2 * spread)) ** 2, axis=1, keepdims=True))
-        total = weight.sum(axis=0)
-        centre, middle = (weight * mean).sum(axis=0) / total, (weight * seen).sum(axis=0) / total
+        gain, offset = _weighted_line(seen, mean, rest, spread)
+    return gain, offset
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _weighted_line(seen, mean, rest, spread):
+    """One round of `_gain_and_offset`: gain and offset (C,) by least squares with Cauchy's weights."""
+    count, channels = seen.shape
+    total = 0.0
+    sums = np.zeros((4, channels))
+    for i in range(count):
+        far = 1.0
+        for c in range(channels):
+            far += (rest[i, c] / (2 * spread[c])) ** 2
+        weight = 1 / far
+        total += weight
+        for c in range(channels):
+            x, y = np.float64(mean[i, c]), np.float64(seen[i, c])
+            sums[0, c] += weight * x
+            sums[1, c] += weight * y
+            sums[2, c] += weight * x * x
+            sums[3, c] += weight * x * y
+    gain, offset = np.empty(channels), np.empty(channels)
+    for c in range(channels):
+        centre, middle = sums[0, c] / total, sums[1, c] / total
         # One measurement more: the gain is one, give or take a fifth.
-        prior = spread**2 / 0.2**2
-        above = (weight * (mean - centre) * (seen - middle)).sum(axis=0) + prior
-        gain = above / ((weight * (mean - centre) ** 2).sum(axis=0) + prior)
-        offset = middle - gain * centre
+        prior = spread[c] ** 2 / 0.2**2
+        gain[c] = (sums[3, c] - total * centre * middle + prior) / (sums[2, c] - total * centre**2 + prior)
+        offset[c] = middle - gain[c] * centre
     return gain, offset
 
 

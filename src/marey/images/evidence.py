@@ -110,20 +110,23 @@ def _nearest_shade(shade, own, y, x, reach):
 
 
 @numba.njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
-def _tail(misfit, channels):
-    """(1 + m^2 / nu) to the power of (nu + C) / 2: 4 for colours, 3 for grey values; and no call of pow."""
-    base = np.float32(1.0) + misfit * np.float32(1 / FREEDOM)
-    return base * base * base * (base if channels == 3 else np.float32(1.0))
+def _tail(misfit, volume, channels):
+    """(1 + m^2 / nu) to the power of -(nu + C) / 2, m^2 = misfit / volume: -4 for colours, -3 for grey values."""
+    inverse = volume / (volume + misfit * np.float32(1 / FREEDOM))
+    return inverse * inverse * inverse * (inverse if channels == 3 else np.float32(1.0))
 
 
 @numba.njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
 def _plain(picture, light, y, x, noise, spread):
-    """Squared distance from the background in standard deviations, and the product of the variances."""
+    """Squared distance from the background in standard deviations times the product of the variances; that product.
+
+    Divisions are dear: the fractions are added over a common denominator.
+    """
     misfit, volume = np.float32(0.0), np.float32(1.0)
     for c in range(len(noise)):
         difference = np.float32(picture[y, x, c]) - light[y, x, c]
         variance = noise[c] + spread
-        misfit += difference * difference / variance
+        misfit = misfit * variance + difference * difference * volume
         volume *= variance
     return misfit, volume
 
@@ -140,26 +143,28 @@ def _shadowed(picture, light, y, x, noise, spread, ratio, square, shadow):
     for c in range(channels):
         difference = np.float32(picture[y, x, c]) - ratio * light[y, x, c]
         width = noise[c] + slack
-        misfit += difference * difference / width
+        misfit = misfit * width + difference * difference * volume
         volume *= width
         widths += width
     # The t density takes the darkening for known; to within the noise it has 2.5 sd of its density.
     place = min(int((ratio - low) * np.float32(RATIO_BINS / (high - low))), RATIO_BINS - 1)
-    known = shadow[place] * np.sqrt(widths / (channels * square))
-    return np.float32(2.5 * SHADOW_SHARE) * known / (np.sqrt(volume) * _tail(misfit, channels))
+    known = shadow[place] * np.sqrt(widths / (np.float32(channels) * square * volume))
+    return np.float32(2.5 * SHADOW_SHARE) * known * _tail(misfit, volume, channels)
 
 
 @numba.njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
 def _veiled(picture, light, y, x, noise, spread, change, row, column, veil):
     """Density of a veil that changes the pixels around by this much."""
-    misfit, strength = np.float32(0.0), np.float32(0.0)
+    misfit, volume, strength = np.float32(0.0), np.float32(1.0), np.float32(0.0)
     for c in range(len(noise)):
         difference = np.float32(picture[y, x, c]) - light[y, x, c]
         around = change[row, column, c]
         rest = difference - around
-        misfit += rest * rest / (noise[c] + spread + np.float32(VEIL_SLACK**2) * difference * difference)
+        variance = noise[c] + spread + np.float32(VEIL_SLACK**2) * difference * difference
+        misfit = misfit * variance + rest * rest * volume
+        volume *= variance
         strength += around * around
-    return veil[int(np.sqrt(strength))] / _tail(misfit, len(noise))
+    return veil[int(np.sqrt(strength))] * _tail(misfit, volume, len(noise))
 
 
 @numba.njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
@@ -190,9 +195,9 @@ def _evidence(
                 index = (index << 5) + (picture[y, x, c] >> 3) if channels == 3 else picture[y, x, c]
             spread = jitter * steepness[y, x]
             misfit, volume = _plain(picture, light, y, x, noise, spread)
-            density = peak / (np.sqrt(volume) * _tail(misfit, channels))
+            density = peak * _tail(misfit, volume, channels) / np.sqrt(volume)
             # Where the plain background explains the pixel well the others add nothing.
-            if misfit > 2 * channels:
+            if misfit > np.float32(2 * channels) * volume:
                 above, below = np.float32(0.0), np.float32(0.0)
                 for c in range(channels):
                     above += np.float32(picture[y, x, c]) * light[y, x, c]
