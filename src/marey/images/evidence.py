@@ -102,10 +102,15 @@ def _nearest_shade(shade, own, y, x, reach):
     """Of five windows about a pixel the darkening nearest to its own: a border does not spoil them all."""
     height, width = shade.shape
     best, best_row, best_column = shade[y, x], y, x
+    gap = abs(best - own)
     for dy, dx in ((-reach, 0), (reach, 0), (0, -reach), (0, reach)):
         row, column = min(max(y + dy, 0), height - 1), min(max(x + dx, 0), width - 1)
-        if abs(shade[row, column] - own) < abs(best - own):
-            best, best_row, best_column = shade[row, column], row, column
+        value = shade[row, column]
+        # Choices instead of branches, which nobody could predict.
+        nearer = abs(value - own) < gap
+        gap = abs(value - own) if nearer else gap
+        best = value if nearer else best
+        best_row, best_column = row if nearer else best_row, column if nearer else best_column
     return best, best_row, best_column
 
 

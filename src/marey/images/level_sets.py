@@ -134,10 +134,12 @@ def _lists(inside, phi, inner, outer):
     for y in range(height):
         own, line = inside[y], phi[y]
         above, below = inside[max(y - 1, 0)], inside[min(y + 1, height - 1)]
-        # Without a branch, so that the compiler makes vectors of it.
-        for x in range(width):
-            border = (own[x] ^ above[x]) | (own[x] ^ below[x])
-            border |= (own[x] ^ own[max(x - 1, 0)]) | (own[x] ^ own[min(x + 1, width - 1)])
+        # Without branches, so that the compiler makes vectors of it.
+        for x in range(1, width - 1):
+            border = (own[x] ^ above[x]) | (own[x] ^ below[x]) | (own[x] ^ own[x - 1]) | (own[x] ^ own[x + 1])
+            line[x] = (1 - 2 * np.int8(own[x])) * (3 - 2 * np.int8(border))
+        for x, beside in ((0, min(1, width - 1)), (width - 1, max(width - 2, 0))):
+            border = (own[x] ^ above[x]) | (own[x] ^ below[x]) | (own[x] ^ own[beside])
             line[x] = (1 - 2 * np.int8(own[x])) * (3 - 2 * np.int8(border))
         for x in range(width):
             if line[x] == -1:

@@ -1,6 +1,7 @@
 """Silhouettes: two regions of a picture, the person and the rest, found from coarse to fine."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numba
@@ -176,7 +177,7 @@ def _where_somebody_is(
     rounds: int,
 ) -> tuple[tuple[slice, slice], Appearance] | None:
     """Rows and columns about whoever the reduced picture shows, and the looks learned there; None for nobody."""
-    scene = _reduced(_scene(image, background, shown_part, shown))
+    scene = _reduced(image, background, shown_part, shown)
     # Somebody just large enough may be smaller here.
     least = LEAST_SHARE * image.shape[0] * image.shape[1] / REDUCED**2 / 2
     size = length / REDUCED
@@ -190,22 +191,29 @@ def _where_somebody_is(
     return (roi[0], roi[1]), found.look
 
 
-def _reduced(scene: _Scene) -> _Scene:
-    """The scene in a picture of a quarter of the width and height; what does not fill a pixel is left out."""
-    height, width = (n // REDUCED for n in scene.picture.shape[:2])
+def _reduced(image: np.ndarray, background: Background, roi: tuple[slice, slice], shown: Exposure) -> _Scene:
+    """A part in a picture of a quarter of the width and height; what does not fill a pixel is left out."""
+    rows, columns = roi
+    behind = _reduced_background(background, rows.start, rows.stop, columns.start, columns.stop)
+    return _Scene(_smaller(image[roi]), behind, exposed(behind, shown), shown)
 
-    def smaller(image: np.ndarray) -> np.ndarray:
-        whole = image[: height * REDUCED, : width * REDUCED]
-        return cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA).reshape(height, width, *image.shape[2:])
 
-    full = scene.background
-    behind = Background(
-        mean=smaller(full.mean),
-        steepness=smaller(full.steepness),
-        trust=smaller(full.trust),
-        size=(full.size[0] // REDUCED, full.size[1] // REDUCED),
+@lru_cache(maxsize=16)
+def _reduced_background(background: Background, top: int, bottom: int, left: int, right: int) -> Background:
+    """The same of the empty picture, which serves many pictures."""
+    roi = slice(top, bottom), slice(left, right)
+    return Background(
+        mean=_smaller(background.mean[roi]),
+        steepness=_smaller(background.steepness[roi]),
+        trust=_smaller(background.trust[roi]),
+        size=(background.size[0] // REDUCED, background.size[1] // REDUCED),
     )
-    return _Scene(smaller(scene.picture), behind, exposed(behind, scene.shown), scene.shown)
+
+
+def _smaller(image: np.ndarray) -> np.ndarray:
+    height, width = (n // REDUCED for n in image.shape[:2])
+    whole = image[: height * REDUCED, : width * REDUCED]
+    return cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA).reshape(height, width, *image.shape[2:])
 
 
 def shape_term(expected: Mask, weight: float, reach: float) -> np.ndarray:
@@ -231,18 +239,19 @@ def _margin(shape: tuple[int, ...]) -> int:
 
 def _too_far(start: Mask, margin: int) -> tuple[np.ndarray, Mask]:
     """Evidence against what is far from the start, from half the margin on; the pixels within the margin."""
-    distance = cv2.distanceTransform((~start).view(np.uint8), cv2.DIST_L2, 3)
-    return _against(distance, np.float32(margin), np.float32(4 * LIMIT / margin))
+    # Half the resolution is enough for a slope that is so wide.
+    distance = cv2.distanceTransform((~start[::2, ::2]).view(np.uint8), cv2.DIST_L2, 3)
+    return _against(distance, *start.shape, np.float32(margin), np.float32(4 * LIMIT / margin))
 
 
 @numba.njit(cache=True, nogil=True)
-def _against(distance, margin, slope):
-    height, width = distance.shape
+def _against(distance, height, width, margin, slope):
     against, near = np.empty((height, width), np.float32), np.empty((height, width), np.bool_)
     for y in range(height):
         for x in range(width):
-            against[y, x] = -slope * max(distance[y, x] - np.float32(0.5) * margin, np.float32(0))
-            near[y, x] = distance[y, x] < margin
+            far = np.float32(2) * distance[y >> 1, x >> 1]
+            against[y, x] = -slope * max(far - np.float32(0.5) * margin, np.float32(0))
+            near[y, x] = far < margin
     return against, near
 
 
@@ -284,18 +293,26 @@ def _coarse_to_fine(votes: np.ndarray, start: Mask | None, length: float) -> Mas
 
 def _fragments(region: Mask, least: float) -> Mask:
     """The largest connected region and those not too small beside it; nothing where the largest is below least."""
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(region.view(np.uint8), connectivity=8)
-    if count <= 1:
-        return region
-    areas = stats[1:, cv2.CC_STAT_AREA]
-    if areas.max() < least:
-        return np.zeros_like(region)
-    kept = region.copy()
-    for k in np.flatnonzero(areas < FRAGMENT_SHARE * areas.max()) + 1:
-        x, y, width, height, _ = stats[k]
-        box = (slice(y, y + height), slice(x, x + width))
-        kept[box] &= labels[box] != k
-    return kept
+    count, labels = cv2.connectedComponents(region.view(np.uint8), connectivity=8)
+    return _large(labels, count, FRAGMENT_SHARE, least)
+
+
+@numba.njit(cache=True, nogil=True)
+def _large(labels, count, share, least):
+    """Pixels of the regions with at least a share of the largest one's pixels, if that has no less than least."""
+    height, width = labels.shape
+    areas = np.zeros(count, np.int64)
+    for y in range(height):
+        for x in range(width):
+            areas[labels[y, x]] += 1
+    areas[0] = 0
+    largest = areas.max()
+    kept = (areas >= share * largest) & (areas > 0) & (largest >= least)
+    result = np.empty((height, width), np.bool_)
+    for y in range(height):
+        for x in range(width):
+            result[y, x] = kept[labels[y, x]]
+    return result
 
 
 def _learned(picture: np.ndarray, region: Mask, votes: np.ndarray, shade: np.ndarray, trust: np.ndarray) -> Appearance:
@@ -303,7 +320,7 @@ def _learned(picture: np.ndarray, region: Mask, votes: np.ndarray, shade: np.nda
     sure, dark = _lessons(region, votes, shade, trust)
     return Appearance(
         person=colour_density(picture, sure if 4 * np.count_nonzero(sure) > np.count_nonzero(region) else region),
-        surroundings=colour_density(picture, ~region),
+        surroundings=colour_density(picture[::2], ~region[::2]),
         shadow=shadow_density(dark),
     )
 
