@@ -34,7 +34,7 @@ class SequenceSettings:
     trunk_acceleration: float = 47.0
     root_acceleration: float = 12.0
     """Standard deviation of the pelvis' acceleration [m/s2]."""
-    habit: float = 0.01
+    habit: float = 0.1
     """How many observations the joints' habits are worth in each frame."""
     gate: tuple[float, float] = (8.0, 5.0)
     scale: tuple[float, float] = (4.0, 2.0)

@@ -32,7 +32,7 @@ class TrackSettings:
     root_turn: float = float(np.deg2rad(10.0))
     root_shift: float = 0.06
     """Spread of the pelvis about its prediction over a thirtieth of a second [m]."""
-    habit: float = 0.01
+    habit: float = 0.1
     fall: float = 0.012
     """Loss of agreement, against the running median, at which limbs are searched again."""
     unexplained: float = 0.008
