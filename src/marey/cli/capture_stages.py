@@ -31,7 +31,7 @@ PULL, PULL_REACH = 0.5, 8.0
 """How strongly the followed body pulls its silhouette: evidence a pixel of distance, up to so many pixels."""
 PEEK, PEEKS = 0.25, 6
 """How much pictures are shrunken, and how many are looked at, to see how tall the person appears."""
-TRACKED_PX = 150.0
+TRACKED_PX = 300.0
 """Height of the person in pictures that are large enough for a start and for tracking [px]."""
 
 
