@@ -36,8 +36,8 @@ class SequenceSettings:
     """Standard deviation of the pelvis' acceleration [m/s2]."""
     habit: float = 0.1
     """How many observations the joints' habits are worth in each frame."""
-    gate: tuple[float, float] = (20.0, 6.0)
-    scale: tuple[float, float] = (8.0, 3.0)
+    gate: tuple[float, float] = (20.0, 5.0)
+    scale: tuple[float, float] = (6.0, 2.0)
     sigma_px: float = 3.2
     clip: float = 3.0
     """No shape number goes farther from the prior's mean than so many standard deviations."""
