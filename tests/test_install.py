@@ -40,7 +40,7 @@ def test_pages_link_only_to_what_is_there(page: Path):
     links = [link.split("#")[0] for link in re.findall(r"\]\(([^)\s]+)\)", text) if "://" not in link]
     missing = [link for link in links if link and not (page.parent / link).exists()]
     # The figures are written when a release is measured.
-    assert [link for link in missing if not link.endswith("accuracy.md")] == []
+    assert missing == []
 
 
 def test_data_that_the_program_reads_is_declared_as_part_of_the_package():
