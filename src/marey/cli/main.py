@@ -33,7 +33,7 @@ Cameras = Annotated[str | None, typer.Option(metavar="A,B,...", help="Names of t
 Frames = Annotated[str | None, typer.Option(metavar="A:B", help="Only frames A to B, without B; they count from 0.")]
 Preset = Annotated[
     str | None,
-    typer.Option(metavar="NAME", help="What to follow: full, upper, left_arm, right_arm, left_leg or right_leg."),
+    typer.Option(metavar="NAME", help="What to follow: full or upper."),
 ]
 Stature = Annotated[float | None, typer.Option(metavar="M", help="The person's height in metres, where it is known.")]
 Start = Annotated[
