@@ -7,7 +7,7 @@ import pytest
 from tests import worlds
 
 from marey.body.pose import PosedBody
-from marey.fit.body_solver import dense_equations, fit_body
+from marey.fit.body_solver import bounded_body_step, bounded_step, dense_equations, fit_body, shape_reach
 from marey.fit.levels import Level
 from marey.fit.moments import gather_moments, normal_equations
 from marey.fit.pose_solver import Schedule, add_dense, match_all
@@ -85,3 +85,45 @@ def test_no_number_leaves_the_reach_that_is_allowed(scene):
     start = truth.body.with_numbers(np.zeros(5))
     fitted = fit_body(PosedBody(start, truth.pose), level.sightings, PRIORS, schedule=SCHEDULE, clip=0.5)
     assert np.abs(fitted.body.numbers).max() == pytest.approx(0.5)
+
+
+def test_a_bounded_step_is_the_lowest_point_within_the_bounds(rng):
+    square = rng.normal(size=(12, 6))
+    information, gradient = square.T @ square, 5.0 * rng.normal(size=6)
+    least, greatest = -rng.uniform(0.0, 0.5, 6), rng.uniform(0.0, 0.5, 6)
+    step = bounded_step(information, gradient, least, greatest)
+    assert np.all((step >= least - 1e-6) & (step <= greatest + 1e-6))
+    slope = gradient + information @ step
+    inside = (step > least + 1e-6) & (step < greatest - 1e-6)
+    np.testing.assert_allclose(slope[inside], 0.0, atol=1e-6)
+    assert np.all(slope[step <= least + 1e-6] >= -1e-6)
+    assert np.all(slope[step >= greatest - 1e-6] <= 1e-6)
+
+
+def test_without_bounds_in_reach_the_step_is_that_of_all_unknowns(rng):
+    square = rng.normal(size=(40, 16))
+    hessian, gradient = square.T @ square, 0.1 * rng.normal(size=16)
+    wide = (np.full(6, -1e3), np.full(6, 1e3))
+    np.testing.assert_allclose(
+        bounded_body_step(hessian, gradient, 10, wide), -np.linalg.solve(hessian, gradient), atol=1e-6
+    )
+
+
+def test_the_pose_suits_the_shape_that_is_allowed(rng):
+    square = rng.normal(size=(40, 16))
+    hessian, gradient = square.T @ square, 0.1 * rng.normal(size=16)
+    free = -np.linalg.solve(hessian, gradient)
+    held = 0.2 * np.abs(free[10:])
+    step = bounded_body_step(hessian, gradient, 10, (-held, held))
+    np.testing.assert_allclose((gradient + hessian @ step)[:10], 0.0, atol=1e-6)
+    assert np.all(np.abs(step[10:]) <= held + 1e-6)
+
+
+def test_the_reach_ends_where_the_clip_says(scene):
+    body = scene[0].body
+    least, greatest = shape_reach(body, 2.0)
+    spread = 2.0 * np.sqrt(np.diag(body.space.prior_covariance))
+    np.testing.assert_allclose(body.numbers + least, body.space.prior_mean - spread)
+    np.testing.assert_allclose(body.numbers + greatest, body.space.prior_mean + spread)
+    far = body.with_numbers(body.space.prior_mean + 2.0 * spread)
+    assert np.all(shape_reach(far, 2.0)[1] == 0.0)

@@ -38,7 +38,7 @@ from marey.io.trial import Trial, read_trial
 from marey.motion.from_fit import motion_of
 
 SHAPE_ROUNDS = 4
-FINE_ROUNDS = 8
+FINE_ROUNDS = 4
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,10 +4,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import scipy.linalg
+import scipy.optimize
 
 from marey.arrays import Floats
 from marey.body.pose import PosedBody
-from marey.fit.pose_solver import Schedule, add_dense, match_all, solve_step
+from marey.body.surface import Body
+from marey.fit.pose_solver import LONGEST_TURN, Schedule, add_dense, match_all, solve_step
 from marey.observations.correspondence import Sighting
 from marey.observations.observation import Observation, SurfaceObservation
 
@@ -47,14 +50,53 @@ def fit_body(
         clip: no shape number goes farther from the prior's mean than so many standard deviations.
     """
     degrees = len(posed.body.skeleton)
-    space = posed.body.space
-    reach = clip * np.sqrt(np.diag(space.prior_covariance))
     for iteration in range(schedule.iterations):
         matching, scale = schedule.at(iteration)
         found, weights = match_all(posed, sightings, matching, scale)
         hessian, gradient, _ = dense_equations(posed, found, weights, others)
-        step = solve_step(hessian, gradient, degrees=degrees)
+        step = bounded_body_step(hessian, gradient, degrees, shape_reach(posed.body, clip))
         numbers = posed.body.numbers + step[degrees:]
-        numbers = np.clip(numbers, space.prior_mean - reach, space.prior_mean + reach)
         posed = replace(posed, body=posed.body.with_numbers(numbers), pose=posed.pose.step(step[:degrees]))
     return posed
+
+
+def shape_reach(body: Body, clip: float) -> tuple[Floats, Floats]:
+    """Give the least and the greatest step (M,) that the shape's numbers may take."""
+    space = body.space
+    reach = clip * np.sqrt(np.diag(space.prior_covariance))
+    from_mean = body.numbers - space.prior_mean
+    return np.minimum(-reach - from_mean, 0.0), np.maximum(reach - from_mean, 0.0)
+
+
+def bounded_step(information: Floats, gradient: Floats, least: Floats, greatest: Floats) -> Floats:
+    """Minimise a quadratic within bounds.
+
+    Args:
+        information: (M, M) positive definite.
+        gradient: (M,) at zero.
+        least: (M,) lower bounds, not above zero.
+        greatest: (M,) upper bounds, not below zero.
+    """
+    upper = scipy.linalg.cholesky(information)
+    target = -scipy.linalg.solve_triangular(upper, gradient, trans="T")
+    margin = 1e-9 + 1e-9 * np.abs(gradient)  # the solver wants room between the bounds
+    found = scipy.optimize.lsq_linear(upper, target, (least - margin, greatest + margin), method="bvls").x
+    return np.clip(found, least, greatest)
+
+
+def bounded_body_step(hessian: Floats, gradient: Floats, degrees: int, reach: tuple[Floats, Floats]) -> Floats:
+    """Solve for a Gauss-Newton step (D + M,) whose shape stays within reach; the pose's step suits the shape's.
+
+    A shape cut off afterwards would leave the pose to make up for a change that never came.
+    """
+    step = solve_step(hessian, gradient, degrees=degrees)
+    least, greatest = reach
+    if np.all((step[degrees:] >= least) & (step[degrees:] <= greatest)):
+        return step
+    pose, cross = hessian[:degrees, :degrees], hessian[:degrees, degrees:]
+    answer = np.linalg.solve(pose, np.column_stack([gradient[:degrees], cross]))
+    information = hessian[degrees:, degrees:] - cross.T @ answer[:, 1:]
+    shape = bounded_step(information, gradient[degrees:] - cross.T @ answer[:, 0], least, greatest)
+    whole = np.concatenate([-(answer[:, 0] + answer[:, 1:] @ shape), shape])
+    longest = np.abs(whole[3:degrees]).max()
+    return whole if longest <= LONGEST_TURN else whole * (LONGEST_TURN / longest)

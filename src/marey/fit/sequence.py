@@ -15,7 +15,7 @@ from marey.arrays import Floats, Integers
 from marey.body.pose import Pose, PosedBody
 from marey.body.skeleton import Skeleton
 from marey.body.surface import Body
-from marey.fit.body_solver import dense_equations
+from marey.fit.body_solver import bounded_step, dense_equations, shape_reach
 from marey.fit.levels import FrameLevels
 from marey.fit.moments import gather_moments, normal_equations
 from marey.fit.pose_solver import Schedule, add_dense, match_all
@@ -132,12 +132,13 @@ class _System:
         columns = np.arange(column * degrees, (column + 1) * degrees)
         self.band[len(self.band) - 1 - offset, columns] += values
 
-    def solve(self, trust: Floats, shape_trust: float) -> tuple[Floats, Floats, Floats]:
-        """Solve by eliminating the poses: give their step (F D,), the shape's (M,) and its information (M, M).
+    def solve(self, trust: Floats, shape_trust: float, reach: tuple[Floats, Floats]) -> tuple[Floats, Floats]:
+        """Solve by eliminating the poses: give their step (F D,) and the shape's (M,).
 
         Args:
             trust: (D,) how far a coordinate is believed to lie from where it stands; it damps what nothing fixes.
             shape_trust: the same for the shape's numbers.
+            reach: (M,) least and greatest step of the shape's numbers; the poses' steps suit the step that is taken.
         """
         band = self.band.copy()
         band[-1] += np.tile(1.0 / trust**2, band.shape[1] // len(trust))
@@ -145,11 +146,11 @@ class _System:
         factor = scipy.linalg.cholesky_banded(band, check_finite=False)
         right = np.concatenate([self.gradient[:, None], self.border], 1)
         solved = scipy.linalg.cho_solve_banded((factor, False), right, check_finite=False)
-        information = corner - self.border.T @ solved[:, 1:]
         if len(self.corner) == 0:
-            return -solved[:, 0], np.zeros(0), information
-        shape = -np.linalg.solve(information, self.shape_gradient - self.border.T @ solved[:, 0])
-        return -(solved[:, 0] + solved[:, 1:] @ shape), shape, information
+            return -solved[:, 0], np.zeros(0)
+        information = corner - self.border.T @ solved[:, 1:]
+        shape = bounded_step(information, self.shape_gradient - self.border.T @ solved[:, 0], *reach)
+        return -(solved[:, 0] + solved[:, 1:] @ shape), shape
 
 
 def refine_sequence(
@@ -191,10 +192,11 @@ def refine_sequence(
             if frames[f + 1] - frames[f - 1] == 2:
                 system.add_smoothness(f, poses, spread)
         degrees = len(spread)
-        step, shape, _ = system.solve(np.array([TRUST_M] * 3 + [TRUST_RAD] * (degrees - 3)), TRUST_SHAPE)
+        trust = np.array([TRUST_M] * 3 + [TRUST_RAD] * (degrees - 3))
+        step, shape = system.solve(trust, TRUST_SHAPE, shape_reach(body, settings.clip))
         poses = [p.step(s) for p, s in zip(poses, step.reshape(-1, degrees), strict=True)]
         if free:
-            body = _reshape(body, shape, settings.clip)
+            body = body.with_numbers(body.numbers + shape)
         if round_ == rounds - 1:
             covariance = _covariances(system, degrees)
             body = replace(body, numbers_covariance=covariance[0, degrees:, degrees:]) if free else body
@@ -202,12 +204,6 @@ def refine_sequence(
     if fit is None:
         raise ValueError("at least one round is needed")
     return fit
-
-
-def _reshape(body: Body, step: Floats, clip: float) -> Body:
-    space = body.space
-    reach = clip * np.sqrt(np.diag(space.prior_covariance))
-    return body.with_numbers(np.clip(body.numbers + step, space.prior_mean - reach, space.prior_mean + reach))
 
 
 def _assemble(
