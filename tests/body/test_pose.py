@@ -127,3 +127,15 @@ def test_a_turn_of_the_root_is_the_exponential_and_stays_a_rotation(rng, length)
     np.testing.assert_allclose(after, rotations.exp(turn) @ rotations.nearest(before), atol=1e-8)
     if length:
         np.testing.assert_allclose(after.T @ after, np.eye(3), atol=5e-15)
+
+
+def test_the_shares_of_a_face_are_those_of_its_corners(rng):
+    body = people.stick_person(rng)
+    count, segment, weight = body.face_shares
+    for f, corners in enumerate(body.faces):
+        expected = np.zeros((len(body.skeleton.segment_names), 3))
+        for c, v in enumerate(corners):
+            np.add.at(expected[:, c], body.vertex_segments[v], body.vertex_weights[v])
+        assert list(segment[f, : count[f]]) == list(np.flatnonzero(expected.any(1)))
+        np.testing.assert_allclose(weight[f, : count[f]], expected[segment[f, : count[f]]], rtol=1e-15)
+    assert body.with_numbers(body.numbers).face_shares is body.face_shares

@@ -9,7 +9,8 @@ from tests import worlds
 from marey.body.pose import PosedBody
 from marey.fit.body_solver import bounded_body_step, bounded_step, dense_equations, fit_body, shape_reach
 from marey.fit.levels import Level
-from marey.fit.moments import gather_moments, normal_equations
+from marey.fit.moments import gather_moments
+from marey.fit.normal_equations import normal_equations
 from marey.fit.pose_solver import Schedule, add_dense, match_all
 from marey.observations.correspondence import Matching
 from marey.observations.prior import Habit, JointLimits, ShapePrior

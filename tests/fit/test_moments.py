@@ -5,7 +5,8 @@ import pytest
 from tests import people
 
 from marey.body.pose import PosedBody
-from marey.fit.moments import gather_moments, normal_equations
+from marey.fit.moments import gather_moments
+from marey.fit.normal_equations import normal_equations
 from marey.observations.silhouette import SilhouettePlanes, SilhouetteRays
 
 

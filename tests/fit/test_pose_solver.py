@@ -19,6 +19,7 @@ from marey.fit.pose_solver import (
     match_all,
     overlap,
     solve_pose,
+    solve_pose_step_by_step,
     solve_step,
 )
 from marey.observations.correspondence import Matching, view_of
@@ -198,3 +199,33 @@ def test_agreement_is_one_where_all_agrees_and_unknown_where_nobody_is(scene):
     assert overlap(views[0], other) == 0.0
     away = PosedBody(truth.body, worlds.pose(truth.body, at=(0, 0, 50)))
     assert np.isnan(overlap(view_of(away, level.cameras[0]), other))
+
+
+@pytest.mark.parametrize("count", range(4))
+def test_the_kernel_does_what_the_steps_one_by_one_do(scene, count):
+    truth, level = scene
+    degrees = len(truth.body.skeleton)
+    start = replace(truth, pose=truth.pose.step(np.full(degrees, 0.05)))
+    found, weights = match_all(start, level.sightings, Matching(), 5.0)
+    moments = gather_moments(start, found, weights)
+    # One angle begins beyond its limit.
+    angles = start.pose.angles.copy()
+    angles[10] = truth.body.skeleton.limits[10, 1] + 0.1
+    start = replace(start, pose=replace(start.pose, angles=angles))
+    near = NearPose(pose=truth.pose.step(np.full(degrees, -0.03)), spread=np.linspace(0.05, 0.5, degrees))
+    others = (near, JointLimits(), Habit(share=0.1))[:count]
+    quick, information = solve_pose(start, moments, others, steps=3)
+    plain, expected = solve_pose_step_by_step(start, moments, others, steps=3, stop=1e-5)
+    np.testing.assert_allclose(information, expected, atol=1e-9 * np.abs(expected).max())
+    # Without a prior some coordinates are hardly fixed: rounding shows there.
+    np.testing.assert_allclose(plain.pose.change_to(quick.pose), 0, atol=1e-9 if count else 1e-5)
+    # Two habits are of no kernel's making, and count twice.
+    twice, _ = solve_pose(start, moments, (near, Habit(share=0.1), Habit(share=0.1)))
+    once, _ = solve_pose(start, moments, (near, Habit(share=0.2)))
+    np.testing.assert_allclose(once.pose.change_to(twice.pose), 0, atol=1e-9)
+
+
+def test_a_coordinate_that_nothing_fixes_is_told_of(scene):
+    truth, _ = scene
+    with pytest.raises(np.linalg.LinAlgError, match="prior"):
+        solve_pose(truth, gather_moments(truth, []), ())

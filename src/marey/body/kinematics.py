@@ -175,6 +175,38 @@ def split_point(
 
 
 @numba.njit(cache=True, nogil=True)
+def share_faces(faces, vertex_segments, vertex_weights):
+    """Tell for each face which segments carry its corners, in rising order, and by what weights.
+
+    Returns:
+        count (T,) of segments, segment (T, N), weight (T, N, 3) of the three corners; N is the largest count.
+    """
+    most = 3 * vertex_weights.shape[1]
+    count = np.zeros(faces.shape[0], np.int64)
+    segment = np.full((faces.shape[0], most), -1)
+    weight = np.zeros((faces.shape[0], most, 3))
+    for f in range(faces.shape[0]):
+        for c in range(3):
+            v = faces[f, c]
+            for n in range(vertex_weights.shape[1]):
+                if vertex_weights[v, n] <= 0.0:
+                    continue
+                k, at = vertex_segments[v, n], 0
+                while at < count[f] and segment[f, at] < k:
+                    at += 1
+                if at == count[f] or segment[f, at] != k:
+                    for later in range(count[f], at, -1):
+                        segment[f, later] = segment[f, later - 1]
+                        weight[f, later] = weight[f, later - 1]
+                    segment[f, at] = k
+                    weight[f, at] = 0.0
+                    count[f] += 1
+                weight[f, at, c] += vertex_weights[v, n]
+    most = count.max()
+    return count, segment[:, :most].copy(), weight[:, :most].copy()
+
+
+@numba.njit(cache=True, nogil=True)
 def point_jacobian(parents, coordinate_segment, rotation, origin, world_axes, segment, part, jacobian):
     """Write how points move with the pose: (n, 3, D), the root's translation and turn (world axes) first.
 

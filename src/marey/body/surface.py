@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from marey.arrays import Floats, Integers, Mask, frozen
+from marey.body.kinematics import share_faces
 from marey.body.skeleton import JOINT_OF_SEGMENT, Skeleton
 
 
@@ -16,6 +17,17 @@ class PackedSkeleton(NamedTuple):
     parents: Integers
     coordinate_segment: Integers
     axes: Floats
+
+
+class FaceShares(NamedTuple):
+    """Which segments carry each face, for the kernels."""
+
+    number: Integers
+    """(T,) how many."""
+    segment: Integers
+    """(T, N) in rising order."""
+    weight: Floats
+    """(T, N, 3) for the three corners."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -144,6 +156,11 @@ class Body:
         """(T,) whether the outline of each face counts."""
         return frozen(np.ones(len(self.faces)) if self.outlined is None else self.outlined, np.bool_)
 
+    @cached_property
+    def face_shares(self) -> FaceShares:
+        """Which segments carry each face."""
+        return FaceShares(*share_faces(self.faces, self.vertex_segments, self.vertex_weights))
+
     @property
     def joint_names(self) -> tuple[str, ...]:
         """Names of the joint centres that results report."""
@@ -156,4 +173,9 @@ class Body:
 
     def with_numbers(self, numbers: Floats) -> "Body":
         """Give the body other shape numbers."""
-        return replace(self, numbers=numbers)
+        other = replace(self, numbers=numbers)
+        # What depends on the skin's topology alone goes along.
+        for name in ("packed", "face_segment", "outline_counts", "face_shares"):
+            if name in self.__dict__:
+                other.__dict__[name] = self.__dict__[name]
+        return other

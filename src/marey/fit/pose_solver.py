@@ -7,9 +7,11 @@ import numpy as np
 import scipy.linalg
 
 from marey.arrays import Floats, Mask
-from marey.body.pose import PosedBody
+from marey.body.pose import Pose, PosedBody
 from marey.cameras.visibility import View
-from marey.fit.moments import Moments, gather_moments, normal_equations
+from marey.fit.moments import Moments, gather_moments
+from marey.fit.normal_equations import normal_equations
+from marey.fit.pose_steps import DAMPING, LONGEST_TURN, Known, descend
 from marey.fit.robust import geman_mcclure
 from marey.fit.side_by_side import together
 from marey.observations.correspondence import Matching, Sighting, see_outline
@@ -48,17 +50,16 @@ class PoseFit:
     """Pairs of rim and contour in the last iteration."""
 
 
-LONGEST_TURN = 0.5
-"""No coordinate turns farther in one step [rad]."""
+OPEN = "the observations leave a coordinate open; a prior is missing"
 
 
 def solve_step(hessian: Floats, gradient: Floats, *, degrees: int | None = None) -> Floats:
     """Solve for a Gauss-Newton step, shortened where it turns one of the pose's degrees of freedom too far."""
     damped = hessian.copy()
-    np.einsum("ii->i", damped)[:] += 1e-9 * np.trace(hessian) / len(hessian)
+    np.einsum("ii->i", damped)[:] += DAMPING * np.trace(hessian) / len(hessian)
     factor, failed = scipy.linalg.lapack.dpotrf(damped)
     if failed:
-        raise np.linalg.LinAlgError("the observations leave a coordinate open; a prior is missing")
+        raise np.linalg.LinAlgError(OPEN)
     step = -scipy.linalg.lapack.dpotrs(factor, gradient)[0]
     longest = np.abs(step[3:degrees]).max()
     return step if longest <= LONGEST_TURN else step * (LONGEST_TURN / longest)
@@ -101,6 +102,22 @@ def solve_pose(
     Returns:
         The body in the new pose, and the information (D, D) at the last linearisation.
     """
+    known = Known.of(posed.body.skeleton, others)
+    if known is None or steps == 0:
+        return solve_pose_step_by_step(posed, moments, others, steps=steps, stop=stop)
+    rotation, translation, angles, hessian, solved = descend(
+        posed.body.packed, posed.body.joint_centres, posed.pose.rotation, posed.pose.translation, posed.pose.angles,
+        moments.pairs, moments.products, moments.linear, known, steps, stop,
+    )  # fmt: skip
+    if not solved:
+        raise np.linalg.LinAlgError(OPEN)
+    return replace(posed, pose=Pose(translation, rotation, angles)), hessian
+
+
+def solve_pose_step_by_step(
+    posed: PosedBody, moments: Moments, others: Sequence[Observation], *, steps: int, stop: float
+) -> tuple[PosedBody, Floats]:
+    """Do what `solve_pose` does with observations of any kind; the plain meaning of its kernel."""
     hessian: Floats = np.zeros(0)
     for _ in range(steps):
         hessian, gradient, _ = normal_equations(posed, moments)

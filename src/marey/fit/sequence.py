@@ -17,7 +17,8 @@ from marey.body.skeleton import Skeleton
 from marey.body.surface import Body
 from marey.fit.body_solver import bounded_step, dense_equations, shape_reach
 from marey.fit.levels import FrameLevels
-from marey.fit.moments import gather_moments, normal_equations
+from marey.fit.moments import gather_moments
+from marey.fit.normal_equations import normal_equations
 from marey.fit.pose_solver import Schedule, add_dense, match_all
 from marey.fit.side_by_side import side_by_side
 from marey.fit.track import TRUNK

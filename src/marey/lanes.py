@@ -1,0 +1,66 @@
+"""Eight numbers at a time: sums over a few neighbouring numbers, in the processor's vectors, for kernels.
+
+Numba's compiler makes vectors of long loops only. Where a loop has eight turns and lies inside of another one, these
+say outright what is meant; a processor with shorter vectors does it in several strokes.
+"""
+
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+
+LANES = 8
+"""Numbers that belong together."""
+
+_LANES = ir.VectorType(ir.DoubleType(), LANES)
+_FAST = ("fast",)
+
+
+def _spread(builder: Any, scalar: Any) -> Any:
+    vector = ir.Constant(_LANES, ir.Undefined)
+    for lane in range(LANES):
+        vector = builder.insert_element(vector, scalar, ir.Constant(ir.IntType(32), lane))
+    return vector
+
+
+def _place(context: Any, builder: Any, kind: Any, array: Any, at: Any) -> Any:
+    """Point to eight numbers of a flat array."""
+    data = context.make_array(kind)(context, builder, array).data
+    return builder.bitcast(builder.gep(data, [at]), _LANES.as_pointer())
+
+
+@intrinsic
+def add_row(typing, sums, at, factor, row):  # type: ignore[no-untyped-def]
+    """Do sums[at : at + 8] += factor * row, for a flat array and a tuple of eight numbers."""
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        array, start, scale, values = arguments
+        target = _place(context, builder, signature.args[0], array, start)
+        vector = ir.Constant(_LANES, ir.Undefined)
+        for lane in range(LANES):
+            value = builder.extract_value(values, lane)
+            vector = builder.insert_element(vector, value, ir.Constant(ir.IntType(32), lane))
+        product = builder.fmul(_spread(builder, scale), vector, flags=_FAST)
+        builder.store(builder.fadd(builder.load(target, align=8), product, flags=_FAST), target, align=8)
+        return context.get_dummy_value()
+
+    return types.void(sums, types.intp, types.float64, row), build
+
+
+@intrinsic
+def put_combination(typing, out, at, factors, rows, start, stride):  # type: ignore[no-untyped-def]
+    """Do out[at : at + 8] = sum over s of factors[s] * rows[start + s stride :][:8], for flat arrays and a tuple."""
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        array, place, scales, source, first, step = arguments
+        total = None
+        for s in range(factors.count):
+            row = builder.load(_place(context, builder, signature.args[3], source, first), align=8)
+            product = builder.fmul(_spread(builder, builder.extract_value(scales, s)), row, flags=_FAST)
+            total = product if total is None else builder.fadd(total, product, flags=_FAST)
+            first = builder.add(first, step)
+        builder.store(total, _place(context, builder, signature.args[0], array, place), align=8)
+        return context.get_dummy_value()
+
+    return types.void(out, types.intp, factors, rows, types.intp, types.intp), build
