@@ -6,6 +6,7 @@ import pytest
 from tests import worlds
 
 from marey.body.pose import Pose, PosedBody
+from marey.fit import track as track_module
 from marey.fit.levels import FrameLevels
 from marey.fit.search import Candidate, Search, StartSettings
 from marey.fit.track import TrackSettings, prediction_spread, repair, track, unexplained
@@ -62,6 +63,47 @@ def test_who_leaves_the_pictures_is_lost_and_not_invented(motion):
     assert list(found) == list(range(6))
 
 
+def without(levels, gone):
+    """The same silhouettes, but nobody in some frames."""
+    cameras = levels.at(0).cameras
+    empty = [np.zeros_like(m) for m in levels.at(0).masks]
+    return FrameLevels(cameras, lambda frame: empty if frame in gone else levels.at(frame).masks, 1.0)
+
+
+def test_who_is_lost_for_a_moment_is_found_again(motion):
+    truth, fine, rough = motion
+    levels, small = without(fine, (4, 5, 6)), without(rough, (4, 5, 6))
+    found = track(truth[0].body, truth[0].pose, range(FRAMES), levels, small, rate=30)
+    assert list(found) == [0, 1, 2, 3, 7, 8, 9, 10, 11]
+    assert errors(found, truth).max() < 0.03
+
+
+@pytest.mark.parametrize(("rate", "expected"), [(30, [0, 1, 2, 8, 9, 10, 11]), (10, [0, 1, 2])])
+def test_a_hole_longer_than_half_a_second_ends_a_track(motion, rate, expected):
+    truth, fine, rough = motion
+    frames = [0, 1, 2, 8, 9, 10, 11]
+    found = track(truth[0].body, truth[0].pose, frames, fine, rough, rate=rate)
+    assert list(found) == expected
+    assert errors(found, truth).max() < 0.03
+
+
+def test_no_motion_is_repeated_across_a_hole(motion, monkeypatch):
+    truth, fine, rough = motion
+    predictions = {}
+    follow = track_module._follow
+
+    def spy(predicted, levels, frame, spread, settings):
+        predictions[frame] = predicted.pose, spread
+        return follow(predicted, levels, frame, spread, settings)
+
+    monkeypatch.setattr(track_module, "_follow", spy)
+    found = track(truth[0].body, truth[0].pose, [0, 1, 2, 6, 7, 8], fine, rough, rate=30)
+    np.testing.assert_array_equal(predictions[6][0].angles, found[2].posed.pose.angles)
+    np.testing.assert_array_equal(predictions[7][0].angles, found[6].posed.pose.angles)
+    assert not np.array_equal(predictions[8][0].angles, found[7].posed.pose.angles)
+    np.testing.assert_allclose(predictions[6][1], 3 * predictions[7][1])
+
+
 def test_what_is_remembered_is_not_sought_again(motion):
     truth, fine, rough = motion
     memory = {f: Candidate(truth[f], 0.99) for f in range(4)}
@@ -89,7 +131,7 @@ def test_a_frame_that_went_wrong_is_mended_by_its_neighbours(motion):
     found = {f: search[f].judge(truth[f]) for f in range(9)}
     wrong = worlds.pose(truth[4].body, dict(worlds.ARMS_AND_KNEES) | {"left_shoulder_lift": -35})
     found[4] = search[4].judge(PosedBody(truth[4].body, wrong))
-    mended = repair(found, fine, rough, coarse=truth[0].body)
+    mended = repair(found, fine, rough, coarse=truth[0].body, rate=30)
     assert worlds.joint_errors(found[4].posed, truth[4]).max() > 0.3
     assert worlds.joint_errors(mended[4].posed, truth[4]).max() < 0.03
     assert all(mended[f] is found[f] for f in (0, 1, 7, 8))
@@ -99,7 +141,7 @@ def test_a_frame_that_went_wrong_is_mended_by_its_neighbours(motion):
 def test_few_frames_are_left_as_they_are(motion):
     truth, fine, rough = motion
     found = {f: Candidate(truth[f], 0.5) for f in range(4)}
-    assert repair(found, fine, rough, coarse=truth[0].body) == found
+    assert repair(found, fine, rough, coarse=truth[0].body, rate=30) == found
 
 
 def test_the_prediction_is_wider_where_frames_lie_farther_apart():
@@ -135,7 +177,7 @@ def test_a_run_of_wrong_frames_is_mended_from_both_ends(motion):
         angles[worlds.column(truth[f].body.skeleton, "left_elbow_flexion")] = np.deg2rad(130)
         wrong = Pose(truth[f].pose.translation, truth[f].pose.rotation, angles)
         found[f] = search[f].judge(PosedBody(truth[f].body, wrong))
-    mended = repair(found, fine, rough, coarse=truth[0].body)
+    mended = repair(found, fine, rough, coarse=truth[0].body, rate=30)
     before, after = (max(worlds.joint_errors(c[f].posed, truth[f]).max() for f in (4, 5, 6)) for c in (found, mended))
     assert before > 0.2
     assert after < 0.03

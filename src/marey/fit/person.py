@@ -143,7 +143,7 @@ def track_person(
             memory=memory,
         )  # fmt: skip
     found = {f: found[f] for f in sorted(found)}
-    return repair(found, levels, rough, coarse=coarse, settings=settings.track)
+    return repair(found, levels, rough, coarse=coarse, rate=take.rate, settings=settings.track)
 
 
 def mend_person(
@@ -152,7 +152,7 @@ def mend_person(
     """Mend single frames of a sequence once its body and its silhouettes are better known."""
     levels, rough = take.levels(settings.track_height), take.levels(settings.rough_height)
     judged = {f: Search(levels.at(f), settings.start).judge(PosedBody(body, pose)) for f, pose in poses.items()}
-    mended = repair(judged, levels, rough, coarse=coarse, settings=settings.track, done=done)
+    mended = repair(judged, levels, rough, coarse=coarse, rate=take.rate, settings=settings.track, done=done)
     return {f: candidate.posed.pose for f, candidate in mended.items()}
 
 

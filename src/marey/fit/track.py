@@ -1,4 +1,4 @@
-"""From frame to frame: predict, fit, and look for limbs again where the agreement falls."""
+"""From frame to frame: predict, fit, and where the agreement falls start from several poses and look for limbs."""
 
 from collections.abc import Callable, Iterable, MutableMapping
 from dataclasses import dataclass, field, replace
@@ -11,6 +11,7 @@ from marey.body.pose import Pose, PosedBody
 from marey.body.skeleton import Skeleton
 from marey.body.surface import Body
 from marey.fit.levels import FrameLevels, Level
+from marey.fit.multi_start import SampleSettings, best_of_samples
 from marey.fit.pose_solver import Schedule, fit_pose
 from marey.fit.search import Candidate, Search, StartSettings
 from marey.observations.correspondence import view_of
@@ -38,7 +39,12 @@ class TrackSettings:
     unexplained: float = 0.008
     """Share of the silhouettes, thin edges apart, that the body may leave uncovered beyond what is usual."""
     lost: float = 0.45
-    """Agreement below which nobody is followed any more."""
+    """Agreement below which the person is not found."""
+    longest_hole: float = 0.5
+    """Time without the person over which a pose predicts another [s]."""
+    gain: float = 0.002
+    """Agreement by which a sampled start must be better than the prediction."""
+    samples: SampleSettings = field(default_factory=SampleSettings)
 
 
 def prediction_spread(skeleton: Skeleton, settings: TrackSettings, *, rate: float) -> Floats:
@@ -46,6 +52,45 @@ def prediction_spread(skeleton: Skeleton, settings: TrackSettings, *, rate: floa
     turns = [settings.trunk_turn if c.segment in TRUNK else settings.limb_turn for c in skeleton.coordinates]
     root = [settings.root_shift] * 3 + [settings.root_turn] * 3
     return np.array(root + turns) * float(np.clip(30.0 / rate, 0.25, 3.0))
+
+
+@dataclass(eq=False)
+class _Trail:
+    """Where a track has come to, and what was usual on its way."""
+
+    pose: Pose
+    """Where the person was last."""
+    step: Floats
+    """(D,) how it came there from the frame before; zero where that is unknown."""
+    frame: int | None = None
+    """The last frame in which the person was found; None before the first."""
+    found: dict[int, Candidate] = field(default_factory=dict)
+    bare: dict[int, float] = field(default_factory=dict)
+    """Share of the silhouettes that the body left uncovered."""
+
+    def gap(self, frame: int) -> int:
+        """Count the frames from the last one to this one."""
+        return 1 if self.frame is None else abs(frame - self.frame)
+
+    def add(self, frame: int, candidate: Candidate) -> None:
+        """Go on to a frame in which the person was found; a motion across a hole is no motion to repeat."""
+        pose = candidate.posed.pose
+        self.step = self.pose.change_to(pose) if self.gap(frame) == 1 else np.zeros(len(self.step))
+        self.pose, self.frame = pose, frame
+        self.found[frame] = candidate
+
+    def usual_score(self, otherwise: float) -> float:
+        """Give the median of the last scores."""
+        return float(np.median([c.score for c in list(self.found.values())[-15:]] or [otherwise]))
+
+    def usual_bare(self, levels: FrameLevels) -> float:
+        """Give what is left uncovered where all is well: the lower quartile of the last frames."""
+        last = list(self.found)[-30:]
+        for frame in last:
+            # Frames of an interrupted run come without.
+            if frame not in self.bare:
+                self.bare[frame] = unexplained(self.found[frame].posed, levels.at(frame))
+        return float(np.quantile([self.bare[frame] for frame in last], 0.25)) if last else 0.0
 
 
 def track(
@@ -63,6 +108,9 @@ def track(
 ) -> dict[int, Candidate]:
     """Follow a person from a known pose through frames in either direction.
 
+    Where the person is lost or nobody is seen for a moment, the prediction waits and widens; it does not repeat the
+    motion from before. After a longer hole it knows nothing any more, and the track ends.
+
     Args:
         body: whose shape stays as it is.
         start: the pose just before the first of the frames.
@@ -76,32 +124,55 @@ def track(
         memory: takes every candidate as soon as it is found; what it holds already is not sought again.
 
     Returns:
-        A candidate for each frame until the person was lost.
+        A candidate for each frame in which the person was found.
     """
     settings = settings or TrackSettings()
     memory = {} if memory is None else memory
-    spread = prediction_spread(body.skeleton, settings, rate=rate)
-    last, before = start, start
-    found: dict[int, Candidate] = {}
-    bare: list[float] = []
+    trail = _Trail(start, np.zeros(len(body.skeleton)))
+    longest = max(1.0, settings.longest_hole * rate)
     for frame in frames:
+        if trail.gap(frame) > longest:
+            break
         if frame not in memory:
-            predicted = last.step(settings.momentum * before.change_to(last))
-            candidate = _follow(PosedBody(body, predicted), levels, frame, spread, settings)
-            usual = float(np.median([c.score for c in list(found.values())[-15:]] or [candidate.score]))
-            left_over = unexplained(candidate.posed, levels.at(frame))
-            if candidate.score < usual - settings.fall or left_over > _usual(bare) + settings.unexplained:
-                candidate = _search_limbs(candidate, coarse or body, levels, rough, frame)
-                left_over = unexplained(candidate.posed, levels.at(frame))
-            bare.append(left_over)
-            memory[frame] = candidate
+            memory[frame] = _next(trail, frame, body, coarse or body, levels, rough, rate, settings)
         candidate = memory[frame]
         done(frame)
-        if candidate.score < settings.lost:
+        if candidate.score >= settings.lost:
+            trail.add(frame, candidate)
+        elif trail.frame is None:
             break
-        found[frame] = candidate
-        before, last = last, candidate.posed.pose
-    return found
+    return trail.found
+
+
+def _next(
+    trail: _Trail,
+    frame: int,
+    body: Body,
+    coarse: Body,
+    levels: FrameLevels,
+    rough: FrameLevels,
+    rate: float,
+    settings: TrackSettings,
+) -> Candidate:
+    """Follow the person into the next frame; where that explains it poorly, sample starts and search limbs."""
+    gap = trail.gap(frame)
+    spread = prediction_spread(body.skeleton, settings, rate=rate / gap)
+    step = trail.step if gap == 1 else np.zeros(len(spread))
+    candidate = _follow(PosedBody(body, trail.pose.step(settings.momentum * step)), levels, frame, spread, settings)
+    usual = trail.usual_score(candidate.score)
+
+    bare = unexplained(candidate.posed, levels.at(frame))
+    seen = sum(bool(mask.any()) for mask in levels.at(frame).masks) >= 2
+    if seen and (candidate.score < usual - settings.fall or bare > trail.usual_bare(levels) + settings.unexplained):
+        sampled = best_of_samples(
+            body, trail.pose, step, spread, levels.at(frame), rough.at(frame), coarse=coarse, settings=settings.samples
+        )
+        if sampled.score > candidate.score + settings.gain:
+            candidate = sampled
+        candidate = _search_limbs(candidate, coarse, levels, rough, frame)
+        bare = unexplained(candidate.posed, levels.at(frame))
+    trail.bare[frame] = bare
+    return candidate
 
 
 def _follow(
@@ -134,32 +205,33 @@ def unexplained(posed: PosedBody, level: Level) -> float:
     return float(np.mean(shares)) if shares else 0.0
 
 
-def _usual(values: list[float]) -> float:
-    return float(np.quantile(values[-30:], 0.25)) if values else 0.0
-
-
 def repair(
     found: dict[int, Candidate],
     levels: FrameLevels,
     rough: FrameLevels,
     *,
     coarse: Body,
+    rate: float,
     settings: TrackSettings | None = None,
     roughness: float = 0.0015,
     done: Callable[[int], None] = lambda frame: None,
 ) -> dict[int, Candidate]:
     """Mend frames that agree worse, explain less, or move more roughly than their neighbours.
 
-    Each such frame tries its neighbours' poses, the pose midway between them, and a search of its limbs;
+    Each such frame tries its neighbours' poses, the pose midway between them, a search of its limbs, and where that is
+    not enough starts sampled about the neighbour that was mended before it;
     agreement decides, less the distance (in degrees) from the neighbour that was mended before it. One
     sweep goes forward and one back, so that a run of bad frames is mended from both its ends.
     """
     settings = settings or TrackSettings()
     found = dict(found)
     suspects = _suspects(found, levels, settings)
+    if not suspects:
+        return found
+    spread = prediction_spread(coarse.skeleton, settings, rate=rate)
     for order, step in ((suspects, 1), (suspects[::-1], -1)):
         for frame in order:
-            found[frame] = _mend(frame, step, found, levels, rough, coarse, roughness)
+            found[frame] = _mend(frame, step, found, levels, rough, coarse, spread, roughness, settings)
             done(frame)
     return found
 
@@ -196,7 +268,9 @@ def _mend(
     levels: FrameLevels,
     rough: FrameLevels,
     coarse: Body,
+    spread: Floats,
     weight: float,
+    settings: TrackSettings,
 ) -> Candidate:
     last, other = found[frame - step].posed.pose, found[frame + step].posed.pose
     current = found[frame]
@@ -205,4 +279,14 @@ def _mend(
     for pose in (last, other, last.between(other, 0.5)):
         tries.append(search.fit(replace(current.posed, pose=pose), numbers=0, iterations=6, gate=(16.0, 5.0)))
     tries.append(_search_limbs(current, coarse, levels, rough, frame))
+    if max(c.score for c in tries) < found[frame - step].score - settings.fall:
+        # The neighbour is right and this frame is not: the motion between them is larger than a fit can follow.
+        before = found.get(frame - 2 * step)
+        change = np.zeros(len(spread)) if before is None else before.posed.pose.change_to(last)
+        tries.append(
+            best_of_samples(
+                current.posed.body, last, change, spread, levels.at(frame), rough.at(frame), coarse=coarse,
+                settings=settings.samples,
+            )
+        )  # fmt: skip
     return max(tries, key=lambda c: c.score - weight * _apart(c.posed.pose, last))
