@@ -38,6 +38,10 @@ LEARNING = 0.2
 SURE = 2.0
 """Only pixels with this evidence for the person teach what the person looks like."""
 
+GAP = 0.025
+"""Regions no farther apart than this share of the picture's size count as one: before stripes of its own colour a limb
+falls into pieces."""
+
 LEAST_SHARE = 0.0015
 """A region smaller than this share of the picture is nobody."""
 
@@ -292,9 +296,11 @@ def _coarse_to_fine(votes: np.ndarray, start: Mask | None, length: float) -> Mas
 
 
 def _fragments(region: Mask, least: float) -> Mask:
-    """The largest connected region and those not too small beside it; nothing where the largest is below least."""
-    count, labels = cv2.connectedComponents(region.view(np.uint8), connectivity=8)
-    return _large(labels, count, FRAGMENT_SHARE, least)
+    """The largest region and those not too small beside it; nothing where the largest is below least."""
+    reach = 2 * round(float(np.sqrt(region.size)) * GAP / 2) + 1
+    joined = cv2.morphologyEx(region.view(np.uint8), cv2.MORPH_CLOSE, np.ones((reach, reach), np.uint8))
+    count, labels = cv2.connectedComponents(joined, connectivity=8)
+    return region & _large(labels, count, FRAGMENT_SHARE, least)
 
 
 @numba.njit(cache=True, nogil=True)
