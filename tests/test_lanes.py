@@ -3,7 +3,7 @@
 import numba
 import numpy as np
 
-from marey.lanes import LANES, add_row, put_combination
+from marey.lanes import LANES, add_row, paint_row, put_combination
 
 
 @numba.njit
@@ -38,3 +38,24 @@ def test_a_row_may_be_combined_with_itself(rng):
     expected[:LANES] = rows[:LANES] + 2 * rows[10 : 10 + LANES] + 3 * rows[20 : 20 + LANES]
     combined(rows, 0, factors, rows, 0, 10)
     np.testing.assert_allclose(rows, expected, atol=1e-15)
+
+
+@numba.njit
+def painted(depth, label, at, count, first, second, third, value):
+    paint_row(
+        depth, label, at, count, (first[0], first[1]), (second[0], second[1]), (third[0], third[1]), np.int32(value)
+    )
+
+
+def test_a_row_is_painted_where_it_lies_inside_and_nearer(rng):
+    for count in (1, 5, 8, 11):
+        depth, label = rng.uniform(0, 1, 30), np.full(30, -1, np.int32)
+        first, second, third = np.array([-0.2, 0.15]), np.array([1.1, -0.2]), np.array([0.4, 0.02])
+        x = np.arange(LANES)
+        u, v, z = (line[0] + line[1] * x for line in (first, second, third))
+        shown = (u >= 0) & (v >= 0) & (1 - u - v >= 0) & (z > depth[4 : 4 + LANES]) & (x < count)
+        expected, names = depth.copy(), label.copy()
+        expected[4 : 4 + LANES][shown], names[4 : 4 + LANES][shown] = z[shown], 7
+        painted(depth, label, 4, count, first, second, third, 7)
+        np.testing.assert_allclose(depth, expected, rtol=1e-15)
+        np.testing.assert_array_equal(label, names)

@@ -14,6 +14,7 @@ LANES = 8
 """Numbers that belong together."""
 
 _LANES = ir.VectorType(ir.DoubleType(), LANES)
+_LABELS = ir.VectorType(ir.IntType(32), LANES)
 _FAST = ("fast",)
 
 
@@ -64,3 +65,49 @@ def put_combination(typing, out, at, factors, rows, start, stride):  # type: ign
         return context.get_dummy_value()
 
     return types.void(out, types.intp, factors, rows, types.intp, types.intp), build
+
+
+@intrinsic
+def paint_row(typing, depth, label, at, count, first, second, third, value):  # type: ignore[no-untyped-def]
+    """Write a label and its depth where three numbers are not negative and the depth exceeds the one that is there.
+
+    Args:
+        typing: Numba's.
+        depth: flat array, eight numbers longer than what is painted.
+        label: flat array of the same length, int32.
+        at: first pixel of the row.
+        count: pixels of the row; what lies beyond eight is not painted.
+        first: (start, step) of a number that must not be negative.
+        second: the same of another one; the third is one less these two.
+        third: the depth's start and step.
+        value: the label.
+    """
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        depths, labels, place, most, *lines, number = arguments
+        index = ir.Constant(_LANES, [float(lane) for lane in range(LANES)])
+        u, v, z = (
+            builder.fadd(
+                _spread(builder, builder.extract_value(line, 0)),
+                builder.fmul(_spread(builder, builder.extract_value(line, 1)), index),
+            )
+            for line in lines
+        )
+        w = builder.fsub(builder.fsub(ir.Constant(_LANES, [1.0] * LANES), u), v)
+        zero = ir.Constant(_LANES, [0.0] * LANES)
+        inside = builder.fcmp_ordered("<", index, _spread(builder, builder.sitofp(most, ir.DoubleType())))
+        for edge in (u, v, w):
+            inside = builder.and_(inside, builder.fcmp_ordered(">=", edge, zero))
+        target = _place(context, builder, signature.args[0], depths, place)
+        old = builder.load(target, align=8)
+        inside = builder.and_(inside, builder.fcmp_ordered(">", z, old))
+        builder.store(builder.select(inside, z, old), target, align=8)
+        data = context.make_array(signature.args[1])(context, builder, labels).data
+        target = builder.bitcast(builder.gep(data, [place]), _LABELS.as_pointer())
+        painted = ir.Constant(_LABELS, ir.Undefined)
+        for lane in range(LANES):
+            painted = builder.insert_element(painted, number, ir.Constant(ir.IntType(32), lane))
+        builder.store(builder.select(inside, painted, builder.load(target, align=4)), target, align=4)
+        return context.get_dummy_value()
+
+    return types.void(depth, label, types.intp, types.intp, first, second, third, types.int32), build

@@ -185,3 +185,13 @@ def test_a_camera_cannot_be_changed_behind_its_back(lens_camera):
     for values in (camera.matrix, camera.distortion, camera.packed, camera.centre):
         with pytest.raises(ValueError, match="read-only"):
             values[...] = 0
+
+
+@pytest.mark.parametrize("kind", LENSES)
+def test_a_step_in_the_picture_turns_the_ray_by_what_lies_between_its_ends(lens_camera, kind, rng):
+    camera = lens_camera(kind)
+    pixels = camera.project(points_in_sight(camera, rng, n=50))
+    steps = rng.normal(size=(50, 2))
+    ahead, behind = (camera.rays(pixels + s * steps).directions for s in (0.5, -0.5))
+    turns = camera.ray_turns(pixels, steps)
+    assert np.allclose(turns, np.linalg.norm(ahead - behind, axis=1), rtol=1e-9, atol=0)

@@ -81,3 +81,21 @@ def test_frames_are_traced_when_they_are_asked_for_and_only_once(scene):
     assert levels.at(7) is levels.at(7)
     assert asked == [7]
     assert levels.at(7).cameras[0].size == (100, 120)
+
+
+def test_only_so_many_frames_are_kept_as_there_is_room_for(scene):
+    cameras, _, masks = scene
+    asked = []
+
+    def masks_of(frame):
+        asked.append(frame)
+        return masks
+
+    one = FrameLevels(cameras, masks_of, 0.5).at(0).size
+    assert one > 4 * 100 * 120
+    levels = FrameLevels(cameras, masks_of, 0.5, room=3 * one)
+    asked.clear()
+    for _ in range(2):
+        for frame in range(40):
+            levels.at(frame)
+    assert asked == [*range(40), *range(3, 40)]

@@ -154,6 +154,21 @@ class Camera:
         lens.contour_normals(self.packed, pixels, normals, out)
         return out, out @ self.centre
 
+    def ray_turns(self, pixels: Floats, steps: Floats) -> Floats:
+        """Measure by how much the ray turns over steps in the picture.
+
+        Args:
+            pixels: (n, 2) the steps' middles [px].
+            steps: (n, 2) [px].
+
+        Returns:
+            (n,) [rad], for steps of a few pixels; NaN where the lens shows nothing.
+        """
+        out = np.empty(len(pixels))
+        pixels, steps = np.ascontiguousarray(pixels, float), np.ascontiguousarray(steps, float)
+        lens.ray_turns(self.packed, pixels, steps, out)
+        return out
+
     def sees(self, pixels: Floats, *, margin: float = 0.0) -> np.ndarray:
         """Tell which pixels lie inside the picture.
 

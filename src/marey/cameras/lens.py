@@ -295,3 +295,21 @@ def contour_normals(packed: Floats, pixels: Floats, normals: Floats, out: Floats
         length = np.sqrt(nx * nx + ny * ny + nz * nz)
         for j in range(3):
             out[i, j] = (packed[j] * nx + packed[3 + j] * ny + packed[6 + j] * nz) / length
+
+
+@numba.njit(cache=True, nogil=True)
+def ray_turns(packed: Floats, pixels: Floats, steps: Floats, out: Floats) -> None:
+    """Measure by how much the ray turns over steps in the picture: the length between the unit rays of both ends.
+
+    Args:
+        packed: (PACKED,) the camera.
+        pixels: (n, 2) the steps' middles [px].
+        steps: (n, 2) [px].
+        out: (n,) is filled [rad, for small steps]; NaN where the lens shows nothing.
+    """
+    for i in range(len(pixels)):
+        dx, dy = 0.5 * steps[i, 0], 0.5 * steps[i, 1]
+        ax, ay = undistort_pixel(packed, pixels[i, 0] + dx, pixels[i, 1] + dy)
+        bx, by = undistort_pixel(packed, pixels[i, 0] - dx, pixels[i, 1] - dy)
+        az, bz = 1.0 / np.sqrt(1.0 + ax * ax + ay * ay), 1.0 / np.sqrt(1.0 + bx * bx + by * by)
+        out[i] = np.sqrt((ax * az - bx * bz) ** 2 + (ay * az - by * bz) ** 2 + (az - bz) ** 2)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marey.arrays import Floats, Integers, Mask
+from marey.lanes import LANES, paint_row
 
 
 class Rim(NamedTuple):
@@ -86,8 +87,9 @@ def see(projected: Floats, faces: Integers, size: tuple[int, int], *, margin: in
 def draw_window(projected, faces, width, height, margin):
     """Find the part of the picture that the vertices may cover, and draw the faces into it."""
     left, top, right, bottom = find_window(projected, width, height, margin)
-    inverse_depth = np.zeros((bottom - top, right - left))
-    face = np.full((bottom - top, right - left), -1, np.int32)
+    count = (bottom - top) * (right - left)
+    inverse_depth = np.zeros(count + LANES)[:count].reshape((bottom - top, right - left))
+    face = np.full(count + LANES, -1, np.int32)[:count].reshape((bottom - top, right - left))
     draw_faces(projected, faces, left, top, inverse_depth, face)
     return (left, top), inverse_depth, face
 
@@ -118,9 +120,9 @@ class Scratch(NamedTuple):
     projected: Floats
     """(V, 3)."""
     inverse_depth: Floats
-    """(width height,)."""
+    """(width height + 8,)."""
     face: NDArray[np.int32]
-    """(width height,)."""
+    """(width height + 8,)."""
 
     @staticmethod
     def of(vertices: int, size: tuple[int, int]) -> "Scratch":
@@ -129,7 +131,7 @@ class Scratch(NamedTuple):
         if (vertices, size) not in known:
             if len(known) > 8:
                 known.clear()
-            pixels = size[0] * size[1]
+            pixels = size[0] * size[1] + LANES
             known[vertices, size] = Scratch(np.empty((vertices, 3)), np.empty(pixels), np.empty(pixels, np.int32))
         return known[vertices, size]
 
@@ -152,8 +154,9 @@ def draw_into(scratch, faces, width, height, margin):
 
 @numba.njit(cache=True, nogil=True)
 def draw_faces(projected, faces, left, top, inverse_depth, face):
-    """Fill the depth buffer and the buffer of visible faces, see `see`."""
+    """Fill the depth buffer and the buffer of visible faces, see `see`; each lies in memory eight numbers longer."""
     height, width = face.shape
+    depths, labels = inverse_depth.ravel(), face.ravel()
     for f in range(faces.shape[0]):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
         x0, y0, z0 = projected[a, 0] - left, projected[a, 1] - top, projected[a, 2]
@@ -167,25 +170,19 @@ def draw_faces(projected, faces, left, top, inverse_depth, face):
         xmax = min(width - 1, int(np.floor(max(x0, max(x1, x2)))))
         ymin = max(0, int(np.ceil(min(y0, min(y1, y2)))))
         ymax = min(height - 1, int(np.floor(max(y0, max(y1, y2)))))
-        if xmin > xmax or ymin > ymax:
-            continue
         scale = 1.0 / area
         d0, d1 = -(y2 - y1) * scale, -(y0 - y2) * scale
-        d2 = -d0 - d1
-        dz = d0 * z0 + d1 * z1 + d2 * z2
+        dz = d0 * (z0 - z2) + d1 * (z1 - z2)
         for y in range(ymin, ymax + 1):
             e0 = ((x2 - x1) * (y - y1) - (y2 - y1) * (xmin - x1)) * scale
             e1 = ((x0 - x2) * (y - y2) - (y0 - y2) * (xmin - x2)) * scale
-            e2 = 1.0 - e0 - e1
-            z = e0 * z0 + e1 * z1 + e2 * z2
-            for x in range(xmin, xmax + 1):
-                if e0 >= 0.0 and e1 >= 0.0 and e2 >= 0.0 and z > inverse_depth[y, x]:
-                    inverse_depth[y, x] = z
-                    face[y, x] = f
-                e0 += d0
-                e1 += d1
-                e2 += d2
-                z += dz
+            z = e0 * (z0 - z2) + e1 * (z1 - z2) + z2
+            for x in range(xmin, xmax + 1, LANES):
+                on = float(x - xmin)
+                paint_row(
+                    depths, labels, y * width + x, xmax + 1 - x,
+                    (e0 + on * d0, d0), (e1 + on * d1, d1), (z + on * dz, dz), np.int32(f),
+                )  # fmt: skip
 
 
 @numba.njit(cache=True, nogil=True)

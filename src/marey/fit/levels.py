@@ -12,6 +12,10 @@ from marey.cameras.camera import Camera
 from marey.observations.correspondence import Sighting
 
 
+_PIXEL_BYTES = 160
+"""Of a contour's pixel: place, normal, plane, scale, cell."""
+
+
 @dataclass(frozen=True, eq=False)
 class Level:
     """One frame's silhouettes at one size of the pictures."""
@@ -31,6 +35,12 @@ class Level:
         """Trace silhouettes that have their cameras' size already."""
         sightings = tuple(Sighting.of(camera, mask) for camera, mask in zip(cameras, masks, strict=True))
         return Level(tuple(cameras), tuple(masks), sightings)
+
+    @property
+    def size(self) -> int:
+        """What it takes in memory [bytes], about: masks, and what belongs to each pixel of the contours."""
+        pixels = sum(len(sighting.contour.pixels) for sighting in self.sightings)
+        return sum(mask.nbytes for mask in self.masks) + _PIXEL_BYTES * pixels
 
     def packed(self) -> tuple[Floats, Integers, Integers, Mask]:
         """Give cameras (C, P), widths, heights and masks padded to one size, for the kernels."""
@@ -58,21 +68,48 @@ def level_factor(masks: Sequence[Mask], height: float) -> float:
     return min(1.0, float(2.0 ** np.round(np.log2(height / tallest))))
 
 
+KEPT_BYTES = 1 << 28
+"""What the levels of one size may take in memory: some hundred frames of four small cameras."""
+
+
 class FrameLevels:
-    """The frames of a take at one size, made when they are asked for; the last few are kept.
+    """The frames of a take at one size, made when they are asked for.
+
+    The first ones are kept for as long as there is room, since refinement goes through a take many times; of the
+    others the last few.
 
     Args:
         cameras: of the whole pictures.
         masks_of: gives the silhouettes (height, width) of a frame, one a camera.
         factor: new size over old size.
+        room: bytes that may be kept.
     """
 
-    def __init__(self, cameras: Sequence[Camera], masks_of: Callable[[int], Sequence[Mask]], factor: float):
+    def __init__(
+        self,
+        cameras: Sequence[Camera],
+        masks_of: Callable[[int], Sequence[Mask]],
+        factor: float,
+        *,
+        room: int = KEPT_BYTES,
+    ):
         self.factor = factor
         self._small = tuple(camera.scaled(factor) for camera in cameras)
         self._masks_of = masks_of
-        self.at = lru_cache(maxsize=48)(self._at)
+        self._kept: dict[int, Level] = {}
+        self._room = room
+        self._last = lru_cache(maxsize=16)(self._made)
 
-    def _at(self, frame: int) -> Level:
+    def at(self, frame: int) -> Level:
+        """Give the level of a frame."""
+        if frame in self._kept:
+            return self._kept[frame]
+        level = self._last(frame)
+        if level.size <= self._room:
+            self._kept[frame] = level
+            self._room -= level.size
+        return level
+
+    def _made(self, frame: int) -> Level:
         shrunk = [shrink(m, c.size) for m, c in zip(self._masks_of(frame), self._small, strict=True)]
         return Level.at_size(self._small, shrunk)

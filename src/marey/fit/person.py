@@ -50,9 +50,15 @@ class Take:
     frames: tuple[int, ...]
     """Frames that show somebody, in order."""
     rate: float
+    _levels: dict[float, FrameLevels] = field(default_factory=dict, init=False, repr=False)
 
     def levels(self, height: float) -> FrameLevels:
-        """Give the frames at the size at which the person is about so high [px]."""
+        """Give the frames at the size at which the person is about so high [px]; the same ones each time."""
+        if height not in self._levels:
+            self._levels[height] = self._shrunk(height)
+        return self._levels[height]
+
+    def _shrunk(self, height: float) -> FrameLevels:
         sample = self.frames[:: max(1, len(self.frames) // 5)][:5]
         tallest = [mask for frame in sample for mask in self.masks_of(frame)]
         return FrameLevels(self.cameras, self.masks_of, level_factor(tallest, height))

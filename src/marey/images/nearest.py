@@ -7,8 +7,8 @@ import numpy as np
 
 from marey.arrays import Floats, Integers
 
-CELL = 8
-"""Width of a cell [px]: about what lies between matched outlines."""
+CELL = 6
+"""Width of a cell [px]: a little more than what lies between matched outlines."""
 
 
 class Cells(NamedTuple):
@@ -57,6 +57,9 @@ def sort_into_cells(pixels):
 def nearest_within(cells, x, y, reach):
     """Give the index of the pixel nearest to a place, -1 where none is within reach [px]."""
     row, column = int(np.floor(y - cells.top)) // CELL, int(np.floor(x - cells.left)) // CELL
+    # How far it is from here to the nearest side of the own cell.
+    across, down = x - cells.left - column * CELL, y - cells.top - row * CELL
+    inside = min(min(across, CELL - across), min(down, CELL - down))
     best, found = reach * reach, -1
     ring = 0
     while True:
@@ -73,7 +76,7 @@ def nearest_within(cells, x, y, reach):
                     distance = dx * dx + dy * dy
                     if distance < best or (distance == best and found < 0):
                         best, found = distance, i
-        # What lies in rings farther out is farther away than this.
-        if best <= (ring * CELL) ** 2:
+        # What lies in rings farther out is at least this far away.
+        if best <= (ring * CELL + inside) ** 2:
             return found
         ring += 1

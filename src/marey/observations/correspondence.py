@@ -49,9 +49,7 @@ class Sighting:
     @cached_property
     def radians_per_pixel(self) -> Floats:
         """(n,) the angle by which a step of one pixel across the contour turns the ray."""
-        half = 0.5 * self.contour.inward
-        ahead, behind = (self.camera.rays(self.contour.pixels + s * half).directions for s in (1, -1))
-        return np.linalg.norm(ahead - behind, axis=1)
+        return self.camera.ray_turns(self.contour.pixels, self.contour.inward)
 
 
 @dataclass(frozen=True, kw_only=True)
