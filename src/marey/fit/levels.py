@@ -11,7 +11,6 @@ from marey.arrays import Floats, Integers, Mask
 from marey.cameras.camera import Camera
 from marey.observations.correspondence import Sighting
 
-
 _PIXEL_BYTES = 160
 """Of a contour's pixel: place, normal, plane, scale, cell."""
 
