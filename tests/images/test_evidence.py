@@ -1,10 +1,23 @@
+from dataclasses import replace
 from math import gamma, pi
 
+import cv2
 import numpy as np
+import pytest
 
 from marey.images import background as backgrounds
-from marey.images.densities import COMMON, unknown
-from marey.images.evidence import FREEDOM, LIMIT, UNKNOWN_SHARE, evidence
+from marey.images.densities import COMMON, RATIO_BINS, RATIO_RANGE, unknown
+from marey.images.evidence import (
+    FREEDOM,
+    LIMIT,
+    SHADE_SLACK,
+    SHADOW_SHARE,
+    UNKNOWN_SHARE,
+    VEIL,
+    VEIL_SHARE,
+    VEIL_SLACK,
+    evidence,
+)
 
 
 def scene(rng, shift):
@@ -41,3 +54,74 @@ def test_far_pixels_are_left_out(rng):
     found, _ = evidence(picture, light, background, plain, unknown(3), near=near)
     assert (found[10:] == -LIMIT).all()
     assert (found[:10] > 0).mean() > 0.9
+
+
+def plain_evidence(picture, light, steepness, trust, shown, look, reach):
+    """What the kernel computes row by row, pixel by pixel."""
+    height, width, channels = picture.shape
+    window = (2 * reach + 1, 2 * reach + 1)
+    blurred = [
+        cv2.blur(one.astype(np.float32), window, borderType=cv2.BORDER_REPLICATE).reshape(height, width, -1)
+        for one in ((picture * light).sum(2), (light**2).sum(2), picture - light)
+    ]
+    shade, change = (blurred[0] / blurred[1])[..., 0], blurred[2]
+    peak = gamma((FREEDOM + channels) / 2) / gamma(FREEDOM / 2) / (FREEDOM * pi) ** (channels / 2)
+    found, dark = np.zeros((height, width)), np.zeros((height, width))
+    power = -(FREEDOM + channels) / 2
+    for y, x in np.ndindex(height, width):
+        own, rest = picture[y, x].astype(float), light[y, x].astype(float)
+        variance = shown.noise.astype(float) ** 2 + shown.jitter**2 * steepness[y, x]
+        misfit = ((own - rest) ** 2 / variance).sum()
+        density = plain = peak * (1 + misfit / FREEDOM) ** power / np.sqrt(variance.prod())
+        if misfit > 2 * channels:
+            square = (rest**2).sum()
+            places = [(y, x), (y - reach, x), (y + reach, x), (y, x - reach), (y, x + reach)]
+            places = [(min(max(row, 0), height - 1), min(max(col, 0), width - 1)) for row, col in places]
+            ratio, at = min((abs(shade[p] - (own @ rest) / square), i) for i, p in enumerate(places))
+            ratio, around = shade[places[at]], change[places[at]].astype(float)
+            shadow = 0.0
+            if RATIO_RANGE[0] < ratio < RATIO_RANGE[1]:
+                widths = variance + SHADE_SLACK**2 / channels * square
+                place = int((ratio - RATIO_RANGE[0]) * RATIO_BINS / (RATIO_RANGE[1] - RATIO_RANGE[0]))
+                known = look.shadow[place] * np.sqrt(widths.sum() / (channels * square * widths.prod()))
+                away = ((own - ratio * rest) ** 2 / widths).sum()
+                shadow = 2.5 * SHADOW_SHARE * peak * known * (1 + away / FREEDOM) ** power
+            dark[y, x] = ratio if shadow > plain else 0.0
+            variance = variance + VEIL_SLACK**2 * (own - rest) ** 2
+            away = ((own - rest - around) ** 2 / variance).sum()
+            scale = 8 * pi * VEIL**3 if channels == 3 else 2 * VEIL
+            veil = VEIL_SHARE * np.exp(-int(np.linalg.norm(around)) / VEIL) / scale
+            density = plain + shadow + veil * (1 + away / FREEDOM) ** power
+        colour = tuple(picture[y, x] >> 3) if channels == 3 else (picture[y, x, 0],)
+        density = trust[y, x] * density + (1 - trust[y, x]) * look.surroundings[colour]
+        uniform = UNKNOWN_SHARE * COMMON[channels] * 256.0**-channels
+        person = (1 - UNKNOWN_SHARE) * look.person[colour] + uniform
+        found[y, x] = np.clip(np.log(person / density), -LIMIT, LIMIT)
+    return found, dark
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_the_rows_are_what_each_pixel_by_itself_gives(rng, channels):
+    room = np.clip(rng.normal(120, 20, (40, 50, channels)), 30, 220).astype(np.uint8)
+    background = backgrounds.from_pictures([room])
+    trust = rng.uniform(0.3, 1.0, (40, 50)).astype(np.float32)
+    background = replace(background, trust=trust)
+    shown = backgrounds.Exposure(
+        gain=np.ones(channels), offset=np.zeros(channels), noise=np.full(channels, 3.0), jitter=0.3
+    )
+    picture = room.astype(float)
+    picture[:20] *= 0.7
+    picture[10:30, 10:25] = rng.uniform(0, 255, (20, 15, channels))
+    picture[25:, 30:] += 15
+    picture = np.clip(picture + rng.normal(0, 2, picture.shape), 0, 255).astype(np.uint8)
+    look = unknown(channels)
+    person = rng.uniform(0, 2, look.person.shape) * look.person
+    around = rng.uniform(0, 2, look.surroundings.shape) * look.surroundings
+    look = replace(look, person=person, surroundings=around)
+    light = backgrounds.exposed(background, shown)
+    found, dark = evidence(picture, light, background, shown, look)
+    expected, shaded = plain_evidence(picture, light, background.steepness, background.trust, shown, look, 2)
+    # A darkening at the very edge of its bins, or a strength at a whole number, may fall to either side.
+    assert np.quantile(np.abs(found - expected), 0.995) < 1e-3
+    assert (np.abs(dark - shaded) > 1e-4).mean() < 0.005
+    assert (shaded > 0).mean() > 0.2
