@@ -1,5 +1,6 @@
 """The stages of a capture: what they keep, what they compare, and what they refuse."""
 
+import io
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -132,3 +133,11 @@ def test_silhouettes_of_some_cameras_only_are_refused(store):
     some = trial(masks={"cam01": None}, rig=SimpleNamespace(names=names), take=None, folder=Path("walk01"))
     with pytest.raises(FileProblem, match="none of cam02, cam03"):
         stages.known_silhouettes(some, store, Progress(quiet=True))
+
+
+def test_frames_in_which_somebody_was_lost_are_told():
+    progress = Progress(io.StringIO(), quiet=True)
+    stages.warn_of_lost(progress, range(3, 9), {3: 0, 4: 0, 8: 0}, count=12)
+    assert progress.warnings == ["The person was seen but lost in frames 5 to 7: there is no answer."]
+    stages.warn_of_lost(progress, range(3, 9), range(12), count=12)
+    assert len(progress.warnings) == 1

@@ -33,3 +33,15 @@ def test_the_last_of_two_candidates_of_a_frame_counts(tmp_path, rng):
         assert KeptCandidates(log, body)[4].score == 0.9
         del kept[4]
         assert 4 not in kept
+
+
+def test_candidates_may_be_kept_by_two_numbers(tmp_path, rng):
+    body = stick_person(rng)
+    candidates = {key: Candidate(PosedBody(body, any_pose(rng, body)), 0.9) for key in ((7, 3), (-1, 3))}
+    with FrameLog(tmp_path / "a.log") as log:
+        KeptCandidates(log, body).update(candidates)
+        found = KeptCandidates(log, body)
+        assert set(found) == {(7, 3), (-1, 3)}
+        np.testing.assert_array_equal(found[-1, 3].posed.vertices, candidates[-1, 3].posed.vertices)
+        # Candidates of one shape share the body, and what was computed for it.
+        assert found[-1, 3].posed.body is found[7, 3].posed.body

@@ -18,6 +18,7 @@ from marey.cli.run_record import StageCache, finished_together, write_record
 from marey.cli.settings import CaptureSettings
 from marey.errors import FileProblem
 from marey.fit.person import (
+    Memory,
     PersonSettings,
     Take,
     mend_person,
@@ -149,6 +150,7 @@ def _capture(run: Run, bodies: Bodies, log: FrameLog, better: FrameLog) -> None:
     frames = stages.frames_with_somebody(store)
     stages.require_somebody(trial, frames)
     tracked = _tracked(run, Take(tuple(small), store, frames, trial.take.rate), bodies)
+    stages.warn_of_lost(progress, frames, tracked.poses, count=trial.take.count)
     if not trial.masks:
         views = [stages.Watched(model) for model in models]
         predicted = stages.surface_masks(tracked.body, tracked.poses, cameras)
@@ -175,12 +177,19 @@ def _tracked(run: Run, take: Take, bodies: Bodies) -> Tracked:
         begun = _unpacked(cache.arrays("start", start, depends=run.scope), bodies.fine)
         frame = next(iter(begun.poses))
         with (
-            cache.frames("tracked_frames", depends=run.scope) as log,
+            cache.frames("tracked_frames", depends=run.scope) as tracked,
+            cache.frames("picked_up_frames", depends=run.scope) as picked,
+            cache.frames("repaired_frames", depends=run.scope) as repaired,
             progress.stage("Tracking", len(take.frames)) as step,
         ):
+            memory = Memory(
+                KeptCandidates(tracked, begun.body),
+                KeptCandidates(picked, begun.body),
+                KeptCandidates(repaired, begun.body),
+            )
             found = track_person(
                 take, begun.body, with_shape(begun.body, bodies.coarse), (frame, begun.poses[frame]), person,
-                done=lambda frame: step(), memory=KeptCandidates(log, begun.body),
+                done=lambda frame: step(), memory=memory,
             )  # fmt: skip
         return _packed(found, begun.body)
 
@@ -229,8 +238,11 @@ def begin(
 def _refined(run: Run, take: Take, tracked: Tracked, bodies: Bodies) -> SequenceFit:
     """Mend single frames and refine the whole, now that body and silhouettes are better known."""
     person = run.person
-    with run.progress.stage("Mending"):
-        poses = mend_person(take, tracked.body, with_shape(tracked.body, bodies.coarse), tracked.poses, person)
+    with run.cache.frames("mended_frames", depends=run.scope) as log, run.progress.stage("Mending"):
+        poses = mend_person(
+            take, tracked.body, with_shape(tracked.body, bodies.coarse), tracked.poses, person,
+            memory=KeptCandidates(log, tracked.body),
+        )  # fmt: skip
     with run.progress.stage("Refinement", FINE_ROUNDS * len(poses)) as step:
         return refine_person(
             take, tracked.body, poses, shape_frames(tracked.scores, person.shape_frames), person,

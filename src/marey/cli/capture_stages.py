@@ -1,6 +1,6 @@
 """The stages of a capture that go through the videos, frame by frame, and remember what is done."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,6 +20,7 @@ from marey.io.masks import pack_mask, unpack_mask, write_masks
 from marey.io.stages import FrameLog
 from marey.io.trial import Trial
 from marey.observations.correspondence import view_of
+from marey.view.problems import frames_text
 
 PLATES = 25
 """Pictures of a clip of the empty room that are looked at."""
@@ -234,6 +235,14 @@ def require_somebody(trial: Trial, frames: Sequence[int]) -> None:
         wrong = "shows nobody whom at least two cameras see at the same time"
         remedy = "Check that the background pictures belong to this take, and that a person moves in the videos."
         raise FileProblem(trial.folder, wrong, remedy)
+
+
+def warn_of_lost(progress: Progress, frames: Sequence[int], found: Container[int], *, count: int) -> None:
+    """Warn of frames that show somebody whose pose was not found."""
+    lost = np.zeros(count, bool)
+    lost[[frame for frame in frames if frame not in found]] = True
+    if lost.any():
+        progress.warn(f"The person was seen but lost in {frames_text(lost)}: there is no answer.")
 
 
 def surface_masks(

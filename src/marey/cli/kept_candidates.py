@@ -1,17 +1,21 @@
 """Candidates of frames, kept on disk as soon as they are found, so that an interrupted run finds them again."""
 
 from collections.abc import Iterator, MutableMapping
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
+from marey.arrays import Floats
 from marey.body.pose import Pose, PosedBody
 from marey.body.surface import Body
 from marey.fit.search import Candidate
 from marey.io.stages import FrameLog
 
+Key = TypeVar("Key", int, tuple[int, int])
 
-class KeptCandidates(MutableMapping[int, Candidate]):
-    """Candidates by frame, in a log on disk.
+
+class KeptCandidates(MutableMapping[Key, Candidate], Generic[Key]):
+    """Candidates by frame, or by a number and a frame, in a log on disk.
 
     Args:
         log: Takes a record for each candidate.
@@ -20,19 +24,28 @@ class KeptCandidates(MutableMapping[int, Candidate]):
 
     def __init__(self, log: FrameLog, body: Body):
         self._log, self._body = log, body
-        self._place = {int(record["frame"]): place for place, record in enumerate(log)}
+        self._place: dict[Key, int] = {_key(record["frame"]): place for place, record in enumerate(log)}
 
-    def __getitem__(self, frame: int) -> Candidate:
-        record = self._log[self._place[frame]]
+    def __getitem__(self, key: Key) -> Candidate:
+        record = self._log[self._place[key]]
         pose = Pose(record["translation"], record["rotation"], record["angles"])
-        return Candidate(PosedBody(self._body.with_numbers(record["numbers"]), pose), float(record["score"]))
+        return Candidate(PosedBody(self._with_numbers(record["numbers"]), pose), float(record["score"]))
 
-    def __setitem__(self, frame: int, candidate: Candidate) -> None:
+    def _with_numbers(self, numbers: Floats) -> Body:
+        """Give the body in a shape; candidates of the same shape share it, and what was computed for it."""
+        if not np.array_equal(numbers, self._body.numbers):
+            self._body = self._body.with_numbers(numbers)
+        return self._body
+
+    def __contains__(self, key: object) -> bool:
+        return key in self._place
+
+    def __setitem__(self, key: Key, candidate: Candidate) -> None:
         pose = candidate.posed.pose
-        self._place[frame] = len(self._log)
+        self._place[key] = len(self._log)
         self._log.append(
             {
-                "frame": np.array(frame),
+                "frame": np.array(key),
                 "translation": pose.translation,
                 "rotation": pose.rotation,
                 "angles": pose.angles,
@@ -41,12 +54,16 @@ class KeptCandidates(MutableMapping[int, Candidate]):
             }
         )
 
-    def __delitem__(self, frame: int) -> None:
-        del self._place[frame]
+    def __delitem__(self, key: Key) -> None:
+        del self._place[key]
 
-    def __iter__(self) -> Iterator[int]:
+    def __iter__(self) -> Iterator[Key]:
         return iter(self._place)
 
     def __len__(self) -> int:
-        """Count the frames."""
+        """Count the candidates."""
         return len(self._place)
+
+
+def _key(stored: np.ndarray) -> Any:
+    return tuple(map(int, stored)) if stored.ndim else int(stored)

@@ -1,6 +1,6 @@
 """The recipe: from the silhouettes of a take to one person's motion and shape."""
 
-from collections.abc import Callable, Mapping, MutableMapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -10,6 +10,7 @@ from marey.body.pose import Pose, PosedBody
 from marey.body.surface import Body
 from marey.cameras.camera import Camera
 from marey.fit.levels import FrameLevels, level_factor
+from marey.fit.pick_up import PickUpSettings, better_of, pick_up, start_again, weak_frames
 from marey.fit.search import Candidate, Search, StartSettings
 from marey.fit.sequence import SequenceFit, SequenceSettings, refine_sequence
 from marey.fit.start import find_start
@@ -29,6 +30,7 @@ class PersonSettings:
     start: StartSettings = field(default_factory=StartSettings)
     track: TrackSettings = field(default_factory=TrackSettings)
     sequence: SequenceSettings = field(default_factory=SequenceSettings)
+    pick_up: PickUpSettings = field(default_factory=PickUpSettings)
     start_frames: int = 3
     """Frames that are tried for the start."""
     shape_frames: int = 25
@@ -62,6 +64,49 @@ class Take:
         sample = self.frames[:: max(1, len(self.frames) // 5)][:5]
         tallest = [mask for frame in sample for mask in self.masks_of(frame)]
         return FrameLevels(self.cameras, self.masks_of, level_factor(tallest, height))
+
+
+@dataclass(frozen=True, eq=False)
+class Memory:
+    """What a run that follows a person has found so far; each part takes a candidate as soon as it is found."""
+
+    followed: MutableMapping[tuple[int, int], Candidate] = field(default_factory=dict)
+    """By the frame of the start from which the person was followed, and the frame."""
+    starts: MutableMapping[int, Candidate] = field(default_factory=dict)
+    """Starts that were tried anew, by frame."""
+    mended: MutableMapping[tuple[int, int], Candidate] = field(default_factory=dict)
+    """By the way in which frames were gone through (1 or -1), and the frame."""
+
+
+class OfStart(MutableMapping[int, Candidate]):
+    """The part of a memory that belongs to one start.
+
+    Args:
+        every: Candidates by start and frame.
+        start: Which part.
+    """
+
+    def __init__(self, every: MutableMapping[tuple[int, int], Candidate], start: int):
+        self._every, self._start = every, start
+
+    def __getitem__(self, frame: int) -> Candidate:
+        return self._every[self._start, frame]
+
+    def __contains__(self, frame: object) -> bool:
+        return (self._start, frame) in self._every
+
+    def __setitem__(self, frame: int, candidate: Candidate) -> None:
+        self._every[self._start, frame] = candidate
+
+    def __delitem__(self, frame: int) -> None:
+        del self._every[self._start, frame]
+
+    def __iter__(self) -> Iterator[int]:
+        return (frame for start, frame in self._every if start == self._start)
+
+    def __len__(self) -> int:
+        """Count the frames."""
+        return sum(1 for _ in self)
 
 
 def promising_frames(take: Take, count: int) -> list[int]:
@@ -132,33 +177,91 @@ def track_person(
     settings: PersonSettings,
     *,
     done: Done = _nothing,
-    memory: MutableMapping[int, Candidate] | None = None,
+    memory: Memory | None = None,
 ) -> dict[int, Candidate]:
-    """Follow the person from the start to both ends of the take, and mend what went wrong.
+    """Follow the person from the start to both ends of the take, pick up who was lost, and mend what went wrong.
 
-    A memory takes every frame's candidate as soon as it is found; what it holds already is not sought again.
+    Who left and came back after a while is sought anew, as is who was lost; the body's shape is kept. A stretch that
+    was followed much worse than the rest is tried again in the same way.
+
+    Args:
+        take: cameras and silhouettes.
+        body: whose shape stays as it is.
+        coarse: the same body with few vertices.
+        start: a frame, and the pose in it.
+        settings: how a person is followed.
+        done: told of every frame once.
+        memory: what an interrupted run had found already.
     """
-    frame, pose = start
+    memory = memory or Memory()
     levels, rough = take.levels(settings.track_height), take.levels(settings.rough_height)
-    ahead = [f for f in take.frames if f >= frame]
-    behind = [f for f in reversed(take.frames) if f < frame]
-    found: dict[int, Candidate] = {}
-    for frames in (ahead, behind):
-        found |= track(
-            body, pose, frames, levels, rough, rate=take.rate, settings=settings.track, coarse=coarse, done=done,
-            memory=memory,
+    told: set[int] = set()
+
+    def tell(frame: int) -> None:
+        if frame not in told:
+            told.add(frame)
+            done(frame)
+
+    def follow(begun: int, pose: Pose, frames: Sequence[int]) -> dict[int, Candidate]:
+        return track(
+            body, pose, frames, levels, rough, rate=take.rate, settings=settings.track, coarse=coarse, done=tell,
+            memory=OfStart(memory.followed, begun),
         )  # fmt: skip
-    found = {f: found[f] for f in sorted(found)}
-    return repair(found, levels, rough, coarse=coarse, rate=take.rate, settings=settings.track)
+
+    def anew(frame: int) -> Candidate | None:
+        if frame not in memory.starts:
+            masks = take.masks_of(frame)
+            candidate = start_again(take.cameras, masks, body, coarse, levels, frame, settings.start)
+            if candidate is None:
+                return None
+            memory.starts[frame] = candidate
+        return memory.starts[frame]
+
+    frame, pose = start
+    ahead, behind = [f for f in take.frames if f >= frame], [f for f in reversed(take.frames) if f < frame]
+    found = follow(frame, pose, ahead) | follow(frame, pose, behind)
+    weak = weak_frames(found, rate=take.rate, settings=settings.pick_up)
+    again = pick_up(
+        {f: c for f, c in found.items() if f not in weak}, take.frames, _merits(take), anew, follow, rate=take.rate,
+        settings=settings.pick_up,
+    )  # fmt: skip
+    found = better_of(found, again)
+    for frame in take.frames:
+        tell(frame)
+    return repair(
+        found, levels, rough, coarse=coarse, rate=take.rate, settings=settings.track, memory=memory.mended
+    )  # fmt: skip
+
+
+def _merits(take: Take) -> Callable[[int], float]:
+    """Give how well a frame shows the person: all of the silhouettes, less what the pictures' borders cut."""
+
+    def merit(frame: int) -> float:
+        shown = [_shown(mask) for mask in take.masks_of(frame)]
+        return float(np.mean([np.sqrt(area) * max(1.0 - 4.0 * cut, 0.0) for area, cut in shown]))
+
+    return merit
 
 
 def mend_person(
-    take: Take, body: Body, coarse: Body, poses: Mapping[int, Pose], settings: PersonSettings, *, done: Done = _nothing
+    take: Take,
+    body: Body,
+    coarse: Body,
+    poses: Mapping[int, Pose],
+    settings: PersonSettings,
+    *,
+    done: Done = _nothing,
+    memory: MutableMapping[tuple[int, int], Candidate] | None = None,
 ) -> dict[int, Pose]:
-    """Mend single frames of a sequence once its body and its silhouettes are better known."""
+    """Mend single frames of a sequence once its body and its silhouettes are better known.
+
+    A memory takes every mended frame as soon as it is found; what it holds already is not sought again.
+    """
     levels, rough = take.levels(settings.track_height), take.levels(settings.rough_height)
     judged = {f: Search(levels.at(f), settings.start).judge(PosedBody(body, pose)) for f, pose in poses.items()}
-    mended = repair(judged, levels, rough, coarse=coarse, rate=take.rate, settings=settings.track, done=done)
+    mended = repair(
+        judged, levels, rough, coarse=coarse, rate=take.rate, settings=settings.track, done=done, memory=memory
+    )
     return {f: candidate.posed.pose for f, candidate in mended.items()}
 
 

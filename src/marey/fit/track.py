@@ -215,15 +215,18 @@ def repair(
     settings: TrackSettings | None = None,
     roughness: float = 0.0015,
     done: Callable[[int], None] = lambda frame: None,
+    memory: MutableMapping[tuple[int, int], Candidate] | None = None,
 ) -> dict[int, Candidate]:
     """Mend frames that agree worse, explain less, or move more roughly than their neighbours.
 
-    Each such frame tries its neighbours' poses, the pose midway between them, a search of its limbs, and where that is
-    not enough starts sampled about the neighbour that was mended before it;
-    agreement decides, less the distance (in degrees) from the neighbour that was mended before it. One
-    sweep goes forward and one back, so that a run of bad frames is mended from both its ends.
+    Each such frame tries its neighbours' poses, the pose midway between them, a search of its limbs, and where
+    that is not enough starts sampled about the neighbour that was mended before it; agreement decides, less the
+    distance (in degrees) from that neighbour. One sweep goes forward and one back, so that a run of bad frames is
+    mended from both its ends. A memory, by way (1 or -1) and frame, takes every mended frame as soon as it is found;
+    what it holds already is not sought again.
     """
     settings = settings or TrackSettings()
+    memory = {} if memory is None else memory
     found = dict(found)
     suspects = _suspects(found, levels, settings)
     if not suspects:
@@ -231,7 +234,9 @@ def repair(
     spread = prediction_spread(coarse.skeleton, settings, rate=rate)
     for order, step in ((suspects, 1), (suspects[::-1], -1)):
         for frame in order:
-            found[frame] = _mend(frame, step, found, levels, rough, coarse, spread, roughness, settings)
+            if (step, frame) not in memory:
+                memory[step, frame] = _mend(frame, step, found, levels, rough, coarse, spread, roughness, settings)
+            found[frame] = memory[step, frame]
             done(frame)
     return found
 
