@@ -78,3 +78,41 @@ def test_what_reaches_behind_the_camera_is_seen_as_far_as_it_lies_before_it():
     behind = np.tile([np.nan, np.nan, 0.0], (4, 1))
     assert not see(behind, faces, (60, 60)).mask().any()
     assert len(see(behind, faces, (60, 60)).rim(faces).face) == 0
+
+
+def two_spheres(gap):
+    """A small sphere before a large one, by a gap between the small one's centre and the large one's near point."""
+    small, faces = outward(trimesh.creation.icosphere(subdivisions=4, radius=0.1))
+    large, others = outward(trimesh.creation.icosphere(subdivisions=4, radius=0.4))
+    centre = np.array([0.02, -0.03, 2.6 - gap])
+    vertices = np.concatenate([small + centre, large + [0, 0, 3.0]])
+    limb = np.repeat([1, 0], [len(faces), len(others)])
+    return vertices, np.concatenate([faces, others + len(small)]), limb, centre
+
+
+def test_what_stands_before_another_limb_has_its_rim_inside_of_the_outline():
+    vertices, faces, limb, centre = two_spheres(0.3)
+    view = see(project(vertices), faces, (320, 240))
+    rim = view.interior_rim(faces, limb)
+    assert set(limb[rim.face]) == {1}
+    points = np.einsum("nc,nca->na", rim.barycentric, vertices[faces[rim.face]])
+    np.testing.assert_allclose(project(points)[:, :2], rim.pixels, atol=1e-6)
+    ray = points / np.linalg.norm(points, axis=1, keepdims=True)
+    distance = np.linalg.norm(centre - (ray @ centre)[:, None] * ray, axis=1)
+    assert np.abs(distance - 0.1).max() < 1.5 * centre[2] / 500
+    towards = project(centre[None])[0, :2] - rim.pixels
+    assert ((towards / np.linalg.norm(towards, axis=1, keepdims=True)) * rim.inward).sum(1).min() > 0.9
+    # All round: the small sphere's outline has about as many pixels as its rim alone.
+    alone = see(project(vertices), faces[limb == 1], (320, 240)).rim(faces[limb == 1])
+    assert len(rim.face) == len(alone.face)
+
+
+def test_limbs_that_touch_or_are_one_show_no_rim_between_them():
+    vertices, faces, limb, _ = two_spheres(0.3)
+    view = see(project(vertices), faces, (320, 240))
+    assert len(view.interior_rim(faces, 0 * limb).face) == 0
+    # The rim of the small sphere lies 0.33 before the large one; whoever wants more finds none.
+    assert len(view.interior_rim(faces, limb, jump=0.5).face) == 0
+    vertices, faces, limb, _ = two_spheres(-0.05)
+    sunk = see(project(vertices), faces, (320, 240))
+    assert len(sunk.interior_rim(faces, limb).face) == 0

@@ -15,6 +15,7 @@ from marey.cli.progress import Progress
 from marey.errors import FileProblem
 from marey.geometry import rotations
 from marey.io.stages import FrameLog
+from marey.observations.correspondence import view_of
 
 
 def trial(**parts):
@@ -141,3 +142,50 @@ def test_frames_in_which_somebody_was_lost_are_told():
     assert progress.warnings == ["The person was seen but lost in frames 5 to 7: there is no answer."]
     stages.warn_of_lost(progress, range(3, 9), range(12), count=12)
     assert len(progress.warnings) == 1
+
+
+SIDE = {"left_shoulder_lift": 30, "left_elbow_flexion": 15}
+"""From the left, the whole arm crosses the trunk [deg]."""
+
+
+def painted(posed, camera, rng):
+    """A picture of the person: arms of another hue than the rest."""
+    view = view_of(posed, camera)
+    colours = np.array([[70, 80, 160], [110, 150, 200], [110, 150, 200], [70, 80, 160], [70, 80, 160]])
+    image = np.full((camera.height, camera.width, 3), 90)
+    x, y = view.corner
+    part = image[y : y + view.face.shape[0], x : x + view.face.shape[1]]
+    part[view.covered] = colours[posed.body.face_limb[view.face[view.covered]]]
+    return np.clip(image + rng.normal(0, 2, image.shape), 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("factor", [1.0, 0.5])
+def test_edges_are_looked_for_where_the_body_expects_them_and_kept_with_the_silhouettes(tmp_path, rng, factor):
+    camera = worlds.looking_at(np.array([0.0, 0, 0.1]), np.array([2.9, -1.2, 0.4]), size=(480, 640), focal=900.0)
+    true = PosedBody(worlds.person("fine"), worlds.pose(worlds.person("fine"), SIDE))
+    believed = worlds.pose(true.body, SIDE | {"left_shoulder_lift": 31})
+    small = camera.scaled(factor)
+    expected = stages.expectations(true.body, {7: believed}, [camera], [small])
+    assert expected(6) is None
+    [of_camera] = expected(7)
+    np.testing.assert_array_equal(of_camera.mask, view_of(PosedBody(true.body, believed), camera).mask())
+    mask, exposure = view_of(true, camera).mask(), SimpleNamespace(noise=np.full(3, 2.0))
+    found = stages.look_inside(painted(true, camera, rng), SimpleNamespace(mask=mask, exposure=exposure), of_camera)
+    rim = view_of(true, camera).interior_rim(true.body.faces, true.body.face_limb)
+    arm = rim.pixels[true.body.face_limb[rim.face] == 1]
+    own = found.pixels[found.limb == 1]
+    assert len(own) > 0.3 * factor * len(arm)
+    # Both thighs have one hue: where one hides the other nothing is seen.
+    assert set(found.limb) <= {0, 1}
+    # The rim's pixels lie half a pixel within the border, and next to each other; a smaller picture shows less.
+    distance = np.linalg.norm(own[:, None] - arm, axis=2).min(1)
+    assert np.quantile(distance, 0.9) < 1.2 / factor
+    with FrameLog(tmp_path / "masks.log") as log:
+        store = stages.MaskStore(log, 7, [camera])
+        store.append([mask], [found])
+        store.append([mask])
+        [kept] = store.edges(7)
+        assert store.edges(8) is None
+    np.testing.assert_allclose(kept.pixels, found.pixels, atol=1e-4)
+    np.testing.assert_allclose(kept.inward, found.inward, atol=1e-6)
+    np.testing.assert_array_equal(kept.limb, found.limb)

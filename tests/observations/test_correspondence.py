@@ -135,8 +135,9 @@ def test_pairs_are_those_that_a_look_at_all_of_them_finds(rng):
     rim_in = rim_in[:80]
     rim_counts, contour_counts = rng.random(80) > 0.2, rng.random(90) > 0.2
     gate, cosine = 6.0, 0.1
+    one_limb = np.zeros(80, np.int64)
     found = pair_both_ways(
-        rim, rim_in, rim_counts, sort_into_cells(contour), contour_in, contour_counts, gate, cosine
+        rim, rim_in, one_limb, rim_counts, sort_into_cells(contour), contour_in, contour_counts, gate, cosine, False
     )  # fmt: skip
     distance = np.linalg.norm(rim[:, None] - contour, axis=2)
     fits = (distance <= gate) & (rim_in @ contour_in.T >= cosine) & rim_counts[:, None] & contour_counts

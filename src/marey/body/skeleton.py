@@ -32,6 +32,12 @@ JOINT_OF_SEGMENT = {"neck": "neck", "head": "head"} | {
 }  # fmt: skip
 """The joint centre (a name of the results) about which a segment turns on its parent."""
 
+LIMBS = ("trunk", "left_arm", "right_arm", "left_leg", "right_leg")
+"""What hides each other or is taken for each other: the trunk, with head and clavicles, counts as one of them."""
+_LIMB_KINDS = {"upperarm": "arm", "forearm": "arm", "hand": "arm"} | dict.fromkeys(
+    ("thigh", "shank", "foot", "toes"), "leg"
+)
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Coordinate:
@@ -78,6 +84,13 @@ class Skeleton:
     def coordinate_segment(self) -> Integers:
         """(D - 6,) index of the segment that each joint coordinate turns."""
         return frozen([self.segment_names.index(c.segment) for c in self.coordinates], np.int64)
+
+    @cached_property
+    def segment_limb(self) -> Integers:
+        """(S,) index in `LIMBS` of the limb to which each segment belongs."""
+        parted = (name.partition("_") for name in self.segment_names)
+        kinds = ((side, _LIMB_KINDS.get(plain)) for side, _, plain in parted)
+        return frozen([LIMBS.index(f"{side}_{kind}") if kind else 0 for side, kind in kinds], np.int64)
 
     @cached_property
     def axes(self) -> Floats:

@@ -152,6 +152,11 @@ class Body:
         return frozen(np.argmax(votes, 1), np.int64)
 
     @cached_property
+    def face_limb(self) -> Integers:
+        """(T,) the limb to which each face belongs, see `Skeleton.segment_limb`."""
+        return frozen(self.skeleton.segment_limb[self.face_segment], np.int64)
+
+    @cached_property
     def outline_counts(self) -> Mask:
         """(T,) whether the outline of each face counts."""
         return frozen(np.ones(len(self.faces)) if self.outlined is None else self.outlined, np.bool_)

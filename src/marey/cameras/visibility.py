@@ -27,6 +27,10 @@ class Rim(NamedTuple):
     """(n,) of the surface point from the camera [m]."""
 
 
+JUMP = 0.025
+"""Limbs that lie one behind the other by less than this touch, and no rim is seen between them [m]."""
+
+
 @dataclass(frozen=True, eq=False)
 class View:
     """A mesh as one camera sees it, kept for the part of the picture that it covers."""
@@ -61,6 +65,17 @@ class View:
             faces: (T, 3) the mesh that was seen.
         """
         return Rim(*rim_pixels(self.face, self.projected, faces, self.corner[0], self.corner[1]))
+
+    def interior_rim(self, faces: Integers, limb: Integers, *, jump: float = JUMP) -> Rim:
+        """Find the rims inside of the outline: pixels of a limb beside a pixel of another limb that lies behind.
+
+        Args:
+            faces: (T, 3) the mesh that was seen.
+            limb: (T,) to which limb each face belongs.
+            jump: how much farther away the other limb lies at least [m].
+        """
+        x, y = self.corner
+        return Rim(*interior_rim_pixels(self.face, self.inverse_depth, self.projected, faces, limb, x, y, jump))
 
 
 MARGIN = 3
@@ -149,7 +164,7 @@ def draw_into(scratch, faces, width, height, margin):
     inverse_depth[:] = 0.0
     face[:] = -1
     draw_faces(scratch.projected, faces, left, top, inverse_depth, face)
-    return left, top, face
+    return left, top, inverse_depth, face
 
 
 @numba.njit(cache=True, nogil=True)
@@ -200,25 +215,92 @@ def rim_pixels(face, projected, faces, left, top):
             if _on_rim(face, y, x):
                 found[count, 0], found[count, 1] = x, y
                 count += 1
-    pixels = np.empty((count, 2))
     inward = np.empty((count, 2))
+    for i in range(count):
+        _normal_of_covered(face, found[i, 0], found[i, 1], inward[i])
+    return _on_surface(found, inward, face, projected, faces, left, top)
+
+
+@numba.njit(cache=True, nogil=True)
+def interior_rim_pixels(face, inverse_depth, projected, faces, limb, left, top, jump):
+    """List the rims inside of the outline as `rim_pixels` lists the outline, see `View.interior_rim`."""
+    height, width = face.shape
+    count = 0
+    # What is listed is a small share of the pixels; the list grows with it.
+    found = np.empty((256, 2), np.int64)
+    for y in range(1, height - 1):
+        for x in range(1, width - 1):
+            if face[y, x] >= 0 and _hides(face, inverse_depth, limb, y, x, jump):
+                if count == len(found):
+                    longer = np.empty((2 * count, 2), np.int64)
+                    longer[:count] = found
+                    found = longer
+                found[count, 0], found[count, 1] = x, y
+                count += 1
+    found = found[:count]
+    inward = np.empty((count, 2))
+    for i in range(count):
+        _normal_of_limb(face, limb, found[i, 0], found[i, 1], inward[i])
+    return _on_surface(found, inward, face, projected, faces, left, top)
+
+
+@numba.njit(cache=True, nogil=True)
+def _hides(face, inverse_depth, limb, y, x, jump):
+    """Tell whether a pixel's limb hides another limb that is seen beside it."""
+    own, near = limb[face[y, x]], inverse_depth[y, x]
+    for k in range(4):
+        yy, xx = y + (k == 0) - (k == 1), x + (k == 2) - (k == 3)
+        f = face[yy, xx]
+        if f >= 0 and limb[f] != own and inverse_depth[yy, xx] * (1.0 + jump * near) < near:
+            return True
+    return False
+
+
+@numba.njit(cache=True, nogil=True)
+def _normal_of_covered(face, x, y, inward):
+    """Write the unit normal towards what is covered near a pixel."""
+    height, width = face.shape
+    nx = ny = 0.0
+    for yy in range(max(y - 2, 0), min(y + 3, height)):
+        for xx in range(max(x - 2, 0), min(x + 3, width)):
+            if face[yy, xx] >= 0:
+                nx += xx - x
+                ny += yy - y
+    _write_unit(nx, ny, inward)
+
+
+@numba.njit(cache=True, nogil=True)
+def _normal_of_limb(face, limb, x, y, inward):
+    """Write the unit normal towards what a pixel's own limb covers near it."""
+    height, width = face.shape
+    own = limb[face[y, x]]
+    nx = ny = 0.0
+    for yy in range(max(y - 2, 0), min(y + 3, height)):
+        for xx in range(max(x - 2, 0), min(x + 3, width)):
+            if face[yy, xx] >= 0 and limb[face[yy, xx]] == own:
+                nx += xx - x
+                ny += yy - y
+    _write_unit(nx, ny, inward)
+
+
+@numba.njit(cache=True, nogil=True)
+def _write_unit(nx, ny, inward):
+    length = np.sqrt(nx * nx + ny * ny)
+    scale = 1.0 / length if length > 0.0 else 0.0
+    inward[0], inward[1] = nx * scale, ny * scale
+
+
+@numba.njit(cache=True, nogil=True)
+def _on_surface(found, inward, face, projected, faces, left, top):
+    """Give what `Rim` holds of pixels (n, 2) of the buffers."""
+    count = len(found)
+    pixels = np.empty((count, 2))
     rim_face = np.empty(count, np.int64)
     barycentric = np.empty((count, 3))
     depth = np.empty(count)
     for i in range(count):
         x, y = found[i, 0], found[i, 1]
-        nx = ny = 0.0
-        for yy in range(max(y - 2, 0), min(y + 3, height)):
-            for xx in range(max(x - 2, 0), min(x + 3, width)):
-                if face[yy, xx] >= 0:
-                    nx += xx - x
-                    ny += yy - y
-        length = np.sqrt(nx * nx + ny * ny)
-        if length > 0.0:
-            nx /= length
-            ny /= length
         pixels[i, 0], pixels[i, 1] = x + left, y + top
-        inward[i, 0], inward[i, 1] = nx, ny
         rim_face[i] = face[y, x]
         depth[i] = _perspective_weights(projected, faces, rim_face[i], x + left, y + top, barycentric[i])
     return pixels, inward, rim_face, barycentric, depth

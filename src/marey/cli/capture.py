@@ -153,9 +153,10 @@ def _capture(run: Run, bodies: Bodies, log: FrameLog, better: FrameLog) -> None:
     stages.warn_of_lost(progress, frames, tracked.poses, count=trial.take.count)
     if not trial.masks:
         views = [stages.Watched(model) for model in models]
-        predicted = stages.surface_masks(tracked.body, tracked.poses, cameras)
+        predicted = stages.expectations(tracked.body, tracked.poses, cameras, small)
         stages.find_silhouettes(trial, views, cameras, outlines, progress, name="Outlines", predicted=predicted)
-    fit = _refined(run, Take(tuple(cameras), outlines, tuple(tracked.poses), trial.take.rate), tracked, bodies)
+    again = Take(tuple(cameras), outlines, tuple(tracked.poses), trial.take.rate, outlines.edges)
+    fit = _refined(run, again, tracked, bodies)
     write_capture(run, fit, outlines, frames)
 
 

@@ -15,6 +15,7 @@ from marey.cameras.camera import Camera
 from marey.cli.progress import Progress
 from marey.errors import FileProblem
 from marey.images.background import Background, doubted, from_pictures, from_take, shrunk, taught, worth_seeing
+from marey.images.interior import InteriorEdges, find_edges
 from marey.images.silhouettes import Silhouette, segment, shape_term
 from marey.io.masks import pack_mask, unpack_mask, write_masks
 from marey.io.stages import FrameLog
@@ -37,10 +38,10 @@ TRACKED_PX = 300.0
 
 
 class MaskStore:
-    """Silhouettes of a take's frames, on disk; the frames asked for last are kept.
+    """Silhouettes of a take's frames, and the edges inside of them, on disk.
 
     Args:
-        log: One record a frame, packed bits by camera.
+        log: One record a frame, packed bits by camera, and edges where pictures were looked at for them.
         first: The number of the frame in the log's first record.
         cameras: In the order of the records.
     """
@@ -54,9 +55,10 @@ class MaskStore:
         """The frames that are there."""
         return range(self._first, self._first + len(self._log))
 
-    def append(self, masks: Sequence[Mask]) -> None:
-        """Add the next frame's silhouettes."""
-        self._log.append({f"camera_{c}": pack_mask(mask) for c, mask in enumerate(masks)})
+    def append(self, masks: Sequence[Mask], edges: Sequence[InteriorEdges] = ()) -> None:
+        """Add the next frame's silhouettes, and the edges inside of them."""
+        packed = {f"camera_{c}": pack_mask(mask) for c, mask in enumerate(masks)}
+        self._log.append(packed | {f"edges_{c}": _packed_edges(found) for c, found in enumerate(edges)})
 
     def known(self, frame: int) -> list[Mask] | None:
         """Give a frame's silhouettes, or None where there are none."""
@@ -66,6 +68,22 @@ class MaskStore:
         """Give a frame's silhouettes, one a camera."""
         record = self._log[frame - self._first]
         return [unpack_mask(record[f"camera_{c}"], (h, w)) for c, (w, h) in enumerate(self._sizes)]
+
+    def edges(self, frame: int) -> list[InteriorEdges] | None:
+        """Give the edges inside of a frame's silhouettes, one set a camera; None where nobody looked for them."""
+        record = self._log[frame - self._first]
+        found = [_unpacked_edges(record[f"edges_{c}"]) for c in range(len(self._sizes)) if f"edges_{c}" in record]
+        return found or None
+
+
+def _packed_edges(edges: InteriorEdges) -> np.ndarray:
+    """Pack edges as rows x, y, normal, limb (n, 5): a hundredth of a pixel is more than they are known to."""
+    return np.column_stack([edges.pixels, edges.inward, edges.limb]).astype(np.float32)
+
+
+def _unpacked_edges(rows: np.ndarray) -> InteriorEdges:
+    pixels, inward = (np.ascontiguousarray(part, float) for part in (rows[:, :2], rows[:, 2:4]))
+    return InteriorEdges(pixels=pixels, inward=inward, limb=rows[:, 4].astype(np.int64))
 
 
 def backgrounds(trial: Trial, progress: Progress) -> list[Background]:
@@ -133,9 +151,9 @@ def find_silhouettes(
     progress: Progress,
     *,
     name: str,
-    predicted: Callable[[int], Sequence[Mask] | None] = lambda frame: None,
+    predicted: "Callable[[int], Sequence[Expected] | None]" = lambda frame: None,
 ) -> None:
-    """Find the silhouettes of all frames that are not in the store yet.
+    """Find the silhouettes of all frames that are not in the store yet, and edges inside where rims are expected.
 
     Args:
         trial: Its take is gone through once, in order.
@@ -144,7 +162,7 @@ def find_silhouettes(
         store: Takes the silhouettes.
         progress: Is told.
         name: Of the stage.
-        predicted: Gives for a frame where the body is believed, one mask a camera; None where nobody knows.
+        predicted: Gives for a frame where the body is believed, for each camera; None where nobody knows.
     """
     take = trial.take
     done = len(store.frames)
@@ -154,10 +172,22 @@ def find_silhouettes(
         ThreadPoolExecutor(max_workers=2) as pool,
     ):
         for frame, images in take.frames(first=take.first + done):
-            starts: Sequence[Mask | None] = predicted(frame) or [None] * len(views)
+            starts: Sequence[Expected | None] = predicted(frame) or [None] * len(views)
             views = list(pool.map(watch, views, map(_resized, images, cameras), starts))
-            store.append([view.mask for view in views])
+            store.append([view.mask for view in views], [view.edges for view in views if view.edges is not None])
             step()
+
+
+@dataclass(frozen=True, eq=False)
+class Expected:
+    """Where one camera should see the body."""
+
+    mask: Mask
+    """(height, width) of the whole picture."""
+    rims: InteriorEdges
+    """Where limbs hide others, in a picture of `camera`."""
+    camera: Camera
+    """Of a picture that is large enough to look for the rims."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,14 +199,15 @@ class Watched:
     """The last silhouette that showed somebody."""
     mask: Mask = field(default_factory=lambda: np.zeros((0, 0), bool))
     """The silhouette of the last picture."""
+    edges: InteriorEdges | None = None
+    """The edges inside of it, where it was known where to look for them."""
     pictures: int = 0
     """Pictures seen."""
 
 
-def watch(view: Watched, image: Image, start: Mask | None) -> Watched:
+def watch(view: Watched, image: Image, expected: Expected | None) -> Watched:
     """Find the silhouette in the next picture of a camera; where the body is known, it pulls at its silhouette."""
-    if start is not None and not start.any():
-        start = None
+    start = None if expected is None or not expected.mask.any() else expected.mask
     prior = None if start is None else pull_of(start)
     found = segment(image, view.background, start=start, before=view.before, prior=prior)
     background = view.background
@@ -185,7 +216,17 @@ def watch(view: Watched, image: Image, start: Mask | None) -> Watched:
         near = cv2.dilate((start | found.mask).astype(np.uint8), np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)) > 0
         background = taught(background, image, found.exposure, near)
     before = found if found.mask.any() else view.before
-    return Watched(background, before, found.mask, view.pictures + 1)
+    edges = None if expected is None else look_inside(image, found, expected)
+    return Watched(background, before, found.mask, edges, view.pictures + 1)
+
+
+def look_inside(image: Image, found: Silhouette, expected: Expected) -> InteriorEdges:
+    """Look for the edges of limbs inside of a silhouette, where the body expects them [px of the whole picture]."""
+    camera, mask = expected.camera, found.mask
+    if (mask.shape[1], mask.shape[0]) != camera.size:
+        mask = cv2.resize(mask.view(np.uint8), camera.size, interpolation=cv2.INTER_NEAREST).view(bool)
+    edges = find_edges(_resized(image, camera), mask, expected.rims, found.exposure.noise)
+    return edges.scaled(image.shape[1] / camera.width)
 
 
 def pull_of(start: Mask) -> Floats:
@@ -257,6 +298,35 @@ def surface_masks(
         return [view_of(posed, camera).mask() for camera in cameras]
 
     return drawn
+
+
+def expectations(
+    body: Body, poses: Mapping[int, Pose], cameras: Sequence[Camera], small: Sequence[Camera]
+) -> Callable[[int], Sequence[Expected] | None]:
+    """Give a function that tells where every camera should see the body, for frames whose pose is known.
+
+    Args:
+        body: The person.
+        poses: By frame.
+        cameras: Of the whole pictures.
+        small: Of pictures that are just large enough to look for the limbs' rims.
+    """
+
+    def expected(frame: int) -> Sequence[Expected] | None:
+        if frame not in poses:
+            return None
+        posed = PosedBody(body, poses[frame])
+        return [_expected(posed, camera, less) for camera, less in zip(cameras, small, strict=True)]
+
+    return expected
+
+
+def _expected(posed: PosedBody, camera: Camera, small: Camera) -> Expected:
+    view = view_of(posed, camera)
+    inner = view if small.size == camera.size else view_of(posed, small)
+    rim = inner.interior_rim(posed.body.faces, posed.body.face_limb)
+    rims = InteriorEdges(pixels=rim.pixels, inward=rim.inward, limb=posed.body.face_limb[rim.face])
+    return Expected(view.mask(), rims, small)
 
 
 def agreements(

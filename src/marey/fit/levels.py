@@ -9,6 +9,8 @@ import numpy as np
 
 from marey.arrays import Floats, Integers, Mask
 from marey.cameras.camera import Camera
+from marey.images.contours import trace_contour
+from marey.images.interior import InteriorEdges
 from marey.observations.correspondence import Sighting
 
 _PIXEL_BYTES = 160
@@ -30,9 +32,13 @@ class Level:
         return Level.at_size(small, [shrink(mask, camera.size) for mask, camera in zip(masks, small, strict=True)])
 
     @staticmethod
-    def at_size(cameras: Sequence[Camera], masks: Sequence[Mask]) -> "Level":
-        """Trace silhouettes that have their cameras' size already."""
-        sightings = tuple(Sighting.of(camera, mask) for camera, mask in zip(cameras, masks, strict=True))
+    def at_size(
+        cameras: Sequence[Camera], masks: Sequence[Mask], edges: Sequence[InteriorEdges] | None = None
+    ) -> "Level":
+        """Trace silhouettes that have their cameras' size already, with the edges inside of them if they are known."""
+        inside: Sequence[InteriorEdges | None] = edges or [None] * len(masks)
+        seen = zip(cameras, masks, inside, strict=True)
+        sightings = tuple(Sighting(camera, trace_contour(mask), interior) for camera, mask, interior in seen)
         return Level(tuple(cameras), tuple(masks), sightings)
 
     @property
@@ -81,6 +87,8 @@ class FrameLevels:
         cameras: of the whole pictures.
         masks_of: gives the silhouettes (height, width) of a frame, one a camera.
         factor: new size over old size.
+        edges_of: gives the edges inside of a frame's silhouettes, one set a camera, in whole pictures; None where
+            nobody looked.
         room: bytes that may be kept.
     """
 
@@ -89,12 +97,13 @@ class FrameLevels:
         cameras: Sequence[Camera],
         masks_of: Callable[[int], Sequence[Mask]],
         factor: float,
+        edges_of: Callable[[int], Sequence[InteriorEdges] | None] = lambda frame: None,
         *,
         room: int = KEPT_BYTES,
     ):
         self.factor = factor
         self._small = tuple(camera.scaled(factor) for camera in cameras)
-        self._masks_of = masks_of
+        self._masks_of, self._edges_of = masks_of, edges_of
         self._kept: dict[int, Level] = {}
         self._room = room
         self._last = lru_cache(maxsize=16)(self._made)
@@ -111,4 +120,5 @@ class FrameLevels:
 
     def _made(self, frame: int) -> Level:
         shrunk = [shrink(m, c.size) for m, c in zip(self._masks_of(frame), self._small, strict=True)]
-        return Level.at_size(self._small, shrunk)
+        edges = self._edges_of(frame)
+        return Level.at_size(self._small, shrunk, None if edges is None else [e.scaled(self.factor) for e in edges])

@@ -15,6 +15,7 @@ from marey.fit.search import Candidate, Search, StartSettings
 from marey.fit.sequence import SequenceFit, SequenceSettings, refine_sequence
 from marey.fit.start import find_start
 from marey.fit.track import TrackSettings, repair, track
+from marey.images.interior import InteriorEdges
 
 Done = Callable[[int], None]
 
@@ -52,6 +53,8 @@ class Take:
     frames: tuple[int, ...]
     """Frames that show somebody, in order."""
     rate: float
+    edges_of: Callable[[int], Sequence[InteriorEdges] | None] = lambda frame: None
+    """Gives the edges inside of a frame's silhouettes, one set a camera; None where nobody looked for them."""
     _levels: dict[float, FrameLevels] = field(default_factory=dict, init=False, repr=False)
 
     def levels(self, height: float) -> FrameLevels:
@@ -63,7 +66,7 @@ class Take:
     def _shrunk(self, height: float) -> FrameLevels:
         sample = self.frames[:: max(1, len(self.frames) // 5)][:5]
         tallest = [mask for frame in sample for mask in self.masks_of(frame)]
-        return FrameLevels(self.cameras, self.masks_of, level_factor(tallest, height))
+        return FrameLevels(self.cameras, self.masks_of, level_factor(tallest, height), self.edges_of)
 
 
 @dataclass(frozen=True, eq=False)

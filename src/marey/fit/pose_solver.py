@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 import scipy.linalg
@@ -14,7 +15,8 @@ from marey.fit.normal_equations import normal_equations
 from marey.fit.pose_steps import DAMPING, LONGEST_TURN, Known, descend
 from marey.fit.robust import geman_mcclure
 from marey.fit.side_by_side import together
-from marey.observations.correspondence import Matching, Sighting, see_outline
+from marey.observations.correspondence import Matching, Outline, Sighting, see_outline
+from marey.observations.interior import see_interior
 from marey.observations.observation import AngleObservation, Observation, SurfaceObservation
 from marey.observations.prior import JointLimits
 
@@ -31,12 +33,19 @@ class Schedule:
     cosine: float = 0.3
     sigma_px: float = 3.2
     """Standard deviation of a match; neighbours of a contour are alike, so it exceeds one pixel's own."""
+    vote: bool = False
+    """Whether neighbours decide where a contour pixel could belong to two limbs."""
+    interior: bool = False
+    """Whether edges inside of the silhouettes count: they were looked for about a body that is nearly in place."""
 
     def at(self, iteration: int) -> tuple[Matching, float]:
         """Give the matching and the robust scale of an iteration."""
         share = iteration / max(self.iterations - 1, 1)
         gate, scale = (first * (last / first) ** share for first, last in (self.gate, self.scale))
-        return Matching(gate=gate, cosine=self.cosine, sigma_px=self.sigma_px), scale
+        matching = Matching(
+            gate=gate, cosine=self.cosine, sigma_px=self.sigma_px, vote=self.vote, interior=self.interior
+        )
+        return matching, scale
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,10 +142,13 @@ def match_all(
     posed: PosedBody, sightings: Sequence[Sighting], matching: Matching, scale: float
 ) -> tuple[list[SurfaceObservation], list[Floats]]:
     """Match the surface in all cameras; give the matches and their weights: robust ones, twice where found twice."""
-    outlines = together(lambda sighting: see_outline(posed, sighting, matching), sightings)
+
+    def see(sighting: Sighting) -> tuple[Outline | None, Outline | None]:
+        return see_outline(posed, sighting, matching), see_interior(posed, sighting, matching)
+
     found: list[SurfaceObservation] = []
     weights: list[Floats] = []
-    for outline in outlines:
+    for outline in chain.from_iterable(together(see, sightings)):
         if outline is not None:
             found.append(outline.match)
             weights.append(outline.counts * geman_mcclure(outline.match.residuals(posed), scale))

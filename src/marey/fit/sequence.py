@@ -181,8 +181,9 @@ def refine_sequence(
     """
     settings = settings or SequenceSettings()
     schedule = Schedule(
-        iterations=max(rounds, 2), gate=settings.gate, scale=settings.scale, cosine=0.5, sigma_px=settings.sigma_px
-    )
+        iterations=max(rounds, 2), gate=settings.gate, scale=settings.scale, cosine=0.5, sigma_px=settings.sigma_px,
+        interior=True,
+    )  # fmt: skip
     spread = acceleration_spread(body.skeleton, settings) / rate**2
     poses = list(poses)
     free = set(shape_frames)

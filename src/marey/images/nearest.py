@@ -80,3 +80,38 @@ def nearest_within(cells, x, y, reach):
         if best <= (ring * CELL + inside) ** 2:
             return found
         ring += 1
+
+
+@numba.njit(cache=True, nogil=True)
+def nearest_other(cells, label, found, x, y, reach, slack):
+    """Give the index of the pixel nearest to a place among those of another label than the nearest of all.
+
+    Args:
+        cells: `Cells` of n pixels.
+        label: (n,).
+        found: index of the nearest pixel of all.
+        x: of the place.
+        y: of the place.
+        reach: greatest distance [px].
+        slack: how much farther than the nearest the other one may be [px].
+
+    Returns:
+        An index; -1 where there is none.
+    """
+    dx, dy = cells.pixels[found, 0] - x, cells.pixels[found, 1] - y
+    limit = min(np.sqrt(dx * dx + dy * dy) + slack, reach)
+    best, other = limit * limit, -1
+    top, bottom = int(np.floor(y - limit - cells.top)) // CELL, int(np.floor(y + limit - cells.top)) // CELL
+    left, right = int(np.floor(x - limit - cells.left)) // CELL, int(np.floor(x + limit - cells.left)) // CELL
+    for row in range(max(top, 0), min(bottom + 1, cells.rows)):
+        for column in range(max(left, 0), min(right + 1, cells.columns)):
+            cell = row * cells.columns + column
+            for k in range(cells.first[cell], cells.first[cell + 1]):
+                i = cells.order[k]
+                if label[i] == label[found]:
+                    continue
+                dx, dy = cells.pixels[i, 0] - x, cells.pixels[i, 1] - y
+                distance = dx * dx + dy * dy
+                if distance <= best:
+                    best, other = distance, i
+    return other

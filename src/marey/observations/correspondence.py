@@ -15,8 +15,10 @@ from marey.cameras.camera import Camera
 from marey.cameras.rays import PluckerLines
 from marey.cameras.visibility import MARGIN, Scratch, View, draw_into, rim_pixels, see
 from marey.images.contours import Contour, trace_contour
-from marey.images.nearest import nearest_within, sort_into_cells
+from marey.images.interior import InteriorEdges
+from marey.images.nearest import nearest_other, nearest_within, sort_into_cells
 from marey.observations.silhouette import SilhouettePlanes, SilhouetteRays
+from marey.observations.votes import SLACK, elect
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,6 +27,8 @@ class Sighting:
 
     camera: Camera
     contour: Contour
+    interior: InteriorEdges | None = None
+    """Edges of limbs inside of the silhouette, where the picture was looked at for them."""
 
     @staticmethod
     def of(camera: Camera, mask: Mask) -> "Sighting":
@@ -51,6 +55,18 @@ class Sighting:
         """(n,) the angle by which a step of one pixel across the contour turns the ray."""
         return self.camera.ray_turns(self.contour.pixels, self.contour.inward)
 
+    @cached_property
+    def interior_planes(self) -> tuple[Floats, Floats, Floats]:
+        """Unit normals (n, 3), towards the limb in front, and offsets (n,) of the interior edges' tangent planes.
+
+        The third is what `radians_per_pixel` is to the contour. A surface's rim is made of its outermost pixels, whose
+        centres lie half a pixel within the edge itself.
+        """
+        edges = self.interior or InteriorEdges.none()
+        pixels = edges.pixels + 0.5 * edges.inward
+        normals, offsets = self.camera.contour_planes(pixels, edges.inward)
+        return normals, offsets, self.camera.ray_turns(pixels, edges.inward)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Matching:
@@ -62,6 +78,13 @@ class Matching:
     """Least cosine between their normals."""
     sigma_px: float = 3.2
     """Standard deviation of a match across the contour, its neighbours' likeness included [px]."""
+    vote: bool = False
+    """Whether neighbours decide where a contour pixel could belong to two limbs."""
+    interior: bool = False
+    """Whether edges inside of the silhouette are matched, too: they were found about the body, and are near it."""
+    interior_gate: float = 5.0
+    interior_cosine: float = 0.8
+    interior_sigma_px: float = 1.4
 
 
 def view_of(posed: PosedBody, camera: Camera) -> View:
@@ -109,9 +132,9 @@ def see_outline(posed: PosedBody, sighting: Sighting, matching: Matching) -> Out
         return None
     normals, offsets = sighting.planes
     face, barycentric, j, scale, counts = draw_and_match(
-        Scratch.of(len(posed.vertices), camera.size), posed.vertices, body.faces, body.outline_counts,
+        Scratch.of(len(posed.vertices), camera.size), posed.vertices, body.faces, body.face_limb, body.outline_counts,
         camera.packed, camera.width, camera.height, camera.centre, contour.cells, contour.inward, sighting.seen,
-        sighting.radians_per_pixel, matching.gate, matching.cosine,
+        sighting.radians_per_pixel, matching.gate, matching.cosine, matching.vote,
     )  # fmt: skip
     if len(j) == 0:
         return None
@@ -124,16 +147,18 @@ def see_outline(posed: PosedBody, sighting: Sighting, matching: Matching) -> Out
 
 @numba.njit(cache=True, nogil=True)
 def draw_and_match(
-    scratch, vertices, faces, outlined, camera, width, height, centre, contour, inward, seen, radians_per_pixel,
-    gate, cosine,
+    scratch, vertices, faces, limb, outlined, camera, width, height, centre, contour, inward, seen, radians_per_pixel,
+    gate, cosine, vote,
 ):  # fmt: skip
     """Do what `view_of` and `_matches` do without returning to Python in between; pairs found twice are counted."""
     lens.project_points(camera, vertices, scratch.projected)
-    left, top, face = draw_into(scratch, faces, width, height, MARGIN)
+    left, top, _, face = draw_into(scratch, faces, width, height, MARGIN)
     pixels, rim_inward, rim_face, barycentric, _ = rim_pixels(face, scratch.projected, faces, left, top)
     i = j = np.empty(0, np.int64)
     if len(pixels) > 0:
-        i, j = pair_both_ways(pixels, rim_inward, outlined[rim_face], contour, inward, seen, gate, cosine)
+        i, j = pair_both_ways(
+            pixels, rim_inward, limb[rim_face], outlined[rim_face], contour, inward, seen, gate, cosine, vote
+        )
     i, j, counts = merge_pairs(i, j, len(pixels))
     on_face, weights = rim_face[i], barycentric[i]
     reach = distances(points_on_faces(vertices, faces, on_face, weights), centre)
@@ -187,8 +212,8 @@ def _matches(
     if len(rim.face) == 0 or len(contour.pixels) == 0:
         return None
     i, j = pair_both_ways(
-        rim.pixels, rim.inward, body.outline_counts[rim.face], contour.cells, contour.inward, sighting.seen,
-        matching.gate, matching.cosine,
+        rim.pixels, rim.inward, body.face_limb[rim.face], body.outline_counts[rim.face], contour.cells, contour.inward,
+        sighting.seen, matching.gate, matching.cosine, matching.vote,
     )  # fmt: skip
     if len(i) == 0:
         return None
@@ -208,35 +233,48 @@ def distances(points, centre):
 
 
 @numba.njit(cache=True, nogil=True)
-def pair_both_ways(rim, rim_inward, rim_counts, contour, contour_inward, contour_counts, gate, cosine):
+def pair_both_ways(rim, rim_inward, rim_limb, rim_counts, contour, contour_inward, contour_counts, gate, cosine, vote):
     """Pair rim pixels with their nearest contour pixels and contour pixels with their nearest rim pixels.
 
     Args:
         rim: (n, 2) pixels.
         rim_inward: (n, 2).
+        rim_limb: (n,) number of the limb that each belongs to.
         rim_counts: (n,) false where a rim pixel may not be used; it still hides others from the contour.
         contour: the contour's `Cells`.
         contour_inward: (m, 2).
         contour_counts: (m,).
         gate: greatest distance [px].
         cosine: least cosine between the normals.
+        vote: whether neighbours vote where a contour pixel could belong to two limbs, see `votes.elect`.
 
     Returns:
         Indices (k,) of rim pixels and (k,) of contour pixels.
     """
     rim_cells = sort_into_cells(rim)
-    count = rim.shape[0] + contour.pixels.shape[0]
-    first, second = np.empty(count, np.int64), np.empty(count, np.int64)
+    size = contour.pixels.shape[0]
+    nearest, other = np.full(size, -1, np.int64), np.full(size, -1, np.int64)
+    for j in range(size):
+        i = nearest_within(rim_cells, contour.pixels[j, 0], contour.pixels[j, 1], gate)
+        if i >= 0 and rim_counts[i] and contour_counts[j] and _alike(rim_inward[i], contour_inward[j], cosine):
+            nearest[j] = i
+            if vote:
+                k = nearest_other(rim_cells, rim_limb, i, contour.pixels[j, 0], contour.pixels[j, 1], gate, SLACK)
+                if k >= 0 and rim_counts[k] and _alike(rim_inward[k], contour_inward[j], cosine):
+                    other[j] = k
+    taken, doubtful = elect(nearest, other, rim, rim_limb, contour, contour_inward)
+    first, second = np.empty(rim.shape[0] + size, np.int64), np.empty(rim.shape[0] + size, np.int64)
     count = 0
     for i in range(rim.shape[0]):
         j = nearest_within(contour, rim[i, 0], rim[i, 1], gate)
-        if j >= 0 and rim_counts[i] and contour_counts[j] and _alike(rim_inward[i], contour_inward[j], cosine):
+        if j < 0 or not rim_counts[i] or not contour_counts[j] or not _alike(rim_inward[i], contour_inward[j], cosine):
+            continue
+        if not doubtful[j] or (taken[j] >= 0 and rim_limb[i] == rim_limb[taken[j]]):
             first[count], second[count] = i, j
             count += 1
-    for j in range(contour.pixels.shape[0]):
-        i = nearest_within(rim_cells, contour.pixels[j, 0], contour.pixels[j, 1], gate)
-        if i >= 0 and rim_counts[i] and contour_counts[j] and _alike(rim_inward[i], contour_inward[j], cosine):
-            first[count], second[count] = i, j
+    for j in range(size):
+        if taken[j] >= 0:
+            first[count], second[count] = taken[j], j
             count += 1
     return first[:count], second[:count]
 

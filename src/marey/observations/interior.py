@@ -1,0 +1,68 @@
+"""Interior outlines: a limb's rim before another part of the body lies on the edge that the picture shows there."""
+
+import numba
+import numpy as np
+
+from marey.body.kinematics import points_on_faces
+from marey.body.pose import PosedBody, SurfacePoints
+from marey.cameras import lens
+from marey.cameras.visibility import JUMP, MARGIN, Scratch, draw_into, interior_rim_pixels
+from marey.observations.correspondence import Matching, Outline, Sighting, distances, merge_pairs, pair_both_ways
+from marey.observations.silhouette import SilhouettePlanes
+
+
+def see_interior(posed: PosedBody, sighting: Sighting, matching: Matching) -> Outline | None:
+    """Draw the posed surface as a camera sees it and match its interior rims to the edges that the picture shows.
+
+    A rim and an edge match when they are near each other, alike in direction, and of the same limb.
+
+    Args:
+        posed: the body.
+        sighting: with or without interior edges.
+        matching: what counts as a match.
+
+    Returns:
+        The matches, or None where there are none or none are asked for.
+    """
+    body, camera, edges = posed.body, sighting.camera, sighting.interior
+    if not matching.interior or edges is None or len(edges) == 0:
+        return None
+    normals, offsets, radians_per_pixel = sighting.interior_planes
+    face, barycentric, j, scale, counts = draw_and_match_interior(
+        Scratch.of(len(posed.vertices), camera.size), posed.vertices, body.faces, body.outline_counts, body.face_limb,
+        camera.packed, camera.width, camera.height, camera.centre, edges.cells, edges.inward, edges.limb,
+        np.isfinite(offsets), radians_per_pixel,
+        matching.interior_gate, matching.interior_cosine,
+    )  # fmt: skip
+    if len(j) == 0:
+        return None
+    match = SilhouettePlanes(
+        where=SurfacePoints(face=face, barycentric=barycentric), normals=normals[j], offsets=offsets[j],
+        pixels_per_metre=scale, sigma_px=matching.interior_sigma_px,
+    )  # fmt: skip
+    return Outline(match, counts)
+
+
+@numba.njit(cache=True, nogil=True)
+def draw_and_match_interior(
+    scratch, vertices, faces, outlined, limb, camera, width, height, centre, edges, inward, edge_limb, seen,
+    radians_per_pixel, gate, cosine,
+):  # fmt: skip
+    """Draw the surface, list its interior rims, and pair them with edges of the same limb; see `draw_and_match`."""
+    lens.project_points(camera, vertices, scratch.projected)
+    left, top, inverse_depth, face = draw_into(scratch, faces, width, height, MARGIN)
+    pixels, rim_inward, rim_face, barycentric, _ = interior_rim_pixels(
+        face, inverse_depth, scratch.projected, faces, limb, left, top, JUMP
+    )
+    i = j = np.empty(0, np.int64)
+    if len(pixels) > 0:
+        rim_limb = limb[rim_face]
+        i, j = pair_both_ways(
+            pixels, rim_inward, rim_limb, outlined[rim_face], edges, inward, seen, gate, cosine, False
+        )
+        same = rim_limb[i] == edge_limb[j]
+        i, j = i[same], j[same]
+    i, j, counts = merge_pairs(i, j, len(pixels))
+    on_face, weights = rim_face[i], barycentric[i]
+    reach = distances(points_on_faces(vertices, faces, on_face, weights), centre)
+    return on_face, weights, j, 1.0 / (radians_per_pixel[j] * reach), counts
