@@ -74,6 +74,7 @@ def capture(folder: Path, settings: CaptureSettings, progress: Progress) -> Path
     for note in trial.take.notes:
         progress.warn(note)
     stages.quiet_threads()
+    stages.keep_memory()
     with threadpool_limits(1):
         bodies = open_bodies(trial, settings)
         named = [*trial.input_files, *([settings.body] if settings.body else [])]

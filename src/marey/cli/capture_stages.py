@@ -1,7 +1,9 @@
 """The stages of a capture that go through the videos, frame by frame, and remember what is done."""
 
+import ctypes
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -406,3 +408,22 @@ def require_upright(trial: Trial, posed: PosedBody) -> None:
 def quiet_threads() -> None:
     """Leave the parallel work to the cameras: OpenCV's own threads would only wait for each other."""
     cv2.setNumThreads(1)
+
+
+KEPT_FREE, LARGE = 1 << 28, 1 << 25
+"""Bytes of freed memory that a process keeps, and from which on a piece of memory goes back at once."""
+
+
+def keep_memory() -> None:
+    """Let the C library keep what is freed: memory that is new to a process costs as much as what is done in it.
+
+    Every picture needs some megabytes for a moment. Says so to glibc; another C library is left as it is.
+    """
+    with suppress(OSError, AttributeError, TypeError):
+        tell = ctypes.CDLL(None).mallopt
+        tell(_MMAP_THRESHOLD, LARGE)
+        tell(_TRIM_THRESHOLD, KEPT_FREE)
+
+
+_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
+"""Of malloc.h."""
