@@ -2,7 +2,7 @@ import numpy as np
 from tests.people import any_pose, stick_person
 
 from marey.body.pose import PosedBody
-from marey.cli.kept_candidates import KeptCandidates
+from marey.cli.kept_candidates import KeptArrays, KeptCandidates
 from marey.fit.search import Candidate
 from marey.io.stages import FrameLog
 
@@ -45,3 +45,22 @@ def test_candidates_may_be_kept_by_two_numbers(tmp_path, rng):
         np.testing.assert_array_equal(found[-1, 3].posed.vertices, candidates[-1, 3].posed.vertices)
         # Candidates of one shape share the body, and what was computed for it.
         assert found[-1, 3].posed.body is found[7, 3].posed.body
+
+
+def test_arrays_come_back_after_an_interruption_until_they_are_forgotten(tmp_path, rng):
+    first, second = {"a": rng.normal(size=3), "b": np.zeros((2, 0))}, {"a": np.array(4)}
+    with FrameLog(tmp_path / "a.log") as log:
+        kept = KeptArrays(log)
+        kept[0, 1], kept[0, 2] = first, second
+    with FrameLog(tmp_path / "a.log") as log:
+        found = KeptArrays(log)
+        assert list(found) == [(0, 1), (0, 2)]
+        assert set(found[0, 1]) == {"a", "b"}
+        np.testing.assert_array_equal(found[0, 1]["a"], first["a"])
+        assert found[0, 1]["b"].shape == (2, 0)
+        found.clear()
+        assert not found
+        found[1, 0] = second
+        assert list(KeptArrays(log)) == [(1, 0)]
+        del found[1, 0]
+        assert (1, 0) not in found

@@ -19,6 +19,7 @@ from marey.fit.person import (
     with_shape,
 )
 from marey.fit.search import Candidate
+from marey.fit.sequence import joined
 
 
 def boxes(*spans, size=(60, 80)):
@@ -113,7 +114,7 @@ def test_a_person_is_followed_both_ways_and_refined_with_its_shape(cameras):
     assert sorted(told) == list(range(9))
     good = shape_frames({f: c.score for f, c in found.items()}, 6)
     poses = {f: c.posed.pose for f, c in found.items()}
-    fit = refine_person(take, mean, poses, good, settings, height=160, rounds=12)
+    fit = joined(list(refine_person(take, mean, poses, good, settings, height=160, rounds=12)))
     errors = [worlds.joint_errors(PosedBody(fit.body, p), t).mean() for p, t in zip(fit.poses, truth, strict=True)]
     assert np.mean(errors) < 0.012
     assert np.abs(fit.body.numbers - person.numbers).max() < 0.5

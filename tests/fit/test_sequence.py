@@ -1,4 +1,4 @@
-"""The whole sequence in one system: its algebra against a dense solve, and a motion found again with honest bounds."""
+"""The whole sequence in one system: a motion found again with honest bounds, in windows and after an interruption."""
 
 from dataclasses import replace
 
@@ -8,86 +8,8 @@ from tests import worlds
 
 from marey.body.pose import PosedBody
 from marey.fit import sequence
-from marey.fit.sequence import SequenceSettings, acceleration_spread, refine_sequence
-
-FRAMES, DEGREES, NUMBERS = 6, 4, 3
-
-
-def random_system(rng, numbers=NUMBERS):
-    """A random positive system of the shape that poses, smoothness and a border give, and the same one dense."""
-    system = sequence._System.empty(FRAMES, DEGREES, numbers)
-    size = FRAMES * DEGREES + numbers
-    dense, gradient = np.zeros((size, size)), np.zeros(size)
-    shape = list(range(FRAMES * DEGREES, size))
-    for f in range(FRAMES):
-        own = [*range(f * DEGREES, (f + 1) * DEGREES), *shape]
-        rows = rng.normal(size=(20, len(own)))
-        hessian, slope = rows.T @ rows, rng.normal(size=len(own))
-        system.add_frame(f, hessian, slope, DEGREES)
-        dense[np.ix_(own, own)] += hessian
-        gradient[own] += slope
-    return system, dense, gradient
-
-
-def add_smoothness(rng, system, dense, gradient):
-    """Smoothness is linear where a pose's turn stays small: here the poses of a body without turns."""
-    spread = rng.uniform(0.5, 2.0, DEGREES)
-    values = rng.normal(size=(FRAMES, DEGREES))
-
-    class Flat:
-        """A pose without turns."""
-
-        def __init__(self, value):
-            self.value = value
-
-        def change_to(self, other):
-            return other.value - self.value
-
-    for f in range(1, FRAMES - 1):
-        system.add_smoothness(f, [Flat(v) for v in values], spread)
-        jacobian = np.zeros((DEGREES, len(gradient)))
-        for offset, share in ((-1, 1.0), (0, -2.0), (1, 1.0)):
-            columns = (f + offset) * DEGREES + np.arange(DEGREES)
-            jacobian[np.arange(DEGREES), columns] = share
-        residual = values[f + 1] - 2 * values[f] + values[f - 1]
-        dense += jacobian.T @ (jacobian / spread[:, None] ** 2)
-        gradient += jacobian.T @ (residual / spread**2)
-
-
-FAR = (np.full(NUMBERS, -1e6), np.full(NUMBERS, 1e6))
-
-
-@pytest.mark.parametrize("numbers", [0, NUMBERS])
-def test_the_banded_solution_is_the_dense_one(rng, numbers):
-    system, dense, gradient = random_system(rng, numbers)
-    add_smoothness(rng, system, dense, gradient)
-    step, shape = system.solve(np.full(DEGREES, np.inf), np.inf, FAR)
-    expected = -np.linalg.solve(dense, gradient)
-    np.testing.assert_allclose(np.concatenate([step, shape]), expected, atol=1e-8)
-
-
-def test_where_the_shape_is_held_back_the_poses_take_the_best_step_beside_it(rng):
-    system, dense, gradient = random_system(rng, NUMBERS)
-    add_smoothness(rng, system, dense, gradient)
-    _, free = system.solve(np.full(DEGREES, np.inf), np.inf, FAR)
-    held = 0.3 * np.abs(free)
-    step, shape = system.solve(np.full(DEGREES, np.inf), np.inf, (-held, held))
-    assert np.all(np.abs(shape) <= held * (1 + 1e-6) + 1e-8)
-    slope = gradient + dense @ np.concatenate([step, shape])
-    np.testing.assert_allclose(slope[: len(step)], 0.0, atol=1e-7 * np.abs(gradient).max())
-    # At a bound the cost would fall only by leaving it.
-    assert np.all(slope[len(step) :] * np.sign(shape) <= 1e-7 * np.abs(gradient).max())
-
-
-@pytest.mark.parametrize("numbers", [0, NUMBERS])
-def test_the_covariances_are_blocks_of_the_dense_inverse(rng, numbers):
-    system, dense, gradient = random_system(rng, numbers)
-    add_smoothness(rng, system, dense, gradient)
-    covariance = sequence._covariances(system, DEGREES)
-    inverse = np.linalg.inv(dense)
-    for f in range(FRAMES):
-        own = [*range(f * DEGREES, (f + 1) * DEGREES), *range(FRAMES * DEGREES, len(dense))]
-        np.testing.assert_allclose(covariance[f], inverse[np.ix_(own, own)], atol=1e-7 * np.abs(inverse).max())
+from marey.fit.banded import windows
+from marey.fit.sequence import RefineMemory, SequenceSettings, acceleration_spread, refine_sequence
 
 
 def test_joints_accelerate_more_than_the_trunk_and_shorter_frames_allow_less():
@@ -240,3 +162,72 @@ def test_intervals_of_joint_centres_hold_the_truth_also_where_the_shape_is_found
     held = np.mean(np.abs(ratios) < 1.96)
     assert held > 0.85
     assert 0.4 < np.sqrt(np.mean(np.square(ratios))) < 1.5
+
+
+@pytest.fixture(scope="module")
+def long_motion():
+    """A motion of forty frames of a small body whose shape is to be found too."""
+    rng = np.random.default_rng(11)
+    mean = worlds.person("coarse", 2)
+    person = mean.with_numbers(np.array([0.8, -0.6]))
+    truth = [PosedBody(person, pose) for pose in worlds.swing(person, 40)]
+    levels = worlds.levels(truth, worlds.ring(3, size=(100, 120), focal=150.0), noise=0.4, rng=rng)
+    start = [p.pose.step(rng.normal(size=len(mean.skeleton)) * 0.01) for p in truth]
+    return mean, levels, start
+
+
+def refined(long_motion, **more):
+    mean, levels, start = long_motion
+    return refine_sequence(range(40), start, mean, levels, rate=30, rounds=3, shape_frames=range(0, 40, 4), **more)
+
+
+def test_windows_give_the_answer_of_the_one_system(long_motion, monkeypatch):
+    whole = refined(long_motion)
+    monkeypatch.setattr(sequence, "windows", lambda count, length, overlap: windows(count, 10, 8))
+    parts = refined(long_motion)
+    np.testing.assert_array_equal(parts.frames, whole.frames)
+    sd = np.sqrt(np.diag(whole.body.numbers_covariance))
+    assert (np.abs(parts.body.numbers - whole.body.numbers) < 0.05 * sd).all()
+    np.testing.assert_allclose(parts.body.numbers_covariance, whole.body.numbers_covariance, rtol=0.05, atol=1e-5)
+    degrees = len(whole.body.skeleton)
+    for one, other, a, b in zip(whole.poses, parts.poses, whole.covariance, parts.covariance, strict=True):
+        spread = np.sqrt(np.diag(a))[:degrees]
+        assert (np.abs(one.change_to(other)) < 0.05 * spread).all()
+        np.testing.assert_allclose(np.sqrt(np.diag(b))[:degrees], spread, rtol=0.05)
+
+
+class Broken(dict):
+    """A memory of a run that is interrupted once it holds so much."""
+
+    def __init__(self, most, content=()):
+        super().__init__(content)
+        self.most = most
+
+    def __setitem__(self, key, value):
+        super().__setitem__(key, value)
+        if len(self) == self.most:
+            raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize(("rounds", "parts"), [(1, 99), (99, 3), (2, 99)])
+def test_an_interrupted_refinement_goes_on_where_it_was(long_motion, monkeypatch, rounds, parts):
+    monkeypatch.setattr(sequence, "windows", lambda count, length, overlap: windows(count, 10, 8))
+    whole = refined(long_motion)
+    memory = RefineMemory(Broken(rounds), Broken(parts))
+    with pytest.raises(KeyboardInterrupt):
+        refined(long_motion, memory=memory)
+    matched, match = [], sequence.match_all
+
+    def count(*arguments):
+        matched.append(1)
+        return match(*arguments)
+
+    monkeypatch.setattr(sequence, "match_all", count)
+    told = []
+    again = refined(long_motion, memory=RefineMemory(dict(memory.rounds), dict(memory.parts)), done=told.append)
+    assert len(told) == 120
+    # Each remembered round spares 40 frames, each remembered window ten, less those that its neighbours lend.
+    assert len(matched) <= 120 - 40 * len(memory.rounds) - (10 * parts - 8 if parts < 99 else 0)
+    for one, other in zip(whole.poses, again.poses, strict=True):
+        np.testing.assert_allclose(one.change_to(other), 0.0, atol=1e-9)
+    np.testing.assert_allclose(again.covariance, whole.covariance, rtol=1e-6, atol=1e-12)

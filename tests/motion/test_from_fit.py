@@ -10,10 +10,24 @@ from marey.body.pose import Pose, PosedBody
 from marey.body.skeleton import ROOT_COORDINATES, root_angles, root_rotation
 from marey.fit.sequence import SequenceFit
 from marey.geometry import rotations
-from marey.motion.from_fit import VARYING, coordinates_of, motion_of, root_coordinates_from_turn
+from marey.motion import from_fit
+from marey.motion.from_fit import VARYING, coordinates_of, measured, root_coordinates_from_turn
 from marey.motion.motion import LOST, MEASURED, NOBODY
 
 COUNT, FRAMES = 12, np.array([2, 3, 4, 5, 8, 9])
+
+
+def motion_of(fit, **more):
+    """The motion of a fit that comes in two pieces."""
+    half = len(fit.frames) // 2
+    pieces = [
+        replace(
+            fit, frames=fit.frames[part], poses=fit.poses[part], covariance=fit.covariance[part],
+            information=fit.information[part],
+        )
+        for part in (slice(0, half), slice(half, None))
+    ]  # fmt: skip
+    return from_fit.motion_of([measured(piece) for piece in pieces], fit.body, **more)
 
 
 @pytest.fixture

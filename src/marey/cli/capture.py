@@ -1,6 +1,7 @@
 """`marey capture`: from the videos of a trial to the motion of the person in it."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from marey.body.presets import person_body
 from marey.body.surface import Body
 from marey.cli import capture_stages as stages
 from marey.cli.capture_report import draw_overlays, report_capture
-from marey.cli.kept_candidates import KeptCandidates
+from marey.cli.kept_candidates import KeptArrays, KeptCandidates
 from marey.cli.progress import Progress
 from marey.cli.run_record import StageCache, finished_together, write_record
 from marey.cli.settings import CaptureSettings
@@ -29,14 +30,14 @@ from marey.fit.person import (
     with_shape,
 )
 from marey.fit.search import Candidate
-from marey.fit.sequence import SequenceFit
+from marey.fit.sequence import RefineMemory
 from marey.fit.start_joints import start_from_joints
 from marey.io.body import open_body
 from marey.io.results import write_results
 from marey.io.stages import Arrays, FrameLog, file_fingerprint
 from marey.io.start_joints import read_start_joints
 from marey.io.trial import Trial, read_trial
-from marey.motion.from_fit import motion_of
+from marey.motion.from_fit import Measured, measured, motion_of
 
 SHAPE_ROUNDS = 4
 FINE_ROUNDS = 4
@@ -157,8 +158,8 @@ def _capture(run: Run, bodies: Bodies, log: FrameLog, better: FrameLog) -> None:
         predicted = stages.expectations(tracked.body, tracked.poses, cameras, small)
         stages.find_silhouettes(trial, views, cameras, outlines, progress, name="Outlines", predicted=predicted)
     again = Take(tuple(cameras), outlines, tuple(tracked.poses), trial.take.rate, outlines.edges)
-    fit = _refined(run, again, tracked, bodies)
-    write_capture(run, fit, outlines, frames)
+    refined = _refined(run, again, tracked, bodies)
+    write_capture(run, refined, outlines, frames)
 
 
 def _tracked(run: Run, take: Take, bodies: Bodies) -> Tracked:
@@ -197,12 +198,16 @@ def _tracked(run: Run, take: Take, bodies: Bodies) -> Tracked:
 
     def shape() -> Arrays:
         followed = _unpacked(cache.arrays("tracked", follow, depends=run.scope), bodies.fine)
-        with progress.stage("Shape and motion", SHAPE_ROUNDS * len(followed.poses)) as step:
-            fit = refine_person(
+        poses: dict[int, Pose] = {}
+        with (
+            _rounds(run, "shape") as memory,
+            progress.stage("Shape and motion", SHAPE_ROUNDS * len(followed.poses)) as step,
+        ):
+            for fit in refine_person(
                 take, followed.body, followed.poses, shape_frames(followed.scores, person.shape_frames), person,
-                height=person.track_height, rounds=SHAPE_ROUNDS, done=lambda frame: step(),
-            )  # fmt: skip
-        poses = dict(zip(map(int, fit.frames), fit.poses, strict=True))
+                height=person.track_height, rounds=SHAPE_ROUNDS, done=lambda frame: step(), memory=memory,
+            ):  # fmt: skip
+                poses |= fit.by_frame
         return _pack(poses, fit.body, followed.scores)
 
     return _unpacked(cache.arrays("shape", shape, depends=run.scope), bodies.fine)
@@ -237,7 +242,26 @@ def begin(
     return found
 
 
-def _refined(run: Run, take: Take, tracked: Tracked, bodies: Bodies) -> SequenceFit:
+@contextmanager
+def _rounds(run: Run, name: str) -> Iterator[RefineMemory]:
+    """Open what a refinement remembers of its rounds, and of the windows of the round in work."""
+    with (
+        run.cache.frames(f"{name}_rounds", depends=run.scope) as rounds,
+        run.cache.frames(f"{name}_windows", depends=run.scope) as windows,
+    ):
+        yield RefineMemory(KeptArrays(rounds), KeptArrays(windows))
+
+
+@dataclass(frozen=True, eq=False)
+class Refined:
+    """The motion and the body as they are written."""
+
+    body: Body
+    poses: Mapping[int, Pose]
+    pieces: Sequence[Measured]
+
+
+def _refined(run: Run, take: Take, tracked: Tracked, bodies: Bodies) -> Refined:
     """Mend single frames and refine the whole, now that body and silhouettes are better known."""
     person = run.person
     with run.cache.frames("mended_frames", depends=run.scope) as log, run.progress.stage("Mending"):
@@ -245,11 +269,19 @@ def _refined(run: Run, take: Take, tracked: Tracked, bodies: Bodies) -> Sequence
             take, tracked.body, with_shape(tracked.body, bodies.coarse), tracked.poses, person,
             memory=KeptCandidates(log, tracked.body),
         )  # fmt: skip
-    with run.progress.stage("Refinement", FINE_ROUNDS * len(poses)) as step:
-        return refine_person(
+    found: dict[int, Pose] = {}
+    pieces = []
+    with (
+        _rounds(run, "refined") as memory,
+        run.progress.stage("Refinement", FINE_ROUNDS * len(poses)) as step,
+    ):
+        for fit in refine_person(
             take, tracked.body, poses, shape_frames(tracked.scores, person.shape_frames), person,
-            height=person.fine_height, rounds=FINE_ROUNDS, done=lambda frame: step(),
-        )  # fmt: skip
+            height=person.fine_height, rounds=FINE_ROUNDS, done=lambda frame: step(), memory=memory,
+        ):  # fmt: skip
+            found |= fit.by_frame
+            pieces.append(measured(fit))
+    return Refined(fit.body, found, pieces)
 
 
 def _packed(found: Mapping[int, Candidate], body: Body) -> Arrays:
@@ -277,11 +309,10 @@ def _unpacked(arrays: Arrays, body: Body) -> Tracked:
     )
 
 
-def write_capture(run: Run, fit: SequenceFit, store: stages.MaskStore, frames: Sequence[int]) -> None:
+def write_capture(run: Run, refined: Refined, store: stages.MaskStore, frames: Sequence[int]) -> None:
     """Write all results at once."""
     trial, progress, take = run.trial, run.progress, run.trial.take
-    cameras, body = list(trial.rig), fit.body
-    poses = dict(zip(map(int, fit.frames), fit.poses, strict=True))
+    cameras, body, poses = list(trial.rig), refined.body, refined.poses
     lost = np.zeros(take.count, bool)
     lost[[frame for frame in frames if frame not in poses]] = True
     drawn = stages.surface_masks(body, poses, cameras)
@@ -289,8 +320,9 @@ def write_capture(run: Run, fit: SequenceFit, store: stages.MaskStore, frames: S
         with progress.stage("Comparison", len(poses)) as step:
             agreement = stages.agreements(drawn, poses, store, done=step)
         motion = motion_of(
-            fit, count=take.count, rate=take.rate, lost=lost, camera_names=trial.rig.names, agreement=agreement
-        )
+            refined.pieces, body, count=take.count, rate=take.rate, lost=lost, camera_names=trial.rig.names,
+            agreement=agreement,
+        )  # fmt: skip
         with progress.stage("Results"):
             stages.write_all_masks(folder, trial, store, drawn)
             write_results(

@@ -1,4 +1,4 @@
-"""Candidates of frames, kept on disk as soon as they are found, so that an interrupted run finds them again."""
+"""What was found, kept on disk at once, so that an interrupted run finds it again: candidates of frames, and arrays."""
 
 from collections.abc import Iterator, MutableMapping
 from typing import Any, Generic, TypeVar
@@ -9,7 +9,7 @@ from marey.arrays import Floats
 from marey.body.pose import Pose, PosedBody
 from marey.body.surface import Body
 from marey.fit.search import Candidate
-from marey.io.stages import FrameLog
+from marey.io.stages import Arrays, FrameLog
 
 Key = TypeVar("Key", int, tuple[int, int])
 
@@ -62,6 +62,45 @@ class KeptCandidates(MutableMapping[Key, Candidate], Generic[Key]):
 
     def __len__(self) -> int:
         """Count the candidates."""
+        return len(self._place)
+
+
+class KeptArrays(MutableMapping[Key, Arrays], Generic[Key]):
+    """Arrays by name, by a number or two, in a log on disk.
+
+    Args:
+        log: Takes a record for each entry.
+    """
+
+    def __init__(self, log: FrameLog):
+        self._log = log
+        self._place: dict[Key, int] = {_key(record["key"]): place for place, record in enumerate(log)}
+
+    def __getitem__(self, key: Key) -> Arrays:
+        record = self._log[self._place[key]]
+        del record["key"]
+        return record
+
+    def __contains__(self, key: object) -> bool:
+        return key in self._place
+
+    def __setitem__(self, key: Key, arrays: Arrays) -> None:
+        self._place[key] = len(self._log)
+        self._log.append({"key": np.array(key), **arrays})
+
+    def __delitem__(self, key: Key) -> None:
+        del self._place[key]
+
+    def clear(self) -> None:
+        """Forget all, and leave its room on the disk."""
+        self._place.clear()
+        self._log.cut(0)
+
+    def __iter__(self) -> Iterator[Key]:
+        return iter(self._place)
+
+    def __len__(self) -> int:
+        """Count the entries."""
         return len(self._place)
 
 

@@ -12,7 +12,7 @@ from marey.cameras.camera import Camera
 from marey.fit.levels import FrameLevels, level_factor
 from marey.fit.pick_up import PickUpSettings, better_of, pick_up, start_again, weak_frames
 from marey.fit.search import Candidate, Search, StartSettings
-from marey.fit.sequence import SequenceFit, SequenceSettings, refine_sequence
+from marey.fit.sequence import RefineMemory, SequenceFit, SequenceSettings, refine_in_pieces
 from marey.fit.start import find_start
 from marey.fit.track import TrackSettings, repair, track
 from marey.images.interior import InteriorEdges
@@ -286,11 +286,12 @@ def refine_person(
     height: float,
     rounds: int,
     done: Done = _nothing,
-) -> SequenceFit:
-    """Refine motion and shape together at one size of the pictures."""
-    return refine_sequence(
+    memory: RefineMemory | None = None,
+) -> Iterator[SequenceFit]:
+    """Refine motion and shape together at one size of the pictures; the answer comes piece by piece."""
+    return refine_in_pieces(
         list(poses), list(poses.values()), body, take.levels(height), rate=take.rate, rounds=rounds,
-        shape_frames=for_shape, settings=settings.sequence, done=done,
+        shape_frames=for_shape, settings=settings.sequence, done=done, memory=memory,
     )  # fmt: skip
 
 

@@ -1,20 +1,22 @@
 """The whole sequence at once: every pose and the one shape in a single system, banded in time, bordered by the shape.
 
 A pose's observations touch that pose and the shape; smoothness touches three neighbours in time. The
-normal equations are block-banded with a border, and are solved as such: the cost grows linearly with
-the number of frames ([Plaenkers1999] section 4.1 for the weighting; the structure is ours).
+normal equations are block-banded with a border, and are solved as such ([Plaenkers1999] section 4.1 for the
+weighting; the structure is ours), a long sequence in windows that overlap: time grows as the number of frames, and
+memory hardly.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Generator, Iterator, Mapping, MutableMapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
-import scipy.linalg
 
 from marey.arrays import Floats, Integers
 from marey.body.pose import Pose, PosedBody
 from marey.body.skeleton import Skeleton
 from marey.body.surface import Body
+from marey.fit.banded import System, Window, windows, with_shape_covariance
 from marey.fit.body_solver import bounded_step, dense_equations, shape_reach
 from marey.fit.levels import FrameLevels
 from marey.fit.moments import gather_moments
@@ -64,6 +66,11 @@ class SequenceFit:
     residual_px: float
     """Weighted root mean square of the matches' distances across the contours [px]."""
 
+    @property
+    def by_frame(self) -> dict[int, Pose]:
+        """The poses by frame."""
+        return dict(zip(map(int, self.frames), self.poses, strict=True))
+
 
 def acceleration_spread(skeleton: Skeleton, settings: SequenceSettings) -> Floats:
     """Give the standard deviation (D,) of each coordinate's acceleration [m/s2, rad/s2]."""
@@ -73,85 +80,23 @@ def acceleration_spread(skeleton: Skeleton, settings: SequenceSettings) -> Float
     return np.array([settings.root_acceleration] * 3 + [settings.trunk_acceleration] * 3 + turns)
 
 
-@dataclass(eq=False)
-class _System:
-    """Normal equations of F poses of D coordinates, banded over three neighbours, bordered by M shape numbers."""
+WINDOW, OVERLAP = 8.0, 1.0
+"""A longer take is refined in windows of so many seconds, each with neighbours of so many seconds on both sides."""
+LONGEST_WINDOW, LONGEST_OVERLAP = 600, 120
+"""The same in frames, where there are many in a second."""
 
-    band: Floats
-    """(3D, F D) upper form of `scipy.linalg.solveh_banded`."""
-    border: Floats
-    """(F D, M)."""
-    corner: Floats
-    """(M, M)."""
-    gradient: Floats
-    """(F D,)."""
-    shape_gradient: Floats
-    """(M,)."""
 
-    @staticmethod
-    def empty(frames: int, degrees: int, numbers: int) -> "_System":
-        size = frames * degrees
-        return _System(
-            np.zeros((3 * degrees, size)), np.zeros((size, numbers)), np.zeros((numbers, numbers)),
-            np.zeros(size), np.zeros(numbers),
-        )  # fmt: skip
+Arrays = dict[str, Floats]
 
-    def add_block(self, row: int, column: int, block: Floats) -> None:
-        """Add a block (D, D) of the upper triangle; the lower half of a diagonal block is left out."""
-        degrees = len(block)
-        last = len(self.band) - 1
-        i, j = np.meshgrid(np.arange(degrees), np.arange(degrees), indexing="ij")
-        r, c = row * degrees + i, column * degrees + j
-        upper = c >= r
-        self.band[(last + r - c)[upper], c[upper]] += block[upper]
 
-    def add_frame(self, f: int, hessian: Floats, gradient: Floats, degrees: int) -> None:
-        """Add the equations of one frame, with or without the shape."""
-        here = slice(f * degrees, (f + 1) * degrees)
-        self.add_block(f, f, hessian[:degrees, :degrees])
-        self.gradient[here] += gradient[:degrees]
-        if len(gradient) > degrees:
-            self.border[here] += hessian[:degrees, degrees:]
-            self.corner += hessian[degrees:, degrees:]
-            self.shape_gradient += gradient[degrees:]
+@dataclass(frozen=True, eq=False)
+class RefineMemory:
+    """What a refinement has done so far, as arrays by name; on disk it survives an interruption, and leaves room."""
 
-    def add_smoothness(self, f: int, poses: Sequence[Pose], spread: Floats) -> None:
-        """Draw the change from f-1 to f and that from f to f+1 together: their difference is an acceleration."""
-        degrees = len(spread)
-        residual = poses[f].change_to(poses[f + 1]) - poses[f - 1].change_to(poses[f])
-        weight = 1.0 / spread**2
-        share = {f - 1: 1.0, f: -2.0, f + 1: 1.0}
-        for a, wa in share.items():
-            self.gradient[a * degrees : (a + 1) * degrees] += wa * weight * residual
-            for b, wb in share.items():
-                if b >= a:
-                    self._add_diagonal(a, b, wa * wb * weight)
-
-    def _add_diagonal(self, row: int, column: int, values: Floats) -> None:
-        degrees = len(values)
-        offset = (column - row) * degrees
-        columns = np.arange(column * degrees, (column + 1) * degrees)
-        self.band[len(self.band) - 1 - offset, columns] += values
-
-    def solve(self, trust: Floats, shape_trust: float, reach: tuple[Floats, Floats]) -> tuple[Floats, Floats]:
-        """Solve by eliminating the poses: give their step (F D,) and the shape's (M,).
-
-        Args:
-            trust: (D,) how far a coordinate is believed to lie from where it stands; it damps what nothing fixes.
-            shape_trust: the same for the shape's numbers.
-            reach: (M,) least and greatest step of the shape's numbers; the poses' steps suit the step that is taken.
-        """
-        band = self.band.copy()
-        band[-1] += np.tile(1.0 / trust**2, band.shape[1] // len(trust))
-        corner = self.corner + np.eye(len(self.corner)) / shape_trust**2
-        factor = scipy.linalg.cholesky_banded(band, check_finite=False)
-        right = np.concatenate([self.gradient[:, None], self.border], 1)
-        solved = scipy.linalg.cho_solve_banded((factor, False), right, check_finite=False)
-        if len(self.corner) == 0:
-            return -solved[:, 0], np.zeros(0)
-        information = corner - self.border.T @ solved[:, 1:]
-        shape = bounded_step(information, self.shape_gradient - self.border.T @ solved[:, 0], *reach)
-        return -(solved[:, 0] + solved[:, 1:] @ shape), shape
+    rounds: MutableMapping[int, Arrays] = field(default_factory=dict)
+    """Poses and shape after each round but the last."""
+    parts: MutableMapping[tuple[int, int], Arrays] = field(default_factory=dict)
+    """What the windows of the round in work said, by round and window."""
 
 
 def refine_sequence(
@@ -165,8 +110,41 @@ def refine_sequence(
     shape_frames: Sequence[int] = (),
     settings: SequenceSettings | None = None,
     done: Callable[[int], None] = lambda frame: None,
+    memory: RefineMemory | None = None,
 ) -> SequenceFit:
     """Refine all poses, and the shape where frames for it are named, in one system.
+
+    See `refine_in_pieces`, whose pieces this joins.
+    """
+    return joined(
+        list(
+            refine_in_pieces(
+                frames, poses, body, levels, rate=rate, rounds=rounds, shape_frames=shape_frames, settings=settings,
+                done=done, memory=memory,
+            )
+        )
+    )  # fmt: skip
+
+
+def refine_in_pieces(
+    frames: Sequence[int],
+    poses: Sequence[Pose],
+    body: Body,
+    levels: FrameLevels,
+    *,
+    rate: float,
+    rounds: int,
+    shape_frames: Sequence[int] = (),
+    settings: SequenceSettings | None = None,
+    done: Callable[[int], None] = lambda frame: None,
+    memory: RefineMemory | None = None,
+) -> Iterator[SequenceFit]:
+    """Refine all poses, and the shape where frames for it are named; give the answer piece by piece.
+
+    Up to some ten seconds are one system. A longer take is solved in windows, of which each also looks at a second
+    before and after: what lies farther away does not change a frame's answer by any part of its standard deviation
+    that counts (docs/accuracy.md), and neither memory nor time grow faster than the take. The shape hears the shape
+    frames of all windows.
 
     Args:
         frames: (F,) in order; smoothness holds between frames whose numbers follow each other.
@@ -178,132 +156,205 @@ def refine_sequence(
         shape_frames: frames whose outlines also speak of the shape.
         settings: what is known before.
         done: told of every frame in every round.
+        memory: takes each window and each round as soon as it is done; what it holds already is not done again.
     """
-    settings = settings or SequenceSettings()
-    schedule = Schedule(
-        iterations=max(rounds, 2), gate=settings.gate, scale=settings.scale, cosine=0.5, sigma_px=settings.sigma_px,
-        interior=True,
-    )  # fmt: skip
-    spread = acceleration_spread(body.skeleton, settings) / rate**2
-    poses = list(poses)
-    free = set(shape_frames)
-    fit = None
-    for round_ in range(rounds):
-        system, information, residual = _assemble(frames, poses, body, levels, free, schedule, round_, settings, done)
-        for f in range(1, len(frames) - 1):
-            if frames[f + 1] - frames[f - 1] == 2:
-                system.add_smoothness(f, poses, spread)
-        degrees = len(spread)
-        trust = np.array([TRUST_M] * 3 + [TRUST_RAD] * (degrees - 3))
-        step, shape = system.solve(trust, TRUST_SHAPE, shape_reach(body, settings.clip))
-        poses = [p.step(s) for p, s in zip(poses, step.reshape(-1, degrees), strict=True)]
-        if free:
-            body = body.with_numbers(body.numbers + shape)
-        if round_ == rounds - 1:
-            covariance = _covariances(system, degrees)
-            body = replace(body, numbers_covariance=covariance[0, degrees:, degrees:]) if free else body
-            fit = SequenceFit(np.array(frames), tuple(poses), body, covariance, information, residual)
-    if fit is None:
+    if rounds < 1:
         raise ValueError("at least one round is needed")
-    return fit
+    memory = memory or RefineMemory()
+    work = _Work(list(frames), levels, set(shape_frames), rate, rounds, settings or SequenceSettings(), done, memory)
+    poses = list(poses)
+    for round_ in range(rounds - 1):
+        if round_ in memory.rounds:
+            poses, body = _unpacked(memory.rounds[round_], body)
+            for frame in frames:
+                done(frame)
+            continue
+        work.hear(poses, body, round_)
+        poses, body = work.stepped(poses, body, round_)
+        memory.rounds[round_] = _packed(poses, body)
+        memory.parts.clear()
+    work.hear(poses, body, rounds - 1)
+    yield from work.pieces(poses, body)
 
 
-def _assemble(
-    frames: Sequence[int],
-    poses: Sequence[Pose],
-    body: Body,
-    levels: FrameLevels,
-    free: set[int],
-    schedule: Schedule,
-    round_: int,
-    settings: SequenceSettings,
-    done: Callable[[int], None],
-) -> tuple[_System, Floats, float]:
-    degrees = len(body.skeleton)
-    system = _System.empty(len(frames), degrees, len(body.space) if free else 0)
-    information = np.zeros((len(frames), degrees, degrees))
-    squares = total = 0.0
-    matching, scale = schedule.at(round_)
-    priors = (JointLimits(), Habit(share=settings.habit))
-
-    def equations(f: int, sightings: Sequence[Sighting]) -> tuple[Floats, Floats, float, float]:
-        posed = PosedBody(body, poses[f])
-        found, weights = match_all(posed, sightings, matching, scale)
-        if frames[f] in free:
-            hessian, gradient, _ = dense_equations(posed, found, weights, priors)
-        else:
-            hessian, gradient, _ = normal_equations(posed, gather_moments(posed, found, weights))
-            add_dense(posed, priors, hessian, gradient)
-        across = [float(w @ (m.residuals(posed) ** 2).sum(1)) for w, m in zip(weights, found, strict=True)]
-        return hessian, gradient, sum(across), sum(float(w.sum()) for w in weights)
-
-    # The silhouettes are read here, one frame after the other; only what is computed from them runs side by side.
-    tasks = ((f, levels.at(frame).sightings) for f, frame in enumerate(frames))
-    for f, (hessian, gradient, across, weight) in enumerate(side_by_side(lambda task: equations(*task), tasks)):
-        squares += across
-        total += weight
-        information[f] = hessian[:degrees, :degrees]
-        system.add_frame(f, hessian, gradient, degrees)
-        done(frames[f])
-    if free:
-        white = ShapePrior().whiten(PosedBody(body, poses[0]), shape=True)
-        jacobian = white.jacobian[:, degrees:]
-        system.corner += jacobian.T @ jacobian
-        system.shape_gradient += jacobian.T @ white.residual
-    return system, information, float(np.sqrt(squares / total)) if total else float("nan")
+def _packed(poses: Sequence[Pose], body: Body) -> Arrays:
+    return {
+        "translation": np.array([pose.translation for pose in poses]),
+        "rotation": np.array([pose.rotation for pose in poses]),
+        "angles": np.array([pose.angles for pose in poses]),
+        "numbers": np.array(body.numbers),
+    }
 
 
-def _covariances(system: _System, degrees: int) -> Floats:
-    """Give the diagonal blocks (F, D + M, D + M) of the system's inverse, by the recursion of the banded factor.
-
-    Ours: the poses' inverse is needed near its diagonal only, where it follows backwards from the
-    Cholesky factor ([Takahashi1973]); the shape's share comes on top.
-    """
-    count = len(system.gradient) // degrees
-    band = system.band.copy()
-    band[-1] += 1e-12 * band[-1].max()
-    factor = scipy.linalg.cholesky_banded(band, check_finite=False)
-    blocks = _inverse_blocks(factor, count, degrees)
-    numbers = len(system.corner)
-    covariance = np.zeros((count, degrees + numbers, degrees + numbers))
-    covariance[:, :degrees, :degrees] = blocks
-    if numbers:
-        solved = scipy.linalg.cho_solve_banded((factor, False), system.border, check_finite=False)
-        shape = np.linalg.inv(system.corner - system.border.T @ solved)
-        spread = solved.reshape(count, degrees, numbers)
-        covariance[:, :degrees, :degrees] += spread @ shape @ np.swapaxes(spread, 1, 2)
-        covariance[:, :degrees, degrees:] = -spread @ shape
-        covariance[:, degrees:, :degrees] = np.swapaxes(covariance[:, :degrees, degrees:], 1, 2)
-        covariance[:, degrees:, degrees:] = shape
-    return covariance
+def _unpacked(arrays: Arrays, body: Body) -> tuple[list[Pose], Body]:
+    parts = zip(arrays["translation"], arrays["rotation"], arrays["angles"], strict=True)
+    return [Pose(*part) for part in parts], body.with_numbers(arrays["numbers"])
 
 
-def _inverse_blocks(factor: Floats, count: int, degrees: int) -> Floats:
-    """Give the diagonal blocks of (U'U)^-1 for a banded factor U of two blocks beside the diagonal."""
+@dataclass(frozen=True, eq=False)
+class _Equations:
+    """One frame's normal equations, and how well it fits."""
 
-    def upper(row: int, column: int) -> Floats:
-        block = np.zeros((degrees, degrees))
-        if column >= count:
-            return block
-        i, j = np.meshgrid(np.arange(degrees), np.arange(degrees), indexing="ij")
-        r, c = row * degrees + i, column * degrees + j
-        inside = (c >= r) & (c - r < len(factor))
-        block[inside] = factor[(len(factor) - 1 + r - c)[inside], c[inside]]
-        return block
+    hessian: Floats
+    gradient: Floats
+    squares: float
+    total: float
 
-    inverse: dict[tuple[int, int], Floats] = {}
-    zero = np.zeros((degrees, degrees))
-    for f in range(count - 1, -1, -1):
-        diagonal = upper(f, f)
-        own = scipy.linalg.solve_triangular(diagonal, np.eye(degrees), check_finite=False)
-        first, second = own @ upper(f, f + 1), own @ upper(f, f + 2)
-        near, far, beyond = (
-            inverse.get((f + 1, f + 1), zero), inverse.get((f + 2, f + 2), zero), inverse.get((f + 1, f + 2), zero)
+
+@dataclass(frozen=True, eq=False)
+class _Work:
+    """What stays the same over the rounds of a refinement."""
+
+    frames: list[int]
+    levels: FrameLevels
+    free: set[int]
+    rate: float
+    rounds: int
+    settings: SequenceSettings
+    done: Callable[[int], None]
+    memory: RefineMemory
+
+    @cached_property
+    def windows(self) -> list[Window]:
+        """The stretches that are solved at once."""
+        length, overlap = round(WINDOW * self.rate), round(OVERLAP * self.rate)
+        return windows(
+            len(self.frames), min(max(length, 60), LONGEST_WINDOW), min(max(overlap, 15), LONGEST_OVERLAP)
         )  # fmt: skip
-        inverse[f, f + 1] = -(first @ near + second @ beyond.T)
-        inverse[f, f + 2] = -(first @ beyond + second @ far)
-        # A sum of squares, so that rounding cannot make a variance negative.
-        cross = first @ beyond @ second.T
-        whole = own @ own.T + first @ near @ first.T + second @ far @ second.T + cross + cross.T
-        inverse[f, f] = 0.5 * (whole + whole.T)
-    return np.array([inverse[f, f] for f in range(count)])
+
+    def hear(self, poses: Sequence[Pose], body: Body, round_: int) -> None:
+        """Go through the windows: match every frame once, eliminate each window's poses, and remember what is left."""
+        begun = 0
+        while (round_, begun) in self.memory.parts:
+            begun += 1
+        wanted = self.windows[begun:]
+        for frame in self.frames[: wanted[0].first if wanted else None]:
+            self.done(frame)
+        if not wanted:
+            return
+        stream = self._equations(poses, body, round_, wanted[0].first)
+        waiting: dict[int, _Equations] = {}
+        for i, window in enumerate(wanted, begun):
+            for f in range(max(waiting, default=window.first - 1) + 1, window.last):
+                waiting[f] = next(stream)
+            for f in [f for f in waiting if f < window.first]:
+                del waiting[f]
+            self.memory.parts[round_, i] = self._part(window, waiting, poses, body, last=round_ == self.rounds - 1)
+        stream.close()
+
+    def _equations(
+        self, poses: Sequence[Pose], body: Body, round_: int, first: int
+    ) -> Generator[_Equations, None, None]:
+        settings = self.settings
+        schedule = Schedule(
+            iterations=max(self.rounds, 2), gate=settings.gate, scale=settings.scale, cosine=0.5,
+            sigma_px=settings.sigma_px, interior=True,
+        )  # fmt: skip
+        matching, scale = schedule.at(round_)
+        priors = (JointLimits(), Habit(share=settings.habit))
+
+        def equations(f: int, sightings: Sequence[Sighting]) -> _Equations:
+            posed = PosedBody(body, poses[f])
+            found, weights = match_all(posed, sightings, matching, scale)
+            if self.frames[f] in self.free:
+                hessian, gradient, _ = dense_equations(posed, found, weights, priors)
+            else:
+                hessian, gradient, _ = normal_equations(posed, gather_moments(posed, found, weights))
+                add_dense(posed, priors, hessian, gradient)
+            across = sum(float(w @ (m.residuals(posed) ** 2).sum(1)) for w, m in zip(weights, found, strict=True))
+            return _Equations(hessian, gradient, across, sum(float(w.sum()) for w in weights))
+
+        # The silhouettes are read here, one frame after the other; only what is computed from them runs side by side.
+        tasks = ((f, self.levels.at(self.frames[f]).sightings) for f in range(first, len(self.frames)))
+        for f, found in enumerate(side_by_side(lambda task: equations(*task), tasks), first):
+            self.done(self.frames[f])
+            yield found
+
+    def _part(
+        self, window: Window, found: Mapping[int, _Equations], poses: Sequence[Pose], body: Body, *, last: bool
+    ) -> Arrays:
+        """Give what one window says: how its poses answer, and what its own frames ask of the shape."""
+        degrees, first = len(body.skeleton), window.first
+        free = [f for f in range(first, window.last) if self.frames[f] in self.free]
+        system = System.empty(window.last - first, degrees, len(body.space) if free else 0)
+        for f in range(first, window.last):
+            system.add_frame(f - first, found[f].hessian, found[f].gradient, degrees)
+        spread = acceleration_spread(body.skeleton, self.settings) / self.rate**2
+        for f in range(first + 1, window.last - 1):
+            if self.frames[f + 1] - self.frames[f - 1] == 2:
+                system.add_smoothness(f - first, poses[first : window.last], spread)
+        core = range(window.begin, window.end)
+        own = [found[f] for f in free if f in core]
+        none = np.zeros((len(body.space),) * 2)
+        part = system.eliminate(np.array([TRUST_M] * 3 + [TRUST_RAD] * (degrees - 3)), window.core) | {
+            "corner": sum((e.hessian[degrees:, degrees:] for e in own), none),
+            "shape_gradient": sum((e.gradient[degrees:] for e in own), np.zeros(len(body.space))),
+            "squares": np.array(sum(found[f].squares for f in core)),
+            "total": np.array(sum(found[f].total for f in core)),
+        }
+        if last:
+            part |= system.covariances(degrees, window.core)
+            part["information"] = np.array([found[f].hessian[:degrees, :degrees] for f in core])
+        return part
+
+    def _parts(self, round_: int) -> Iterator[Arrays]:
+        return (self.memory.parts[round_, i] for i in range(len(self.windows)))
+
+    def stepped(self, poses: Sequence[Pose], body: Body, round_: int) -> tuple[list[Pose], Body]:
+        """Solve for the shape, and step."""
+        shape = self._shape_step(poses, body, round_)
+        moved: list[Pose] = []
+        for window, part in zip(self.windows, self._parts(round_), strict=True):
+            steps = -(part["own"] + part["by_shape"] @ shape[: part["by_shape"].shape[1]])
+            own = poses[window.begin : window.end]
+            moved += [pose.step(step) for pose, step in zip(own, steps.reshape(len(own), -1), strict=True)]
+        return moved, body.with_numbers(body.numbers + shape) if self.free else body
+
+    def _shape_step(self, poses: Sequence[Pose], body: Body, round_: int) -> Floats:
+        if not self.free:
+            return np.zeros(len(body.space))
+        information, gradient = _shape_prior(body, poses[0])
+        for part in self._parts(round_):
+            information, gradient = information + part["corner"], gradient + part["shape_gradient"]
+            if part["by_shape"].shape[1]:
+                information, gradient = information - part["taken"], gradient - part["taken_gradient"]
+        information = 0.5 * (information + information.T) + np.eye(len(gradient)) / TRUST_SHAPE**2
+        return bounded_step(information, gradient, *shape_reach(body, self.settings.clip))
+
+    def pieces(self, poses: Sequence[Pose], body: Body) -> Iterator[SequenceFit]:
+        """Step for the last time, and give each window's answer with its covariances."""
+        round_ = self.rounds - 1
+        moved, stepped = self.stepped(poses, body, round_)
+        information, _ = _shape_prior(body, poses[0])
+        squares = total = 0.0
+        for part in self._parts(round_):
+            squares, total = squares + float(part["squares"]), total + float(part["total"])
+            information = information + part["corner"]
+            if part["spread"].shape[2]:
+                information = information - part["loss"]
+        shape = np.linalg.inv(0.5 * (information + information.T))
+        if self.free:
+            stepped = replace(stepped, numbers_covariance=shape)
+        residual = float(np.sqrt(squares / total)) if total else float("nan")
+        for window, part in zip(self.windows, self._parts(round_), strict=True):
+            core = slice(window.begin, window.end)
+            covariance = with_shape_covariance(part["blocks"], part["spread"], shape) if self.free else part["blocks"]
+            yield SequenceFit(
+                np.array(self.frames[core]), tuple(moved[core]), stepped, covariance, part["information"], residual
+            )
+
+
+def _shape_prior(body: Body, pose: Pose) -> tuple[Floats, Floats]:
+    """Give the prior's information (M, M) and gradient (M,) at the body's numbers."""
+    white = ShapePrior().whiten(PosedBody(body, pose), shape=True)
+    jacobian = white.jacobian[:, len(body.skeleton) :]
+    return jacobian.T @ jacobian, jacobian.T @ white.residual
+
+
+def joined(pieces: Sequence[SequenceFit]) -> SequenceFit:
+    """Join the pieces of a sequence."""
+    return SequenceFit(
+        np.concatenate([piece.frames for piece in pieces]), tuple(pose for piece in pieces for pose in piece.poses),
+        pieces[-1].body, np.concatenate([piece.covariance for piece in pieces]),
+        np.concatenate([piece.information for piece in pieces]), pieces[-1].residual_px,
+    )  # fmt: skip

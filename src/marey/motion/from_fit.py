@@ -1,12 +1,14 @@
 """From a fitted sequence to a motion: joints, coordinates and angles with their standard deviations."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from marey.arrays import Floats, Mask
+from marey.arrays import Floats, Integers, Mask
 from marey.body.pose import Pose, PosedBody
 from marey.body.skeleton import ROOT_AXES, Skeleton, root_angles
+from marey.body.surface import Body
 from marey.fit.sequence import SequenceFit
 from marey.geometry import rotations
 from marey.motion.anatomical import anatomy_of, angles_with_sd, turns_of_steps
@@ -22,58 +24,105 @@ VARYING = 0.8
 """Share of a joint centre's distance from where the skin says that changes with the posture (docs/accuracy.md)."""
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Measured:
+    """What a motion keeps of a piece of a fitted sequence, n frames of it."""
+
+    frames: Integers
+    rotation: Floats
+    """(n, S, 3, 3) world from segment."""
+    origin: Floats
+    """(n, S, 3) [m]."""
+    joints_sd: Floats
+    """(n, J, 3) [m]."""
+    coordinates: Floats
+    """(n, D)."""
+    coordinates_sd: Floats
+    determined: Mask
+    """(n, D)."""
+    angles: Floats
+    """(n, A) [rad]."""
+    angles_sd: Floats
+
+
+def measured(fit: SequenceFit) -> Measured:
+    """Say what a piece of a fitted sequence measured; its covariances are not needed after."""
+    body, skeleton = fit.body, fit.body.skeleton
+    degrees = len(skeleton)
+    posed = [PosedBody(body, pose) for pose in fit.poses]
+    rotation = np.array([p.segment_rotation for p in posed])
+    covariance = fit.covariance[:, :degrees, :degrees]
+    turns = turns_of_steps(skeleton, np.array([p.world_axes for p in posed]))
+    angles, angles_sd = angles_with_sd(anatomy_of(skeleton, body.joint_centres), rotation, turns, covariance)
+    to_root = np.array([root_coordinates_from_turn(pose.rotation) for pose in fit.poses])
+    return Measured(
+        frames=fit.frames,
+        rotation=rotation,
+        origin=np.array([p.segment_origin for p in posed]),
+        joints_sd=_joint_spread(posed, covariance),
+        coordinates=np.array([coordinates_of(pose) for pose in fit.poses]),
+        coordinates_sd=_coordinate_spread(covariance, to_root),
+        determined=_determined(fit.information, skeleton),
+        angles=angles,
+        angles_sd=angles_sd,
+    )
+
+
 def motion_of(
-    fit: SequenceFit, *, count: int, rate: float, lost: Mask, camera_names: tuple[str, ...],
+    pieces: Sequence[Measured], body: Body, *, count: int, rate: float, lost: Mask, camera_names: tuple[str, ...],
     agreement: Mapping[int, Floats],
 ) -> Motion:  # fmt: skip
     """Write a fitted sequence as a motion with a row for every frame of the video.
 
     Args:
-        fit: poses, body and covariances.
+        pieces: of the sequence, in order.
+        body: that was fitted.
         count: frames of the video.
         rate: frames in a second.
         lost: (count,) frames that show the person without an answer.
         camera_names: C names.
         agreement: (C,) of each fitted frame.
     """
-    body, skeleton = fit.body, fit.body.skeleton
-    degrees = len(skeleton)
-    posed = [PosedBody(body, pose) for pose in fit.poses]
-    rotation = np.array([p.segment_rotation for p in posed])
-    origin = np.array([p.segment_origin for p in posed])
-    covariance = fit.covariance[:, :degrees, :degrees]
-    anatomy = anatomy_of(skeleton, body.joint_centres)
-    turns = turns_of_steps(skeleton, np.array([p.world_axes for p in posed]))
-    angles, angles_sd = angles_with_sd(anatomy, rotation, turns, covariance)
-    to_root = np.array([root_coordinates_from_turn(pose.rotation) for pose in fit.poses])
+    skeleton = body.skeleton
+    frames = np.concatenate([piece.frames for piece in pieces])
     state = np.where(lost, LOST, NOBODY)
-    state[fit.frames] = MEASURED
+    state[frames] = MEASURED
 
-    def rows(values: Floats, fill: float = np.nan) -> Floats:
-        full = np.full((count, *values.shape[1:]), fill)
-        full[fit.frames] = values
-        return full
+    def rows(name: str) -> Floats:
+        return _rows(np.concatenate([getattr(piece, name) for piece in pieces]), frames, count)
 
+    origin = rows("origin")
+    coordinates = _without_jumps(np.concatenate([piece.coordinates for piece in pieces]))
+    agreements = np.array([agreement[int(f)] for f in frames]).reshape(len(frames), len(camera_names))
+    determined = np.zeros((count, len(skeleton)), bool)
+    determined[frames] = np.concatenate([piece.determined for piece in pieces])
     return Motion(
         time=np.arange(count) / rate,
         rate=rate,
         joint_names=body.joint_names,
-        joint_centres=rows(origin[:, body.joint_segments]),
-        joint_centres_sd=rows(_joint_spread(posed, covariance)),
+        joint_centres=origin[:, body.joint_segments],
+        joint_centres_sd=rows("joints_sd"),
         segment_names=skeleton.segment_names,
-        segment_rotation=rows(rotation),
-        segment_origin=rows(origin),
+        segment_rotation=rows("rotation"),
+        segment_origin=origin,
         coordinate_names=skeleton.coordinate_names,
-        coordinates=rows(_without_jumps(np.array([coordinates_of(pose) for pose in fit.poses]))),
-        coordinates_sd=rows(_coordinate_spread(covariance, to_root)),
-        determined=rows(_determined(fit.information, skeleton).astype(float), 0.0).astype(bool),
-        angle_names=anatomy.angle_names,
-        angles_deg=rows(np.degrees(angles)),
-        angles_deg_sd=rows(np.degrees(angles_sd)),
+        coordinates=_rows(coordinates, frames, count),
+        coordinates_sd=rows("coordinates_sd"),
+        determined=determined,
+        angle_names=anatomy_of(skeleton, body.joint_centres).angle_names,
+        angles_deg=np.degrees(rows("angles")),
+        angles_deg_sd=np.degrees(rows("angles_sd")),
         state=state,
         camera_names=camera_names,
-        agreement=rows(np.array([agreement[int(f)] for f in fit.frames]).reshape(len(fit.frames), len(camera_names))),
+        agreement=_rows(agreements, frames, count),
     )
+
+
+def _rows(values: Floats, frames: Integers, count: int) -> Floats:
+    """Give every frame of the video a row; NaN where there is no answer."""
+    full = np.full((count, *values.shape[1:]), np.nan)
+    full[frames] = values
+    return full
 
 
 def coordinates_of(pose: Pose) -> Floats:
