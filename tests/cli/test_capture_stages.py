@@ -189,3 +189,30 @@ def test_edges_are_looked_for_where_the_body_expects_them_and_kept_with_the_silh
     np.testing.assert_allclose(kept.pixels, found.pixels, atol=1e-4)
     np.testing.assert_allclose(kept.inward, found.inward, atol=1e-6)
     np.testing.assert_array_equal(kept.limb, found.limb)
+
+
+def test_clutter_is_told_by_camera_and_only_what_is_common_is_kept(tmp_path):
+    body = worlds.person()
+    cameras = worlds.ring(4)
+    masks = worlds.silhouettes(PosedBody(body, worlds.pose(body)), cameras)
+    cluttered = [mask.copy() for mask in masks]
+    for c in (1, 2, 3):
+        cluttered[c][:, :70] = True
+    progress = Progress(quiet=True)
+    with (
+        FrameLog(tmp_path / "clean") as first,
+        FrameLog(tmp_path / "cluttered") as second,
+        FrameLog(tmp_path / "common") as third,
+    ):
+        clean, wrong, empty = (stages.MaskStore(log, 0, cameras) for log in (first, second, third))
+        clean.append(masks)
+        wrong.append(cluttered)
+        assert not stages.cluttered(clean, cameras, [0], progress)
+        assert progress.warnings == []
+        assert stages.cluttered(wrong, cameras, [0], progress)
+        assert cameras[1].name in progress.warnings[0]
+        assert cameras[0].name not in progress.warnings[0]
+        common = stages.common_silhouettes(wrong, cameras, empty, progress)(0)
+    for kept, mask, much in zip(common, masks, cluttered, strict=True):
+        assert np.count_nonzero(kept & mask) > 0.97 * np.count_nonzero(mask)
+        assert np.count_nonzero(kept & ~mask) <= 0.5 * max(np.count_nonzero(much & ~mask), 400)

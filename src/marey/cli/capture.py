@@ -84,9 +84,10 @@ def capture(folder: Path, settings: CaptureSettings, progress: Progress) -> Path
         with (
             cache,
             cache.frames("silhouettes", depends=scope) as log,
+            cache.frames("common", depends=scope) as common,
             cache.frames("outlines", depends=scope) as better,
         ):
-            _capture(Run(trial, settings, progress, cache, scope, out), bodies, log, better)
+            _capture(Run(trial, settings, progress, cache, scope, out), bodies, Logs(log, common, better))
     return out
 
 
@@ -102,6 +103,18 @@ class Run:
     """What every stage depends on besides the input files."""
     out: Path
     person: PersonSettings = field(default_factory=PersonSettings)
+
+
+@dataclass(frozen=True, eq=False)
+class Logs:
+    """Where the silhouettes of a run are kept."""
+
+    first: FrameLog
+    """Found from the pictures alone."""
+    common: FrameLog
+    """What the cameras have in common of them, where much is not the person's."""
+    outlines: FrameLog
+    """Found about the person."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,22 +148,26 @@ def open_bodies(trial: Trial, settings: CaptureSettings) -> Bodies:
     return Bodies(fine, coarse)
 
 
-def _capture(run: Run, bodies: Bodies, log: FrameLog, better: FrameLog) -> None:
+def _capture(run: Run, bodies: Bodies, logs: Logs) -> None:
     """Go from pictures to results: silhouettes, person, silhouettes about the person, and the person again."""
     trial, progress = run.trial, run.progress
     cameras, first = list(trial.rig), trial.take.first
-    outlines, small = stages.MaskStore(better, first, cameras), cameras
+    outlines, small = stages.MaskStore(logs.outlines, first, cameras), cameras
     if trial.masks:
         stages.known_silhouettes(trial, outlines, progress)
         store = outlines
     else:
         models = stages.backgrounds(trial, progress)
         small = stages.enough_for_tracking(trial, models)
-        store = stages.MaskStore(log, first, small)
+        store = stages.MaskStore(logs.first, first, small)
         views = [stages.Watched(stages.shrunk(m, c.size)) for m, c in zip(models, small, strict=True)]
         stages.find_silhouettes(trial, views, small, store, progress, name="Silhouettes")
     frames = stages.frames_with_somebody(store)
     stages.require_somebody(trial, frames)
+    if not trial.masks and stages.cluttered(store, small, frames, progress):
+        store = stages.common_silhouettes(store, small, stages.MaskStore(logs.common, first, small), progress)
+        frames = stages.frames_with_somebody(store)
+        stages.require_somebody(trial, frames)
     tracked = _tracked(run, Take(tuple(small), store, frames, trial.take.rate), bodies)
     stages.warn_of_lost(progress, frames, tracked.poses, count=trial.take.count)
     if not trial.masks:

@@ -16,6 +16,7 @@ from marey.body.surface import Body
 from marey.cameras.camera import Camera
 from marey.cli.progress import Progress
 from marey.errors import FileProblem
+from marey.fit.hull import common_parts
 from marey.images.background import Background, doubted, from_pictures, from_take, shrunk, taught, worth_seeing
 from marey.images.interior import InteriorEdges, find_edges
 from marey.images.silhouettes import Silhouette, segment, shape_term
@@ -33,6 +34,8 @@ LESSONS = 10
 """Every so many pictures a doubtful background learns where the followed body is not."""
 PULL, PULL_REACH = 0.5, 8.0
 """How strongly the followed body pulls its silhouette: evidence a pixel of distance, up to so many pixels."""
+CLUTTER_FRAMES, LEAST_COMMON = 8, 0.85
+"""Frames that are looked at for clutter, and what the cameras have in common of the silhouettes without it."""
 PEEK, PEEKS = 0.25, 6
 """How much pictures are shrunken, and how many are looked at, to see how tall the person appears."""
 TRACKED_PX = 300.0
@@ -266,6 +269,37 @@ def known_silhouettes(trial: Trial, store: MaskStore, progress: Progress) -> Non
 def frames_with_somebody(store: MaskStore) -> tuple[int, ...]:
     """Give the frames in which at least two cameras see somebody."""
     return tuple(frame for frame in store.frames if sum(bool(mask.any()) for mask in store(frame)) >= 2)
+
+
+def cluttered(store: MaskStore, cameras: Sequence[Camera], frames: Sequence[int], progress: Progress) -> bool:
+    """Tell whether much of the silhouettes stands in no common place, and warn of the cameras that show it."""
+    sample = [
+        frames[i] for i in np.unique(np.linspace(0, len(frames) - 1, min(CLUTTER_FRAMES, len(frames))).astype(int))
+    ]
+    shares = np.full((len(sample), len(cameras)), np.nan)
+    for f, frame in enumerate(sample):
+        masks = store(frame)
+        for c, (kept, mask) in enumerate(zip(common_parts(cameras, masks), masks, strict=True)):
+            if mask.any():
+                shares[f, c] = np.count_nonzero(kept) / np.count_nonzero(mask)
+    if np.median(np.nanmean(shares, 1)) >= LEAST_COMMON:
+        return False
+    usual = np.nanmean(shares, 0)
+    bad = [camera.name for camera, share in zip(cameras, usual, strict=True) if share < LEAST_COMMON]
+    progress.warn(
+        f"What differs from the empty room in {', '.join(bad)} is to a large part no person seen by the other cameras: "
+        "only what they have in common is followed. Is the background of this very room and day?"
+    )
+    return True
+
+
+def common_silhouettes(store: MaskStore, cameras: Sequence[Camera], common: MaskStore, progress: Progress) -> MaskStore:
+    """Fill a store with what the cameras' silhouettes have in common, and give it."""
+    with progress.stage("In common", len(store.frames), done=len(common.frames)) as step:
+        for frame in store.frames[len(common.frames) :]:
+            common.append(common_parts(cameras, store(frame)))
+            step()
+    return common
 
 
 def require_somebody(trial: Trial, frames: Sequence[int]) -> None:

@@ -1,10 +1,15 @@
 """The visual hull: where in space a person may be whose silhouettes are known."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
+import cv2
+import numba
 import numpy as np
+import scipy.ndimage
 
 from marey.arrays import Floats, Mask
+from marey.cameras import lens
 from marey.cameras.camera import Camera
 
 
@@ -23,30 +28,137 @@ def visual_hull(cameras: Sequence[Camera], masks: Sequence[Mask], *, cell: float
     seeing = [(camera, mask) for camera, mask in zip(cameras, masks, strict=True) if mask.any()]
     if not seeing:
         return np.zeros((0, 3))
-    centre = meeting_point(seeing)
-    steps = np.arange(-reach, reach + cell / 2, cell)
-    grid = centre + np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), -1).reshape(-1, 3)
-    inside = np.ones(len(grid), bool)
-    witnesses = np.zeros(len(grid), int)
-    for camera, mask in seeing:
-        index = np.flatnonzero(inside)
-        pixels = camera.project(grid[index])
-        shown = camera.sees(pixels)
-        column, row = np.round(pixels[shown]).astype(int).T
-        column, row = np.clip(column, 0, camera.width - 1), np.clip(row, 0, camera.height - 1)
-        inside[index[shown]] = mask[row, column]
-        witnesses[index[shown]] += 1
+    grid = Grid.about(meeting_point(seeing), reach, cell)
     # A cell that fewer than two cameras have in view is anybody's guess.
-    return grid[inside & (witnesses >= min(2, len(seeing)))]
+    return grid.centres(filled(seeing, grid, witnesses=min(2, len(seeing))))
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """Cells of space in rows, columns and layers along the world's axes."""
+
+    origin: Floats
+    """(3,) centre of the first cell [m]."""
+    cell: float
+    """Edge of a cell [m]."""
+    counts: tuple[int, int, int]
+
+    @staticmethod
+    def about(centre: Floats, reach: float, cell: float) -> "Grid":
+        """Fill a cube with cells: its middle (3,) and half its edge [m]."""
+        half = round(reach / cell)
+        return Grid(centre - half * cell, cell, (2 * half + 1,) * 3)
+
+    @staticmethod
+    def holding(points: Floats, margin: float, cell: float) -> "Grid":
+        """Fill the box about points (n, 3) with cells, a margin all round [m]."""
+        origin = points.min(0) - margin
+        x, y, z = np.ceil((points.max(0) + margin - origin) / cell).astype(int) + 1
+        return Grid(origin, cell, (int(x), int(y), int(z)))
+
+    def centres(self, chosen: Mask) -> Floats:
+        """Give the centres (n, 3) of chosen cells [m]."""
+        return np.asarray(self.origin + np.argwhere(chosen) * self.cell, float)
+
+
+def filled(seeing: Sequence[tuple[Camera, Mask]], grid: Grid, *, witnesses: int) -> Mask:
+    """Tell which cells of a grid lie in every silhouette that has them in its picture; at least so many must."""
+    widths = np.array([camera.width for camera, _ in seeing])
+    heights = np.array([camera.height for camera, _ in seeing])
+    masks = np.zeros((len(seeing), heights.max(), widths.max()), bool)
+    for c, (_, mask) in enumerate(seeing):
+        masks[c, : heights[c], : widths[c]] = mask
+    packed = np.array([camera.packed for camera, _ in seeing])
+    return np.asarray(_filled(packed, widths, heights, masks, grid.origin, grid.cell, grid.counts, witnesses))
+
+
+@numba.njit(cache=True, nogil=True)
+def _filled(packed, widths, heights, masks, origin, cell, counts, witnesses):
+    inside = np.zeros(counts, np.bool_)
+    for i in range(counts[0]):
+        for j in range(counts[1]):
+            for k in range(counts[2]):
+                x, y, z = origin[0] + i * cell, origin[1] + j * cell, origin[2] + k * cell
+                seen = 0
+                for c in range(len(packed)):
+                    column, row, _ = lens.project(packed[c], x, y, z)
+                    # Where there is no picture the pixel is no number, and no comparison holds.
+                    if not (-0.5 <= column <= widths[c] - 0.5 and -0.5 <= row <= heights[c] - 0.5):
+                        continue
+                    seen += 1
+                    if not masks[c, min(int(row + 0.5), heights[c] - 1), min(int(column + 0.5), widths[c] - 1)]:
+                        seen = -1
+                        break
+                inside[i, j, k] = seen >= witnesses
+    return inside
+
+
+def common_parts(cameras: Sequence[Camera], masks: Sequence[Mask], *, cell: float = 0.04) -> list[Mask]:
+    """Leave of silhouettes what belongs to the largest thing that stands in all of them.
+
+    Ours: what only some cameras take for a person - somebody behind, furniture that was moved since the
+    empty room was filmed - has no place in space. What a single camera misses of the person is missing
+    in all of them afterwards.
+
+    Args:
+        cameras: at least two that see something.
+        masks: (height, width) of each.
+        cell: edge of the cells of space [m].
+    """
+    seeing = [(camera, mask) for camera, mask in zip(cameras, masks, strict=True) if mask.any()]
+    witnesses = min(3, len(seeing))
+    if witnesses < 2:
+        return [np.asarray(mask) for mask in masks]
+    centre, reach = room_between([camera for camera, _ in seeing])
+    rough = Grid.about(centre, reach, 3 * cell)
+    somewhere = rough.centres(largest_part(filled(seeing, rough, witnesses=witnesses)))
+    if len(somewhere) == 0:
+        return [np.zeros_like(mask) for mask in masks]
+    grid = Grid.holding(somewhere, 0.5, cell)
+    cells = grid.centres(largest_part(filled(seeing, grid, witnesses=witnesses)))
+    return [mask & drawn_cells(camera, cells, cell) for camera, mask in zip(cameras, masks, strict=True)]
+
+
+def room_between(cameras: Sequence[Camera]) -> tuple[Floats, float]:
+    """Give the point (3,) nearest to the cameras' axes, and how far from it people may be [m]."""
+    middle = [np.array([[0.5 * (camera.width - 1), 0.5 * (camera.height - 1)]]) for camera in cameras]
+    axes = [camera.rays(pixel).directions[0] for camera, pixel in zip(cameras, middle, strict=True)]
+    centres = np.array([camera.centre for camera in cameras])
+    point = nearest_point(centres, np.array(axes))
+    return point, 0.8 * float(np.median(np.linalg.norm(centres - point, axis=1)))
+
+
+def largest_part(cells: Mask) -> Mask:
+    """Keep the largest connected part of a grid's cells (x, y, z), which may touch at corners."""
+    parts, count = scipy.ndimage.label(cells, np.ones((3, 3, 3)))
+    if count == 0:
+        return cells
+    return np.asarray(parts == 1 + np.argmax(np.bincount(parts.ravel())[1:]))
+
+
+def drawn_cells(camera: Camera, cells: Floats, cell: float) -> Mask:
+    """Draw cells of space (n, 3) as a camera sees them, each a little larger than it is: (height, width)."""
+    pixels = np.empty_like(cells)
+    lens.project_points(camera.packed, cells, pixels)
+    shown = camera.sees(pixels[:, :2])
+    column, row = np.round(pixels[shown, :2]).astype(int).T
+    drawn = np.zeros((camera.height, camera.width), np.uint8)
+    drawn[np.clip(row, 0, camera.height - 1), np.clip(column, 0, camera.width - 1)] = 1
+    if not shown.any():
+        return drawn > 0
+    reach = int(np.ceil(np.linalg.norm(camera.matrix[0, :2]) * np.median(pixels[shown, 2]) * cell))
+    return np.asarray(cv2.dilate(drawn, np.ones((2 * reach + 1, 2 * reach + 1), np.uint8))) > 0
 
 
 def meeting_point(seeing: Sequence[tuple[Camera, Mask]]) -> Floats:
     """Find the point (3,) nearest to the rays through the silhouettes' centroids."""
-    normal, right = np.zeros((3, 3)), np.zeros(3)
-    for camera, mask in seeing:
-        rows, columns = np.nonzero(mask)
-        ray = camera.rays(np.array([[columns.mean(), rows.mean()]])).directions[0]
-        across = np.eye(3) - np.outer(ray, ray)
-        normal += across
-        right += across @ camera.centre
-    return np.asarray(np.linalg.lstsq(normal, right, rcond=None)[0], float)
+    centroids = [np.argwhere(mask).mean(0)[None, ::-1] for _, mask in seeing]
+    rays = [camera.rays(pixel).directions[0] for (camera, _), pixel in zip(seeing, centroids, strict=True)]
+    return nearest_point(np.array([camera.centre for camera, _ in seeing]), np.array(rays))
+
+
+def nearest_point(origins: Floats, directions: Floats) -> Floats:
+    """Find the point (3,) nearest to lines through origins (n, 3) along unit directions (n, 3)."""
+    across = np.eye(3) - directions[:, :, None] * directions[:, None, :]
+    right = np.einsum("nij,nj->i", across, origins)
+    return np.asarray(np.linalg.lstsq(across.sum(0), right, rcond=None)[0], float)
