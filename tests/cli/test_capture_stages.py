@@ -1,6 +1,7 @@
 """The stages of a capture: what they keep, what they compare, and what they refuse."""
 
 import io
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -9,11 +10,13 @@ import pytest
 from tests import worlds
 
 from marey.body.pose import Pose, PosedBody
+from marey.body.presets import person_body
 from marey.cli import capture_stages as stages
-from marey.cli.capture import require_two_cameras
+from marey.cli.capture import coarse_twin, open_bodies, require_two_cameras
 from marey.cli.progress import Progress
 from marey.errors import FileProblem
 from marey.geometry import rotations
+from marey.io.body import write_body
 from marey.io.stages import FrameLog
 from marey.observations.correspondence import view_of
 
@@ -216,3 +219,29 @@ def test_clutter_is_told_by_camera_and_only_what_is_common_is_kept(tmp_path):
     for kept, mask, much in zip(common, masks, cluttered, strict=True):
         assert np.count_nonzero(kept & mask) > 0.97 * np.count_nonzero(mask)
         assert np.count_nonzero(kept & ~mask) <= 0.5 * max(np.count_nonzero(much & ~mask), 400)
+
+
+def given(path, **settings):
+    """What `open_bodies` looks at."""
+    asked = SimpleNamespace(preset=settings.get("preset"), stature_m=settings.get("stature_m"))
+    return SimpleNamespace(settings=asked), SimpleNamespace(body=path)
+
+
+def test_a_body_of_an_earlier_take_has_a_twin_with_few_vertices(tmp_path, rng):
+    person = person_body("fine", stature_m=1.7)
+    person = person.with_numbers(rng.normal(size=len(person.space)) * 0.3)
+    write_body(tmp_path / "body.npz", person, preset="full")
+    bodies = open_bodies(*given(tmp_path / "body.npz"))
+    assert len(bodies.coarse.vertices) < 0.5 * len(bodies.fine.vertices)
+    np.testing.assert_array_equal(bodies.coarse.numbers, person.numbers)
+    np.testing.assert_allclose(bodies.coarse.joint_centres, person.joint_centres, atol=1e-4)
+    np.testing.assert_allclose(bodies.coarse.space.prior_mean, person.space.prior_mean)
+
+
+def test_a_body_whose_numbers_mean_something_else_is_its_own_twin():
+    coarse = person_body("coarse")
+    assert coarse_twin(worlds.scan("fine"), coarse) is None
+    assert coarse_twin(person_body("fine", preset="upper"), coarse) is None
+    moved = person_body("fine")
+    moved = replace(moved, space=replace(moved.space, joint_mean=moved.space.joint_mean + 0.01))
+    assert coarse_twin(moved, coarse) is None

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -41,6 +41,8 @@ from marey.motion.from_fit import Measured, measured, motion_of
 
 SHAPE_ROUNDS = 4
 FINE_ROUNDS = 4
+TWIN_M = 1e-4
+"""How near the joints of a body and of its twin with few vertices must lie [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,15 +139,32 @@ def require_two_cameras(trial: Trial) -> None:
 
 
 def open_bodies(trial: Trial, settings: CaptureSettings) -> Bodies:
-    """Open the body that the user gave, or make the one of whom nothing is known but perhaps the stature."""
+    """Open the body that the user gave, or make the one of whom nothing is known but perhaps the stature.
+
+    The start tries many postures and wants few vertices. A body of an earlier take has a twin with few vertices, the
+    same shape numbers and the same joints. A scan has none and is used as it is: the start takes the longer the more
+    vertices it has; below 2000 they hardly count.
+    """
     preset = trial.settings.preset or "full"
-    if settings.body is not None:
-        given = open_body(settings.body, person_body("fine", preset=preset))
-        return Bodies(given, given)
     fine, coarse = (
         person_body(level, preset=preset, stature_m=trial.settings.stature_m) for level in ("fine", "coarse")
     )
-    return Bodies(fine, coarse)
+    if settings.body is None:
+        return Bodies(fine, coarse)
+    given = open_body(settings.body, fine)
+    return Bodies(given, coarse_twin(given, coarse) or given)
+
+
+def coarse_twin(given: Body, coarse: Body) -> Body | None:
+    """Give a body of few vertices the shape of another, or None where its numbers do not mean the same joints."""
+    same = given.space.names == coarse.space.names and given.skeleton.segment_names == coarse.skeleton.segment_names
+    if not same or given.skeleton.coordinate_names != coarse.skeleton.coordinate_names:
+        return None
+    prior = replace(
+        coarse.space, prior_mean=given.space.prior_mean, prior_covariance=given.space.prior_covariance
+    )  # fmt: skip
+    twin = replace(with_shape(given, coarse), space=prior)
+    return twin if np.allclose(twin.joint_centres, given.joint_centres, atol=TWIN_M) else None
 
 
 def _capture(run: Run, bodies: Bodies, logs: Logs) -> None:

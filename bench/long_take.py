@@ -1,0 +1,152 @@
+"""Refine takes of many frames: memory stays bounded, time grows as the frames, and windows change nothing.
+
+    python bench/long_take.py [1000 4000 ...] [--compare]
+
+The person is the family's mean, walking on the spot for as long as is asked, seen by four small cameras; silhouettes
+are drawn when they are asked for, so that what is measured is the refinement. What it remembers goes to a folder that
+is thrown away, as `marey capture` keeps it beside its results. --compare refines some frames in one system and in
+windows, and prints the differences in parts of the stated standard deviations.
+"""
+
+import argparse
+import resource
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from marey.body.pose import Pose, PosedBody
+from marey.body.presets import person_body
+from marey.body.surface import Body
+from marey.cameras.camera import Camera
+from marey.cli.kept_candidates import KeptArrays
+from marey.fit import sequence
+from marey.fit.banded import windows
+from marey.fit.levels import FrameLevels
+from marey.fit.sequence import RefineMemory, SequenceFit, refine_in_pieces
+from marey.geometry import rotations
+from marey.geometry.rigid import RigidTransform
+from marey.io.stages import FrameLog
+from marey.motion.from_fit import measured
+from marey.observations.correspondence import view_of
+
+RATE, SIZE, FOCAL, DISTANCE, ROUNDS = 30.0, (160, 200), 220.0, 3.2, 3
+
+
+def cameras(count: int = 4) -> tuple[Camera, ...]:
+    """Give small cameras all round."""
+    matrix = np.array([[FOCAL, 0, (SIZE[0] - 1) / 2], [0, FOCAL, (SIZE[1] - 1) / 2], [0, 0, 1]])
+    ring = []
+    for i in range(count):
+        turn = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]) @ rotations.about(np.array([0, 0, 1.0]), 0.4 + 1.4 * i)
+        pose = RigidTransform(turn, np.array([0.0, 0.0, DISTANCE]))
+        ring.append(Camera(name=f"cam{i}", size=SIZE, matrix=matrix, distortion=np.zeros(4), camera_from_world=pose))
+    return tuple(ring)
+
+
+def pose_at(body: Body, frame: int) -> Pose:
+    """Give a smooth motion: the person turns slowly, and arms and legs swing."""
+    phase = 2 * np.pi * frame / 40
+    names = [c.name for c in body.skeleton.coordinates]
+    angles = np.zeros(len(names))
+    for name, middle, width in (
+        ("left_shoulder_lift", 40, 20), ("right_shoulder_lift", 10, -20), ("left_elbow_flexion", 50, 20),
+        ("right_hip_flexion", 20, 25), ("left_knee_flexion", 30, 20),
+    ):  # fmt: skip
+        angles[names.index(name)] = np.deg2rad(middle + width * np.sin(phase))
+    turn = rotations.about(np.array([0, 0, 1.0]), 0.01 * frame)
+    return Pose(np.array([0.1 * np.sin(phase), 0.0, -0.05]), turn, angles)
+
+
+class Seen:
+    """Silhouettes of the motion, drawn when they are asked for."""
+
+    def __init__(self, body: Body):
+        self.body, self.cameras = body, cameras()
+
+    def __call__(self, frame: int) -> Sequence[np.ndarray]:
+        """Draw a frame."""
+        posed = PosedBody(self.body, pose_at(self.body, frame))
+        return [view_of(posed, camera).mask() for camera in self.cameras]
+
+
+def begun(body: Body, count: int) -> tuple[list[Pose], list[int]]:
+    """Give poses near the truth, and the frames that speak of the shape."""
+    rng = np.random.default_rng(1)
+    start = [pose_at(body, f).step(rng.normal(size=len(body.skeleton)) * 0.01) for f in range(count)]
+    return start, np.linspace(0, count - 1, 25).astype(int).tolist()
+
+
+def grow(count: int) -> None:
+    """Refine a take of so many frames, and print time and memory."""
+    body = person_body("coarse")
+    levels = FrameLevels(cameras(), Seen(body), 1.0)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    began = time.perf_counter()
+    start, shape_frames = begun(body, count)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        with FrameLog(folder / "rounds.log") as rounds, FrameLog(folder / "windows.log") as parts:
+            memory = RefineMemory(KeptArrays(rounds), KeptArrays(parts))
+            kept = [
+                measured(piece)
+                for piece in refine_in_pieces(
+                    range(count), start, body, levels, rate=RATE, rounds=ROUNDS, shape_frames=shape_frames,
+                    memory=memory,
+                )
+            ]  # fmt: skip
+    seconds = time.perf_counter() - began
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    print(
+        f"{sum(len(m.frames) for m in kept)} frames in {len(kept)} windows: {1e3 * seconds / count / ROUNDS:.1f} ms a "
+        f"frame and round, peak memory {peak / 1e6:.2f} GB, of which {before / 1e6:.2f} GB before",
+        flush=True,
+    )
+
+
+def compare(count: int = 480) -> None:
+    """Refine some frames in one system and in windows; print how much that changes."""
+    body = person_body("coarse")
+    levels = FrameLevels(cameras(), Seen(body), 1.0)
+    start, shape_frames = begun(body, count)
+
+    def fit(length: int, overlap: int) -> SequenceFit:
+        divided = sequence.windows
+        sequence.windows = lambda count, *_: windows(count, length, overlap)
+        try:
+            return sequence.refine_sequence(
+                range(count), start, body, levels, rate=RATE, rounds=ROUNDS, shape_frames=shape_frames
+            )
+        finally:
+            sequence.windows = divided
+
+    whole = fit(count, 0)
+    for overlap in (0, 5, 15, 30):
+        parts = fit(120, overlap)
+        shape_sd = np.sqrt(np.diag(whole.body.numbers_covariance))
+        shape = np.abs(parts.body.numbers - whole.body.numbers) / shape_sd
+        sd = np.sqrt(np.diagonal(whole.covariance, axis1=1, axis2=2))[:, : len(body.skeleton)]
+        steps = np.array([a.change_to(b) for a, b in zip(whole.poses, parts.poses, strict=True)])
+        print(
+            f"windows of 120 frames, {overlap} neighbours: poses differ by at most {np.abs(steps / sd).max():.4f} sd, "
+            f"the shape by {shape.max():.4f} sd",
+            flush=True,
+        )
+
+
+def main() -> None:
+    """Refine what was asked for."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("frames", nargs="*", type=int, default=[])
+    parser.add_argument("--compare", action="store_true")
+    asked = parser.parse_args()
+    for count in asked.frames:
+        grow(count)
+    if asked.compare:
+        compare()
+
+
+if __name__ == "__main__":
+    main()
