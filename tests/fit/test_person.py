@@ -10,12 +10,14 @@ from marey.body.pose import PosedBody
 from marey.fit.person import (
     PersonSettings,
     Take,
+    bridged,
     mend_person,
     promising_frames,
     refine_person,
     shape_frames,
     start_person,
     track_person,
+    unseen,
     with_shape,
 )
 from marey.fit.search import Candidate
@@ -143,3 +145,26 @@ def test_a_good_start_is_enough(monkeypatch):
     monkeypatch.setattr("marey.fit.person.find_start", find)
     start_person(take, body, body, PersonSettings())
     assert len(asked) == 1
+
+
+def test_moments_without_an_answer_are_filled_from_both_sides():
+    body = worlds.person("coarse", 3)
+    poses = dict(enumerate(worlds.swing(body, 30)))
+    known = {f: pose for f, pose in poses.items() if f not in (4, 5, *range(10, 20), 29)}
+    filled = bridged(known, longest=5.9)
+    assert sorted(filled) == [4, 5]
+    for frame in filled:
+        apart = worlds.joint_errors(PosedBody(body, filled[frame]), PosedBody(body, poses[frame])).max()
+        # A leg of .9 m that swings by 25 degrees in 30 frames lies up to .44 (2 pi / 30)^2 = .02 rad off the chord.
+        assert apart < 0.02
+    np.testing.assert_allclose(known[3].change_to(filled[4]), known[3].change_to(known[6]) / 3, atol=1e-9)
+    assert bridged({}, longest=5) == {}
+
+
+def test_filled_poses_that_silhouettes_bear_out_are_told_from_others():
+    body = worlds.person("coarse", 3)
+    truth = [PosedBody(body, pose) for pose in worlds.swing(body, 3)]
+    take = worlds.take(truth, worlds.ring())
+    wrong = worlds.pose(body, at=(0.5, 0.0, 0.0))
+    poses = {0: truth[0].pose, 1: wrong, 2: wrong}
+    assert unseen(take, body, poses, (0, 1), PersonSettings(), usual=0.95) == {1}

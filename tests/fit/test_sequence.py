@@ -231,3 +231,19 @@ def test_an_interrupted_refinement_goes_on_where_it_was(long_motion, monkeypatch
     for one, other in zip(whole.poses, again.poses, strict=True):
         np.testing.assert_allclose(one.change_to(other), 0.0, atol=1e-9)
     np.testing.assert_allclose(again.covariance, whole.covariance, rtol=1e-6, atol=1e-12)
+
+
+def test_a_frame_whose_silhouettes_are_not_believed_follows_its_neighbours(motion):
+    body, truth, levels, start = motion
+    posed = [levels.at(f) for f in range(9)]
+
+    class Wrong:
+        """Levels of which one frame shows another."""
+
+        def at(self, frame):
+            return posed[0] if frame == 6 else posed[frame]
+
+    fit = refine_sequence(range(9), start, body, Wrong(), rate=30, rounds=4, blind={6})
+    assert worlds.joint_errors(PosedBody(body, fit.poses[6]), truth[6]).mean() < 0.02
+    seen, unseen = (np.trace(fit.covariance[f][:3, :3]) for f in (5, 6))
+    assert unseen > 2 * seen

@@ -146,3 +146,11 @@ def test_joints_that_lie_elsewhere_than_the_skin_says_are_as_much_less_certain(f
     more = doubted.joint_centres_sd[FRAMES] ** 2 - certain.joint_centres_sd[FRAMES] ** 2
     np.testing.assert_allclose(more, (VARYING * 0.01) ** 2, rtol=1e-6)
     np.testing.assert_array_equal(doubted.coordinates_sd, certain.coordinates_sd)
+
+
+def test_frames_of_which_only_neighbours_spoke_are_flagged(fit):
+    agreement = {int(f): np.zeros(0) for f in FRAMES}
+    more = {"count": COUNT, "rate": 30.0, "lost": np.zeros(COUNT, bool), "camera_names": (), "agreement": agreement}
+    motion = motion_of(fit, filled={4, 8}, **more)
+    assert motion.state.tolist() == [0, 0, 1, 1, 2, 1, 0, 0, 2, 1, 0, 0]
+    assert np.isfinite(motion.joint_centres[[4, 8]]).all()

@@ -1,6 +1,6 @@
 """`marey capture`: from the videos of a trial to the motion of the person in it."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -22,11 +22,13 @@ from marey.fit.person import (
     Memory,
     PersonSettings,
     Take,
+    bridged,
     mend_person,
     refine_person,
     shape_frames,
     start_person,
     track_person,
+    unseen,
     with_shape,
 )
 from marey.fit.search import Candidate
@@ -188,13 +190,15 @@ def _capture(run: Run, bodies: Bodies, logs: Logs) -> None:
         frames = stages.frames_with_somebody(store)
         stages.require_somebody(trial, frames)
     tracked = _tracked(run, Take(tuple(small), store, frames, trial.take.rate), bodies)
-    stages.warn_of_lost(progress, frames, tracked.poses, count=trial.take.count)
+    filled = bridged(tracked.poses, longest=run.person.bridge * trial.take.rate)
+    known = dict(sorted({**tracked.poses, **filled}.items()))
+    stages.warn_of_lost(progress, frames, known, count=trial.take.count)
     if not trial.masks:
         views = [stages.Watched(model) for model in models]
-        predicted = stages.expectations(tracked.body, tracked.poses, cameras, small)
+        predicted = stages.expectations(tracked.body, known, cameras, small)
         stages.find_silhouettes(trial, views, cameras, outlines, progress, name="Outlines", predicted=predicted)
-    again = Take(tuple(cameras), outlines, tuple(tracked.poses), trial.take.rate, outlines.edges)
-    refined = _refined(run, again, tracked, bodies)
+    again = Take(tuple(cameras), outlines, tuple(known), trial.take.rate, outlines.edges)
+    refined = _refined(run, again, replace(tracked, poses=known), bodies, filled)
     write_capture(run, refined, outlines, frames)
 
 
@@ -295,16 +299,23 @@ class Refined:
     body: Body
     poses: Mapping[int, Pose]
     pieces: Sequence[Measured]
+    filled: frozenset[int]
+    """Frames of which only their neighbours speak."""
 
 
-def _refined(run: Run, take: Take, tracked: Tracked, bodies: Bodies) -> Refined:
-    """Mend single frames and refine the whole, now that body and silhouettes are better known."""
+def _refined(run: Run, take: Take, tracked: Tracked, bodies: Bodies, filled: Iterable[int]) -> Refined:
+    """Mend single frames and refine the whole, now that body and silhouettes are better known.
+
+    Frames that were filled count as measured where the better silhouettes bear them out.
+    """
     person = run.person
     with run.cache.frames("mended_frames", depends=run.scope) as log, run.progress.stage("Mending"):
         poses = mend_person(
             take, tracked.body, with_shape(tracked.body, bodies.coarse), tracked.poses, person,
             memory=KeptCandidates(log, tracked.body),
         )  # fmt: skip
+    usual = float(np.median(list(tracked.scores.values())))
+    blind = unseen(take, tracked.body, poses, filled, person, usual=usual)
     found: dict[int, Pose] = {}
     pieces = []
     with (
@@ -313,11 +324,11 @@ def _refined(run: Run, take: Take, tracked: Tracked, bodies: Bodies) -> Refined:
     ):
         for fit in refine_person(
             take, tracked.body, poses, shape_frames(tracked.scores, person.shape_frames), person,
-            height=person.fine_height, rounds=FINE_ROUNDS, done=lambda frame: step(), memory=memory,
+            height=person.fine_height, rounds=FINE_ROUNDS, blind=blind, done=lambda frame: step(), memory=memory,
         ):  # fmt: skip
             found |= fit.by_frame
             pieces.append(measured(fit))
-    return Refined(fit.body, found, pieces)
+    return Refined(fit.body, found, pieces, frozenset(blind))
 
 
 def _packed(found: Mapping[int, Candidate], body: Body) -> Arrays:
@@ -357,7 +368,7 @@ def write_capture(run: Run, refined: Refined, store: stages.MaskStore, frames: S
             agreement = stages.agreements(drawn, poses, store, done=step)
         motion = motion_of(
             refined.pieces, body, count=take.count, rate=take.rate, lost=lost, camera_names=trial.rig.names,
-            agreement=agreement,
+            agreement=agreement, filled=refined.filled,
         )  # fmt: skip
         with progress.stage("Results"):
             stages.write_all_masks(folder, trial, store, drawn)

@@ -1,7 +1,8 @@
 """The recipe: from the silhouettes of a take to one person's motion and shape."""
 
-from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -32,6 +33,8 @@ class PersonSettings:
     track: TrackSettings = field(default_factory=TrackSettings)
     sequence: SequenceSettings = field(default_factory=SequenceSettings)
     pick_up: PickUpSettings = field(default_factory=PickUpSettings)
+    bridge: float = 0.2
+    """Time without an answer over which a motion is filled from both sides [s]."""
     start_frames: int = 3
     """Frames that are tried for the start."""
     shape_frames: int = 25
@@ -268,6 +271,33 @@ def mend_person(
     return {f: candidate.posed.pose for f, candidate in mended.items()}
 
 
+def bridged(poses: Mapping[int, Pose], *, longest: float) -> dict[int, Pose]:
+    """Give poses for moments without an answer, evenly between those on both sides.
+
+    Args:
+        poses: that were found, by frame.
+        longest: how many frames a moment may last.
+    """
+    filled = {}
+    for before, after in pairwise(sorted(poses)):
+        if 1 < after - before <= longest + 1:
+            for frame in range(before + 1, after):
+                filled[frame] = poses[before].between(poses[after], (frame - before) / (after - before))
+    return filled
+
+
+def unseen(
+    take: Take, body: Body, poses: Mapping[int, Pose], frames: Iterable[int], settings: PersonSettings, *, usual: float
+) -> set[int]:
+    """Tell of frames whose poses were filled which ones the silhouettes do not bear out, much worse than usual."""
+    levels = take.levels(settings.track_height)
+    return {
+        f
+        for f in frames
+        if Search(levels.at(f), settings.start).judge(PosedBody(body, poses[f])).score < usual - settings.pick_up.worse
+    }
+
+
 def shape_frames(agreements: Mapping[int, float], count: int) -> list[int]:
     """Choose frames for the shape: evenly among the best 70 in a hundred."""
     scores = np.array(list(agreements.values()))
@@ -285,13 +315,17 @@ def refine_person(
     *,
     height: float,
     rounds: int,
+    blind: Container[int] = (),
     done: Done = _nothing,
     memory: RefineMemory | None = None,
 ) -> Iterator[SequenceFit]:
-    """Refine motion and shape together at one size of the pictures; the answer comes piece by piece."""
+    """Refine motion and shape together at one size of the pictures; the answer comes piece by piece.
+
+    The silhouettes of blind frames are not believed: only their neighbours speak of them.
+    """
     return refine_in_pieces(
         list(poses), list(poses.values()), body, take.levels(height), rate=take.rate, rounds=rounds,
-        shape_frames=for_shape, settings=settings.sequence, done=done, memory=memory,
+        shape_frames=for_shape, settings=settings.sequence, blind=blind, done=done, memory=memory,
     )  # fmt: skip
 
 

@@ -6,7 +6,7 @@ weighting; the structure is ours), a long sequence in windows that overlap: time
 memory hardly.
 """
 
-from collections.abc import Callable, Generator, Iterator, Mapping, MutableMapping, Sequence
+from collections.abc import Callable, Container, Generator, Iterator, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -109,6 +109,7 @@ def refine_sequence(
     rounds: int,
     shape_frames: Sequence[int] = (),
     settings: SequenceSettings | None = None,
+    blind: Container[int] = (),
     done: Callable[[int], None] = lambda frame: None,
     memory: RefineMemory | None = None,
 ) -> SequenceFit:
@@ -120,7 +121,7 @@ def refine_sequence(
         list(
             refine_in_pieces(
                 frames, poses, body, levels, rate=rate, rounds=rounds, shape_frames=shape_frames, settings=settings,
-                done=done, memory=memory,
+                blind=blind, done=done, memory=memory,
             )
         )
     )  # fmt: skip
@@ -136,6 +137,7 @@ def refine_in_pieces(
     rounds: int,
     shape_frames: Sequence[int] = (),
     settings: SequenceSettings | None = None,
+    blind: Container[int] = (),
     done: Callable[[int], None] = lambda frame: None,
     memory: RefineMemory | None = None,
 ) -> Iterator[SequenceFit]:
@@ -155,13 +157,15 @@ def refine_in_pieces(
         rounds: how often correspondence and solution follow each other.
         shape_frames: frames whose outlines also speak of the shape.
         settings: what is known before.
+        blind: frames whose silhouettes are not believed; only their neighbours speak of them.
         done: told of every frame in every round.
         memory: takes each window and each round as soon as it is done; what it holds already is not done again.
     """
     if rounds < 1:
         raise ValueError("at least one round is needed")
     memory = memory or RefineMemory()
-    work = _Work(list(frames), levels, set(shape_frames), rate, rounds, settings or SequenceSettings(), done, memory)
+    settings = settings or SequenceSettings()
+    work = _Work(list(frames), levels, set(shape_frames), blind, rate, rounds, settings, done, memory)
     poses = list(poses)
     for round_ in range(rounds - 1):
         if round_ in memory.rounds:
@@ -208,6 +212,7 @@ class _Work:
     frames: list[int]
     levels: FrameLevels
     free: set[int]
+    blind: Container[int]
     rate: float
     rounds: int
     settings: SequenceSettings
@@ -265,10 +270,13 @@ class _Work:
             return _Equations(hessian, gradient, across, sum(float(w.sum()) for w in weights))
 
         # The silhouettes are read here, one frame after the other; only what is computed from them runs side by side.
-        tasks = ((f, self.levels.at(self.frames[f]).sightings) for f in range(first, len(self.frames)))
+        tasks = ((f, self._sightings(self.frames[f])) for f in range(first, len(self.frames)))
         for f, found in enumerate(side_by_side(lambda task: equations(*task), tasks), first):
             self.done(self.frames[f])
             yield found
+
+    def _sightings(self, frame: int) -> Sequence[Sighting]:
+        return () if frame in self.blind else self.levels.at(frame).sightings
 
     def _part(
         self, window: Window, found: Mapping[int, _Equations], poses: Sequence[Pose], body: Body, *, last: bool

@@ -1,6 +1,6 @@
 """From a fitted sequence to a motion: joints, coordinates and angles with their standard deviations."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +12,7 @@ from marey.body.surface import Body
 from marey.fit.sequence import SequenceFit
 from marey.geometry import rotations
 from marey.motion.anatomical import anatomy_of, angles_with_sd, turns_of_steps
-from marey.motion.motion import LOST, MEASURED, NOBODY, Motion
+from marey.motion.motion import FILLED, LOST, MEASURED, NOBODY, Motion
 
 DETERMINED = 0.5
 """A coordinate is determined where its own frame fixes it to this share of the spread that people's joints have."""
@@ -70,7 +70,7 @@ def measured(fit: SequenceFit) -> Measured:
 
 def motion_of(
     pieces: Sequence[Measured], body: Body, *, count: int, rate: float, lost: Mask, camera_names: tuple[str, ...],
-    agreement: Mapping[int, Floats],
+    agreement: Mapping[int, Floats], filled: Collection[int] = (),
 ) -> Motion:  # fmt: skip
     """Write a fitted sequence as a motion with a row for every frame of the video.
 
@@ -82,11 +82,13 @@ def motion_of(
         lost: (count,) frames that show the person without an answer.
         camera_names: C names.
         agreement: (C,) of each fitted frame.
+        filled: frames of which only their neighbours spoke.
     """
     skeleton = body.skeleton
     frames = np.concatenate([piece.frames for piece in pieces])
     state = np.where(lost, LOST, NOBODY)
     state[frames] = MEASURED
+    state[list(filled)] = FILLED
 
     def rows(name: str) -> Floats:
         return _rows(np.concatenate([getattr(piece, name) for piece in pieces]), frames, count)
