@@ -20,6 +20,23 @@ def test_the_cube_is_smoothed_like_a_separable_gaussian():
     assert np.allclose(density, expected, atol=1e-6)
 
 
+def test_what_would_fall_over_the_edge_of_the_cube_stays_on_it(rng):
+    image = rng.integers(0, 256, (40, 40, 3), dtype=np.uint8)
+    density = colour_density(image, np.ones((40, 40), bool)) * 8**3
+    weights = np.exp(-(np.arange(-3, 4) ** 2) / 2)
+    weights /= weights.sum()
+    expected = np.zeros((32, 32, 32))
+    np.add.at(expected, tuple((image.reshape(-1, 3) >> 3).T), 1 / 1600)
+    for axis in range(3):
+        moved = np.zeros_like(expected)
+        for shift, weight in zip(range(-3, 4), weights, strict=True):
+            places = [np.arange(32)] * 3
+            places[axis] = np.clip(np.arange(32) + shift, 0, 31)
+            np.add.at(moved, np.ix_(*places), weight * expected)
+        expected = moved
+    assert np.allclose(density, expected, atol=1e-7)
+
+
 def test_the_density_of_shadows_integrates_to_one_and_follows_what_is_seen(rng):
     width = (RATIO_RANGE[1] - RATIO_RANGE[0]) / RATIO_BINS
     seen = shadow_density(rng.normal(0.6, 0.02, 100000))

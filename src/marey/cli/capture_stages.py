@@ -129,14 +129,15 @@ def enough_for_tracking(trial: Trial, models: Sequence[Background]) -> list[Came
     heights = []
     for _, images in take.at([int(i) for i in np.unique(np.linspace(take.first, take.end - 1, PEEKS).astype(int))]):
         for image, model, camera in zip(images, peeks, small, strict=True):
-            seen = segment(_resized(image, camera), model).mask
+            seen = segment(resized(image, camera), model).mask
             heights.append(np.count_nonzero(seen.any(1)) / PEEK)
     tallest = max(heights)
     factor = min(1.0, float(2.0 ** np.ceil(np.log2(TRACKED_PX / tallest)))) if tallest > 0 else 1.0
     return [camera.scaled(factor) for camera in cameras]
 
 
-def _resized(image: Image, camera: Camera) -> Image:
+def resized(image: Image, camera: Camera) -> Image:
+    """Give a picture the size of a camera."""
     if (image.shape[1], image.shape[0]) == camera.size:
         return image
     return np.asarray(cv2.resize(image, camera.size, interpolation=cv2.INTER_AREA), np.uint8)
@@ -178,7 +179,7 @@ def find_silhouettes(
     ):
         for frame, images in take.frames(first=take.first + done):
             starts: Sequence[Expected | None] = predicted(frame) or [None] * len(views)
-            views = list(pool.map(watch, views, map(_resized, images, cameras), starts))
+            views = list(pool.map(watch, views, map(resized, images, cameras), starts))
             store.append([view.mask for view in views], [view.edges for view in views if view.edges is not None])
             step()
 
@@ -230,7 +231,7 @@ def look_inside(image: Image, found: Silhouette, expected: Expected) -> Interior
     camera, mask = expected.camera, found.mask
     if (mask.shape[1], mask.shape[0]) != camera.size:
         mask = cv2.resize(mask.view(np.uint8), camera.size, interpolation=cv2.INTER_NEAREST).view(bool)
-    edges = find_edges(_resized(image, camera), mask, expected.rims, found.exposure.noise)
+    edges = find_edges(resized(image, camera), mask, expected.rims, found.exposure.noise)
     return edges.scaled(image.shape[1] / camera.width)
 
 

@@ -181,14 +181,18 @@ def exposed(background: Background, shown: Exposure) -> np.ndarray:
     return _exposed(background.mean, shown.gain, shown.offset)
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, fastmath=True)
 def _exposed(mean, gain, offset):
     height, width, channels = mean.shape
     light = np.empty((height, width, channels), np.float32)
+    # Channels in turn along a row, so that one loop runs over all of it.
+    gains, offsets = np.empty(width * channels, np.float32), np.empty(width * channels, np.float32)
+    for c in range(channels):
+        gains[c::channels], offsets[c::channels] = gain[c], offset[c]
     for y in range(height):
-        for x in range(width):
-            for c in range(channels):
-                light[y, x, c] = max(gain[c] * mean[y, x, c] + offset[c], np.float32(1.0))
+        row, out = mean[y].ravel(), light[y].ravel()
+        for e in range(width * channels):
+            out[e] = max(gains[e] * row[e] + offsets[e], np.float32(1.0))
     return light
 
 
@@ -383,7 +387,7 @@ def _bar(image: np.ndarray, background: Background, exposure: Exposure, axis: in
     """How many lines of a bar there are among these, which begin at a border."""
     for width, line in enumerate(lines):
         seen, mean = np.take(image, line, axis), np.take(background.mean, line, axis)
-        if width == 0 and min(_brightness(seen), _brightness(mean)) > BLACK:
+        if width == 0 and _is_bright(seen, BLACK) and _is_bright(mean, BLACK):
             return 0
         rest = np.abs(seen - mean * exposure.gain - exposure.offset) / exposure.noise
         if np.mean(rest.max(axis=1) > 4) < 0.9:
@@ -391,12 +395,16 @@ def _bar(image: np.ndarray, background: Background, exposure: Exposure, axis: in
     return len(lines)
 
 
-def _brightness(line: np.ndarray) -> float:
-    """Median over a line of the brightest channel."""
-    brightest = line[:, 0]
-    for c in range(1, line.shape[1]):
-        brightest = np.maximum(brightest, line[:, c])
-    return float(np.partition(brightest, len(brightest) // 2)[len(brightest) // 2])
+@numba.njit(cache=True, nogil=True)
+def _is_bright(line, level):
+    """Tell whether the median over a line (n, C) of the brightest channel lies above a level."""
+    count = 0
+    for x in range(line.shape[0]):
+        above = False
+        for c in range(line.shape[1]):
+            above |= line[x, c] > level
+        count += above
+    return 2 * count > line.shape[0]
 
 
 def _median_size(rest: np.ndarray) -> np.ndarray:

@@ -101,28 +101,40 @@ def _colour_counts(image, region):
     return counts
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, fastmath=True)
 def _smooth_cube(cube, kernel):
-    """Convolve along the three axes; what would fall over an edge stays on it. Empty rows cost nothing."""
+    """Convolve along the three axes; what would fall over an edge stays on it. Empty places cost nothing.
+
+    The last axis comes first, while most places are empty; along the others whole rows are added.
+    """
     size, reach = cube.shape[0], kernel.size // 2
-    source = cube
-    for axis in range(3):
-        result = np.zeros(cube.shape, np.float32)
-        for i in range(size):
-            for j in range(size):
-                for k in range(size):
-                    value = source[i, j, k]
-                    if value == 0:
-                        continue
+    last, middle, result = np.zeros(cube.shape, cube.dtype), np.zeros(cube.shape, cube.dtype), np.zeros_like(cube)
+    used = np.zeros((size, size), np.bool_)
+    for i in range(size):
+        for j in range(size):
+            for k in range(size):
+                value = cube[i, j, k]
+                if value != 0:
+                    used[i, j] = True
                     for t in range(-reach, reach + 1):
-                        if axis == 0:
-                            result[min(max(i + t, 0), size - 1), j, k] += kernel[t + reach] * value
-                        elif axis == 1:
-                            result[i, min(max(j + t, 0), size - 1), k] += kernel[t + reach] * value
-                        else:
-                            result[i, j, min(max(k + t, 0), size - 1)] += kernel[t + reach] * value
-        source = result
-    return source
+                        last[i, j, min(max(k + t, 0), size - 1)] += kernel[t + reach] * value
+    for i in range(size):
+        filled = False
+        for j in range(size):
+            if used[i, j]:
+                filled = True
+                row = last[i, j]
+                for t in range(-reach, reach + 1):
+                    weight, out = kernel[t + reach], middle[i, min(max(j + t, 0), size - 1)]
+                    for k in range(size):
+                        out[k] += weight * row[k]
+        if filled:
+            plane = middle[i].ravel()
+            for t in range(-reach, reach + 1):
+                weight, out = kernel[t + reach], result[min(max(i + t, 0), size - 1)].ravel()
+                for k in range(size * size):
+                    out[k] += weight * plane[k]
+    return result
 
 
 def shadow_density(ratios: np.ndarray, *, strength: float = 500.0) -> np.ndarray:
