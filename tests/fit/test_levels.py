@@ -99,3 +99,14 @@ def test_only_so_many_frames_are_kept_as_there_is_room_for(scene):
         for frame in range(40):
             levels.at(frame)
     assert asked == [*range(40), *range(3, 40)]
+
+
+def test_levels_that_are_forgotten_leave_their_room(scene):
+    cameras, _, masks = scene
+    one = FrameLevels(cameras, lambda frame: masks, 0.5).at(0).size
+    levels = FrameLevels(cameras, lambda frame: masks, 0.5, room=2 * one)
+    first = levels.at(0)
+    levels.forget()
+    assert levels.at(1) is levels.at(1)
+    assert levels.at(0) is not first
+    assert [levels.at(frame) is levels.at(frame) for frame in (0, 1)] == [True, True]

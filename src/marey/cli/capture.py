@@ -250,7 +250,9 @@ def _tracked(run: Run, take: Take, bodies: Bodies) -> Tracked:
                 poses |= fit.by_frame
         return _pack(poses, fit.body, followed.scores)
 
-    return _unpacked(cache.arrays("shape", shape, depends=run.scope), bodies.fine)
+    found = _unpacked(cache.arrays("shape", shape, depends=run.scope), bodies.fine)
+    take.forget()
+    return found
 
 
 def begin(
@@ -316,6 +318,7 @@ def _refined(run: Run, take: Take, tracked: Tracked, bodies: Bodies, filled: Ite
         )  # fmt: skip
     usual = float(np.median(list(tracked.scores.values())))
     blind = unseen(take, tracked.body, poses, filled, person, usual=usual)
+    take.forget()
     found: dict[int, Pose] = {}
     pieces = []
     with (

@@ -118,6 +118,12 @@ class FrameLevels:
             self._room -= level.size
         return level
 
+    def forget(self) -> None:
+        """Let go of all levels that are kept; they are made again when they are asked for."""
+        self._room += sum(level.size for level in self._kept.values())
+        self._kept.clear()
+        self._last.cache_clear()
+
     def _made(self, frame: int) -> Level:
         shrunk = [shrink(m, c.size) for m, c in zip(self._masks_of(frame), self._small, strict=True)]
         edges = self._edges_of(frame)

@@ -66,6 +66,11 @@ class Take:
             self._levels[height] = self._shrunk(height)
         return self._levels[height]
 
+    def forget(self) -> None:
+        """Let go of all levels: the next work on the take looks at others."""
+        for levels in self._levels.values():
+            levels.forget()
+
     def _shrunk(self, height: float) -> FrameLevels:
         sample = self.frames[:: max(1, len(self.frames) // 5)][:5]
         tallest = [mask for frame in sample for mask in self.masks_of(frame)]

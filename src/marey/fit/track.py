@@ -255,7 +255,8 @@ def _suspects(found: dict[int, Candidate], levels: FrameLevels, settings: TrackS
     if len(frames) < 5:
         return []
     rough = {f: _roughness(*(found[f + k].posed.pose for k in (0, -1, 1))) for f in frames}
-    bare = {f: unexplained(found[f].posed, levels.at(f)) for f in frames}
+    # Copies, so that the skin of thousands of frames does not stay in memory.
+    bare = {f: unexplained(replace(found[f].posed), levels.at(f)) for f in frames}
     usual, clean = float(np.median(list(rough.values()))), float(np.quantile(list(bare.values()), 0.25))
     suspects = []
     for f in frames:
