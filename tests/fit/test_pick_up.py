@@ -47,7 +47,7 @@ def picked(found, frames, scores, *, reach=10, rate=10.0, settings=None, merit=l
 
 def test_a_new_start_is_followed_both_ways_until_frames_that_were_found():
     known = {f: scored(0.9) for f in [*range(10), *range(40, 50)]}
-    after, tried = picked(known, range(50), {24: 0.88}, reach=100, merit=lambda frame: -abs(frame - 24))
+    after, tried = picked(known, range(50), {24: 0.88}, reach=100, merit=lambda frame: 100 - abs(frame - 24))
     assert tried == [24]
     assert list(after) == list(range(50))
     assert all(after[f] is known[f] for f in known)
@@ -68,6 +68,15 @@ def test_what_a_new_start_does_not_reach_is_tried_again_farther_on():
     after, tried = picked(known, range(60), dict.fromkeys(range(60), 0.9), reach=4)
     assert set(range(10, 60)) - set(after) == set()
     assert len(tried) >= 5
+
+
+def test_frames_that_show_hardly_anything_of_the_person_are_not_tried():
+    known = {f: scored(0.9) for f in range(10)}
+    scores = dict.fromkeys(range(60), 0.9)
+    assert picked(known, range(60), scores, merit=lambda frame: 1.0 if frame < 10 else 0.4) == (known, [])
+    after, tried = picked(known, range(60), scores, merit=lambda frame: 0.4 if 10 <= frame < 40 else 1.0)
+    assert min(tried) >= 40
+    assert set(range(40, 60)) <= set(after)
 
 
 def test_a_moment_between_known_frames_is_left_alone():

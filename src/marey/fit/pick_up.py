@@ -29,6 +29,8 @@ class PickUpSettings:
     """A shorter stretch within a motion that was followed is left to its neighbours [s]."""
     worse: float = 0.1
     """How much worse than usual a new start may explain the silhouettes."""
+    shown: float = 0.5
+    """Share of what is usually shown of the person that a frame must show; a foot at the border is not enough."""
     weak: float = 0.08
     """How much worse than usual a stretch is followed that is tried anew."""
 
@@ -99,7 +101,9 @@ def pick_up(
     known = dict(found)
     tried: dict[int, bool] = {}
     usual = float(np.median([c.score for c in known.values()])) if known else 1.0
-    while (frame := _next_try(frames, known, merit, tried, rate, settings)) is not None:
+    sample = list(known)[:: max(1, len(known) // 40)]
+    least = settings.shown * float(np.median([merit(frame) for frame in sample])) if known else 0.0
+    while (frame := _next_try(frames, known, merit, least, tried, rate, settings)) is not None:
         begun = start(frame)
         tried[frame] = begun is not None and begun.score >= usual - settings.worse
         if begun is None or not tried[frame]:
@@ -121,6 +125,7 @@ def _next_try(
     frames: Sequence[int],
     known: Mapping[int, Candidate],
     merit: Callable[[int], float],
+    least: float,
     tried: Mapping[int, bool],
     rate: float,
     settings: PickUpSettings,
@@ -133,8 +138,9 @@ def _next_try(
         if (within and len(run) < settings.shortest * rate) or len(failed) >= settings.most:
             continue
         free = [frame for frame in run if all(abs(frame - other) >= apart for other in tried)]
-        if free:
-            return max(free[:: max(1, round(apart / 2))], key=merit)
+        best = max(free[:: max(1, round(apart / 2))], key=merit, default=None)
+        if best is not None and merit(best) >= least:
+            return best
     return None
 
 
