@@ -48,6 +48,34 @@ def truth_of(trial: Path) -> Path:
     return rendered if rendered.exists() else trial / "truth" / "keypoints3d.npz"
 
 
+LENGTHS = {
+    "thigh": ("hip", "knee"),
+    "shank": ("knee", "ankle"),
+    "upperarm": ("shoulder", "elbow"),
+    "forearm": ("elbow", "wrist"),
+}
+
+
+def lengths(trial: Path, out: Path) -> dict:
+    """Compare the limbs' lengths with the truth: worst error, and the root mean square in stated standard deviations."""
+    if not truth_of(trial).name.startswith("truth"):
+        return {}
+    truth, body = np.load(truth_of(trial)), np.load(out / "body.npz")
+    joints = {str(n): truth["joints"][:, k] for k, n in enumerate(truth["joint_names"])}
+    own = {str(n): k for k, n in enumerate(body["segment_names"])}
+    errors, shares = [], []
+    for side in ("left", "right"):
+        for segment, (upper, lower) in LENGTHS.items():
+            k = own[f"{side}_{segment}"]
+            true = np.median(np.linalg.norm(joints[f"{side[0]}_{upper}"] - joints[f"{side[0]}_{lower}"], axis=1))
+            errors.append(body["segment_length"][k] - true)
+            shares.append(errors[-1] / body["segment_length_sd"][k])
+    return {
+        "lengths_worst_mm": round(1e3 * float(np.abs(errors).max()), 1),
+        "lengths_in_sd": round(float(np.sqrt(np.mean(np.square(shares)))), 2),
+    }
+
+
 def judged(shared: Path, trial: Path, out: Path) -> dict:
     """Score motion, silhouettes and surface of a take."""
     skip = ("--skip-empty", empty_frames(trial))
@@ -59,6 +87,7 @@ def judged(shared: Path, trial: Path, out: Path) -> dict:
     masks = masks if masks.exists() else trial / "truth" / "masks"
     for kind in ("masks", "surface_masks"):
         numbers[f"iou_{kind}"] = score(shared / "score" / "masks.py", out, masks, *skip, "--of", kind)["iou"]
+    numbers |= lengths(trial, out)
     agreement = np.load(out / "motion.npz")["agreement"]
     numbers["agreement"] = [round(float(v), 3) for v in np.nanmean(agreement, 0)]
     numbers["timings_s"] = json.loads((out / "run.json").read_text())["timings_s"]

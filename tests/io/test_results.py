@@ -148,6 +148,24 @@ def test_lengths_carry_the_uncertainty_of_the_shape(rng):
     assert spread == pytest.approx(sd[k], rel=4 / np.sqrt(2 * count))
 
 
+def test_lengths_carry_how_far_joint_centres_lie_beside_the_skins(rng):
+    person = replace(people.stick_person(rng), numbers_covariance=np.zeros((5, 5)))
+    offsets = rng.uniform(0.002, 0.02, len(person.skeleton.segment_names))
+    _, sd = segment_lengths(replace(person, joint_offset_sd=offsets))
+    k, shank = (person.skeleton.segment_names.index(name) for name in ("left_thigh", "left_shank"))
+    assert sd[k] == pytest.approx(np.hypot(offsets[k], offsets[shank]))
+
+
+def test_a_body_read_back_knows_what_it_knew_of_its_joints(rng, tmp_path):
+    known = rng.uniform(0.002, 0.02, 21)
+    person = people.stick_person(rng)
+    person = replace(person, joint_sd=known[: len(person.joint_centres)], joint_offset_sd=None)
+    write_body(tmp_path / "body.npz", person, preset="full")
+    back, _ = read_body(tmp_path / "body.npz")
+    np.testing.assert_array_equal(back.joint_sd, person.joint_sd)
+    assert back.joint_offset_sd is None
+
+
 def test_our_own_glb_is_read_as_the_body_it_came_from(results: Path, person: Body):
     character = read_character(results / "body.glb")
     np.testing.assert_allclose(character.vertices, person.vertices, atol=1e-6)

@@ -11,7 +11,7 @@ from marey.body.skeleton import ROOT_COORDINATES, root_angles, root_rotation
 from marey.fit.sequence import SequenceFit
 from marey.geometry import rotations
 from marey.motion import from_fit
-from marey.motion.from_fit import VARYING, coordinates_of, measured, root_coordinates_from_turn
+from marey.motion.from_fit import coordinates_of, measured, root_coordinates_from_turn
 from marey.motion.motion import LOST, MEASURED, NOBODY
 
 COUNT, FRAMES = 12, np.array([2, 3, 4, 5, 8, 9])
@@ -114,7 +114,7 @@ def test_standard_deviations_are_those_of_poses_drawn_from_the_covariance(fit, m
     centres = np.array([p.segment_origin[fit.body.joint_segments] for p in drawn])
     # The spread of n draws errs by 1 / sqrt(2 n) = 1.1 %; the worst of a hundred by four times that, and curvature.
     np.testing.assert_allclose(motion.coordinates_sd[frame], coordinates.std(0), rtol=0.06)
-    beneath = VARYING * fit.body.joint_sd[fit.body.joint_segments][:, None]
+    beneath = fit.body.joint_sd[fit.body.joint_segments][:, None]
     np.testing.assert_allclose(motion.joint_centres_sd[frame], np.hypot(centres.std(0), beneath), rtol=0.06)
 
 
@@ -144,7 +144,7 @@ def test_joints_that_lie_elsewhere_than_the_skin_says_are_as_much_less_certain(f
         camera_names=("cam01", "cam02"), agreement=agreement,
     )  # fmt: skip
     more = doubted.joint_centres_sd[FRAMES] ** 2 - certain.joint_centres_sd[FRAMES] ** 2
-    np.testing.assert_allclose(more, (VARYING * 0.01) ** 2, rtol=1e-6)
+    np.testing.assert_allclose(more, 0.01**2, rtol=1e-6)
     np.testing.assert_array_equal(doubted.coordinates_sd, certain.coordinates_sd)
 
 

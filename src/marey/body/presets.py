@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from marey.arrays import Floats
 from marey.body.anthropometry import condition, measures
-from marey.body.departures import JOINT_SD, departure_modes, wider
+from marey.body.departures import JOINT_SD, SEGMENT_OF_JOINT, departure_modes, wider
 from marey.body.family import BodyFamily, Level, load_family
 from marey.body.skeleton import PARENTS, Skeleton, full_skeleton
 from marey.body.surface import Body, ShapeSpace
@@ -41,6 +42,10 @@ JOINT_SHARE = 0.3
 """Share of the joint centres' spread among people that is left to outlines: they see a joint only by its motion, and
 take up other errors with it when they may move it freely (docs/accuracy.md)."""
 
+VARYING, CONSTANT = 0.8, 0.6
+"""Shares of a joint centre's distance from where the skin says: what changes with the posture, and what stays
+(docs/accuracy.md)."""
+
 
 def person_space(family: BodyFamily, *, numbers: int) -> ShapeSpace:
     """Give the shapes of people: the family's first numbers, and the departures from it, all of unit variance."""
@@ -54,6 +59,7 @@ def _body(family: BodyFamily, space: ShapeSpace) -> Body:
     """Make the mean body of a space over a family, in the skeleton's order of segments."""
     skeleton = family_skeleton(family)
     index = np.array([skeleton.segment_names.index(name) for name in family.segment_names])
+    beneath = family.joints_sd[[family.segment_names.index(name) for name in PARENTS]]
     return Body(
         skeleton=skeleton,
         space=space,
@@ -61,8 +67,18 @@ def _body(family: BodyFamily, space: ShapeSpace) -> Body:
         faces=family.faces,
         vertex_segments=index[family.vertex_segments],
         vertex_weights=family.vertex_weights,
-        joint_sd=family.joints_sd[[family.segment_names.index(name) for name in PARENTS]],
+        joint_sd=VARYING * beneath,
+        joint_offset_sd=np.hypot(CONSTANT * beneath, joint_offsets(skeleton)),
     )
+
+
+def joint_offsets(skeleton: Skeleton) -> Floats:
+    """Give how far (S,) joint centres lie from where outlines may draw them, by axis [m]."""
+    offsets = np.zeros(len(skeleton.segment_names))
+    for joint, spreads in JOINT_SD.items():
+        own = [name.endswith(SEGMENT_OF_JOINT[joint]) for name in skeleton.segment_names]
+        offsets[own] = np.sqrt((1.0 - JOINT_SHARE**2) * np.mean(np.square(spreads)))
+    return offsets
 
 
 def family_body(level: Level = "fine", numbers: int | None = None) -> Body:

@@ -115,7 +115,10 @@ class Body:
     outlined: Mask | None = None
     """(T,) faces whose outline counts; all when None. A preset leaves out the segments that it does not follow."""
     joint_sd: Floats | None = None
-    """(S,) how far, by axis, a joint centre lies from where skin and numbers say [m]; None where nobody knows."""
+    """(S,) how far, by axis, a joint centre lies from where skin and numbers say, in one posture and another [m]; None
+    where nobody knows."""
+    joint_offset_sd: Floats | None = None
+    """(S,) how far, by axis, it lies from there in every posture [m]; None where nobody knows."""
     numbers_covariance: Floats | None = None
     """(M, M) of the numbers, once they were estimated."""
 

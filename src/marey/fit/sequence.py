@@ -195,6 +195,11 @@ def _unpacked(arrays: Arrays, body: Body) -> tuple[list[Pose], Body]:
     return [Pose(*part) for part in parts], body.with_numbers(arrays["numbers"])
 
 
+DISTINCT_FRAMES = 3.0
+"""Frames whose misfits of the body are no repetition of each other's: however many are used, the shape is known no
+better than from so many (docs/accuracy.md)."""
+
+
 @dataclass(frozen=True, eq=False)
 class _Equations:
     """One frame's normal equations, and how well it fits."""
@@ -342,7 +347,7 @@ class _Work:
                 information = information - part["loss"]
         shape = np.linalg.inv(0.5 * (information + information.T))
         if self.free:
-            stepped = replace(stepped, numbers_covariance=shape)
+            stepped = replace(stepped, numbers_covariance=self._stated(information, poses[0], body))
         residual = float(np.sqrt(squares / total)) if total else float("nan")
         for window, part in zip(self.windows, self._parts(round_), strict=True):
             core = slice(window.begin, window.end)
@@ -350,6 +355,13 @@ class _Work:
             yield SequenceFit(
                 np.array(self.frames[core]), tuple(moved[core]), stepped, covariance, part["information"], residual
             )
+
+    def _stated(self, information: Floats, pose: Pose, body: Body) -> Floats:
+        """Give the covariance (M, M) of the shape's numbers from its information, the poses' share taken off."""
+        prior, _ = _shape_prior(body, pose)
+        alike = min(1.0, DISTINCT_FRAMES / len(self.free))
+        stated = prior + alike * (0.5 * (information + information.T) - prior)
+        return np.asarray(np.linalg.inv(stated))
 
 
 def _shape_prior(body: Body, pose: Pose) -> tuple[Floats, Floats]:

@@ -23,7 +23,8 @@ _NEXT = {"pelvis": "abdomen", "abdomen": "thorax", "thorax": "neck", "neck": "he
 }  # fmt: skip
 _WANTED = (
     "preset", "segment_names", "parents", "coordinate_names", "coordinate_segment", "coordinate_numbers", "numbers",
-    "numbers_covariance", "number_names", "faces", "vertex_segments", "vertex_weights", *(f"space_{n}" for n in _SPACE),
+    "numbers_covariance", "number_names", "segment_origin_sd", "segment_origin_offset_sd", "faces", "vertex_segments",
+    "vertex_weights", *(f"space_{n}" for n in _SPACE),
 )  # fmt: skip
 
 
@@ -32,7 +33,9 @@ def write_body(path: Path | str, body: Body, *, preset: str) -> None:
 
     It holds names, joint centres, segments' lengths and the skin; the skeleton (`parents`, `coordinate_...`: axis,
     mean, sd, lower and upper limit in radians); the shape numbers with their covariance and the space of shapes
-    (`space_...`), so that `read_body` gives back the same body. A mesh has no metaballs: those arrays are empty.
+    (`space_...`), so that `read_body` gives back the same body. `segment_origin_sd` and `segment_origin_offset_sd` (S,)
+    say how far, by axis, joint centres lie beside the skin's: from posture to posture, and all the time [m]. A mesh
+    has no metaballs: those arrays are empty.
 
     Args:
         path: The file.
@@ -42,7 +45,7 @@ def write_body(path: Path | str, body: Body, *, preset: str) -> None:
     skeleton = body.skeleton
     length, length_sd = segment_lengths(body)
     count = len(body.numbers)
-    unknown = np.full((count, count), np.nan)
+    unknown, unsaid = np.full((count, count), np.nan), np.full(len(length), np.nan)
     numbers = [(*c.axis, c.mean, c.sd, c.lower, c.upper) for c in skeleton.coordinates]
     write_arrays(
         path,
@@ -54,6 +57,8 @@ def write_body(path: Path | str, body: Body, *, preset: str) -> None:
             "segment_length": length,
             "segment_length_sd": length_sd,
             "segment_origin": body.joint_centres,
+            "segment_origin_sd": unsaid if body.joint_sd is None else body.joint_sd,
+            "segment_origin_offset_sd": unsaid if body.joint_offset_sd is None else body.joint_offset_sd,
             "metaball_segment": np.zeros(0, np.int64),
             **{f"metaball_{name}": np.zeros((0, 3)) for name in ("centre", "radii", "radii_sd")},
             "metaball_weight": np.zeros(0),
@@ -104,7 +109,9 @@ def read_body(path: Path | str) -> tuple[Body, str]:
             faces=stored["faces"],
             vertex_segments=stored["vertex_segments"],
             vertex_weights=stored["vertex_weights"],
-            numbers_covariance=covariance if np.isfinite(covariance).all() and covariance.size else None,
+            joint_sd=_known(stored["segment_origin_sd"]),
+            joint_offset_sd=_known(stored["segment_origin_offset_sd"]),
+            numbers_covariance=_known(covariance),
         )
         fits = np.allclose(body.vertices, stored["vertices"]) and len(body.joint_centres) == len(names)
     except (ValueError, IndexError, KeyError, MareyError) as error:
@@ -141,6 +148,10 @@ def open_body(path: Path | str, template: Body) -> Body:
         raise FileProblem(path, f"cannot be a body ({str(error).rstrip('.')})") from error
 
 
+def _known(values: Floats) -> Floats | None:
+    return values if values.size and np.isfinite(values).all() else None
+
+
 def _coordinate(name: str, segment: str, numbers: Floats) -> Coordinate:
     x, y, z, mean, sd, lower, upper = (float(v) for v in numbers)
     return Coordinate(name=name, segment=segment, axis=(x, y, z), mean=mean, sd=sd, lower=lower, upper=upper)
@@ -153,13 +164,17 @@ def segment_lengths(body: Body) -> tuple[Floats, Floats]:
         body: At rest.
 
     Returns:
-        Lengths (S,) and standard deviations (S,) [m], the latter NaN where the shape's covariance is unknown.
+        Lengths (S,) and standard deviations (S,) [m], the latter NaN where the shape's covariance is unknown. They hold
+        what outlines cannot tell: how far joint centres lie beside where the skin puts them.
     """
     names, space = body.skeleton.segment_names, body.space
     lengths, deviations = np.zeros(len(names)), np.full(len(names), np.nan)
     share = [np.where(body.vertex_segments == k, body.vertex_weights, 0).sum(1) for k in range(len(names))]
+    offset = np.zeros(len(names)) if body.joint_offset_sd is None else body.joint_offset_sd
     for k, name in enumerate(names):
+        beside = offset[k] ** 2
         if _NEXT.get(name) in names:
+            beside += offset[names.index(_NEXT[name])] ** 2
             end = names.index(_NEXT[name])
             along, modes = body.joint_centres[end] - body.joint_centres[k], space.joint_modes[:, end]
         else:
@@ -169,5 +184,5 @@ def segment_lengths(body: Body) -> tuple[Floats, Floats]:
         lengths[k] = np.linalg.norm(along)
         if body.numbers_covariance is not None and lengths[k] > 0:
             by_number = (modes - space.joint_modes[:, k]) @ along / lengths[k]
-            deviations[k] = np.sqrt(by_number @ body.numbers_covariance @ by_number)
+            deviations[k] = np.sqrt(by_number @ body.numbers_covariance @ by_number + beside)
     return lengths, deviations

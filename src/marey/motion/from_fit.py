@@ -20,10 +20,6 @@ ROOT_SPREAD = (0.2, 0.2, 0.2, 0.5, 0.5, 0.5)
 """The same spread for the root [m, rad]: coarser, and nobody could say where the person is."""
 
 
-VARYING = 0.8
-"""Share of a joint centre's distance from where the skin says that changes with the posture (docs/accuracy.md)."""
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Measured:
     """What a motion keeps of a piece of a fitted sequence, n frames of it."""
@@ -164,7 +160,7 @@ def _joint_spread(posed: list[PosedBody], covariance: Floats) -> Floats:
         jacobian = p.pose_jacobian(*p.joint_parts(p.body.joint_segments))
         variance = np.einsum("jad,de,jae->ja", jacobian, c, jacobian)
         beneath = np.zeros(len(variance)) if p.body.joint_sd is None else p.body.joint_sd[p.body.joint_segments]
-        spread.append(np.sqrt(np.maximum(variance, 0.0) + (VARYING * beneath[:, None]) ** 2))
+        spread.append(np.sqrt(np.maximum(variance, 0.0) + beneath[:, None] ** 2))
     return np.array(spread)
 
 
