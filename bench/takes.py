@@ -57,7 +57,7 @@ LENGTHS = {
 
 
 def lengths(trial: Path, out: Path) -> dict:
-    """Compare the limbs' lengths with the truth: worst error, and the root mean square in stated standard deviations."""
+    """Compare the limbs' lengths with the truth: worst error, and root mean square in standard deviations."""
     if not truth_of(trial).name.startswith("truth"):
         return {}
     truth, body = np.load(truth_of(trial)), np.load(out / "body.npz")
