@@ -144,3 +144,15 @@ def test_pairs_are_those_that_a_look_at_all_of_them_finds(rng):
     wanted = [(i, distance[i].argmin()) for i in range(80) if fits[i, distance[i].argmin()]]
     wanted += [(distance[:, j].argmin(), j) for j in range(90) if fits[distance[:, j].argmin(), j]]
     assert list(zip(*found, strict=True)) == wanted
+
+
+def test_an_outline_may_be_observed_by_its_rays_as_well(scene):
+    posed, camera, sighting = scene
+    moved = shifted(posed, (0.01, 0.01, 0.02))
+    planes, rays = (see_outline(moved, sighting, Matching(residual=kind)) for kind in ("plane", "ray"))
+    np.testing.assert_array_equal(planes.match.where.face, rays.match.where.face)
+    np.testing.assert_array_equal(planes.counts, rays.counts)
+    expected = match_rays(moved, view_of(moved, camera), sighting, Matching())
+    # Each pair is listed once here and as often as it was found there.
+    far = np.repeat(np.linalg.norm(rays.match.residuals(moved), axis=1), rays.counts.astype(int))
+    np.testing.assert_allclose(np.sort(far), np.sort(np.linalg.norm(expected.residuals(moved), axis=1)), atol=1e-9)

@@ -10,8 +10,8 @@ from marey.body.pose import PosedBody
 from marey.fit.pose_solver import Schedule, fit_pose
 from marey.images.contours import trace_contour
 from marey.images.interior import InteriorEdges
-from marey.observations.correspondence import Matching, Sighting, view_of
-from marey.observations.interior import see_interior
+from marey.observations.correspondence import Matching, Sighting, see_outline, view_of
+from marey.observations.interior import see_all, see_interior
 from marey.observations.prior import Habit, JointLimits
 
 BEFORE_THE_TRUNK = {"left_shoulder_lift": 30, "left_elbow_flexion": 15}
@@ -95,3 +95,15 @@ def test_interior_edges_tell_what_one_silhouette_does_not(scene):
         errors.append(float(np.linalg.norm(apart)))
     assert errors[0] < 1.0
     assert errors[0] < 0.5 * errors[1]
+
+
+def test_outline_and_edges_are_seen_in_one_drawing(scene):
+    posed, camera, sighting = scene
+    alone = [see(posed, sighting, Matching(interior=True)) for see in (see_outline, see_interior)]
+    both = see_all(posed, sighting, Matching(interior=True))
+    for one, other in zip(both, alone, strict=True):
+        np.testing.assert_array_equal(one.match.where.face, other.match.where.face)
+        np.testing.assert_array_equal(one.match.offsets, other.match.offsets)
+    assert len(see_all(posed, sighting, Matching())) == 1
+    nobody = Sighting.of(camera, np.zeros((camera.height, camera.width), bool))
+    assert see_all(posed, nobody, Matching(interior=True)) == []

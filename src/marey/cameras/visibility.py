@@ -157,13 +157,20 @@ _BUFFERS = threading.local()
 @numba.njit(cache=True, nogil=True)
 def draw_into(scratch, faces, width, height, margin):
     """Do what `draw_window` does with the scratch's projected vertices; what is given lives in the scratch."""
+    left, top, inverse_depth, face = drawn_last(scratch, width, height, margin)
+    inverse_depth[:] = 0.0
+    face[:] = -1
+    draw_faces(scratch.projected, faces, left, top, inverse_depth, face)
+    return left, top, inverse_depth, face
+
+
+@numba.njit(cache=True, nogil=True)
+def drawn_last(scratch, width, height, margin):
+    """Give what `draw_into` gave, as long as nothing else was drawn into the scratch."""
     left, top, right, bottom = find_window(scratch.projected, width, height, margin)
     count = (bottom - top) * (right - left)
     inverse_depth = scratch.inverse_depth[:count].reshape((bottom - top, right - left))
     face = scratch.face[:count].reshape((bottom - top, right - left))
-    inverse_depth[:] = 0.0
-    face[:] = -1
-    draw_faces(scratch.projected, faces, left, top, inverse_depth, face)
     return left, top, inverse_depth, face
 
 
@@ -228,9 +235,16 @@ def interior_rim_pixels(face, inverse_depth, projected, faces, limb, left, top, 
     count = 0
     # What is listed is a small share of the pixels; the list grows with it.
     found = np.empty((256, 2), np.int64)
+    suspect = np.empty(width, np.uint8)
     for y in range(1, height - 1):
+        # Without branches first: nearly all pixels have neighbours of about their own depth.
+        above, here, below = inverse_depth[y - 1], inverse_depth[y], inverse_depth[y + 1]
         for x in range(1, width - 1):
-            if face[y, x] >= 0 and _hides(face, inverse_depth, limb, y, x, jump):
+            z = here[x]
+            s = 1.0 + jump * z
+            suspect[x] = (above[x] * s < z) | (below[x] * s < z) | (here[x - 1] * s < z) | (here[x + 1] * s < z)
+        for x in range(1, width - 1):
+            if suspect[x] and _hides(face, inverse_depth, limb, y, x, jump):
                 if count == len(found):
                     longer = np.empty((2 * count, 2), np.int64)
                     longer[:count] = found

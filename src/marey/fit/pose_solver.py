@@ -15,8 +15,8 @@ from marey.fit.normal_equations import normal_equations
 from marey.fit.pose_steps import DAMPING, LONGEST_TURN, Known, descend
 from marey.fit.robust import geman_mcclure
 from marey.fit.side_by_side import together
-from marey.observations.correspondence import Matching, Outline, Sighting, see_outline
-from marey.observations.interior import see_interior
+from marey.observations.correspondence import Matching, Residual, Sighting
+from marey.observations.interior import see_all
 from marey.observations.observation import AngleObservation, Observation, SurfaceObservation
 from marey.observations.prior import JointLimits
 
@@ -33,6 +33,8 @@ class Schedule:
     cosine: float = 0.3
     sigma_px: float = 3.2
     """Standard deviation of a match; neighbours of a contour are alike, so it exceeds one pixel's own."""
+    residual: Residual = "plane"
+    """What a contour's pixel says: its tangent plane, or the paper's ray."""
     vote: bool = False
     """Whether neighbours decide where a contour pixel could belong to two limbs."""
     interior: bool = False
@@ -43,8 +45,9 @@ class Schedule:
         share = iteration / max(self.iterations - 1, 1)
         gate, scale = (first * (last / first) ** share for first, last in (self.gate, self.scale))
         matching = Matching(
-            gate=gate, cosine=self.cosine, sigma_px=self.sigma_px, vote=self.vote, interior=self.interior
-        )
+            gate=gate, cosine=self.cosine, sigma_px=self.sigma_px, residual=self.residual, vote=self.vote,
+            interior=self.interior,
+        )  # fmt: skip
         return matching, scale
 
 
@@ -142,16 +145,11 @@ def match_all(
     posed: PosedBody, sightings: Sequence[Sighting], matching: Matching, scale: float
 ) -> tuple[list[SurfaceObservation], list[Floats]]:
     """Match the surface in all cameras; give the matches and their weights: robust ones, twice where found twice."""
-
-    def see(sighting: Sighting) -> tuple[Outline | None, Outline | None]:
-        return see_outline(posed, sighting, matching), see_interior(posed, sighting, matching)
-
     found: list[SurfaceObservation] = []
     weights: list[Floats] = []
-    for outline in chain.from_iterable(together(see, sightings)):
-        if outline is not None:
-            found.append(outline.match)
-            weights.append(outline.counts * geman_mcclure(outline.match.residuals(posed), scale))
+    for outline in chain.from_iterable(together(lambda sighting: see_all(posed, sighting, matching), sightings)):
+        found.append(outline.match)
+        weights.append(outline.counts * geman_mcclure(outline.match.residuals(posed), scale))
     return found, weights
 
 

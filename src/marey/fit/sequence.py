@@ -24,7 +24,7 @@ from marey.fit.normal_equations import normal_equations
 from marey.fit.pose_solver import Schedule, add_dense, match_all
 from marey.fit.side_by_side import side_by_side
 from marey.fit.track import TRUNK
-from marey.observations.correspondence import Sighting
+from marey.observations.correspondence import Residual, Sighting
 from marey.observations.prior import Habit, JointLimits, ShapePrior
 
 
@@ -42,6 +42,10 @@ class SequenceSettings:
     gate: tuple[float, float] = (20.0, 5.0)
     scale: tuple[float, float] = (6.0, 2.0)
     sigma_px: float = 3.2
+    residual: Residual = "plane"
+    vote: bool = False
+    interior: bool = True
+    """What outlines say, as in `Schedule`."""
     clip: float = 3.0
     """No shape number goes farther from the prior's mean than so many standard deviations."""
 
@@ -258,7 +262,7 @@ class _Work:
         settings = self.settings
         schedule = Schedule(
             iterations=max(self.rounds, 2), gate=settings.gate, scale=settings.scale, cosine=0.5,
-            sigma_px=settings.sigma_px, interior=True,
+            sigma_px=settings.sigma_px, residual=settings.residual, vote=settings.vote, interior=settings.interior,
         )  # fmt: skip
         matching, scale = schedule.at(round_)
         priors = (JointLimits(), Habit(share=settings.habit))

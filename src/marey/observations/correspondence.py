@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numba
 import numpy as np
@@ -19,6 +19,8 @@ from marey.images.interior import InteriorEdges
 from marey.images.nearest import nearest_other, nearest_within, sort_into_cells
 from marey.observations.silhouette import SilhouettePlanes, SilhouetteRays
 from marey.observations.votes import SLACK, elect
+
+Residual = Literal["plane", "ray"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,13 +80,15 @@ class Matching:
     """Least cosine between their normals."""
     sigma_px: float = 3.2
     """Standard deviation of a match across the contour, its neighbours' likeness included [px]."""
+    residual: Residual = "plane"
+    """Whether rim points are drawn to the contour's tangent planes or, as the paper does, to its pixels' rays."""
     vote: bool = False
     """Whether neighbours decide where a contour pixel could belong to two limbs."""
     interior: bool = False
     """Whether edges inside of the silhouette are matched, too: they were found about the body, and are near it."""
     interior_gate: float = 5.0
     interior_cosine: float = 0.8
-    interior_sigma_px: float = 1.4
+    interior_sigma_px: float = 3.2
 
 
 def view_of(posed: PosedBody, camera: Camera) -> View:
@@ -110,6 +114,13 @@ def match_outline(posed: PosedBody, view: View, sighting: Sighting, matching: Ma
     if found is None:
         return None
     where, j, pixels_per_metre = found
+    return as_planes(sighting, where, j, pixels_per_metre, matching)
+
+
+def as_planes(
+    sighting: Sighting, where: SurfacePoints, j: Integers, pixels_per_metre: Floats, matching: Matching
+) -> SilhouettePlanes:
+    """Fasten surface points to the tangent planes of their contour pixels (n,)."""
     normals, offsets = sighting.planes
     return SilhouettePlanes(
         where=where, normals=normals[j], offsets=offsets[j], pixels_per_metre=pixels_per_metre,
@@ -117,10 +128,21 @@ def match_outline(posed: PosedBody, view: View, sighting: Sighting, matching: Ma
     )  # fmt: skip
 
 
+def as_rays(
+    sighting: Sighting, where: SurfacePoints, j: Integers, pixels_per_metre: Floats, matching: Matching
+) -> SilhouetteRays:
+    """Fasten surface points to the rays of their contour pixels (n,)."""
+    rays = sighting.rays
+    return SilhouetteRays(
+        where=where, directions=rays.directions[j], moments=rays.moments[j], pixels_per_metre=pixels_per_metre,
+        sigma_px=matching.sigma_px,
+    )  # fmt: skip
+
+
 class Outline(NamedTuple):
     """Matches of an outline, each listed once."""
 
-    match: SilhouettePlanes
+    match: SilhouettePlanes | SilhouetteRays
     counts: Floats
     """(n,) two where rim point and contour pixel found each other, else one."""
 
@@ -130,7 +152,6 @@ def see_outline(posed: PosedBody, sighting: Sighting, matching: Matching) -> Out
     body, camera, contour = posed.body, sighting.camera, sighting.contour
     if len(contour.pixels) == 0:
         return None
-    normals, offsets = sighting.planes
     face, barycentric, j, scale, counts = draw_and_match(
         Scratch.of(len(posed.vertices), camera.size), posed.vertices, body.faces, body.face_limb, body.outline_counts,
         camera.packed, camera.width, camera.height, camera.centre, contour.cells, contour.inward, sighting.seen,
@@ -138,10 +159,8 @@ def see_outline(posed: PosedBody, sighting: Sighting, matching: Matching) -> Out
     )  # fmt: skip
     if len(j) == 0:
         return None
-    match = SilhouettePlanes(
-        where=SurfacePoints(face=face, barycentric=barycentric), normals=normals[j], offsets=offsets[j],
-        pixels_per_metre=scale, sigma_px=matching.sigma_px,
-    )  # fmt: skip
+    fasten = as_rays if matching.residual == "ray" else as_planes
+    match = fasten(sighting, SurfacePoints(face=face, barycentric=barycentric), j, scale, matching)
     return Outline(match, counts)
 
 
@@ -196,11 +215,7 @@ def match_rays(posed: PosedBody, view: View, sighting: Sighting, matching: Match
     if found is None:
         return None
     where, j, pixels_per_metre = found
-    rays = sighting.rays
-    return SilhouetteRays(
-        where=where, directions=rays.directions[j], moments=rays.moments[j], pixels_per_metre=pixels_per_metre,
-        sigma_px=matching.sigma_px,
-    )  # fmt: skip
+    return as_rays(sighting, where, j, pixels_per_metre, matching)
 
 
 def _matches(

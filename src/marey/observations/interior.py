@@ -6,12 +6,28 @@ import numpy as np
 from marey.body.kinematics import points_on_faces
 from marey.body.pose import PosedBody, SurfacePoints
 from marey.cameras import lens
-from marey.cameras.visibility import JUMP, MARGIN, Scratch, draw_into, interior_rim_pixels
-from marey.observations.correspondence import Matching, Outline, Sighting, distances, merge_pairs, pair_both_ways
+from marey.cameras.visibility import JUMP, MARGIN, Scratch, draw_into, drawn_last, interior_rim_pixels
+from marey.observations.correspondence import (
+    Matching,
+    Outline,
+    Sighting,
+    distances,
+    merge_pairs,
+    pair_both_ways,
+    see_outline,
+)
 from marey.observations.silhouette import SilhouettePlanes
 
 
-def see_interior(posed: PosedBody, sighting: Sighting, matching: Matching) -> Outline | None:
+def see_all(posed: PosedBody, sighting: Sighting, matching: Matching) -> list[Outline]:
+    """Match the outline, and where they are asked for the edges inside of it; the surface is drawn once."""
+    outline = see_outline(posed, sighting, matching)
+    # Without an outline nothing was drawn; a silhouette that has none has no edges either.
+    inner = None if outline is None else see_interior(posed, sighting, matching, drawn=True)
+    return [found for found in (outline, inner) if found is not None]
+
+
+def see_interior(posed: PosedBody, sighting: Sighting, matching: Matching, *, drawn: bool = False) -> Outline | None:
     """Draw the posed surface as a camera sees it and match its interior rims to the edges that the picture shows.
 
     A rim and an edge match when they are near each other, alike in direction, and of the same limb.
@@ -20,6 +36,7 @@ def see_interior(posed: PosedBody, sighting: Sighting, matching: Matching) -> Ou
         posed: the body.
         sighting: with or without interior edges.
         matching: what counts as a match.
+        drawn: whether this body in this camera is what this thread has drawn last.
 
     Returns:
         The matches, or None where there are none or none are asked for.
@@ -32,7 +49,7 @@ def see_interior(posed: PosedBody, sighting: Sighting, matching: Matching) -> Ou
         Scratch.of(len(posed.vertices), camera.size), posed.vertices, body.faces, body.outline_counts, body.face_limb,
         camera.packed, camera.width, camera.height, camera.centre, edges.cells, edges.inward, edges.limb,
         np.isfinite(offsets), radians_per_pixel,
-        matching.interior_gate, matching.interior_cosine,
+        matching.interior_gate, matching.interior_cosine, drawn,
     )  # fmt: skip
     if len(j) == 0:
         return None
@@ -46,11 +63,13 @@ def see_interior(posed: PosedBody, sighting: Sighting, matching: Matching) -> Ou
 @numba.njit(cache=True, nogil=True)
 def draw_and_match_interior(
     scratch, vertices, faces, outlined, limb, camera, width, height, centre, edges, inward, edge_limb, seen,
-    radians_per_pixel, gate, cosine,
+    radians_per_pixel, gate, cosine, drawn,
 ):  # fmt: skip
     """Draw the surface, list its interior rims, and pair them with edges of the same limb; see `draw_and_match`."""
-    lens.project_points(camera, vertices, scratch.projected)
-    left, top, inverse_depth, face = draw_into(scratch, faces, width, height, MARGIN)
+    if not drawn:
+        lens.project_points(camera, vertices, scratch.projected)
+        draw_into(scratch, faces, width, height, MARGIN)
+    left, top, inverse_depth, face = drawn_last(scratch, width, height, MARGIN)
     pixels, rim_inward, rim_face, barycentric, _ = interior_rim_pixels(
         face, inverse_depth, scratch.projected, faces, limb, left, top, JUMP
     )
