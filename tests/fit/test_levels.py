@@ -1,5 +1,7 @@
 """Shrunken silhouettes and the cameras that belong to them."""
 
+import threading
+
 import numpy as np
 import pytest
 from tests import worlds
@@ -110,3 +112,20 @@ def test_levels_that_are_forgotten_leave_their_room(scene):
     assert levels.at(1) is levels.at(1)
     assert levels.at(0) is not first
     assert [levels.at(frame) is levels.at(frame) for frame in (0, 1)] == [True, True]
+
+
+def test_the_next_frame_is_made_ready_while_the_caller_works_on_this_one(scene):
+    cameras, _, masks = scene
+    begun = threading.Event()
+
+    def masks_of(frame):
+        if frame == 4:
+            begun.set()
+        return masks
+
+    levels = FrameLevels(cameras, masks_of, 0.5)
+    frames = levels.ahead([3, 4, 5])
+    assert next(frames) == 3
+    assert begun.wait(10)
+    assert list(frames) == [4, 5]
+    assert list(levels.ahead([])) == []

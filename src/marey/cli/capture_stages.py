@@ -1,8 +1,9 @@
 """The stages of a capture that go through the videos, frame by frame, and remember what is done."""
 
 import ctypes
+from collections import deque
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -107,15 +108,17 @@ def backgrounds(trial: Trial, progress: Progress) -> list[Background]:
             progress.warn(
                 f"No picture of the empty room for {', '.join(wanting)}: it is put together from the take itself."
             )
-        spread = np.unique(np.linspace(0, take.count - 1, min(DOUBTS, take.count)).astype(int))
-        sampled = sorted({int(i) for i in spread} | {int(i) for i in worth_seeing(take.count) if wanting})
-        samples = dict(take.at(sampled))
-        for c, name in enumerate(trial.rig.names):
+        spread = [int(i) for i in np.unique(np.linspace(0, take.count - 1, min(DOUBTS, take.count)).astype(int))]
+        whole = [int(i) for i in worth_seeing(take.count)]
+        samples = dict(take.at(sorted({*spread, *(whole if wanting else ())})))
+
+        def model(c: int, name: str) -> Background:
             if name in wanting:
-                models[name] = from_take([samples[int(i)][c] for i in worth_seeing(take.count)])
-            else:
-                models[name] = doubted(models[name], [samples[int(i)][c] for i in spread])
-    return [models[name] for name in trial.rig.names]
+                return from_take([samples[i][c] for i in whole])
+            return doubted(models[name], [samples[i][c] for i in spread])
+
+        with ThreadPoolExecutor(max_workers=2) as pool:
+            return list(pool.map(model, range(len(trial.rig.names)), trial.rig.names))
 
 
 def enough_for_tracking(trial: Trial, models: Sequence[Background]) -> list[Camera]:
@@ -172,16 +175,37 @@ def find_silhouettes(
     """
     take = trial.take
     done = len(store.frames)
-    views = list(views)
+    last = [_known(view) for view in views]
+    waiting: deque[list[Future[Watched]]] = deque()
+
+    def finish(step: Callable[[], None]) -> None:
+        seen = [future.result() for future in waiting.popleft()]
+        store.append([view.mask for view in seen], [view.edges for view in seen if view.edges is not None])
+        step()
+
     with (
         progress.stage(name, take.end - take.first, done=done) as step,
         ThreadPoolExecutor(max_workers=2) as pool,
     ):
         for frame, images in take.frames(first=take.first + done):
-            starts: Sequence[Expected | None] = predicted(frame) or [None] * len(views)
-            views = list(pool.map(watch, views, map(resized, images, cameras), starts))
-            store.append([view.mask for view in views], [view.edges for view in views if view.edges is not None])
-            step()
+            starts: Sequence[Expected | None] = predicted(frame) or [None] * len(last)
+            # A camera's next picture waits for its last one only, not for the other cameras.
+            last = [pool.submit(_watch_next, *each) for each in zip(last, images, cameras, starts, strict=True)]
+            waiting.append(last)
+            if len(waiting) > 2:
+                finish(step)
+        while waiting:
+            finish(step)
+
+
+def _known(view: "Watched") -> "Future[Watched]":
+    future: Future[Watched] = Future()
+    future.set_result(view)
+    return future
+
+
+def _watch_next(last: "Future[Watched]", image: Image, camera: Camera, expected: "Expected | None") -> "Watched":
+    return watch(last.result(), resized(image, camera), expected)
 
 
 @dataclass(frozen=True, eq=False)

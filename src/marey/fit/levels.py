@@ -1,6 +1,7 @@
 """The silhouettes of a frame at one size of the pictures, shrunken for speed."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -123,6 +124,23 @@ class FrameLevels:
         self._room += sum(level.size for level in self._kept.values())
         self._kept.clear()
         self._last.cache_clear()
+
+    def ahead(self, frames: Iterable[int]) -> Iterator[int]:
+        """Go through frames; the next one is made ready while the caller works on this one."""
+        with ThreadPoolExecutor(1) as helper:
+            last: int | None = None
+            for frame in frames:
+                helper.submit(self._make_ready, frame)
+                if last is not None:
+                    yield last
+                last = frame
+            if last is not None:
+                yield last
+
+    def _make_ready(self, frame: int) -> None:
+        for sighting in self.at(frame).sightings:
+            # Asked for once, they are there.
+            _ = sighting.planes, sighting.radians_per_pixel, sighting.contour.cells
 
     def _made(self, frame: int) -> Level:
         shrunk = [shrink(m, c.size) for m, c in zip(self._masks_of(frame), self._small, strict=True)]

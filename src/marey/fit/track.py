@@ -130,7 +130,7 @@ def track(
     memory = {} if memory is None else memory
     trail = _Trail(start, np.zeros(len(body.skeleton)))
     longest = max(1.0, settings.longest_hole * rate)
-    for frame in frames:
+    for frame in levels.ahead(frames):
         if trail.gap(frame) > longest:
             break
         if frame not in memory:

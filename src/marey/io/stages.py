@@ -4,6 +4,7 @@ import hashlib
 import io
 import os
 import struct
+import threading
 import zlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -81,6 +82,8 @@ class FrameLog:
     def __init__(self, path: Path):
         self._path = path
         self._file = path.open("r+b" if path.exists() else "w+b")
+        self._lock = threading.Lock()
+        """Several threads may read."""
         self._starts = self._find_records()
 
     def _find_records(self) -> list[int]:
@@ -104,9 +107,10 @@ class FrameLog:
         return len(self._starts)
 
     def __getitem__(self, frame: int) -> Arrays:
-        self._file.seek(self._starts[frame])
-        _, length, checksum = _HEADER.unpack(self._file.read(_HEADER.size))
-        content = self._file.read(length)
+        with self._lock:
+            self._file.seek(self._starts[frame])
+            _, length, checksum = _HEADER.unpack(self._file.read(_HEADER.size))
+            content = self._file.read(length)
         if zlib.crc32(content) != checksum:
             raise FileProblem(self._path, f"is damaged at frame {frame}", "Delete it and start the same command again.")
         with np.load(io.BytesIO(content), allow_pickle=False) as record:
@@ -120,11 +124,12 @@ class FrameLog:
         buffer = io.BytesIO()
         np.savez(buffer, allow_pickle=False, **arrays)
         content = buffer.getvalue()
-        self._file.seek(0, os.SEEK_END)
-        start = self._file.tell()
-        self._file.write(_HEADER.pack(_MAGIC, len(content), zlib.crc32(content)) + content)
-        self._file.flush()
-        self._starts.append(start)
+        with self._lock:
+            self._file.seek(0, os.SEEK_END)
+            start = self._file.tell()
+            self._file.write(_HEADER.pack(_MAGIC, len(content), zlib.crc32(content)) + content)
+            self._file.flush()
+            self._starts.append(start)
 
     def cut(self, frames: int) -> None:
         """Keep only the first frames."""
