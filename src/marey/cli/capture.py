@@ -248,6 +248,8 @@ def _tracked(run: Run, take: Take, bodies: Bodies) -> Tracked:
                 height=person.track_height, rounds=SHAPE_ROUNDS, done=lambda frame: step(), memory=memory,
             ):  # fmt: skip
                 poses |= fit.by_frame
+            # Room on the disk: a round is soon done again, should the run end just here.
+            memory.parts.clear()
         return _pack(poses, fit.body, followed.scores)
 
     found = _unpacked(cache.arrays("shape", shape, depends=run.scope), bodies.fine)
