@@ -36,8 +36,7 @@ def main() -> None:
     trial, progress = read_trial(asked.trial), Progress(quiet=True)
     files = [open_masks(asked.results / "surface_masks" / f"{camera.name}.npz") for camera in trial.rig]
     with threadpool_limits(1):
-        models = stages.backgrounds(trial, progress)
-        small = stages.enough_for_tracking(trial, models)
+        models, small = stages.backgrounds(trial, progress)
         surface = first_known(files, trial.take.first, trial.take.end, asked.frames)
         for name, cameras in (("silhouettes", small), ("outlines", list(trial.rig))):
             views = [stages.Watched(stages.shrunk(m, c.size)) for m, c in zip(models, cameras, strict=True)]

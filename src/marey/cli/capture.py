@@ -178,8 +178,7 @@ def _capture(run: Run, bodies: Bodies, logs: Logs) -> None:
         stages.known_silhouettes(trial, outlines, progress)
         store = outlines
     else:
-        models = stages.backgrounds(trial, progress)
-        small = stages.enough_for_tracking(trial, models)
+        models, small = stages.backgrounds(trial, progress)
         store = stages.MaskStore(logs.first, first, small)
         views = [stages.Watched(stages.shrunk(m, c.size)) for m, c in zip(models, small, strict=True)]
         stages.find_silhouettes(trial, views, small, store, progress, name="Silhouettes")

@@ -92,10 +92,13 @@ def _unpacked_edges(rows: np.ndarray) -> InteriorEdges:
     return InteriorEdges(pixels=pixels, inward=inward, limb=rows[:, 4].astype(np.int64))
 
 
-def backgrounds(trial: Trial, progress: Progress) -> list[Background]:
+def backgrounds(trial: Trial, progress: Progress) -> tuple[list[Background], list[Camera]]:
     """Model every camera's empty picture: from plates, from a clip, or from the take itself.
 
     Plates are compared with pictures of the take, and doubted where they explain none.
+
+    Returns:
+        The models, and cameras of pictures that are just large enough for tracking, see `enough_for_tracking`.
     """
     take = trial.take
     with progress.stage("Empty room"):
@@ -110,7 +113,9 @@ def backgrounds(trial: Trial, progress: Progress) -> list[Background]:
             )
         spread = [int(i) for i in np.unique(np.linspace(0, take.count - 1, min(DOUBTS, take.count)).astype(int))]
         whole = [int(i) for i in worth_seeing(take.count)]
-        samples = dict(take.at(sorted({*spread, *(whole if wanting else ())})))
+        peeks = [int(i) for i in np.unique(np.linspace(take.first, take.end - 1, PEEKS).astype(int))]
+        # One way through the videos for all: decoding is what costs.
+        samples = dict(take.at(sorted({*spread, *peeks, *(whole if wanting else ())})))
 
         def model(c: int, name: str) -> Background:
             if name in wanting:
@@ -118,19 +123,21 @@ def backgrounds(trial: Trial, progress: Progress) -> list[Background]:
             return doubted(models[name], [samples[i][c] for i in spread])
 
         with ThreadPoolExecutor(max_workers=2) as pool:
-            return list(pool.map(model, range(len(trial.rig.names)), trial.rig.names))
+            made = list(pool.map(model, range(len(trial.rig.names)), trial.rig.names))
+        return made, enough_for_tracking(list(trial.rig), made, [samples[i] for i in peeks])
 
 
-def enough_for_tracking(trial: Trial, models: Sequence[Background]) -> list[Camera]:
+def enough_for_tracking(
+    cameras: Sequence[Camera], models: Sequence[Background], pictures: Sequence[Sequence[Image]]
+) -> list[Camera]:
     """Give the cameras of pictures that are just large enough for the first silhouettes and for tracking.
 
     Some pictures of the take, much shrunken, tell how tall the person appears.
     """
-    take, cameras = trial.take, list(trial.rig)
     small = [camera.scaled(PEEK) for camera in cameras]
     peeks = [shrunk(model, camera.size) for model, camera in zip(models, small, strict=True)]
     heights = []
-    for _, images in take.at([int(i) for i in np.unique(np.linspace(take.first, take.end - 1, PEEKS).astype(int))]):
+    for images in pictures:
         for image, model, camera in zip(images, peeks, small, strict=True):
             seen = segment(resized(image, camera), model).mask
             heights.append(np.count_nonzero(seen.any(1)) / PEEK)

@@ -37,15 +37,17 @@ def trace_contour(mask: Mask, *, border: int = 2, blur: float = 1.5) -> Contour:
         blur: standard deviation [px] of the smoothing from which normals are taken.
     """
     height, width = mask.shape
-    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
-    if len(rows) == 0:
+    picture = np.ascontiguousarray(mask).view(np.uint8)
+    first_x, first_y, columns, rows = cv2.boundingRect(picture)
+    if rows == 0:
         return Contour(mask, np.zeros((0, 2)), np.zeros((0, 2)))
     margin = int(np.ceil(4 * blur)) + 1
-    top, bottom = max(rows[0] - margin, 0), min(rows[-1] + margin + 1, height)
-    left, right = max(columns[0] - margin, 0), min(columns[-1] + margin + 1, width)
-    part = mask[top:bottom, left:right].astype(np.uint8)
-    ring = part.astype(bool) & (cv2.erode(part, _CROSS, borderType=cv2.BORDER_REPLICATE) == 0)
-    y, x = np.nonzero(ring)
+    top, bottom = max(first_y - margin, 0), min(first_y + rows + margin, height)
+    left, right = max(first_x - margin, 0), min(first_x + columns + margin, width)
+    part = picture[top:bottom, left:right]
+    ring = cv2.subtract(part, cv2.erode(part, _CROSS, borderType=cv2.BORDER_REPLICATE))
+    found = cv2.findNonZero(ring)
+    x, y = np.zeros((2, 0), np.int64) if found is None else found.reshape(-1, 2).T.astype(np.int64)
     inner = (x + left >= border) & (x + left < width - border) & (y + top >= border) & (y + top < height - border)
     x, y = x[inner], y[inner]
     normals = _normals(part, x, y, blur)
