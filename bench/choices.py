@@ -21,7 +21,7 @@ from takes import empty_frames, score, truth_of
 CHOICES: dict[str, dict[str, object]] = {
     "as it is": {},
     "no edges inside": {"interior": False},
-    "neighbours vote": {"vote": True},
+    "no votes": {"vote": False},
     "rays": {"residual": "ray"},
 }
 KEPT = ("joint_mm", "joint_p95_mm", "steady_mm", "elbow_knee_deg", "elbow_knee_steady_deg", "covered_95")

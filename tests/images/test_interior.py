@@ -104,7 +104,7 @@ def test_places_at_the_pictures_border_stay_in_the_picture(rng):
         limb=np.zeros(3, np.int64),
     )
     depth = np.full((SIZE, SIZE), 100, np.float32)
-    found = strongest_steps(limb_before_trunk(rng), depth, corner.pixels, corner.inward, 1 / NOISE, 8)
+    found = strongest_steps(limb_before_trunk(rng), depth, 0, 0, corner.pixels, corner.inward, 1 / NOISE, 8)
     assert np.isnan(found).all()
 
 

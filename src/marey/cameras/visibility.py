@@ -231,31 +231,43 @@ def rim_pixels(face, projected, faces, left, top):
 @numba.njit(cache=True, nogil=True)
 def interior_rim_pixels(face, inverse_depth, projected, faces, limb, left, top, jump):
     """List the rims inside of the outline as `rim_pixels` lists the outline, see `View.interior_rim`."""
-    height, width = face.shape
+    suspects = _beside_something_behind(inverse_depth, jump)
+    found = np.empty((len(suspects), 2), np.int64)
     count = 0
-    # What is listed is a small share of the pixels; the list grows with it.
-    found = np.empty((256, 2), np.int64)
-    suspect = np.empty(width, np.uint8)
-    for y in range(1, height - 1):
-        # Without branches first: nearly all pixels have neighbours of about their own depth.
-        above, here, below = inverse_depth[y - 1], inverse_depth[y], inverse_depth[y + 1]
-        for x in range(1, width - 1):
-            z = here[x]
-            s = 1.0 + jump * z
-            suspect[x] = (above[x] * s < z) | (below[x] * s < z) | (here[x - 1] * s < z) | (here[x + 1] * s < z)
-        for x in range(1, width - 1):
-            if suspect[x] and _hides(face, inverse_depth, limb, y, x, jump):
-                if count == len(found):
-                    longer = np.empty((2 * count, 2), np.int64)
-                    longer[:count] = found
-                    found = longer
-                found[count, 0], found[count, 1] = x, y
-                count += 1
+    for i in range(len(suspects)):
+        y, x = suspects[i]
+        if _hides(face, inverse_depth, limb, y, x, jump):
+            found[count, 0], found[count, 1] = x, y
+            count += 1
     found = found[:count]
     inward = np.empty((count, 2))
     for i in range(count):
         _normal_of_limb(face, limb, found[i, 0], found[i, 1], inward[i])
     return _on_surface(found, inward, face, projected, faces, left, top)
+
+
+@numba.njit(cache=True, nogil=True)
+def _beside_something_behind(inverse_depth, jump):
+    """List the pixels (n, 2), rows first, beside one that lies farther away by more than a jump, or shows nothing."""
+    height, width = inverse_depth.shape
+    suspect = np.zeros((height, width), np.uint8)
+    count = 0
+    # Without branches: nearly all pixels have neighbours of about their own depth.
+    for y in range(1, height - 1):
+        above, here, below = inverse_depth[y - 1], inverse_depth[y], inverse_depth[y + 1]
+        for x in range(1, width - 1):
+            z = here[x]
+            s = 1.0 + jump * z
+            suspect[y, x] = (above[x] * s < z) | (below[x] * s < z) | (here[x - 1] * s < z) | (here[x + 1] * s < z)
+            count += suspect[y, x]
+    found = np.empty((count, 2), np.int64)
+    count = 0
+    for y in range(1, height - 1):
+        for x in range(1, width - 1):
+            if suspect[y, x]:
+                found[count, 0], found[count, 1] = y, x
+                count += 1
+    return found
 
 
 @numba.njit(cache=True, nogil=True)

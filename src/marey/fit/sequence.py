@@ -43,7 +43,7 @@ class SequenceSettings:
     scale: tuple[float, float] = (6.0, 2.0)
     sigma_px: float = 3.2
     residual: Residual = "plane"
-    vote: bool = False
+    vote: bool = True
     interior: bool = True
     """What outlines say, as in `Schedule`."""
     clip: float = 3.0

@@ -81,11 +81,13 @@ def find_edges(image: np.ndarray, mask: Mask, expected: InteriorEdges, noise: np
     """
     if len(expected) == 0 or not mask.any():
         return InteriorEdges.none()
-    rows = np.flatnonzero(mask.any(1))
+    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
     reach = max(4.0, REACH * (rows[-1] - rows[0] + 1))
-    depth = cv2.distanceTransform(mask.view(np.uint8), cv2.DIST_L2, 5)
+    top, left = max(rows[0] - 1, 0), max(columns[0] - 1, 0)
+    part = np.ascontiguousarray(mask[top : rows[-1] + 2, left : columns[-1] + 2])
+    depth = cv2.distanceTransform(part.view(np.uint8), cv2.DIST_L2, 5)
     offset = strongest_steps(
-        image, depth, expected.pixels, expected.inward, np.asarray(1.0 / noise, np.float64), round(reach)
+        image, depth, left, top, expected.pixels, expected.inward, np.asarray(1.0 / noise, np.float64), round(reach)
     )  # fmt: skip
     keep = in_company(expected.pixels, expected.inward, expected.limb, offset)
     moved = expected.pixels + offset[:, None] * expected.inward
@@ -93,12 +95,14 @@ def find_edges(image: np.ndarray, mask: Mask, expected: InteriorEdges, noise: np
 
 
 @numba.njit(cache=True, nogil=True)
-def strongest_steps(image, depth, pixels, inward, weight, reach):
+def strongest_steps(image, depth, left, top, pixels, inward, weight, reach):
     """Find how far (n,) along its normal each place has the one clear edge; NaN where there is none.
 
     Args:
         image: (H, W, C) uint8.
-        depth: (H, W) distance from the silhouette's outline [px].
+        depth: (h, w) distance from the silhouette's outline [px], for the part of the picture that holds it.
+        left: x of that part's first pixel.
+        top: its y.
         pixels: (n, 2).
         inward: (n, 2).
         weight: (C,) one over the noise's standard deviation.
@@ -109,7 +113,7 @@ def strongest_steps(image, depth, pixels, inward, weight, reach):
     profile = np.empty((length + 2 * _WIDE, image.shape[2]))
     strength, parts, across = np.empty(length), np.empty(length, np.bool_), np.empty(image.shape[2])
     for i in range(count):
-        first, last = _free_way(depth, pixels[i], inward[i], reach + SIDE)
+        first, last = _free_way(depth, pixels[i, 0] - left, pixels[i, 1] - top, inward[i], reach + SIDE)
         if last - first < 2 * SIDE:
             continue
         _take_profile(image, pixels[i], inward[i], first - _WIDE, last + _WIDE, profile)
@@ -124,15 +128,15 @@ def strongest_steps(image, depth, pixels, inward, weight, reach):
 
 
 @numba.njit(cache=True, nogil=True)
-def _free_way(depth, pixel, normal, reach):
+def _free_way(depth, x0, y0, normal, reach):
     """Give the first and the last step along the normal between which one stays well inside of the silhouette."""
     height, width = depth.shape
     ends = (0, 0)
     for side in (-1, 1):
         step = 0
         while step < reach:
-            x = int(np.rint(pixel[0] + side * (step + 1) * normal[0]))
-            y = int(np.rint(pixel[1] + side * (step + 1) * normal[1]))
+            x = int(np.rint(x0 + side * (step + 1) * normal[0]))
+            y = int(np.rint(y0 + side * (step + 1) * normal[1]))
             if x < 0 or y < 0 or x >= width or y >= height or depth[y, x] < INSIDE:
                 break
             step += 1
