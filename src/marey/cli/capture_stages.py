@@ -1,6 +1,7 @@
 """The stages of a capture that go through the videos, frame by frame, and remember what is done."""
 
 import ctypes
+import sys
 from collections import deque
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -136,12 +137,13 @@ def enough_for_tracking(
     """
     small = [camera.scaled(PEEK) for camera in cameras]
     peeks = [shrunk(model, camera.size) for model, camera in zip(models, small, strict=True)]
-    heights = []
-    for images in pictures:
-        for image, model, camera in zip(images, peeks, small, strict=True):
-            seen = segment(resized(image, camera), model).mask
-            heights.append(np.count_nonzero(seen.any(1)) / PEEK)
-    tallest = max(heights)
+
+    def tallest_in(camera: Camera, model: Background, images: Sequence[Image]) -> float:
+        seen = (segment(resized(image, camera), model).mask for image in images)
+        return max(np.count_nonzero(mask.any(1)) / PEEK for mask in seen)
+
+    with ThreadPoolExecutor(max_workers=2) as pool:
+        tallest = max(pool.map(tallest_in, small, peeks, zip(*pictures, strict=True)))
     factor = min(1.0, float(2.0 ** np.ceil(np.log2(TRACKED_PX / tallest)))) if tallest > 0 else 1.0
     return [camera.scaled(factor) for camera in cameras]
 
@@ -471,9 +473,15 @@ def require_upright(trial: Trial, posed: PosedBody) -> None:
     raise FileProblem(trial.calibration, wrong, remedy)
 
 
+SWITCH_S = 3e-4
+"""How long a thread may keep Python's lock when another one waits for it [s]."""
+
+
 def quiet_threads() -> None:
     """Leave the parallel work to the cameras: OpenCV's own threads would only wait for each other."""
     cv2.setNumThreads(1)
+    # Kernels finish within less than the usual 5 ms: who waits for Python's lock shall have it soon.
+    sys.setswitchinterval(SWITCH_S)
 
 
 KEPT_FREE, LARGE = 1 << 28, 1 << 25

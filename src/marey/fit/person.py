@@ -14,6 +14,7 @@ from marey.fit.levels import FrameLevels, level_factor
 from marey.fit.pick_up import PickUpSettings, better_of, pick_up, start_again, weak_frames
 from marey.fit.search import Candidate, Search, StartSettings
 from marey.fit.sequence import RefineMemory, SequenceFit, SequenceSettings, refine_in_pieces
+from marey.fit.side_by_side import side_by_side
 from marey.fit.start import find_start
 from marey.fit.track import TrackSettings, repair, track
 from marey.images.interior import InteriorEdges
@@ -269,7 +270,9 @@ def mend_person(
     A memory takes every mended frame as soon as it is found; what it holds already is not sought again.
     """
     levels, rough = take.levels(settings.track_height), take.levels(settings.rough_height)
-    judged = {f: Search(levels.at(f), settings.start).judge(PosedBody(body, pose)) for f, pose in poses.items()}
+    seen = ((levels.at(f), pose) for f, pose in poses.items())
+    scored = side_by_side(lambda task: Search(task[0], settings.start).judge(PosedBody(body, task[1])), seen)
+    judged = dict(zip(poses, scored, strict=True))
     mended = repair(
         judged, levels, rough, coarse=coarse, rate=take.rate, settings=settings.track, done=done, memory=memory
     )

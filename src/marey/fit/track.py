@@ -14,6 +14,7 @@ from marey.fit.levels import FrameLevels, Level
 from marey.fit.multi_start import SampleSettings, best_of_samples
 from marey.fit.pose_solver import Schedule, fit_pose
 from marey.fit.search import Candidate, Search, StartSettings
+from marey.fit.side_by_side import side_by_side
 from marey.observations.correspondence import view_of
 from marey.observations.prior import Habit, JointLimits, NearPose
 
@@ -256,7 +257,8 @@ def _suspects(found: dict[int, Candidate], levels: FrameLevels, settings: TrackS
         return []
     rough = {f: _roughness(*(found[f + k].posed.pose for k in (0, -1, 1))) for f in frames}
     # Copies, so that the skin of thousands of frames does not stay in memory.
-    bare = {f: unexplained(replace(found[f].posed), levels.at(f)) for f in frames}
+    seen = ((replace(found[f].posed), levels.at(f)) for f in frames)
+    bare = dict(zip(frames, side_by_side(lambda task: unexplained(*task), seen), strict=True))
     usual, clean = float(np.median(list(rough.values()))), float(np.quantile(list(bare.values()), 0.25))
     suspects = []
     for f in frames:
