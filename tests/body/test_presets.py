@@ -21,6 +21,37 @@ def test_the_full_body_has_at_least_forty_degrees_of_freedom_and_the_upper_one_t
     assert sum("left" in c.name for c in upper.coordinates) == sum("right" in c.name for c in upper.coordinates) == 7
 
 
+@pytest.mark.parametrize(
+    ("preset", "degrees"), [("left_arm", 13), ("right_arm", 13), ("left_leg", 15), ("right_leg", 15)]
+)
+def test_a_limbs_preset_follows_that_limb_alone(preset, degrees):
+    body = person_body("coarse", preset=preset)
+    side, kind = preset.split("_")
+    other = "right" if side == "left" else "left"
+    assert len(body.skeleton) == 6 + (7 if kind == "arm" else 9)
+    assert all(c.name.startswith(side) for c in body.skeleton.coordinates)
+    shown = {body.skeleton.segment_names[k] for k in body.face_segment}
+    assert f"{side}_{'hand' if kind == 'arm' else 'foot'}" in shown
+    assert not any(name.startswith(other) for name in shown)
+    measured = {name for name, there in zip(body.joint_names, body.followed_joints, strict=True) if there}
+    assert f"{side}_{'wrist' if kind == 'arm' else 'ankle'}" in measured
+    assert not measured & {f"{other}_{joint}" for joint in ("elbow", "wrist", "knee", "ankle", "toe")}
+
+
+def test_where_a_limbs_skin_ends_it_has_no_outline():
+    whole, limb = person_body("coarse"), person_body("coarse", preset="right_leg")
+    kept = {tuple(face) for face in limb.faces}
+    cut = np.unique([v for face in whole.faces if tuple(face) not in kept for v in face])
+    touches = np.isin(limb.faces, cut).any(1)
+    assert touches.any()
+    assert not limb.outlined[touches].any()
+    assert limb.outlined[~touches].all()
+
+
+def test_the_full_body_is_followed_everywhere():
+    assert person_body("coarse").followed_joints.all()
+
+
 def test_an_unknown_preset_is_told_with_the_known_ones():
     with pytest.raises(SettingProblem, match="full, upper"):
         person_body(preset="lower")

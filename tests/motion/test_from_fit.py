@@ -154,3 +154,22 @@ def test_frames_of_which_only_neighbours_spoke_are_flagged(fit):
     motion = motion_of(fit, filled={4, 8}, **more)
     assert motion.state.tolist() == [0, 0, 1, 1, 2, 1, 0, 0, 2, 1, 0, 0]
     assert np.isfinite(motion.joint_centres[[4, 8]]).all()
+
+
+def test_what_a_preset_does_not_follow_has_no_joint_centre_and_no_angle(fit, motion):
+    names = fit.body.skeleton.segment_names
+    followed = np.array([name not in ("left_shank", "left_foot", "left_toes") for name in names])
+    partly = motion_of(
+        replace(fit, body=replace(fit.body, followed=followed)), count=COUNT, rate=50.0, lost=np.zeros(COUNT, bool),
+        camera_names=("cam01", "cam02"), agreement={int(f): np.zeros(2) for f in FRAMES},
+    )  # fmt: skip
+    gone = [
+        name
+        for name in partly.joint_names
+        if np.isnan(partly.joint_centres[FRAMES, partly.joint_names.index(name)]).all()
+    ]
+    # The knee still turns on a thigh that is followed.
+    assert gone == ["left_ankle", "left_toe"]
+    angles = [name for k, name in enumerate(partly.angle_names) if np.isnan(partly.angles_deg[FRAMES, k]).all()]
+    assert angles == [name for name in partly.angle_names if name.startswith(("left_knee", "left_ankle", "left_toe"))]
+    np.testing.assert_array_equal(partly.segment_rotation, motion.segment_rotation)

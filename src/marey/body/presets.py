@@ -1,6 +1,6 @@
 """Presets: which segments and coordinates a capture uses, and the body that it starts from."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -90,24 +90,51 @@ def family_body(level: Level = "fine", numbers: int | None = None) -> Body:
 STATURE_SD = 0.01
 """How well people know how tall they stand, shoes and posture included [m]."""
 
-_UPPER = ("lumbar_flexion",) + tuple(
-    f"{side}_{name}"
-    for side in ("left", "right")
-    for name in (
-        "shoulder_sweep",
-        "shoulder_lift",
-        "shoulder_turn",
-        "elbow_flexion",
-        "pronation",
-        "wrist_flexion",
-        "wrist_deviation",
-    )
-)
-PRESETS: dict[str, tuple[str, ...] | None] = {"full": None, "upper": _UPPER}
-"""Joint coordinates that each preset leaves free; None for all. `upper` is the paper's: 6 + back 1 + 7 an arm."""
+_ARM = ("shoulder_sweep", "shoulder_lift", "shoulder_turn", "elbow_flexion", "pronation", "wrist_flexion",
+        "wrist_deviation")  # fmt: skip
+_LEG = ("hip_flexion", "hip_abduction", "hip_rotation", "knee_flexion", "knee_adduction", "knee_rotation",
+        "ankle_dorsiflexion", "ankle_inversion", "toe_extension")  # fmt: skip
+_ARM_SEGMENTS, _LEG_SEGMENTS = ("clavicle", "upperarm", "forearm", "hand"), ("thigh", "shank", "foot", "toes")
+_TRUNK = ("pelvis", "abdomen", "thorax", "neck", "head")
+_BOTH = ("left", "right")
 
-_UNSEEN = {"full": (), "upper": ("thigh", "shank", "foot", "toes")}
-"""Segments whose outline a preset does not believe."""
+
+def _of(side: str, names: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(f"{side}_{name}" for name in names)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Preset:
+    """What a capture follows of a person."""
+
+    coordinates: tuple[str, ...] | None = None
+    """Joint coordinates that are free besides the root's six; None for all."""
+    segments: tuple[str, ...] | None = None
+    """Segments whose skin the body has; None for all. What moves with the thorax helps to find it."""
+    unseen: tuple[str, ...] = ()
+    """Segments whose outline is not believed."""
+
+
+PRESETS: dict[str, Preset] = {
+    "full": Preset(),
+    # The paper's: 6 + back 1 + 7 an arm.
+    "upper": Preset(
+        coordinates=("lumbar_flexion", *(name for side in _BOTH for name in _of(side, _ARM))),
+        unseen=tuple(name for side in _BOTH for name in _of(side, _LEG_SEGMENTS)),
+    ),
+    **{
+        f"{side}_arm": Preset(
+            coordinates=_of(side, _ARM),
+            segments=(*_TRUNK, *_of(side, _ARM_SEGMENTS)),
+            unseen=("pelvis", "neck", "head"),
+        )
+        for side in _BOTH
+    },
+    **{
+        f"{side}_leg": Preset(coordinates=_of(side, _LEG), segments=("pelvis", *_of(side, _LEG_SEGMENTS)))
+        for side in _BOTH
+    },
+}
 
 
 def person_body(
@@ -131,9 +158,21 @@ def person_body(
     if stature_m is not None:
         space = condition(space, measures(family), {"stature": (stature_m, STATURE_SD)})
     body = _body(family, space)
-    free = PRESETS[preset]
-    if free is not None:
-        kept = tuple(c for c in body.skeleton.coordinates if c.name in free)
-        body = replace(body, skeleton=replace(body.skeleton, coordinates=kept))
-    unseen = [s.removeprefix("left_").removeprefix("right_") in _UNSEEN[preset] for s in body.skeleton.segment_names]
-    return replace(body, numbers=space.prior_mean, outlined=~np.array(unseen)[body.face_segment])
+    return _preset_body(replace(body, numbers=space.prior_mean), PRESETS[preset])
+
+
+def _preset_body(body: Body, preset: Preset) -> Body:
+    """Leave of a body what a preset follows. Where the skin ends it has no outline."""
+    skeleton = body.skeleton
+    if preset.coordinates is not None:
+        kept = tuple(c for c in skeleton.coordinates if c.name in preset.coordinates)
+        skeleton = replace(skeleton, coordinates=kept)
+    segments = preset.segments or skeleton.segment_names
+    there = np.isin(body.face_segment, [skeleton.segment(name) for name in segments])
+    believed = ~np.isin(body.face_segment, [skeleton.segment(name) for name in preset.unseen])
+    cut = np.isin(body.faces, np.unique(body.faces[~there])).any(1)
+    names = preset.segments or [name for name in skeleton.segment_names if name not in preset.unseen]
+    followed = np.isin(skeleton.segment_names, names)
+    return replace(
+        body, skeleton=skeleton, faces=body.faces[there], outlined=(believed & ~cut)[there], followed=followed
+    )

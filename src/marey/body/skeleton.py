@@ -126,7 +126,10 @@ class Skeleton:
         return chain
 
     def mirrored(self) -> tuple[Integers, Integers]:
-        """Give for each segment and each joint coordinate the index of its counterpart on the other side."""
+        """Give for each segment and each joint coordinate the index of its counterpart on the other side.
+
+        A coordinate whose counterpart is not free is its own.
+        """
 
         def other(name: str) -> str:
             if name.startswith("left_"):
@@ -136,7 +139,7 @@ class Skeleton:
         names = [c.name for c in self.coordinates]
         return (
             np.array([self.segment_names.index(other(name)) for name in self.segment_names]),
-            np.array([names.index(other(name)) for name in names]),
+            np.array([names.index(other(name) if other(name) in names else name) for name in names]),
         )
 
 

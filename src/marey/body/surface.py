@@ -114,6 +114,8 @@ class Body:
     """(V, 4) their shares, of sum one; zero where fewer carry it."""
     outlined: Mask | None = None
     """(T,) faces whose outline counts; all when None. A preset leaves out the segments that it does not follow."""
+    followed: Mask | None = None
+    """(S,) segments whose motion is measured; all when None. A preset leaves out what it does not follow."""
     joint_sd: Floats | None = None
     """(S,) how far, by axis, a joint centre lies from where skin and numbers say, in one posture and another [m]; None
     where nobody knows."""
@@ -153,6 +155,12 @@ class Body:
             for n in range(self.vertex_segments.shape[1]):
                 np.add.at(votes, (np.arange(len(v)), self.vertex_segments[v, n]), self.vertex_weights[v, n])
         return frozen(np.argmax(votes, 1), np.int64)
+
+    @cached_property
+    def followed_joints(self) -> Mask:
+        """(J,) the named joints that are measured: those about which a segment turns on one that is followed."""
+        on = np.maximum(self.skeleton.parents, 0)[self.joint_segments]
+        return frozen(np.ones(len(on)) if self.followed is None else self.followed[on], np.bool_)
 
     @cached_property
     def face_limb(self) -> Integers:

@@ -160,14 +160,14 @@ def whole_postures(skeleton: Skeleton, arm: Floats, leg: Floats) -> Floats:
     """List postures of the whole body (n, D - 6): every pair of arms with every pair of legs.
 
     Args:
-        skeleton: the full skeleton.
+        skeleton: full, or with some of the limbs.
         arm: (3,) direction of the left arm at rest.
         leg: (3,) direction of the left leg at rest.
     """
     limbs = limbs_of(skeleton)
     postures = []
-    for arms in _ARM_PAIRS if "left_arm" in limbs else _ARM_PAIRS[:1]:
-        for legs in _LEG_PAIRS if "left_leg" in limbs else _LEG_PAIRS[:1]:
+    for arms in _ARM_PAIRS if any("arm" in name for name in limbs) else _ARM_PAIRS[:1]:
+        for legs in _LEG_PAIRS if any("leg" in name for name in limbs) else _LEG_PAIRS[:1]:
             angles = np.zeros(len(skeleton) - 6)
             for name, limb in limbs.items():
                 left = name.startswith("left")

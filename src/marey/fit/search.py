@@ -164,7 +164,8 @@ def _rest(body: Body) -> tuple:
 
 def _centroids(body: Body, postures: Floats) -> Floats:
     rest = [PosedBody(body, Pose(np.zeros(3), np.eye(3), angles)) for angles in postures]
-    return np.array([posed.vertices.mean(0) for posed in rest])
+    skin = np.unique(body.faces)
+    return np.array([posed.vertices[skin].mean(0) for posed in rest])
 
 
 def standing_ways(hull: Floats) -> list[Floats]:

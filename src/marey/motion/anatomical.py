@@ -120,6 +120,11 @@ class Anatomy:
         """Names of the angles that this body's segments allow, in the table's order, left before right."""
         return tuple(f"{side}{name}" for joint, side in self.joints() for _, name, _ in joint.angles)
 
+    @property
+    def angle_segments(self) -> tuple[str, ...]:
+        """Names of the segments whose turning the angles describe."""
+        return tuple(_pair(joint, side)[0] for joint, side in self.joints() for _ in joint.angles)
+
     def joints(self) -> list[tuple[Joint, str]]:
         """List the rows of the table for which both segments are there, with the side's prefix."""
         rows = [(j, side) for j in JOINTS for side in (("left_", "right_") if j.sided else ("",))]

@@ -70,6 +70,9 @@ def motion_of(
 ) -> Motion:  # fmt: skip
     """Write a fitted sequence as a motion with a row for every frame of the video.
 
+    Joint centres and angles that a preset does not follow are NaN. Its segments stay as at rest, for the files that
+    need a whole skeleton.
+
     Args:
         pieces: of the sequence, in order.
         body: that was fitted.
@@ -89,6 +92,9 @@ def motion_of(
     def rows(name: str) -> Floats:
         return _rows(np.concatenate([getattr(piece, name) for piece in pieces]), frames, count)
 
+    anatomy = anatomy_of(skeleton, body.joint_centres)
+    followed = np.ones(len(skeleton.segment_names), bool) if body.followed is None else body.followed
+    turning = np.array([followed[skeleton.segment(name)] for name in anatomy.angle_segments], bool)
     origin = rows("origin")
     coordinates = _without_jumps(np.concatenate([piece.coordinates for piece in pieces]))
     agreements = np.array([agreement[int(f)] for f in frames]).reshape(len(frames), len(camera_names))
@@ -98,8 +104,8 @@ def motion_of(
         time=np.arange(count) / rate,
         rate=rate,
         joint_names=body.joint_names,
-        joint_centres=origin[:, body.joint_segments],
-        joint_centres_sd=rows("joints_sd"),
+        joint_centres=_only(origin[:, body.joint_segments], body.followed_joints),
+        joint_centres_sd=_only(rows("joints_sd"), body.followed_joints),
         segment_names=skeleton.segment_names,
         segment_rotation=rows("rotation"),
         segment_origin=origin,
@@ -107,13 +113,18 @@ def motion_of(
         coordinates=_rows(coordinates, frames, count),
         coordinates_sd=rows("coordinates_sd"),
         determined=determined,
-        angle_names=anatomy_of(skeleton, body.joint_centres).angle_names,
-        angles_deg=np.degrees(rows("angles")),
-        angles_deg_sd=np.degrees(rows("angles_sd")),
+        angle_names=anatomy.angle_names,
+        angles_deg=_only(np.degrees(rows("angles")), turning),
+        angles_deg_sd=_only(np.degrees(rows("angles_sd")), turning),
         state=state,
         camera_names=camera_names,
         agreement=_rows(agreements, frames, count),
     )
+
+
+def _only(values: Floats, measured: Mask) -> Floats:
+    """Leave columns (F, n, ...) that nobody measured without an answer."""
+    return np.where(measured.reshape(1, -1, *[1] * (values.ndim - 2)), values, np.nan)
 
 
 def _rows(values: Floats, frames: Integers, count: int) -> Floats:
