@@ -13,6 +13,7 @@ from marey.body.pose import Pose, PosedBody
 from marey.body.presets import person_body
 from marey.cli import capture_stages as stages
 from marey.cli.capture import coarse_twin, open_bodies, require_two_cameras
+from marey.cli.mask_store import MaskStore
 from marey.cli.progress import Progress
 from marey.errors import FileProblem
 from marey.geometry import rotations
@@ -30,7 +31,7 @@ def trial(**parts):
 def store(tmp_path):
     cameras = worlds.ring(3, size=(40, 30))
     with FrameLog(tmp_path / "masks.log") as log:
-        yield stages.MaskStore(log, 5, cameras)
+        yield MaskStore(log, 5, cameras)
 
 
 def person(*shown):
@@ -107,7 +108,7 @@ def test_the_surface_is_drawn_where_a_pose_is_known_and_compared_with_what_was_s
     drawn = stages.surface_masks(body, poses, cameras)
     assert drawn(2) is None
     with FrameLog(tmp_path / "masks.log") as log:
-        store = stages.MaskStore(log, 3, cameras)
+        store = MaskStore(log, 3, cameras)
         store.append(drawn(3))
         half = [mask & (np.arange(mask.shape[1]) < mask.shape[1] // 2) for mask in drawn(4)]
         store.append(half)
@@ -184,7 +185,7 @@ def test_edges_are_looked_for_where_the_body_expects_them_and_kept_with_the_silh
     distance = np.linalg.norm(own[:, None] - arm, axis=2).min(1)
     assert np.quantile(distance, 0.9) < 1.2 / factor
     with FrameLog(tmp_path / "masks.log") as log:
-        store = stages.MaskStore(log, 7, [camera])
+        store = MaskStore(log, 7, [camera])
         store.append([mask], [found])
         store.append([mask])
         [kept] = store.edges(7)
@@ -207,7 +208,7 @@ def test_clutter_is_told_by_camera_and_only_what_is_common_is_kept(tmp_path):
         FrameLog(tmp_path / "cluttered") as second,
         FrameLog(tmp_path / "common") as third,
     ):
-        clean, wrong, empty = (stages.MaskStore(log, 0, cameras) for log in (first, second, third))
+        clean, wrong, empty = (MaskStore(log, 0, cameras) for log in (first, second, third))
         clean.append(masks)
         wrong.append(cluttered)
         assert not stages.cluttered(clean, cameras, [0], progress)

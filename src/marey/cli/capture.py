@@ -14,6 +14,7 @@ from marey.body.surface import Body
 from marey.cli import capture_stages as stages
 from marey.cli.capture_report import draw_overlays, report_capture
 from marey.cli.kept_candidates import KeptArrays, KeptCandidates
+from marey.cli.mask_store import MaskStore
 from marey.cli.progress import Progress
 from marey.cli.run_record import StageCache, finished_together, write_record
 from marey.cli.settings import CaptureSettings
@@ -173,19 +174,19 @@ def _capture(run: Run, bodies: Bodies, logs: Logs) -> None:
     """Go from pictures to results: silhouettes, person, silhouettes about the person, and the person again."""
     trial, progress = run.trial, run.progress
     cameras, first = list(trial.rig), trial.take.first
-    outlines, small = stages.MaskStore(logs.outlines, first, cameras), cameras
+    outlines, small = MaskStore(logs.outlines, first, cameras), cameras
     if trial.masks:
         stages.known_silhouettes(trial, outlines, progress)
         store = outlines
     else:
         models, small = stages.backgrounds(trial, progress)
-        store = stages.MaskStore(logs.first, first, small)
+        store = MaskStore(logs.first, first, small)
         views = [stages.Watched(stages.shrunk(m, c.size)) for m, c in zip(models, small, strict=True)]
         stages.find_silhouettes(trial, views, small, store, progress, name="Silhouettes")
     frames = stages.frames_with_somebody(store)
     stages.require_somebody(trial, frames)
     if not trial.masks and stages.cluttered(store, small, frames, progress):
-        store = stages.common_silhouettes(store, small, stages.MaskStore(logs.common, first, small), progress)
+        store = stages.common_silhouettes(store, small, MaskStore(logs.common, first, small), progress)
         frames = stages.frames_with_somebody(store)
         stages.require_somebody(trial, frames)
     tracked = _tracked(run, Take(tuple(small), store, frames, trial.take.rate), bodies)
@@ -360,7 +361,7 @@ def _unpacked(arrays: Arrays, body: Body) -> Tracked:
     )
 
 
-def write_capture(run: Run, refined: Refined, store: stages.MaskStore, frames: Sequence[int]) -> None:
+def write_capture(run: Run, refined: Refined, store: MaskStore, frames: Sequence[int]) -> None:
     """Write all results at once."""
     trial, progress, take = run.trial, run.progress, run.trial.take
     cameras, body, poses = list(trial.rig), refined.body, refined.poses
