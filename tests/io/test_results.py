@@ -9,6 +9,7 @@ import pytest
 from tests import people, performer
 
 from marey.arrays import Floats
+from marey.body.presets import person_body
 from marey.body.surface import Body
 from marey.errors import FileProblem
 from marey.io import npz
@@ -164,6 +165,15 @@ def test_a_body_read_back_knows_what_it_knew_of_its_joints(rng, tmp_path):
     back, _ = read_body(tmp_path / "body.npz")
     np.testing.assert_array_equal(back.joint_sd, person.joint_sd)
     assert back.joint_offset_sd is None
+
+
+def test_a_body_read_back_follows_what_its_preset_follows(tmp_path):
+    limb = person_body("coarse", preset="right_arm")
+    write_body(tmp_path / "body.npz", limb, preset="right_arm")
+    back, preset = read_body(tmp_path / "body.npz")
+    assert preset == "right_arm"
+    np.testing.assert_array_equal(back.outline_counts, limb.outline_counts)
+    np.testing.assert_array_equal(back.followed_joints, limb.followed_joints)
 
 
 def test_our_own_glb_is_read_as_the_body_it_came_from(results: Path, person: Body):

@@ -8,9 +8,21 @@ from marey.cameras.lens import project_points
 
 
 @numba.njit(cache=True, nogil=True)
-def stamp_faces(projected, faces, stamp, canvas):
-    """Write a stamp into every pixel whose centre lies in a front face: canvas (h, w) of int32."""
+def stamp_faces(projected, faces, stamp, canvas, mask):
+    """Write a stamp into every pixel whose centre lies in a front face, but where -1 stands.
+
+    Args:
+        projected: (V, 3) columns and rows [px] first.
+        faces: (T, 3).
+        stamp: no zero.
+        canvas: (h, w) of int32.
+        mask: (h, w) the silhouette.
+
+    Returns:
+        How many pixels inside the silhouette, and how many outside, got the stamp that did not have it.
+    """
     height, width = canvas.shape
+    inside = outside = 0
     for f in range(faces.shape[0]):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
         x0, y0 = projected[a, 0], projected[a, 1]
@@ -28,10 +40,15 @@ def stamp_faces(projected, faces, stamp, canvas):
             e0 = ((x2 - x1) * (y - y1) - (y2 - y1) * (xmin - x1)) / area
             e1 = ((x0 - x2) * (y - y2) - (y0 - y2) * (xmin - x2)) / area
             for x in range(xmin, xmax + 1):
-                if e0 >= 0.0 and e1 >= 0.0 and e0 + e1 <= 1.0:
+                if e0 >= 0.0 and e1 >= 0.0 and e0 + e1 <= 1.0 and canvas[y, x] != -1 and canvas[y, x] != stamp:
                     canvas[y, x] = stamp
+                    if mask[y, x]:
+                        inside += 1
+                    else:
+                        outside += 1
                 e0 += d0
                 e1 += d1
+    return inside, outside
 
 
 @numba.njit(cache=True, nogil=True)
@@ -73,15 +90,8 @@ def score_poses(
         for c in range(views):
             project_points(cameras[c], posed, projected)
             view = canvas[c, : heights[c], : widths[c]]
-            stamp_faces(projected, faces, n + 1, view)
-            both = drawn = 0
-            for y in range(view.shape[0]):
-                for x in range(view.shape[1]):
-                    if view[y, x] == n + 1:
-                        drawn += 1
-                        if masks[c, y, x]:
-                            both += 1
-            union = drawn + area[c] - both
+            both, outside = stamp_faces(projected, faces, n + 1, view, masks[c])
+            union = outside + area[c]
             scores[n] += (both / union if union > 0 else 1.0) / views
     return scores
 
@@ -115,15 +125,8 @@ def score_limb(
     for c in range(views):
         project_points(cameras[c], posed, projected)
         view = canvas[c, : heights[c], : widths[c]]
-        stamp_faces(projected, other_faces, -1, view)
-        for y in range(view.shape[0]):
-            for x in range(view.shape[1]):
-                if view[y, x] == -1:
-                    union[c] += 1
-                    if masks[c, y, x]:
-                        both[c] += 1
-                elif masks[c, y, x]:
-                    union[c] += 1
+        both[c], outside = stamp_faces(projected, other_faces, -1, view, masks[c])
+        union[c] = outside + masks[c].sum()
     limb_segments = vertex_segments[limb_vertices]
     limb_weights = vertex_weights[limb_vertices]
     limb_rest = vertices[limb_vertices]
@@ -147,40 +150,7 @@ def score_limb(
         for c in range(views):
             project_points(cameras[c], posed, limb_projected)
             view = canvas[c, : heights[c], : widths[c]]
-            inside, outside = _stamp_new(limb_projected, renumbered, n + 1, view, masks[c])
+            inside, outside = stamp_faces(limb_projected, renumbered, n + 1, view, masks[c])
             total = union[c] + outside
             scores[n] += ((both[c] + inside) / total if total > 0 else 1.0) / views
     return scores
-
-
-@numba.njit(cache=True, nogil=True)
-def _stamp_new(projected, faces, stamp, canvas, mask):
-    """Stamp faces where nothing else (-1) is; count newly covered pixels inside and outside the silhouette."""
-    height, width = canvas.shape
-    inside = outside = 0
-    for f in range(faces.shape[0]):
-        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        x0, y0 = projected[a, 0], projected[a, 1]
-        x1, y1 = projected[b, 0], projected[b, 1]
-        x2, y2 = projected[c, 0], projected[c, 1]
-        area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
-        if not area < 0.0:
-            continue
-        xmin = max(0, int(np.ceil(min(x0, min(x1, x2)))))
-        xmax = min(width - 1, int(np.floor(max(x0, max(x1, x2)))))
-        ymin = max(0, int(np.ceil(min(y0, min(y1, y2)))))
-        ymax = min(height - 1, int(np.floor(max(y0, max(y1, y2)))))
-        d0, d1 = -(y2 - y1) / area, -(y0 - y2) / area
-        for y in range(ymin, ymax + 1):
-            e0 = ((x2 - x1) * (y - y1) - (y2 - y1) * (xmin - x1)) / area
-            e1 = ((x0 - x2) * (y - y2) - (y0 - y2) * (xmin - x2)) / area
-            for x in range(xmin, xmax + 1):
-                if e0 >= 0.0 and e1 >= 0.0 and e0 + e1 <= 1.0 and canvas[y, x] != -1 and canvas[y, x] != stamp:
-                    canvas[y, x] = stamp
-                    if mask[y, x]:
-                        inside += 1
-                    else:
-                        outside += 1
-                e0 += d0
-                e1 += d1
-    return inside, outside

@@ -23,8 +23,8 @@ _NEXT = {"pelvis": "abdomen", "abdomen": "thorax", "thorax": "neck", "neck": "he
 }  # fmt: skip
 _WANTED = (
     "preset", "segment_names", "parents", "coordinate_names", "coordinate_segment", "coordinate_numbers", "numbers",
-    "numbers_covariance", "number_names", "segment_origin_sd", "segment_origin_offset_sd", "faces", "vertex_segments",
-    "vertex_weights", *(f"space_{n}" for n in _SPACE),
+    "numbers_covariance", "number_names", "segment_origin_sd", "segment_origin_offset_sd", "segment_followed", "faces",
+    "face_outlined", "vertex_segments", "vertex_weights", *(f"space_{n}" for n in _SPACE),
 )  # fmt: skip
 
 
@@ -34,8 +34,9 @@ def write_body(path: Path | str, body: Body, *, preset: str) -> None:
     It holds names, joint centres, segments' lengths and the skin; the skeleton (`parents`, `coordinate_...`: axis,
     mean, sd, lower and upper limit in radians); the shape numbers with their covariance and the space of shapes
     (`space_...`), so that `read_body` gives back the same body. `segment_origin_sd` and `segment_origin_offset_sd` (S,)
-    say how far, by axis, joint centres lie beside the skin's: from posture to posture, and all the time [m]. A mesh
-    has no metaballs: those arrays are empty.
+    say how far, by axis, joint centres lie beside the skin's: from posture to posture, and all the time [m];
+    `face_outlined` (T,) and `segment_followed` (S,) what the preset believes and follows. A mesh has no metaballs:
+    those arrays are empty.
 
     Args:
         path: The file.
@@ -64,8 +65,10 @@ def write_body(path: Path | str, body: Body, *, preset: str) -> None:
             "metaball_weight": np.zeros(0),
             "vertices": body.vertices,
             "faces": body.faces,
+            "face_outlined": body.outline_counts,
             "vertex_segments": body.vertex_segments,
             "vertex_weights": body.vertex_weights,
+            "segment_followed": np.ones(len(length), bool) if body.followed is None else body.followed,
             "parents": skeleton.parents,
             "coordinate_names": np.array([c.name for c in skeleton.coordinates], dtype=str),
             "coordinate_segment": skeleton.coordinate_segment,
@@ -109,6 +112,8 @@ def read_body(path: Path | str) -> tuple[Body, str]:
             faces=stored["faces"],
             vertex_segments=stored["vertex_segments"],
             vertex_weights=stored["vertex_weights"],
+            outlined=stored["face_outlined"].astype(bool),
+            followed=stored["segment_followed"].astype(bool),
             joint_sd=_known(stored["segment_origin_sd"]),
             joint_offset_sd=_known(stored["segment_origin_offset_sd"]),
             numbers_covariance=_known(covariance),
