@@ -1,0 +1,199 @@
+"""Kernels of the metaballs' field: its logarithm, the distance to the surface, and what changes both."""
+
+import numba
+import numpy as np
+
+THRESHOLD = 0.5
+"""The field on the surface ([Plaenkers1999] section 3.4.3)."""
+FLATTEST = 2.0
+"""Least slope by which the logarithm of the field is divided for a distance [1/m]; 0.15 m from the axis of the thickest
+limb it is above 9."""
+_FAR = -40.0
+"""exp() of less, beside 1, is below the last digit."""
+
+
+@numba.njit(cache=True, nogil=True)
+def _weigh(point, limb, ball_limb, place, axes, radii, weight, local, share, top, total):
+    """Fill in where a point lies in each ball and each ball's share of the field.
+
+    Args:
+        point: (3,).
+        limb: of the point; below 1 the one whose field is greatest.
+        ball_limb: (M,).
+        place: (M, 3).
+        axes: (M, 3, 3).
+        radii: (M, 3).
+        weight: (M,).
+        local: (M, 3) written: along the ball's axes.
+        share: (M,) written.
+        top: (L,) scratch, by limb.
+        total: (L,) scratch.
+
+    Returns:
+        ln(F / T).
+    """
+    top[:] = -np.inf
+    total[:] = 0.0
+    for m in range(radii.shape[0]):
+        d = 0.0
+        for a in range(3):
+            y = 0.0
+            for b in range(3):
+                y += axes[m, a, b] * (point[b] - place[m, b])
+            local[m, a] = y
+            d += (y / radii[m, a]) ** 2
+        share[m] = np.log(weight[m]) - 2.0 * d
+        top[ball_limb[m]] = max(top[ball_limb[m]], share[m])
+    for m in range(radii.shape[0]):
+        below = share[m] - top[ball_limb[m]]
+        total[ball_limb[m]] += np.exp(below) if below > _FAR else 0.0
+    for k in range(top.shape[0]):
+        top[k] += np.log(total[k]) if total[k] > 0.0 else 0.0
+    if limb < 1:
+        limb = 1 + np.argmax(top[1:])
+    high, low = max(top[0], top[limb]), min(top[0], top[limb])
+    level = high + np.log1p(np.exp(max(low - high, _FAR)))
+    for m in range(radii.shape[0]):
+        feels = ball_limb[m] == 0 or ball_limb[m] == limb
+        share[m] = np.exp(share[m] - level) if feels and share[m] - level > _FAR else 0.0
+    return level - np.log(THRESHOLD)
+
+
+@numba.njit(cache=True, nogil=True)
+def levels(points, limbs, limb_count, ball_limb, place, axes, radii, weight):
+    """Give ln(F / T) (n,) at points (n, 3), see `_weigh`."""
+    local, share = np.empty((radii.shape[0], 3)), np.empty(radii.shape[0])
+    top, total = np.empty(limb_count), np.empty(limb_count)
+    level = np.empty(points.shape[0])
+    for i in range(points.shape[0]):
+        level[i] = _weigh(points[i], limbs[i], ball_limb, place, axes, radii, weight, local, share, top, total)
+    return level
+
+
+@numba.njit(cache=True, nogil=True)
+def shares(points, limbs, limb_count, ball_limb, place, axes, radii, weight):
+    """Give each ball's share of the field (n, M) at points (n, 3), see `_weigh`."""
+    local, top, total = np.empty((radii.shape[0], 3)), np.empty(limb_count), np.empty(limb_count)
+    share = np.empty((points.shape[0], radii.shape[0]))
+    for i in range(points.shape[0]):
+        _weigh(points[i], limbs[i], ball_limb, place, axes, radii, weight, local, share[i], top, total)
+    return share
+
+
+@numba.njit(cache=True, nogil=True)
+def _slope(axes, radii, local, share, gradient):
+    """Write the gradient (3,) of ln F at the point for which local and share were filled in."""
+    gradient[:] = 0.0
+    for m in range(radii.shape[0]):
+        if share[m] > 0.0:
+            for a in range(3):
+                along = -4.0 * share[m] * local[m, a] / radii[m, a] ** 2
+                for b in range(3):
+                    gradient[b] += along * axes[m, a, b]
+
+
+@numba.njit(cache=True, nogil=True)
+def distances(points, limbs, limb_count, ball_limb, place, axes, radii, weight):
+    """Give how far points (n, 3) lie outside the surface: -L / sqrt(|grad L|^2 + k^2), L = ln(F / T)."""
+    local, share = np.empty((radii.shape[0], 3)), np.empty(radii.shape[0])
+    top, total, slope = np.empty(limb_count), np.empty(limb_count), np.empty(3)
+    distance = np.empty(points.shape[0])
+    for i in range(points.shape[0]):
+        level = _weigh(points[i], limbs[i], ball_limb, place, axes, radii, weight, local, share, top, total)
+        _slope(axes, radii, local, share, slope)
+        distance[i] = -level / np.sqrt(slope[0] ** 2 + slope[1] ** 2 + slope[2] ** 2 + FLATTEST**2)
+    return distance
+
+
+@numba.njit(cache=True, nogil=True)
+def linearize(
+    points, limbs, limb_count, ball_limb, place, axes, radii, weight, segment, rotation, as_distance,
+    residual, by_point, by_centre, by_radii, by_weight, by_shift, by_turn,
+):  # fmt: skip
+    """Write the residual and its derivatives, see `metaballs.Linearized`; all outputs come filled with zeros.
+
+    With L = ln(F / T), G its gradient and p_m the share of ball m, whose logarithm of the field is f_m, any change t of
+    ball m gives dL = p_m f_mt and G.dG = p_m (G.grad f_mt + f_mt (G.grad f_m - |G|^2)). The distance -L / S,
+    S^2 = |G|^2 + k^2, then changes by -dL / S + L G.dG / S^3.
+    """
+    local, share = np.empty((radii.shape[0], 3)), np.empty(radii.shape[0])
+    top, total, slope = np.empty(limb_count), np.empty(limb_count), np.empty(3)
+    for i in range(points.shape[0]):
+        level = _weigh(points[i], limbs[i], ball_limb, place, axes, radii, weight, local, share, top, total)
+        _slope(axes, radii, local, share, slope)
+        square = slope[0] ** 2 + slope[1] ** 2 + slope[2] ** 2
+        if as_distance:
+            steep = np.sqrt(square + FLATTEST**2)
+            residual[i] = -level / steep
+            first, second = -1.0 / steep, level / steep**3
+        else:
+            residual[i] = THRESHOLD * np.expm1(level)
+            first, second = THRESHOLD * np.exp(level), 0.0
+        for m in range(radii.shape[0]):
+            if share[m] > 0.0:
+                _linearize_ball(
+                    m, segment[m], share[m], first, second, slope, square, local[m], axes[m], radii[m], weight[m],
+                    rotation[m], by_point[i], by_centre[i], by_radii[i], by_weight[i], by_shift[i], by_turn[i],
+                )  # fmt: skip
+
+
+@numba.njit(cache=True, nogil=True)
+def _linearize_ball(
+    m, k, share, first, second, slope, square, y, axes, radii, weight, rotation,
+    by_point, by_centre, by_radii, by_weight, by_shift, by_turn,
+):  # fmt: skip
+    """Write one ball's part in one point's derivatives; first and second weigh dL and G.dG, see `linearize`."""
+    steep = 0.0
+    g = np.empty(3)
+    for a in range(3):
+        g[a] = axes[a, 0] * slope[0] + axes[a, 1] * slope[1] + axes[a, 2] * slope[2]
+        steep -= 4.0 * g[a] * y[a] / radii[a] ** 2
+    u = share * (first + second * (steep - square))
+    v = share * second
+    by_weight[m] = u / weight
+    pull = np.zeros(3)
+    own = np.zeros(3)
+    for a in range(3):
+        near = y[a] / radii[a] ** 2
+        by_radii[m, a] = (4.0 * u * y[a] + 8.0 * v * g[a]) * near / radii[a]
+        along = -4.0 * (u * near + v * g[a] / radii[a] ** 2)
+        for b in range(3):
+            pull[b] += along * axes[a, b]
+            own[b] -= 4.0 * near * axes[a, b]
+            by_centre[m, b] -= along * rotation[b, a]
+    for b in range(3):
+        by_point[b] += pull[b]
+        by_shift[k, b] -= pull[b]
+        c, d = (b + 1) % 3, (b + 2) % 3
+        by_turn[k, b] += v * (own[c] * slope[d] - own[d] * slope[c])
+
+
+@numba.njit(cache=True, nogil=True)
+def by_pose(parents, coordinate_segment, origin, world_axes, points, by_shift, by_turn, jacobian):
+    """Write how residuals of points (n, 3) change with the pose: (n, D), the root's translation and turn first.
+
+    A joint carries all segments beyond it: their shifts and turns add up from the ends of the tree to its root, and a
+    turn about the joint at o is one about the point p and a shift by the axis x (p - o).
+    """
+    segments = parents.shape[0]
+    shift, turn = np.empty((segments, 3)), np.empty((segments, 3))
+    for i in range(points.shape[0]):
+        shift[:] = by_shift[i]
+        turn[:] = by_turn[i]
+        for k in range(segments - 1, -1, -1):
+            x, y, z = points[i, 0] - origin[k, 0], points[i, 1] - origin[k, 1], points[i, 2] - origin[k, 2]
+            if parents[k] >= 0:
+                for a in range(3):
+                    shift[parents[k], a] += shift[k, a]
+                    turn[parents[k], a] += turn[k, a]
+            turn[k, 0] += y * shift[k, 2] - z * shift[k, 1]
+            turn[k, 1] += z * shift[k, 0] - x * shift[k, 2]
+            turn[k, 2] += x * shift[k, 1] - y * shift[k, 0]
+        for a in range(3):
+            jacobian[i, a] = shift[0, a]
+            jacobian[i, 3 + a] = turn[0, a]
+        for q in range(world_axes.shape[0]):
+            k = coordinate_segment[q]
+            jacobian[i, 6 + q] = (
+                world_axes[q, 0] * turn[k, 0] + world_axes[q, 1] * turn[k, 1] + world_axes[q, 2] * turn[k, 2]
+            )
