@@ -1,0 +1,63 @@
+import numpy as np
+import pytest
+
+from marey.cameras.epipolar import epipolar_lines
+from marey.geometry.rigid import RigidTransform
+
+
+@pytest.fixture
+def cameras(make_camera):
+    beside = RigidTransform.from_vector(np.array([0.0, 0.2, 0.03]), np.array([-0.6, 0.02, 0.1]))
+    first = make_camera()
+    return first, make_camera(name="cam02", camera_from_world=beside @ first.camera_from_world)
+
+
+def points_before(camera, rng, count=100):
+    depth = rng.uniform(2, 5, (count, 1))
+    straight = np.array([0.3, 0.25]) * rng.uniform(-1, 1, (count, 2))
+    return camera.camera_from_world.inverse().apply(np.hstack([straight * depth, depth]))
+
+
+def test_a_point_lies_on_the_line_that_starts_beside_it(cameras, rng):
+    first, second = cameras
+    points = points_before(first, rng)
+    truth = second.project(points)
+    on_line, along = epipolar_lines(first, second, first.project(points), truth + rng.uniform(-3, 3, truth.shape))
+    seen = np.isfinite(truth).all(-1)
+    beside = (truth - on_line)[seen]
+    across = beside[:, 0] * along[seen, 1] - beside[:, 1] * along[seen, 0]
+    np.testing.assert_allclose(across, 0, atol=0.01)
+    np.testing.assert_allclose(np.linalg.norm(along[seen], axis=-1), 1, atol=1e-12)
+
+
+def test_the_tangent_leaves_the_curve_little_in_ten_pixels(cameras, rng):
+    first, second = cameras
+    points = points_before(first, rng)
+    pixels = first.project(points)
+    on_line, along = epipolar_lines(first, second, pixels, second.project(points))
+    further, _ = epipolar_lines(first, second, pixels, on_line + 10 * along)
+    beside = further - on_line
+    across = beside[:, 0] * along[:, 1] - beside[:, 1] * along[:, 0]
+    assert np.nanmax(np.abs(across)) < 0.05
+
+
+def test_depth_grows_in_the_direction_of_the_line(cameras, rng):
+    first, second = cameras
+    points = points_before(first, rng)
+    _, along = epipolar_lines(first, second, first.project(points), second.project(points))
+    away = second.project(points + 1e-4 * (points - first.centre)) - second.project(points)
+    seen = np.isfinite(away).all(-1)
+    assert (np.sum(away * along, axis=-1)[seen] > 0).all()
+
+
+def test_rays_that_do_not_meet_before_the_camera_give_no_line(cameras):
+    first, second = cameras
+    middle = np.array([[320.0, 240.0]])
+    behind = first.centre - 3 * first.rays(middle).directions
+    start = np.array([[20.0, 240.0], [620.0, 240.0]])
+    on_line, along = epipolar_lines(first, second, np.repeat(middle, 2, 0), start)
+    assert np.isnan(second.project(behind)).all()
+    assert np.isnan(on_line).all(-1).any()
+    np.testing.assert_array_equal(np.isnan(on_line), np.isnan(along))
+    same, _ = epipolar_lines(first, first, middle, middle)
+    assert np.isnan(same).all()
