@@ -16,7 +16,7 @@ import numpy as np
 from marey.arrays import Floats, Integers, Mask, frozen
 from marey.errors import SettingProblem
 from marey.images import matching_kernels as kernels
-from marey.images.splines import SplinePicture, sample
+from marey.images.splines import SplinePicture, noise_shares, sample
 
 _SHARE = 256
 """Patches that are worth a thread of their own."""
@@ -151,8 +151,8 @@ def match(
     Each step regresses the search patch on the template's derivatives by the map, its grey values, and one; the map is
     then changed by what the derivatives explain. Unlike [Gruen1985], the gradients are the template's and stay the
     same through all steps (inverse composition [Baker2004]): the minimum is the same to first order in the noise, and a
-    step costs less. Ours: the covariance allows for the noise of both pictures, for what interpolation takes from it, and for the gradients being
-    noisy, too.
+    step costs less. Ours: the covariance allows for the `noise_effects` of both pictures, and their bias is taken from
+    the result.
 
     Args:
         template: Picture of which patches are taken.
@@ -263,5 +263,53 @@ def one_step(
     change = np.linalg.lstsq(derivative, found, rcond=None)[0]
     left = found - derivative @ change
     change[:6] /= change[6]
-    linear = linear @ np.linalg.inv(np.eye(2) + change[2:6].reshape(2, 2))
-    return np.concatenate([to_search[:2] - linear @ change[:2], linear.ravel()]), change, left
+    return changed(to_search, change[:6]), change, left
+
+
+def changed(to_search: Floats, change: Floats) -> Floats:
+    """Change a map (6,) in the search picture as if the template had undone a change (6,)."""
+    linear = to_search[2:].reshape(2, 2) @ np.linalg.inv(np.eye(2) + change[2:].reshape(2, 2))
+    return np.concatenate([to_search[:2] - linear @ change[:2], linear.ravel()])
+
+
+def noise_effects(
+    derivative: Floats, pixel: Floats, to_search: Floats, *, residual: float, gain: float, half: int
+) -> tuple[float, Floats, Floats]:
+    """Say what the noise of both pictures does to a free match; plain meaning of a kernel.
+
+    Ours. Interpolated values have less noise than pixels, so that residuals show too little. The template's gradients
+    are noisy: their normal matrix holds more than the texture's own. And its noise goes together with its gradients'
+    between the pixels, and with the grey values' share in them, which draws matches aside.
+
+    Args:
+        derivative: (N, 8) of `grey_values` at no change and gain 1.
+        pixel: (2,) the patch's centre in the template [px].
+        to_search: (6,) the map found.
+        residual: standard deviation of what the match leaves of the search patch [grey levels].
+        gain: of the grey values.
+        half: pixels from the centre to the edge.
+
+    Returns:
+        The pixels' noise [grey levels]; the change (6,) that `changed` takes back to undo the bias; and the covariance
+        (2, 2) of the place in the search picture [px2].
+    """
+    around, size = offsets(half), len(derivative)
+    (kept_x, kept_y), (slope_x, slope_y), (both_x, both_y) = _noise_shares_at(pixel)
+    kept = np.prod(_noise_shares_at(to_search[:2] + around @ to_search[2:].reshape(2, 2).T)[0], axis=-1).mean()
+    noise = residual / np.sqrt(gain**2 * kept_x * kept_y + kept)
+    grey = derivative[:, 6:]
+    share = np.linalg.lstsq(grey, derivative[:, :6], rcond=None)[0]
+    columns = derivative[:, :6] - grey @ share
+    normal, spread = columns.T @ columns, np.mean(around[:, 0] ** 2)
+    slopes = np.array([slope_x * kept_y, slope_y * kept_x])
+    inverse = np.linalg.inv(normal - noise**2 * size * np.diag(np.concatenate([slopes, np.repeat(spread * slopes, 2)])))
+    together = np.array([both_x * kept_y, both_y * kept_x, 0, 0, 0, 0]) - share[0] * kept_x * kept_y
+    linear = to_search[2:].reshape(2, 2)
+    covariance = noise**2 * (inverse + inverse @ normal @ inverse / gain**2)[:2, :2]
+    return noise, noise**2 * size * inverse @ together, linear @ covariance @ linear.T
+
+
+def _noise_shares_at(positions: Floats) -> Floats:
+    """Give `noise_shares` (3, ..., 2) at positions (..., 2) [px], for each axis."""
+    fractions = np.linspace(0, 1, 1001)
+    return np.stack([np.interp(positions % 1, fractions, share) for share in noise_shares(len(fractions))])

@@ -12,8 +12,8 @@ CONVERGED, LEFT_PICTURE, TEXTURELESS, DEGENERATE, STRAYED, UNLIKE, UNFINISHED, M
 
 _BOUNDED = 2.0
 """A step moves the patch by no more than this, root mean square over its pixels [px]."""
-KEPT, KEPT_SLOPE = noise_shares(129)
-"""What a spline keeps of a pixel's noise variance in its values and its slopes, by the fraction of a pixel."""
+KEPT, KEPT_SLOPE, KEPT_BOTH = noise_shares(1025)
+"""What a spline keeps of a pixel's noise variance in values, in slopes, and between the two, by fraction of a pixel."""
 _STIFF = 1e6
 """Weight that holds a step on its line, relative to what the grey values say."""
 _FAST = {"reassoc", "contract", "arcp", "nsz"}
@@ -247,13 +247,16 @@ def _iterate(
             if correlation <= 0:
                 return UNLIKE
             outcome = _misplaced(search, to_search, half, reach, stretch, start_x, start_y)
-            residual2 = max(unexplained, 0.0) / (size - count - 2 + constrained)
+            if outcome != CONVERGED:
+                return outcome
             quality[4], quality[5] = scale, found_mean - scale * mean
-            if outcome == CONVERGED and not _state_quality(
-                normal, factor, step, projected, x, y, half, to_search, line, constrained, residual2, scale, quality
-            ):
-                return TEXTURELESS
-            return outcome
+            residual2 = max(unexplained, 0.0) / (size - count - 2 + constrained)
+            known = _allow_for_noise(
+                normal, shares, factor, x, y, half, to_search, line, constrained, residual2, scale, quality
+            )
+            if constrained:
+                _put_on_line(to_search, line, start_x, start_y)
+            return CONVERGED if known else TEXTURELESS
     return UNFINISHED
 
 
@@ -379,29 +382,37 @@ def _looked_up(table, x):
 
 
 @numba.njit(cache=True, nogil=True)
-def _state_quality(
-    normal, factor, column, unit, x, y, half, to_search, line, constrained, residual2, gain, quality,
+def _allow_for_noise(
+    normal, shares, factor, x, y, half, to_search, line, constrained, residual2, gain, quality
 ):  # fmt: skip
-    """Write the noise and the covariance of the shift; false where the template shows nothing but noise."""
+    """Take the noise's bias from the map and write covariance and noise; false where the template is noise alone.
+
+    `marey.images.matching.noise_effects` says what is done.
+    """
     count, size = normal.shape[0], (2 * half + 1) ** 2
     across, down = _looked_up(KEPT, x), _looked_up(KEPT, y)
     noise2 = residual2 / (gain * gain * across * down + _kept_noise(to_search, half))
-    true, spread = normal.copy(), half * (half + 1) / 3.0
+    true, unit, spread = normal.copy(), np.zeros((3, count)), half * (half + 1) / 3.0
     for k in range(count):
         slope = _looked_up(KEPT_SLOPE, x) * down if k in (0, 2, 3) else _looked_up(KEPT_SLOPE, y) * across
         true[k, k] -= noise2 * slope * size * (spread if k > 1 else 1.0)
+        unit[2, k] = -noise2 * size * shares[k] * across * down
     if not (_factorise_on_line(true, to_search, line, factor) if constrained else _factorise(true, factor)):
         return False
-    covariance = np.empty((2, 2))
+    unit[0, 0] = unit[1, 1] = 1.0
+    unit[2, 0] += noise2 * size * _looked_up(KEPT_BOTH, x) * down
+    unit[2, 1] += noise2 * size * _looked_up(KEPT_BOTH, y) * across
+    column, covariance = np.empty(count), np.empty((2, 2))
+    _solve(factor, unit[2], column)
+    _move(to_search, column, 1.0, spread)
     for k in range(2):
-        unit[:] = 0.0
-        unit[k] = 1.0
-        _solve(factor, unit, column)
-        unit[:] = normal @ column
-        _solve(factor, unit, column)
-        covariance[k] = noise2 * (1 + 1 / (gain * gain)) * column[:2]
-    map_ = to_search[2:].copy().reshape(2, 2)
-    covariance = map_ @ covariance @ map_.T
+        _solve(factor, unit[k], column)
+        covariance[k] = noise2 * column[:2]
+        unit[k] = normal @ column
+        _solve(factor, unit[k], column)
+        covariance[k] += noise2 / (gain * gain) * column[:2]
+    linear = to_search[2:].copy().reshape(2, 2)
+    covariance = linear @ covariance @ linear.T
     if constrained:
         covariance = (line @ covariance @ line) * np.outer(line, line)
     quality[0], quality[1], quality[2] = covariance[0, 0], covariance[1, 1], covariance[0, 1]

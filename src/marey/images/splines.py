@@ -96,14 +96,15 @@ def slopes(t: Floats) -> Floats:
     return np.stack([-(s**2), 3 * t**2 - 4 * t, -3 * s**2 + 4 * s, t**2], axis=-1) / 2
 
 
-def noise_shares(count: int) -> tuple[Floats, Floats]:
+def noise_shares(count: int) -> tuple[Floats, Floats, Floats]:
     """Say how much of the variance of white noise in the pixels is left between them, along one axis.
 
     Args:
         count: Fractions of a pixel to say it for, from 0 to 1.
 
     Returns:
-        Shares (count,) in the spline's values, 1 at the pixels' centres and 0.76 half-way; and in its slopes [1/px2].
+        Shares (count,) in the spline's values, 1 at the pixels' centres and 0.76 half-way; in its slopes [1/px2]; and
+        how values and slopes go together [1/px], nothing at the centres and half-way.
     """
     reach = np.arange(-_HORIZON, _HORIZON + 1)
     pulse = -6 * POLE / (1 - POLE**2) * POLE ** np.abs(reach)
@@ -111,7 +112,7 @@ def noise_shares(count: int) -> tuple[Floats, Floats]:
     values, gradients = (
         np.stack([np.convolve(pulse, taps) for taps in table]) for table in (weights(fraction), slopes(fraction))
     )
-    return np.sum(values**2, axis=-1), np.sum(gradients**2, axis=-1)
+    return np.sum(values**2, axis=-1), np.sum(gradients**2, axis=-1), np.sum(values * gradients, axis=-1)
 
 
 def _filled(values: np.ndarray, missing: np.ndarray) -> np.ndarray:
