@@ -1,0 +1,255 @@
+"""The metaballs of a person of generic size, the numbers in which people differ, and the skin as a body to fit."""
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from importlib.resources import files
+from typing import Literal
+
+import numpy as np
+
+from marey.arrays import Floats, Integers, frozen
+from marey.body.metaballs import ANY_LIMB, Linearized, Metaballs, PosedMetaballs
+from marey.body.presets import family_body
+from marey.body.surface import Body, ShapeSpace
+from marey.errors import SettingProblem
+
+Detail = Literal["simple", "full"]
+DETAILS: tuple[Detail, ...] = ("simple", "full")
+
+OWN_SD = 0.05
+"""How much lengths and widths of a person's segments are believed to depart from the learned family's, as a share."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MetaballSpace:
+    """The metaballs that a person may have: centres, radii and joint centres, linear in a few numbers.
+
+    The numbers are the sizes of [Plaenkers1999] section 3.3, shares of the generic size: of a segment's length, with
+    which its balls and the joints beyond it move out along it, and of its width, or breadth and depth, which all its
+    balls have in common. Unlike the paper, a ball beside the bone also moves out with the width.
+    """
+
+    names: tuple[str, ...]
+    """(N,)."""
+    mean: Metaballs
+    """Where all numbers are zero."""
+    centre_modes: Floats
+    """(N, M, 3) [m by unit of the number], in the segments."""
+    radii_modes: Floats
+    """(N, M, 3)."""
+    joint_modes: Floats
+    """(N, S, 3) of the joint centres at rest."""
+    prior_covariance: Floats
+    """(N, N); zero is expected."""
+
+    def __post_init__(self) -> None:
+        for name in ("centre_modes", "radii_modes", "joint_modes", "prior_covariance"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+
+    def __len__(self) -> int:
+        """Count the numbers."""
+        return len(self.names)
+
+    def balls(self, numbers: Floats) -> Metaballs:
+        """Give the balls of a person with numbers (N,).
+
+        Raises:
+            ValueError: A ball would have no size.
+        """
+        mean = self.mean
+        return replace(
+            mean,
+            centre=mean.centre + np.tensordot(numbers, self.centre_modes, 1),
+            radii=mean.radii + np.tensordot(numbers, self.radii_modes, 1),
+            joint_centres=mean.joint_centres + np.tensordot(numbers, self.joint_modes, 1),
+        )
+
+    def by_numbers(self, posed: PosedMetaballs, of: Linearized) -> Floats:
+        """Give how the residual of points fixed in the world changes with the numbers: (n, N)."""
+        count, flat = len(self), (len(of.residual), -1)
+        by_balls = of.by_centre.reshape(flat) @ self.centre_modes.reshape(count, -1).T
+        by_balls += of.by_radii.reshape(flat) @ self.radii_modes.reshape(count, -1).T
+        return by_balls + posed.by_joints(of, self.joint_modes)
+
+
+def generic_metaballs(detail: Detail = "full") -> Metaballs:
+    """The metaballs that `bodies/fit_metaballs.py` fitted to the mean skin of the learned family.
+
+    Args:
+        detail: "simple", with three balls for a segment of arm or leg, or "full".
+
+    Raises:
+        SettingProblem: There is no such detail.
+    """
+    if detail not in DETAILS:
+        raise SettingProblem(f"metaballs come {' or '.join(DETAILS)}, not '{detail}'")
+    body, stored = family_body("coarse"), _stored()
+    segment = np.array([body.skeleton.segment(str(name)) for name in stored["segment_names"]])
+    return Metaballs(
+        skeleton=body.skeleton,
+        joint_centres=body.joint_centres,
+        segment=segment[stored[f"{detail}_segment"]],
+        centre=stored[f"{detail}_centre"],
+        rotation=stored[f"{detail}_rotation"],
+        radii=stored[f"{detail}_radii"],
+        weight=np.ones(len(stored[f"{detail}_segment"])),
+    )
+
+
+@lru_cache(maxsize=1)
+def _stored() -> dict[str, np.ndarray]:
+    """The arrays of metaballs.npz, described in bodies/README.md."""
+    with files("marey.body").joinpath("metaballs.npz").open("rb") as file, np.load(file) as arrays:
+        return {name: arrays[name] for name in arrays.files}
+
+
+def metaball_space(detail: Detail = "full") -> MetaballSpace:
+    """Give the generic person's metaballs with the lengths and widths in which people differ, both sides alike.
+
+    Args:
+        detail: "simple" has one width for a segment, "full" a breadth and a depth.
+
+    Raises:
+        SettingProblem: There is no such detail.
+    """
+    mean = generic_metaballs(detail)
+    across = {"width": (0, 1)} if detail == "simple" else {"breadth": (0,), "depth": (1,)}
+    names, centres, radii, joints = [], [], [], []
+    plain = np.array([name.rpartition("_")[2] for name in mean.skeleton.segment_names])
+    for segment in dict.fromkeys(plain):
+        for what, axes in ({"length": (2,)} | across).items():
+            own = np.flatnonzero(plain == segment)
+            centre, radius = _stretched(mean, own, axes)
+            names.append(f"{segment}_{what}")
+            centres.append(centre)
+            radii.append(radius)
+            joints.append(_lengthened(mean, own) if what == "length" else np.zeros_like(mean.joint_centres))
+    space = MetaballSpace(
+        names=tuple(names), mean=mean, centre_modes=np.array(centres), radii_modes=np.array(radii),
+        joint_modes=np.array(joints), prior_covariance=OWN_SD**2 * np.eye(len(names)),
+    )  # fmt: skip
+    return replace(space, prior_covariance=space.prior_covariance + _family_covariance(space))
+
+
+def _family_covariance(space: MetaballSpace) -> Floats:
+    """Give the covariance (N, N) of the numbers among the people of the learned family.
+
+    Those numbers are taken for a person that bring skin and joint centres nearest to the person's.
+    """
+    family = family_body("fine")
+    own, theirs = (
+        np.concatenate([s.vertex_modes.reshape(len(s), -1), s.joint_modes.reshape(len(s), -1)], 1)
+        for s in (metaball_body(space).space, family.space)
+    )
+    by_family = np.linalg.lstsq(own.T, theirs.T, rcond=None)[0]
+    return by_family @ by_family.T
+
+
+def _stretched(balls: Metaballs, segments: Integers, axes: tuple[int, ...]) -> tuple[Floats, Floats]:
+    """Give the motion of centres and radii (M, 3) by the relative stretch of some segments' balls along some axes."""
+    stretch = np.isin(balls.segment, segments)[:, None] * np.isin(np.arange(3), axes)
+    local = np.einsum("mba,mb->ma", balls.rotation, balls.centre)
+    return np.einsum("mab,mb->ma", balls.rotation, stretch * local), stretch * balls.radii
+
+
+def _lengthened(balls: Metaballs, segments: Integers) -> Floats:
+    """Give the motion of the joint centres (S, 3) by the relative length of some segments."""
+    joints, parents = balls.joint_centres, balls.skeleton.parents
+    moved = np.zeros_like(joints)
+    for k, parent in enumerate(parents):
+        if parent >= 0:
+            moved[k] = moved[parent]
+            if parent in segments:
+                moved[k] += joints[k] - joints[parent]
+    return moved
+
+
+TOWARDS, CLOSE = 12, 1e-6
+"""Steps, at most, in which a vertex finds the surface, and how near is enough [m]."""
+LONGEST = 0.01
+"""Longest of these steps [m]."""
+
+
+def _onto_surface(posed: PosedMetaballs, points: Floats, limb: Integers) -> Floats:
+    """Bring points (n, 3) onto the surface along its normals."""
+    points = np.array(points)
+    for _ in range(TOWARDS):
+        of = posed.distances(points, limb)
+        steep = np.linalg.norm(of.by_point, axis=1)
+        off = np.clip(of.residual / steep, -LONGEST, LONGEST)
+        points -= (off / steep)[:, None] * of.by_point
+        if np.abs(off).max() < CLOSE:
+            break
+    return points
+
+
+def metaball_body(space: MetaballSpace, numbers: Floats | None = None, template: Body | None = None) -> Body:
+    """Make the skin over metaballs, as a body that can be posed, drawn and fitted like any other.
+
+    The vertices of a template come to lie on the surface at rest. They move with the numbers as material points do:
+    with the balls that make up their share of the field, and, to first order, so that they stay on the surface. The
+    body's shapes are therefore right near the numbers for which it was made; after larger changes make it anew, with
+    the body fitted so far as template. With the pose the skin is blended by the balls' shares; only at rest is it the
+    metaballs' own surface.
+
+    Unlike the paper, whose skin is sampled along cross-sections, the triangles are the template's, so that the same
+    vertex is the same place on everybody.
+
+    Args:
+        space: of the metaballs.
+        numbers: (N,) of this person, the generic one's when None.
+        template: the body whose skin is brought onto the surface, the family's mean when None.
+    """
+    at = np.zeros(len(space)) if numbers is None else np.asarray(numbers, float)
+    given = family_body("fine") if template is None else template
+    posed = space.balls(at).at_rest()
+    limb = _vertex_limbs(given)
+    vertices = _onto_surface(posed, given.vertices, limb)
+    modes = _skin_modes(space, posed, vertices, limb)
+    segments, weights = _strongest(posed, vertices, limb)
+    mean = space.mean.joint_centres
+    return replace(
+        given,
+        skeleton=space.mean.skeleton,
+        space=ShapeSpace(
+            names=space.names, vertex_mean=vertices - np.tensordot(at, modes, 1), vertex_modes=modes,
+            joint_mean=mean, joint_modes=space.joint_modes,
+            prior_mean=np.zeros(len(space)), prior_covariance=space.prior_covariance,
+        ),
+        numbers=at, vertex_segments=segments, vertex_weights=weights,
+        joint_sd=None, joint_offset_sd=None, numbers_covariance=None,
+    )  # fmt: skip
+
+
+def _vertex_limbs(body: Body) -> Integers:
+    """Give the limb (V,) to which the skin's vertices belong, `ANY_LIMB` on the trunk."""
+    strongest = np.argmax(body.vertex_weights, 1)
+    limb = body.skeleton.segment_limb[body.vertex_segments[np.arange(len(strongest)), strongest]]
+    return np.where(limb == 0, ANY_LIMB, limb)
+
+
+def _skin_modes(space: MetaballSpace, posed: PosedMetaballs, vertices: Floats, limb: Integers) -> Floats:
+    """Give how vertices on the surface at rest move with the numbers: (N, V, 3)."""
+    balls, share = posed.balls, posed.shares(vertices, limb)
+    local = np.einsum("mab,vmb->vma", posed.axes, vertices[:, None] - posed.place)
+    stretch = local / balls.radii
+    modes = np.empty((len(space), len(vertices), 3))
+    for i in range(len(space)):
+        # Each ball carries what lies in it as it moves and grows.
+        carried = space.joint_modes[i][balls.segment] + space.centre_modes[i]
+        grown = np.einsum("mab,vma->vmb", posed.axes, stretch * space.radii_modes[i])
+        modes[i] = np.einsum("vm,vma->va", share, carried + grown)
+    of = posed.distances(vertices, limb)
+    off = space.by_numbers(posed, of).T + np.einsum("va,iva->iv", of.by_point, modes)
+    square = np.sum(of.by_point**2, axis=1)
+    return modes - (off / square)[:, :, None] * of.by_point
+
+
+def _strongest(posed: PosedMetaballs, vertices: Floats, limb: Integers) -> tuple[Integers, Floats]:
+    """Give the four segments (V, 4) whose balls have most share in each vertex, and these shares, of sum one."""
+    count = len(posed.balls.skeleton.segment_names)
+    by_segment = np.eye(count)[posed.balls.segment]
+    shares = posed.shares(vertices, limb) @ by_segment
+    order = np.argsort(-shares, axis=1, kind="stable")[:, :4]
+    weights = np.take_along_axis(shares, order, 1)
+    return order, weights / weights.sum(1, keepdims=True)

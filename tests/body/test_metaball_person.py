@@ -1,0 +1,133 @@
+"""The generic metaballs and the skin over them."""
+
+import numpy as np
+import pytest
+from tests import people
+
+from marey.body.family import load_family
+from marey.body.metaball_person import DETAILS, generic_metaballs, metaball_body, metaball_space
+from marey.body.metaballs import PosedMetaballs
+from marey.body.pose import PosedBody
+from marey.body.presets import family_body
+from marey.errors import SettingProblem
+
+
+@pytest.fixture(scope="module", params=DETAILS)
+def space(request):
+    return metaball_space(request.param)
+
+
+@pytest.fixture(scope="module")
+def body(space):
+    return metaball_body(space)
+
+
+def face_centres(body):
+    a, b, c = (body.vertices[body.faces[:, corner]] for corner in range(3))
+    return (a + b + c) / 3, np.linalg.norm(np.cross(b - a, c - a), axis=1)
+
+
+def volume(body):
+    a, b, c = (body.vertices[body.faces[:, corner]] for corner in range(3))
+    return np.einsum("ta,ta->t", a, np.cross(b, c)).sum() / 6
+
+
+def test_the_generic_metaballs_follow_the_mean_skin(space):
+    family = family_body("fine")
+    points, area = face_centres(family)
+    off = space.mean.at_rest().distance(points, family.face_limb)
+    assert np.sqrt(np.average(off**2, weights=area)) < 0.004
+
+
+def test_no_metaball_stands_out_of_the_body(space):
+    """Each ball's centre lies inside, or so near the skin that the ball ends beside it."""
+    distance = space.mean.at_rest().distance(space.mean.at_rest().place)
+    assert distance.max() < 0.0
+
+
+def test_both_sides_of_the_generic_person_are_alike(space, rng):
+    points = rng.uniform([-0.6, -0.2, -0.9], [0.6, 0.2, 0.8], (500, 3))
+    posed = space.mean.at_rest()
+    np.testing.assert_allclose(posed.field(points), posed.field(points * [-1, 1, 1]), rtol=1e-5, atol=1e-9)
+
+
+def test_the_simplified_limbs_have_three_balls_a_segment():
+    balls = generic_metaballs("simple")
+    for name in ("left_upperarm", "left_forearm", "right_thigh", "right_shank"):
+        assert np.sum(balls.segment == balls.skeleton.segment(name)) == 3
+
+
+def test_the_skin_lies_on_the_metaballs(space, body):
+    assert np.abs(space.mean.at_rest().distance(body.vertices, -1)).max() < 2e-3
+    assert np.median(np.abs(space.mean.at_rest().distance(body.vertices, -1))) < 1e-6
+
+
+def test_the_skin_encloses_what_the_mean_body_does(body):
+    assert volume(body) == pytest.approx(volume(family_body("fine")), rel=0.03)
+
+
+def test_shares_of_the_skin_add_up(body):
+    np.testing.assert_allclose(body.vertex_weights.sum(1), 1.0, rtol=1e-12)
+    assert body.vertex_weights.min() >= 0.0
+
+
+def test_the_skin_stays_on_the_metaballs_to_first_order_of_the_numbers(space, body, rng):
+    direction = rng.normal(size=len(space))
+    direction /= np.linalg.norm(direction)
+    good = np.abs(space.mean.at_rest().distance(body.vertices)) < 1e-6
+    off = []
+    for step in (0.02, 0.01):
+        moved = space.balls(step * direction).at_rest().distance(body.with_numbers(step * direction).vertices)
+        off.append(np.median(np.abs(moved[good])))
+    assert off[0] < 5e-4
+    assert off[0] / off[1] == pytest.approx(4.0, rel=0.3)
+
+
+def test_bones_have_the_lengths_that_the_numbers_say(space):
+    numbers = np.zeros(len(space))
+    numbers[space.names.index("thigh_length")] = 0.1
+    old, new = space.mean, space.balls(numbers)
+    hip, knee, ankle = (old.skeleton.segment(f"left_{name}") for name in ("thigh", "shank", "foot"))
+    for balls, factor in ((old, 1.0), (new, 1.1)):
+        length = np.linalg.norm(balls.joint_centres[knee] - balls.joint_centres[hip])
+        assert length == pytest.approx(factor * np.linalg.norm(old.joint_centres[knee] - old.joint_centres[hip]))
+    moved = new.joint_centres - old.joint_centres
+    np.testing.assert_allclose(moved[ankle], moved[knee], atol=1e-15)
+
+
+def test_the_distance_changes_with_the_numbers_as_its_derivative_says(space, rng):
+    bones = PosedBody(family_body("coarse"), people.any_pose(rng, family_body("coarse")))
+    points = bones.vertices[::40] + rng.normal(size=bones.vertices[::40].shape) * 0.01
+    at, step = rng.normal(size=len(space)) * 0.03, 1e-6
+    posed = PosedMetaballs(space.balls(at), bones.pose)
+    found = space.by_numbers(posed, posed.distances(points))
+    for i in range(len(space)):
+        change = step * (np.arange(len(space)) == i)
+        up, down = (PosedMetaballs(space.balls(at + s * change), bones.pose).distance(points) for s in (1, -1))
+        np.testing.assert_allclose(found[:, i], (up - down) / (2 * step), atol=2e-7)
+
+
+def test_a_body_made_anew_for_other_numbers_lies_on_their_metaballs(space, body, rng):
+    numbers = rng.normal(size=len(space)) * 0.03
+    anew = metaball_body(space, numbers, body.with_numbers(numbers))
+    assert np.median(np.abs(space.balls(numbers).at_rest().distance(anew.vertices))) < 1e-6
+    np.testing.assert_allclose(anew.joint_centres, space.balls(numbers).joint_centres, atol=1e-12)
+
+
+def test_people_of_the_family_are_expected(space):
+    """The family's spread of stature is found again in the numbers."""
+    family, names = load_family("coarse"), space.names
+    along = np.zeros(len(space))
+    mean = space.mean
+    lengths = {"thigh": ("thigh", "shank"), "shank": ("shank", "foot")}
+    for name, (top, bottom) in lengths.items():
+        k = [mean.skeleton.segment(f"left_{end}") for end in (top, bottom)]
+        along[names.index(f"{name}_length")] = np.linalg.norm(mean.joint_centres[k[1]] - mean.joint_centres[k[0]])
+    hip, ankle = (family.segment(f"left_{name}") for name in ("thigh", "foot"))
+    theirs = np.linalg.norm((family.joints_modes[:, hip] - family.joints_modes[:, ankle])[:, 2])
+    assert np.sqrt(along @ space.prior_covariance @ along) == pytest.approx(theirs, rel=0.3)
+
+
+def test_unknown_detail_is_an_error_that_lists_the_known():
+    with pytest.raises(SettingProblem, match="simple or full"):
+        metaball_space("rough")
