@@ -143,29 +143,29 @@ def _linearize_ball(
     by_point, by_centre, by_radii, by_weight, by_shift, by_turn,
 ):  # fmt: skip
     """Write one ball's part in one point's derivatives; first and second weigh dL and G.dG, see `linearize`."""
-    steep = 0.0
-    g = np.empty(3)
+    s0, s1, s2 = slope[0], slope[1], slope[2]
+    own0 = own1 = own2 = 0.0
     for a in range(3):
-        g[a] = axes[a, 0] * slope[0] + axes[a, 1] * slope[1] + axes[a, 2] * slope[2]
-        steep -= 4.0 * g[a] * y[a] / radii[a] ** 2
+        rise = -4.0 * y[a] / radii[a] ** 2
+        own0 += rise * axes[a, 0]
+        own1 += rise * axes[a, 1]
+        own2 += rise * axes[a, 2]
+    steep = own0 * s0 + own1 * s1 + own2 * s2
     u = share * (first + second * (steep - square))
     v = share * second
     by_weight[m] = u / weight
-    pull = np.zeros(3)
-    own = np.zeros(3)
     for a in range(3):
-        near = y[a] / radii[a] ** 2
-        by_radii[m, a] = (4.0 * u * y[a] + 8.0 * v * g[a]) * near / radii[a]
-        along = -4.0 * (u * near + v * g[a] / radii[a] ** 2)
+        g = axes[a, 0] * s0 + axes[a, 1] * s1 + axes[a, 2] * s2
+        curve = 4.0 / radii[a] ** 2
+        by_radii[m, a] = (u * y[a] + 2.0 * v * g) * y[a] * curve / radii[a]
+        along = -curve * (u * y[a] + v * g)
         for b in range(3):
-            pull[b] += along * axes[a, b]
-            own[b] -= 4.0 * near * axes[a, b]
+            by_point[b] += along * axes[a, b]
+            by_shift[k, b] -= along * axes[a, b]
             by_centre[m, b] -= along * rotation[b, a]
-    for b in range(3):
-        by_point[b] += pull[b]
-        by_shift[k, b] -= pull[b]
-        c, d = (b + 1) % 3, (b + 2) % 3
-        by_turn[k, b] += v * (own[c] * slope[d] - own[d] * slope[c])
+    by_turn[k, 0] += v * (own1 * s2 - own2 * s1)
+    by_turn[k, 1] += v * (own2 * s0 - own0 * s2)
+    by_turn[k, 2] += v * (own0 * s1 - own1 * s0)
 
 
 @numba.njit(cache=True, nogil=True)

@@ -164,25 +164,6 @@ def _lengthened(balls: Metaballs, segments: Integers) -> Floats:
     return moved
 
 
-TOWARDS, CLOSE = 12, 1e-6
-"""Steps, at most, in which a vertex finds the surface, and how near is enough [m]."""
-LONGEST = 0.01
-"""Longest of these steps [m]."""
-
-
-def _onto_surface(posed: PosedMetaballs, points: Floats, limb: Integers) -> Floats:
-    """Bring points (n, 3) onto the surface along its normals."""
-    points = np.array(points)
-    for _ in range(TOWARDS):
-        of = posed.distances(points, limb)
-        steep = np.linalg.norm(of.by_point, axis=1)
-        off = np.clip(of.residual / steep, -LONGEST, LONGEST)
-        points -= (off / steep)[:, None] * of.by_point
-        if np.abs(off).max() < CLOSE:
-            break
-    return points
-
-
 def metaball_body(space: MetaballSpace, numbers: Floats | None = None, template: Body | None = None) -> Body:
     """Make the skin over metaballs, as a body that can be posed, drawn and fitted like any other.
 
@@ -204,7 +185,7 @@ def metaball_body(space: MetaballSpace, numbers: Floats | None = None, template:
     given = family_body("fine") if template is None else template
     posed = space.balls(at).at_rest()
     limb = _vertex_limbs(given)
-    vertices = _onto_surface(posed, given.vertices, limb)
+    vertices = posed.onto_surface(given.vertices, limb)
     modes = _skin_modes(space, posed, vertices, limb)
     segments, weights = _strongest(posed, vertices, limb)
     mean = space.mean.joint_centres
@@ -232,13 +213,14 @@ def _skin_modes(space: MetaballSpace, posed: PosedMetaballs, vertices: Floats, l
     """Give how vertices on the surface at rest move with the numbers: (N, V, 3)."""
     balls, share = posed.balls, posed.shares(vertices, limb)
     local = np.einsum("mab,vmb->vma", posed.axes, vertices[:, None] - posed.place)
-    stretch = local / balls.radii
+    stretch = share[:, :, None] * local / balls.radii
     modes = np.empty((len(space), len(vertices), 3))
     for i in range(len(space)):
         # Each ball carries what lies in it as it moves and grows.
         carried = space.joint_modes[i][balls.segment] + space.centre_modes[i]
-        grown = np.einsum("mab,vma->vmb", posed.axes, stretch * space.radii_modes[i])
-        modes[i] = np.einsum("vm,vma->va", share, carried + grown)
+        grown = posed.axes * space.radii_modes[i][:, :, None]
+        own = np.flatnonzero(np.any(grown, (1, 2)))
+        modes[i] = share @ carried + np.tensordot(stretch[:, own], grown[own], 2)
     of = posed.distances(vertices, limb)
     off = space.by_numbers(posed, of).T + np.einsum("va,iva->iv", of.by_point, modes)
     square = np.sum(of.by_point**2, axis=1)

@@ -15,6 +15,8 @@ from marey.body.surface import PackedSkeleton
 THRESHOLD, FLATTEST = metaball_field.THRESHOLD, metaball_field.FLATTEST
 ANY_LIMB = -1
 """Stands for the limb of a point that nobody has assigned to one."""
+_STEPS, _LONGEST, _CLOSE = 12, 0.01, 1e-6
+"""Steps in which a point is brought onto the surface, the longest of them [m], and how near is enough [m]."""
 
 
 class Linearized(NamedTuple):
@@ -170,6 +172,21 @@ class PosedMetaballs:
     def potentials(self, points: Floats, limb: Integers | int = ANY_LIMB) -> Linearized:
         """Give F - 1/2 at points ([Plaenkers1999] eq. (13), without unit), and how it changes; arguments as there."""
         return self._linearized(points, limb, as_distance=False)
+
+    def onto_surface(self, points: Floats, limb: Integers | int = ANY_LIMB) -> Floats:
+        """Bring points (n, 3) near the surface onto it, along its normals; limb as in `field`.
+
+        A point on a crease between two limbs may stay a millimetre away.
+        """
+        points = np.array(points, float)
+        for _ in range(_STEPS):
+            of = self.distances(points, limb)
+            steep = np.linalg.norm(of.by_point, axis=1)
+            off = np.clip(of.residual / steep, -_LONGEST, _LONGEST)
+            points -= (off / steep)[:, None] * of.by_point
+            if np.abs(off).max() < _CLOSE:
+                break
+        return points
 
     def _linearized(self, points: Floats, limb: Integers | int, *, as_distance: bool) -> Linearized:
         arguments = self._field_arguments(points, limb)
