@@ -43,7 +43,7 @@ from marey.io.trial import Trial, read_trial
 from marey.motion.from_fit import Measured, measured, motion_of
 
 SHAPE_ROUNDS = 4
-FINE_ROUNDS = 4
+FINE_ROUNDS = 3
 TWIN_M = 1e-4
 """How near the joints of a body and of its twin with few vertices must lie [m]."""
 
