@@ -1,3 +1,4 @@
+import cv2
 import numpy as np
 import pytest
 from scipy import stats
@@ -55,9 +56,9 @@ def test_a_step_of_the_kernel_is_that_of_the_plain_formula(pair, pixel, size):
     expected, change, left = one_step(template, search, pixel, np.array([*start, 1, 0, 0, 1]), half=half)
     _, derivative = grey_values(template, pixel, np.array([0.0, 0, 0, 0, 0, 0, 1, 0]), half=half)
     residual, gain = np.sqrt(left @ left / (size**2 - 8)), change[6]
-    noise, bias, _ = noise_effects(derivative, pixel, expected, residual=residual, gain=gain, half=half)
+    noise, bias, _ = noise_effects(derivative, pixel, expected, residual=residual, stated=1.0, gain=gain, half=half)
     expected = changed(expected, bias)
-    _, _, covariance = noise_effects(derivative, pixel, expected, residual=residual, gain=gain, half=half)
+    _, _, covariance = noise_effects(derivative, pixel, expected, residual=residual, stated=1.0, gain=gain, half=half)
     assert found.converged.all()
     np.testing.assert_allclose(found.pixels[0], expected[:2], atol=1e-4)
     np.testing.assert_allclose(found.search_from_template[0].ravel(), expected[2:], atol=1e-4)
@@ -75,7 +76,7 @@ def test_the_last_step_is_the_plain_formulas_last_step(pair):
             to_search, change, left = one_step(template, search, pixel, to_search, half=6)
         _, derivative = grey_values(template, pixel, np.array([0.0, 0, 0, 0, 0, 0, 1, 0]), half=6)
         residual = np.sqrt(left @ left / 161)
-        _, bias, _ = noise_effects(derivative, pixel, to_search, residual=residual, gain=change[6], half=6)
+        _, bias, _ = noise_effects(derivative, pixel, to_search, residual=residual, stated=1.0, gain=change[6], half=6)
         np.testing.assert_allclose(found.pixels[i], changed(to_search, bias)[:2], atol=1e-4)
         grey, _ = grey_values(template, pixel, np.array([0, 0, 0, 0, 0, 0, *change[6:]]), half=6)
         assert found.correlation[i] == pytest.approx(np.corrcoef(grey, grey + left)[0, 1], abs=1e-4)
@@ -125,6 +126,20 @@ def test_covariance_is_honest(noise, contrast):
     # stated covariance is known to be a twentieth too large.
     assert abs(ratio.mean() - 1) < 3 / np.sqrt(len(ratio)) + 0.05
     assert np.concatenate(levels).mean() == pytest.approx(np.sqrt(noise**2 + 1 / 12), rel=0.03)
+
+
+def test_pictures_that_differ_make_no_noisy_gradients(rng):
+    """Gloss: a smooth pattern that only the search picture has; the covariance knows, and the places stay."""
+    drawn = make_pair(rng, (300, 400), noise=0.3)
+    y, x = np.indices(drawn.search.shape)
+    gloss = spline_of(drawn.search + 12 * np.cos(0.7 * x + 0.2 * y))
+    pixels = drawn.grid(13) + 0.25
+    truth = drawn.carried(pixels)
+    found = match(spline_of(drawn.template), gloss, pixels, truth, settings=MatchSettings(noise=0.3))
+    errors = (found.pixels - truth)[found.converged]
+    assert found.converged.mean() > 0.99
+    assert np.median(found.noise[found.converged]) > 3
+    assert (np.abs(errors.mean(0)) < 4 * errors.std(0) / np.sqrt(len(errors))).all()
 
 
 def test_noise_draws_no_match_to_whole_pixels():
@@ -288,3 +303,24 @@ def test_impossible_settings_are_named_together():
 
 def test_the_pixels_of_a_patch_go_row_by_row():
     np.testing.assert_array_equal(offsets(1)[:4], [[-1, -1], [0, -1], [1, -1], [-1, 0]])
+
+
+@pytest.mark.parametrize("other", ["left_5", "right_1"])
+def test_real_speckle_is_found_where_an_independent_program_finds_it(shared, other):
+    folder = shared / "data" / "surface" / "cylinder"
+    if not folder.is_dir():
+        pytest.skip("the cylinder is not among the recordings")
+    template, search = (
+        spline_of(cv2.imread(str(folder / f"{name}.jpg"), cv2.IMREAD_GRAYSCALE)) for name in ("left_1", other)
+    )
+    side, position = other.split("_")
+    reference = np.load(folder / "reference.npz")
+    there = reference[f"points_{side}"][int(position) - 1]
+    good = reference[f"mismatch_{side}"][int(position) - 1] < 0.05
+    pixels = reference["points_left"][0]
+    small = match(template, search, pixels, there)
+    maps = np.where(small.converged[:, None, None], small.search_from_template, np.eye(2))
+    found = match(template, search, pixels, there, maps=maps, settings=MatchSettings(size=31))
+    assert found.converged[good].mean() > 0.99
+    # The other program is right to some hundredths of a pixel itself.
+    assert np.sqrt(np.mean((found.pixels - there)[good & found.converged] ** 2)) < 0.1

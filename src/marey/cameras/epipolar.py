@@ -12,8 +12,8 @@ _PARALLEL = 1e-12
 def epipolar_lines(first: Camera, second: Camera, pixels: Floats, starts: Floats) -> tuple[Floats, Floats]:
     """Give the piece of each pixel's epipolar line that lies near a start in the second picture.
 
-    Through a lens the line is a curve; this is its tangent, which leaves it by less than 0.01 px in ten pixels for the
-    lenses of everyday cameras.
+    Through a lens the line is a curve; this is its tangent, which leaves it by 0.014 px in ten pixels and by 0.0001 px
+    in one, at most, where a lens with k1 = -0.3 fills 640 pixels.
 
     Args:
         first: The camera of the template picture.

@@ -65,7 +65,8 @@ class MatchSettings:
     stretch: float = 2.0
     """By what factor the affine map may stretch or shrink the patch in any direction, against the template."""
     noise: float = 1.0
-    """Standard deviation of a pixel's noise [grey levels], to tell texture from noise before anything is matched."""
+    """Standard deviation of a pixel's noise in the template [grey levels]: tells texture from noise, and how noisy the
+    gradients are. Too large a value draws matches off; 0 leaves such noise out of account."""
     texture: float = 2.0
     """Least mean square gradient in the patch's weakest direction, as a multiple of the noise's variance [1/px2]; noise
     itself has 1.4."""
@@ -110,7 +111,8 @@ class Matches:
     offset: Floats
     """(n,) [grey levels]."""
     noise: Floats
-    """(n,) standard deviation of a pixel's noise, taken as equal in both pictures [grey levels]."""
+    """(n,) standard deviation of a pixel's noise that would explain what is left, if equal in both pictures [grey
+    levels]. More than the camera's noise says that the pictures differ by more than gain, offset and affine map."""
     steps: Integers
     """(n,) Gauss-Newton steps taken."""
     outcome: Integers
@@ -180,7 +182,7 @@ def match(
     quality, outcome = np.empty((count, 8)), np.empty(count, np.int8)
     columns = 2 if settings.shift_only else 6
     least = settings.texture * settings.noise**2
-    limits = np.array([settings.steps, settings.precision, settings.reach, settings.stretch, least])
+    limits = np.array([settings.steps, settings.precision, settings.reach, settings.stretch, least, settings.noise**2])
 
     def work(some: slice) -> None:
         kernels.match_patches(
@@ -273,25 +275,28 @@ def changed(to_search: Floats, change: Floats) -> Floats:
 
 
 def noise_effects(
-    derivative: Floats, pixel: Floats, to_search: Floats, *, residual: float, gain: float, half: int
+    derivative: Floats, pixel: Floats, to_search: Floats, *, residual: float, stated: float, gain: float, half: int
 ) -> tuple[float, Floats, Floats]:
     """Say what the noise of both pictures does to a free match; plain meaning of a kernel.
 
     Ours. Interpolated values have less noise than pixels, so that residuals show too little. The template's gradients
     are noisy: their normal matrix holds more than the texture's own. And its noise goes together with its gradients'
-    between the pixels, and with the grey values' share in them, which draws matches aside.
+    between the pixels, and with the grey values' share in them, which draws matches aside. What residuals show beyond
+    the stated noise is no noise of pixels, but pictures that differ (gloss, a curved surface): it makes the result less
+    certain, and says nothing about gradients.
 
     Args:
         derivative: (N, 8) of `grey_values` at no change and gain 1.
         pixel: (2,) the patch's centre in the template [px].
         to_search: (6,) the map found.
         residual: standard deviation of what the match leaves of the search patch [grey levels].
+        stated: the pixels' noise, as far as it is known beforehand [grey levels].
         gain: of the grey values.
         half: pixels from the centre to the edge.
 
     Returns:
-        The pixels' noise [grey levels]; the change (6,) that `changed` takes back to undo the bias; and the covariance
-        (2, 2) of the place in the search picture [px2].
+        The noise that the residual shows [grey levels]; the change (6,) that `changed` takes back to undo the bias; and
+        the covariance (2, 2) of the place in the search picture [px2].
     """
     around, size = offsets(half), len(derivative)
     (kept_x, kept_y), (slope_x, slope_y), (both_x, both_y) = _noise_shares_at(pixel)
@@ -302,11 +307,12 @@ def noise_effects(
     columns = derivative[:, :6] - grey @ share
     normal, spread = columns.T @ columns, np.mean(around[:, 0] ** 2)
     slopes = np.array([slope_x * kept_y, slope_y * kept_x])
-    inverse = np.linalg.inv(normal - noise**2 * size * np.diag(np.concatenate([slopes, np.repeat(spread * slopes, 2)])))
+    white = size * min(noise, stated) ** 2
+    inverse = np.linalg.inv(normal - white * np.diag(np.concatenate([slopes, np.repeat(spread * slopes, 2)])))
     together = np.array([both_x * kept_y, both_y * kept_x, 0, 0, 0, 0]) - share[0] * kept_x * kept_y
     linear = to_search[2:].reshape(2, 2)
     covariance = noise**2 * (inverse + inverse @ normal @ inverse / gain**2)[:2, :2]
-    return noise, noise**2 * size * inverse @ together, linear @ covariance @ linear.T
+    return noise, white * inverse @ together, linear @ covariance @ linear.T
 
 
 def _noise_shares_at(positions: Floats) -> Floats:

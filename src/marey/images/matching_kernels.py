@@ -33,7 +33,7 @@ def match_patches(template, search, pixels, maps, lines, constrained, half, coun
         constrained: whether they do.
         half: pixels from a patch's centre to its edge.
         count: 6 where the whole affine map is sought, 2 where the shift alone.
-        options: (steps, precision [px], reach [px], stretch, least square gradient [grey2/px2]).
+        options: (steps, precision [px], reach [px], stretch, least square gradient [grey2/px2], a pixel's variance).
         quality: (n, 8) for what is found: variances of x, y and covariance [px2], correlation, gain, offset, noise,
             steps.
         outcomes: (n,) int8.
@@ -252,8 +252,9 @@ def _iterate(
             quality[4], quality[5] = scale, found_mean - scale * mean
             residual2 = max(unexplained, 0.0) / (size - count - 2 + constrained)
             known = _allow_for_noise(
-                normal, shares, factor, x, y, half, to_search, line, constrained, residual2, scale, quality
-            )
+                normal, shares, factor, x, y, half, to_search, line, constrained, residual2, options[5], scale,
+                quality,
+            )  # fmt: skip
             if constrained:
                 _put_on_line(to_search, line, start_x, start_y)
             return CONVERGED if known else TEXTURELESS
@@ -383,7 +384,8 @@ def _looked_up(table, x):
 
 @numba.njit(cache=True, nogil=True)
 def _allow_for_noise(
-    normal, shares, factor, x, y, half, to_search, line, constrained, residual2, gain, quality
+    normal, shares, factor, x, y, half, to_search, line, constrained, residual2, stated2, gain,
+    quality,
 ):  # fmt: skip
     """Take the noise's bias from the map and write covariance and noise; false where the template is noise alone.
 
@@ -392,16 +394,17 @@ def _allow_for_noise(
     count, size = normal.shape[0], (2 * half + 1) ** 2
     across, down = _looked_up(KEPT, x), _looked_up(KEPT, y)
     noise2 = residual2 / (gain * gain * across * down + _kept_noise(to_search, half))
+    white2 = min(noise2, stated2)
     true, unit, spread = normal.copy(), np.zeros((3, count)), half * (half + 1) / 3.0
     for k in range(count):
         slope = _looked_up(KEPT_SLOPE, x) * down if k in (0, 2, 3) else _looked_up(KEPT_SLOPE, y) * across
-        true[k, k] -= noise2 * slope * size * (spread if k > 1 else 1.0)
-        unit[2, k] = -noise2 * size * shares[k] * across * down
+        true[k, k] -= white2 * slope * size * (spread if k > 1 else 1.0)
+        unit[2, k] = -white2 * size * shares[k] * across * down
     if not (_factorise_on_line(true, to_search, line, factor) if constrained else _factorise(true, factor)):
         return False
     unit[0, 0] = unit[1, 1] = 1.0
-    unit[2, 0] += noise2 * size * _looked_up(KEPT_BOTH, x) * down
-    unit[2, 1] += noise2 * size * _looked_up(KEPT_BOTH, y) * across
+    unit[2, 0] += white2 * size * _looked_up(KEPT_BOTH, x) * down
+    unit[2, 1] += white2 * size * _looked_up(KEPT_BOTH, y) * across
     column, covariance = np.empty(count), np.empty((2, 2))
     _solve(factor, unit[2], column)
     _move(to_search, column, 1.0, spread)
