@@ -4,7 +4,8 @@
 
 A texture of plane waves, filmed twice: the second time under an affine map (4 % of strain, 3 % of shear), gain 0.9 and
 offset 12, both with NOISE grey levels (1) of noise, rounded to whole ones. Starts lie up to a pixel from the truth.
-`findTransformECC` seeks the same affine map by the same criterion, `calcOpticalFlowPyrLK` the shift alone.
+`findTransformECC` seeks the same affine map by the same criterion, `calcOpticalFlowPyrLK` the shift alone. After the
+speeds, whether the stated covariance is that of the errors, for textures of less and less contrast.
 """
 
 import sys
@@ -24,7 +25,9 @@ ECC_PATCHES, ECC_WINDOW = 300, 14
 SIZE = 13
 
 
-def pictures(rng: np.random.Generator, noise: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def pictures(
+    rng: np.random.Generator, noise: float, contrast: float = 30.0
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Give both pictures, the patches' centres in the first one, and where they lie in the second one."""
     length, direction = np.exp(rng.uniform(np.log(5), np.log(30), 60)), rng.uniform(0, 2 * np.pi, 60)
     waves = 2 * np.pi / length[:, None] * np.stack([np.cos(direction), np.sin(direction)], axis=-1)
@@ -34,7 +37,7 @@ def pictures(rng: np.random.Generator, noise: float) -> tuple[np.ndarray, np.nda
         total = np.zeros(places.shape[:-1])
         for wave, phase in zip(waves, phases, strict=True):
             total += np.cos(places @ wave + phase)
-        return 120 + 30 * np.sqrt(2 / 60) * total
+        return 120 + contrast * np.sqrt(2 / 60) * total
 
     y, x = np.indices(SHAPE, float)
     places, centre = np.stack([x, y], axis=-1), np.array(SHAPE[::-1]) / 2
@@ -102,6 +105,26 @@ def main() -> None:
     few = rng.permutation(len(pixels))[:ECC_PATCHES]
     result = timed(lambda: correlated(template, search, pixels[few], starts[few]), 1)
     report("findTransformECC, affine, one thread", result, truth[few])
+    for contrast in (30.0, 10.0, 5.0):
+        honesty(noise, contrast)
+
+
+def honesty(noise: float, contrast: float) -> None:
+    """Compare errors with the stated covariance, for patches on whole pixels and beside them."""
+    rng = np.random.default_rng(1)
+    template, search, pixels, truth = pictures(rng, noise, contrast)
+    splines = spline_of(template), spline_of(search)
+    for beside in (0.0, 0.25):
+        there = truth + MAP @ (beside, beside)
+        found = match(*splines, pixels + beside, there, settings=MatchSettings(noise=noise, size=SIZE))
+        good = found.converged
+        errors, precision = (found.pixels - there)[good], np.linalg.inv(found.covariance[good])
+        ratio = np.einsum("ni,nij,nj->n", errors, precision, errors) / 2
+        sys.stdout.write(
+            f"contrast {contrast:g}, centres {beside:g} px beside whole ones: squared errors over variance "
+            f"{ratio.mean():.3f}, mean error {errors[:, 0].mean():+.4f} {errors[:, 1].mean():+.4f} px, "
+            f"rms {np.sqrt(np.mean(np.sum(errors**2, axis=-1))):.4f} px, {100 * good.mean():.1f} % converged\n"
+        )
 
 
 def correlated(
