@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 from tests import people
 
 from marey.body.family import load_family
@@ -112,6 +113,58 @@ def test_a_body_made_anew_for_other_numbers_lies_on_their_metaballs(space, body,
     anew = metaball_body(space, numbers, body.with_numbers(numbers))
     assert np.median(np.abs(space.balls(numbers).at_rest().distance(anew.vertices))) < 1e-6
     np.testing.assert_allclose(anew.joint_centres, space.balls(numbers).joint_centres, atol=1e-12)
+
+
+def fitted(space, posed, numbers, points, sd):
+    """Fit pose and numbers to points as [Plaenkers1999] section 4 does, by Levenberg-Marquardt."""
+    start, damping = posed.pose, 1.0
+    # Angles that the points hardly see stay where they are, within half a radian.
+    held = np.concatenate([np.zeros(6), np.full(len(start.angles), 4.0)])
+    expected = np.linalg.inv(space.prior_covariance)
+    prior = block_diag(np.diag(held), expected)
+
+    def cost(posed, numbers):
+        away = np.concatenate([start.change_to(posed.pose), numbers])
+        return np.sum((posed.distance(points) / sd) ** 2) + away @ prior @ away
+
+    for _ in range(20):
+        of = posed.distances(points)
+        jacobian = np.concatenate([posed.by_pose(points, of), space.by_numbers(posed, of)], 1) / sd
+        normal = jacobian.T @ jacobian + prior
+        away = np.concatenate([start.change_to(posed.pose), numbers])
+        gradient = jacobian.T @ (of.residual / sd) + prior @ away
+        step = -np.linalg.solve(normal + damping * np.diag(np.diag(normal)) * 0.01, gradient)
+        trial_numbers = numbers + step[len(held) :]
+        trial = PosedMetaballs(space.balls(trial_numbers), posed.pose.step(step[: len(held)]))
+        better = cost(trial, trial_numbers) < cost(posed, numbers)
+        if better:
+            posed, numbers = trial, trial_numbers
+        damping *= 0.2 if better else 5.0
+    return posed, numbers, np.linalg.inv(normal)
+
+
+def test_pose_and_sizes_are_recovered_from_points_on_the_surface(space, rng):
+    sd, family = 0.001, family_body("fine")
+    # Sizes as they are expected of people, at most a quarter so far from the mean.
+    true_numbers = 0.25 * np.linalg.cholesky(space.prior_covariance) @ rng.normal(size=len(space))
+    true = PosedMetaballs(space.balls(true_numbers), people.any_pose(rng, family, spread=0.1))
+    skin = PosedBody(metaball_body(space, true_numbers), true.pose).vertices
+    surface = true.onto_surface(skin)
+    surface = surface[np.abs(true.distance(surface)) < 1e-6]
+    points = surface + rng.normal(size=surface.shape) * sd
+    pose = true.pose.step(np.append(rng.normal(size=3) * 0.01, rng.normal(size=len(true.pose.angles) + 3) * 0.02))
+    # First the points are believed to a centimetre only: what is near weighs no more than what is expected.
+    near, numbers, _ = fitted(space, PosedMetaballs(space.mean, pose), np.zeros(len(space)), points, 10 * sd)
+    found, numbers, covariance = fitted(space, near, numbers, points, sd)
+    # Hands and toes are as thin as the start is wrong, and may stay where points of one side are taken for the other's.
+    thick = [i for i, name in enumerate(space.names) if not name.startswith(("hand", "foot", "toes"))]
+    sds = np.sqrt(np.diag(covariance)[-len(space) :])
+    assert np.all(np.abs(numbers - true_numbers)[thick] < 4.5 * sds[thick])
+    assert sds[space.names.index("thigh_length")] < 0.01
+    knee = space.mean.skeleton.segment("left_shank")
+    assert np.linalg.norm(found.segment_origin[knee] - true.segment_origin[knee]) < 0.005
+    # 0.67 sd is the noise's own; the rest is hands and toes.
+    assert np.median(np.abs(found.distance(points))) < 0.8 * sd
 
 
 def test_people_of_the_family_are_expected(space):

@@ -8,6 +8,8 @@ THRESHOLD = 0.5
 FLATTEST = 2.0
 """Least slope by which the logarithm of the field is divided for a distance [1/m]; 0.15 m from the axis of the thickest
 limb it is above 9."""
+CORE = 500.0
+"""How strongly the logarithm of the field is taken to curve inside the surface [1/m2]: that of a limb 0.075 m thick."""
 _FAR = -40.0
 """exp() of less, beside 1, is below the last digit."""
 
@@ -93,15 +95,30 @@ def _slope(axes, radii, local, share, gradient):
 
 
 @numba.njit(cache=True, nogil=True)
+def _distance(level, square):
+    """Give the distance from L = ln(F / T) and |grad L|^2, and what dL and grad L . d(grad L) do to it.
+
+    With g = sqrt(|grad L|^2 + k^2) it is -L / g outside, and inside -L / ((g + q) / 2), q = sqrt(g^2 + 4 c L).
+    """
+    g = np.sqrt(square + FLATTEST**2)
+    if level <= 0.0:
+        return -level / g, -1.0 / g, level / g**3
+    q = np.sqrt(g * g + 4.0 * CORE * level)
+    mean = 0.5 * (g + q)
+    return -level / mean, -1.0 / mean + level * CORE / (q * mean * mean), 0.5 * level * (1.0 / g + 1.0 / q) / mean**2
+
+
+@numba.njit(cache=True, nogil=True)
 def distances(points, limbs, limb_count, ball_limb, place, axes, radii, weight):
-    """Give how far points (n, 3) lie outside the surface: -L / sqrt(|grad L|^2 + k^2), L = ln(F / T)."""
+    """Give how far points (n, 3) lie outside the surface, see `_distance`."""
     local, share = np.empty((radii.shape[0], 3)), np.empty(radii.shape[0])
     top, total, slope = np.empty(limb_count), np.empty(limb_count), np.empty(3)
     distance = np.empty(points.shape[0])
     for i in range(points.shape[0]):
         level = _weigh(points[i], limbs[i], ball_limb, place, axes, radii, weight, local, share, top, total)
         _slope(axes, radii, local, share, slope)
-        distance[i] = -level / np.sqrt(slope[0] ** 2 + slope[1] ** 2 + slope[2] ** 2 + FLATTEST**2)
+        square = slope[0] ** 2 + slope[1] ** 2 + slope[2] ** 2
+        distance[i] = _distance(level, square)[0]
     return distance
 
 
@@ -113,8 +130,8 @@ def linearize(
     """Write the residual and its derivatives, see `metaballs.Linearized`; all outputs come filled with zeros.
 
     With L = ln(F / T), G its gradient and p_m the share of ball m, whose logarithm of the field is f_m, any change t of
-    ball m gives dL = p_m f_mt and G.dG = p_m (G.grad f_mt + f_mt (G.grad f_m - |G|^2)). The distance -L / S,
-    S^2 = |G|^2 + k^2, then changes by -dL / S + L G.dG / S^3.
+    ball m gives dL = p_m f_mt and G.dG = p_m (G.grad f_mt + f_mt (G.grad f_m - |G|^2)), by which the
+    distance changes as `_distance` says.
     """
     local, share = np.empty((radii.shape[0], 3)), np.empty(radii.shape[0])
     top, total, slope = np.empty(limb_count), np.empty(limb_count), np.empty(3)
@@ -123,9 +140,7 @@ def linearize(
         _slope(axes, radii, local, share, slope)
         square = slope[0] ** 2 + slope[1] ** 2 + slope[2] ** 2
         if as_distance:
-            steep = np.sqrt(square + FLATTEST**2)
-            residual[i] = -level / steep
-            first, second = -1.0 / steep, level / steep**3
+            residual[i], first, second = _distance(level, square)
         else:
             residual[i] = THRESHOLD * np.expm1(level)
             first, second = THRESHOLD * np.exp(level), 0.0

@@ -158,10 +158,11 @@ class PosedMetaballs:
     def distances(self, points: Floats, limb: Integers | int = ANY_LIMB) -> Linearized:
         """Give how far points lie outside the surface, to first order [m], and how that changes.
 
-        The residual is ln(1/2 / F) / sqrt(|grad ln F|^2 + k^2) with the field F. Unlike the paper, whose residual
-        F - 1/2 (`potentials`) has no unit and no slope far from the body, it is a distance for which an observation's
+        The residual is ln(1/2 / F) / |grad ln F| with the field F. Unlike the paper, whose residual F - 1/2
+        (`potentials`) has no unit and no slope far from the body, it is a distance for which an observation's
         standard deviation can be given in metres. It is exact to first order near the surface; a point far outside
-        reads about half its distance. k bounds what a point reads deep inside, where the field is flat.
+        reads about half its distance, and deep inside, where the field is flat, the slope is held up
+        (`metaball_field.CORE`), so that no point reads more than some centimetres.
 
         Args:
             points: (n, 3) in the world [m].
