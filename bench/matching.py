@@ -20,7 +20,7 @@ from marey.images.splines import spline_of
 
 SHAPE = (960, 1280)
 MAP, SHIFT = np.array([[1.04, 0.03], [-0.02, 0.96]]), np.array([3.3, -2.7])
-STEP, MARGIN, REPEATS = 10, 40, 7
+STEP, MARGIN, REPEATS = 4, 40, 7
 ECC_PATCHES, ECC_WINDOW = 300, 14
 SIZE = 13
 
