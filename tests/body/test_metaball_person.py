@@ -41,9 +41,17 @@ def test_the_generic_metaballs_follow_the_mean_skin(space):
 
 
 def test_no_metaball_stands_out_of_the_body(space):
-    """Each ball's centre lies inside, or so near the skin that the ball ends beside it."""
-    distance = space.mean.at_rest().distance(space.mean.at_rest().place)
-    assert distance.max() < 0.0
+    """Each ball's centre lies inside the mean skin; a hand's, a mitten, may lie between thumb and fingers."""
+    family, place = family_body("fine"), space.mean.at_rest().place
+    centres, _ = face_centres(family)
+    a, b, c = (family.vertices[family.faces[:, corner]] for corner in range(3))
+    outward = np.cross(b - a, c - a)
+    nearest = np.argmin(np.linalg.norm(place[:, None] - centres, axis=2), 1)
+    outward = outward[nearest] / np.linalg.norm(outward[nearest], axis=1)[:, None]
+    outside = np.einsum("ba,ba->b", place - centres[nearest], outward)
+    hands = np.isin(space.mean.segment, [space.mean.skeleton.segment(f"{side}_hand") for side in ("left", "right")])
+    assert outside[~hands].max() < 0.0
+    assert outside[hands].max() < 0.015
 
 
 def test_both_sides_of_the_generic_person_are_alike(space, rng):
