@@ -1,11 +1,14 @@
+from typing import get_args
+
 import cv2
 import numpy as np
 import pytest
 from tests.clips import make_trial, numbered_picture, write_video
 
+from marey.body.presets import PRESETS
 from marey.errors import FileProblem, SettingProblem
 from marey.io.masks import write_masks
-from marey.io.trial import read_settings, read_trial, z_up_from
+from marey.io.trial import Preset, read_settings, read_trial, z_up_from
 
 
 def test_a_folder_with_videos_and_cameras_is_a_trial(tmp_path):
@@ -176,3 +179,7 @@ def test_true_joints_project_into_the_true_silhouettes(shared, name):
         frame, joint = np.nonzero(camera.sees(pixels))
         x, y = np.rint(pixels[frame, joint]).astype(int).T
         assert silhouettes[frame, y, x].mean() > 0.99
+
+
+def test_a_trial_may_name_every_preset_that_there_is():
+    assert get_args(Preset) == tuple(PRESETS)

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 import marey
+from marey.body.presets import PRESETS
 from marey.cli.settings import CaptureSettings, parse_frames, parse_names
 from marey.errors import FileProblem, MareyError
 
@@ -33,7 +34,7 @@ Cameras = Annotated[str | None, typer.Option(metavar="A,B,...", help="Names of t
 Frames = Annotated[str | None, typer.Option(metavar="A:B", help="Only frames A to B, without B; they count from 0.")]
 Preset = Annotated[
     str | None,
-    typer.Option(metavar="NAME", help="What to follow: full or upper."),
+    typer.Option(metavar="NAME", help=f"What to follow: {', '.join(PRESETS)}."),
 ]
 Stature = Annotated[float | None, typer.Option(metavar="M", help="The person's height in metres, where it is known.")]
 Start = Annotated[
