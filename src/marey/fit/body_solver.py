@@ -79,8 +79,8 @@ def bounded_step(information: Floats, gradient: Floats, least: Floats, greatest:
     """
     upper = scipy.linalg.cholesky(information)
     target = -scipy.linalg.solve_triangular(upper, gradient, trans="T")
-    margin = 1e-9 + 1e-9 * np.abs(gradient)  # the solver wants room between the bounds
-    found = scipy.optimize.lsq_linear(upper, target, (least - margin, greatest + margin), method="bvls").x
+    # The solver wants room between the bounds.
+    found = scipy.optimize.lsq_linear(upper, target, (least - 1e-9, greatest + 1e-9), method="bvls").x
     return np.clip(found, least, greatest)
 
 

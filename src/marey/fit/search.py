@@ -74,7 +74,6 @@ class Search:
         numbers = min(numbers, len(posed.body.space))
         schedule = Schedule(iterations=iterations, gate=gate, scale=(10.0, 3.0) if iterations > 5 else (6.0, 3.0))
         others: list[Observation] = [JointLimits(), Habit(share=0.03)]
-        numbers = min(numbers, len(posed.body.space))
         if numbers == 0:
             return self.judge(fit_pose(posed, self.level.sightings, others, schedule=schedule).posed)
         narrowed = _narrow(posed, numbers)
