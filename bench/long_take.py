@@ -17,8 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
+from marey.body.person import person_body
 from marey.body.pose import Pose, PosedBody
-from marey.body.presets import person_body
 from marey.body.surface import Body
 from marey.cameras.camera import Camera
 from marey.cli.kept_candidates import KeptArrays

@@ -15,8 +15,8 @@ import cv2
 import numpy as np
 
 from marey.arrays import Floats, Mask
+from marey.body.person import family_body, person_body
 from marey.body.pose import Pose, PosedBody
-from marey.body.presets import family_body, person_body
 from marey.body.surface import Body
 from marey.cameras.camera import Camera
 from marey.fit.person import (

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from marey.body.family import distal_ends, load_family
 from marey.body.metaballs import ANY_LIMB, Metaballs
-from marey.body.presets import family_body
+from marey.body.person import family_body
 from marey.body.surface import Body
 
 OUT = Path(__file__).parents[1] / "src" / "marey" / "body" / "metaballs.npz"

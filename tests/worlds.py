@@ -9,8 +9,8 @@ import numpy as np
 
 from marey.arrays import Floats, Mask
 from marey.body.family import Level as Detail
+from marey.body.person import family_body
 from marey.body.pose import Pose, PosedBody
-from marey.body.presets import family_body
 from marey.body.skeleton import Skeleton
 from marey.body.surface import Body
 from marey.cameras.camera import Camera

@@ -8,8 +8,8 @@ from tests import people
 from marey.body.family import load_family
 from marey.body.metaball_person import DETAILS, generic_metaballs, metaball_body, metaball_space
 from marey.body.metaballs import PosedMetaballs
+from marey.body.person import family_body
 from marey.body.pose import PosedBody
-from marey.body.presets import family_body
 from marey.errors import SettingProblem
 
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from tests import worlds
 
+from marey.body.person import person_body
 from marey.body.pose import Pose, PosedBody
-from marey.body.presets import person_body
 from marey.cli import capture_stages as stages
 from marey.cli.capture import coarse_twin, open_bodies, require_two_cameras
 from marey.cli.mask_store import MaskStore

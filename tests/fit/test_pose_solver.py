@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from tests import worlds
 
+from marey.body.person import person_body
 from marey.body.pose import PosedBody
-from marey.body.presets import person_body
 from marey.fit.levels import Level
 from marey.fit.moments import gather_moments
 from marey.fit.pose_solver import (

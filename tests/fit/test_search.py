@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from tests import worlds
 
+from marey.body.person import person_body
 from marey.body.pose import Pose, PosedBody
-from marey.body.presets import person_body
 from marey.fit import placements
 from marey.fit import search as steps
 from marey.fit.levels import Level

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from tests import worlds
 
+from marey.body.person import person_body
 from marey.body.pose import Pose, PosedBody
-from marey.body.presets import person_body
 from marey.fit.search import Candidate, StartSettings
 from marey.fit.start import _best, find_start
 from marey.geometry import rotations

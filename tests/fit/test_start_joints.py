@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from tests import worlds
 
+from marey.body.person import person_body
 from marey.body.pose import PosedBody
-from marey.body.presets import person_body
 from marey.errors import MareyError
 from marey.fit.person import PersonSettings, Take
 from marey.fit.start_joints import start_from_joints

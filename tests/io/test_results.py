@@ -9,7 +9,7 @@ import pytest
 from tests import people, performer
 
 from marey.arrays import Floats
-from marey.body.presets import person_body
+from marey.body.person import person_body
 from marey.body.surface import Body
 from marey.errors import FileProblem
 from marey.io import npz

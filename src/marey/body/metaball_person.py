@@ -9,7 +9,7 @@ import numpy as np
 
 from marey.arrays import Floats, Integers, frozen
 from marey.body.metaballs import ANY_LIMB, Linearized, Metaballs, PosedMetaballs
-from marey.body.presets import family_body
+from marey.body.person import family_body
 from marey.body.surface import Body, ShapeSpace
 from marey.errors import SettingProblem
 

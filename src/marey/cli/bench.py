@@ -20,8 +20,8 @@ from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 from marey.arrays import Floats, Image, Mask
+from marey.body.person import family_body
 from marey.body.pose import Pose, PosedBody, SurfacePoints
-from marey.body.presets import family_body
 from marey.cameras.camera import Camera
 from marey.cli.progress import Progress
 from marey.cli.settings import CaptureSettings

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from marey.body.person import person_body
 from marey.body.pose import Pose
-from marey.body.presets import person_body
 from marey.body.surface import Body
 from marey.cli import capture_stages as stages
 from marey.cli.capture_report import draw_overlays, report_capture

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from tests import worlds
 
+from marey.body.person import family_body, person_body
 from marey.body.pose import Pose, PosedBody
-from marey.body.presets import family_body, person_body
 from marey.errors import SettingProblem
 from marey.geometry import rotations
 
