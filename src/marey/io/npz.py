@@ -98,23 +98,48 @@ def write_skin(
     Raises:
         ValueError: Another number of frames came.
     """
-    unseen = (np.zeros(count, bool) for _ in range(frames))
+    flags = (False for _ in range(frames)) if seen is None else seen
+    posed = (np.broadcast_to(row, (1, count, 3)) for row in vertices)
+    measured = (np.broadcast_to(row, (1, count)) for row in flags)
+    arrays: list[ArrayRows] = [
+        ("vertices", posed, np.dtype("<f4"), (frames, count, 3)),
+        ("faces", [faces], np.dtype("<i8"), (len(faces), 3)),
+        ("seen", measured, np.dtype(bool), (frames, count)),
+    ]
+    write_rows(path, arrays)
+
+
+ArrayRows = tuple[str, Iterable[np.ndarray], np.dtype, tuple[int, ...]]
+"""An array in pieces: its name, the pieces (some rows each), and the type and shape of the whole."""
+
+
+def write_rows(path: Path | str, arrays: Iterable[ArrayRows]) -> None:
+    """Write arrays that come in pieces, so that none of them ever stands in memory as a whole.
+
+    Args:
+        path: The file.
+        arrays: One after the other.
+
+    Raises:
+        ValueError: The pieces have other rows than the whole shall have.
+    """
     with replacing(path) as beside, zipfile.ZipFile(beside, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
-        _write_rows(archive, "vertices", vertices, np.dtype("<f4"), (frames, count, 3))
-        _write_rows(archive, "faces", faces, np.dtype("<i8"), (len(faces), 3))
-        _write_rows(archive, "seen", unseen if seen is None else seen, np.dtype(bool), (frames, count))
+        for name, pieces, dtype, shape in arrays:
+            _write_rows(archive, name, pieces, dtype, shape)
 
 
 def _write_rows(
-    archive: zipfile.ZipFile, name: str, rows: Iterable[np.ndarray], dtype: np.dtype, shape: tuple[int, ...]
+    archive: zipfile.ZipFile, name: str, pieces: Iterable[np.ndarray], dtype: np.dtype, shape: tuple[int, ...]
 ) -> None:
-    """Write one array of an NPZ row by row."""
+    """Write one array of an NPZ piece by piece."""
     written = 0
     with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
         head = {"descr": np.lib.format.dtype_to_descr(dtype), "fortran_order": False, "shape": shape}
         np.lib.format.write_array_header_1_0(file, head)
-        for row in rows:
-            file.write(np.ascontiguousarray(np.broadcast_to(row, shape[1:]), dtype=dtype).tobytes())
-            written += 1
+        for piece in pieces:
+            if np.shape(piece)[1:] != shape[1:]:
+                raise ValueError(f"{name} came with rows of shape {np.shape(piece)[1:]} instead of {shape[1:]}")
+            file.write(np.ascontiguousarray(piece, dtype=dtype).tobytes())
+            written += len(piece)
     if written != shape[0]:
         raise ValueError(f"{name} came with {written} rows instead of {shape[0]}")
