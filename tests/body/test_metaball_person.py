@@ -6,9 +6,16 @@ from scipy.linalg import block_diag
 from tests import people
 
 from marey.body.family import load_family
-from marey.body.metaball_person import DETAILS, generic_metaballs, metaball_body, metaball_space
+from marey.body.metaball_person import (
+    DETAILS,
+    generic_metaballs,
+    metaball_body,
+    metaball_person,
+    metaball_space,
+    reshaped,
+)
 from marey.body.metaballs import PosedMetaballs
-from marey.body.person import family_body
+from marey.body.person import family_body, person_body
 from marey.body.pose import PosedBody
 from marey.errors import SettingProblem
 
@@ -192,3 +199,64 @@ def test_people_of_the_family_are_expected(space):
 def test_unknown_detail_is_an_error_that_lists_the_known():
     with pytest.raises(SettingProblem, match="simple or full"):
         metaball_space("rough")
+
+
+def test_the_skin_is_made_anew_for_other_numbers(space, body, rng):
+    numbers = rng.multivariate_normal(np.zeros(len(space)), space.prior_covariance)
+    balls = space.balls(numbers).at_rest()
+    off = [np.abs(balls.distance(made.vertices)) for made in (body.with_numbers(numbers), reshaped(body, numbers))]
+    assert np.quantile(off[0], 0.95) > 2e-4
+    assert np.quantile(off[1], 0.95) < 1e-6
+    np.testing.assert_array_equal(reshaped(body, numbers).numbers, numbers)
+
+
+def test_an_ordinary_body_takes_other_numbers_as_ever(rng):
+    family = family_body("coarse")
+    numbers = rng.normal(size=len(family.space))
+    np.testing.assert_array_equal(reshaped(family, numbers).vertices, family.with_numbers(numbers).vertices)
+
+
+def test_a_preset_keeps_of_the_metaball_person_what_it_keeps_of_any_body():
+    limb, mesh = metaball_person("simple", "coarse", preset="right_arm"), person_body("coarse", preset="right_arm")
+    assert limb.skeleton.coordinate_names == mesh.skeleton.coordinate_names
+    assert limb.metaballs.mean.skeleton.coordinate_names == mesh.skeleton.coordinate_names
+    np.testing.assert_array_equal(limb.followed, mesh.followed)
+    np.testing.assert_array_equal(limb.followed_joints, mesh.followed_joints)
+    shown = {limb.skeleton.segment_names[k] for k in limb.face_segment}
+    assert {"right_hand", "right_forearm", "thorax"} <= shown
+    assert not any(name.startswith("left") or "thigh" in name for name in shown)
+    again = reshaped(limb, limb.numbers + 0.05)
+    np.testing.assert_array_equal(again.outline_counts, limb.outline_counts)
+    assert again.skeleton is limb.skeleton
+
+
+def test_a_known_stature_makes_the_metaball_person_that_tall():
+    for stature in (1.6, 1.85):
+        body = metaball_person("full", "coarse", stature_m=stature)
+        assert np.ptp(body.vertices[:, 2]) == pytest.approx(stature, abs=0.03)
+
+
+def test_both_levels_of_the_metaball_person_have_the_same_joints(rng):
+    fine, coarse = (metaball_person("simple", level) for level in ("fine", "coarse"))
+    numbers = rng.normal(size=len(fine.space)) * 0.05
+    np.testing.assert_array_equal(reshaped(fine, numbers).joint_centres, reshaped(coarse, numbers).joint_centres)
+
+
+def test_joints_of_metaball_people_are_known_no_better_than_the_familys():
+    """The least that both kinds of deviation add is what skin alone leaves open in the learned family."""
+    body, family = metaball_person("full", "coarse"), person_body("coarse", numbers=16)
+    assert np.all(body.joint_sd >= family.joint_sd)
+    assert np.all(np.hypot(body.joint_sd, body.joint_offset_sd) < 0.04)
+
+
+def test_the_leading_directions_say_most_of_a_person_first(rng):
+    """Most of the difference between people's skins lies in a few directions, whose steps are independent."""
+    space = metaball_person("full", "coarse").space
+    steps = space.leading
+    whitened = np.linalg.solve(steps.T, np.linalg.cholesky(space.prior_covariance))
+    np.testing.assert_allclose(whitened @ whitened.T, np.eye(len(space)), atol=1e-8)
+    moved = np.sum(np.square(np.tensordot(steps, space.vertex_modes, 1)), (1, 2))
+    assert np.all(np.diff(moved) <= 1e-9)
+    assert moved[:8].sum() > 0.9 * moved.sum()
+    numbers = rng.normal(size=len(space))
+    np.testing.assert_allclose(space.by_rank.vertices(numbers), space.vertices(steps.T @ numbers), atol=1e-12)

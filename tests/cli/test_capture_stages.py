@@ -15,6 +15,7 @@ from marey.cli import capture_stages as stages
 from marey.cli.capture import coarse_twin, open_bodies, require_two_cameras
 from marey.cli.mask_store import MaskStore
 from marey.cli.progress import Progress
+from marey.cli.settings import CaptureSettings
 from marey.errors import FileProblem
 from marey.geometry import rotations
 from marey.io.body import write_body
@@ -225,7 +226,7 @@ def test_clutter_is_told_by_camera_and_only_what_is_common_is_kept(tmp_path):
 def given(path, **settings):
     """What `open_bodies` looks at."""
     asked = SimpleNamespace(preset=settings.get("preset"), stature_m=settings.get("stature_m"))
-    return SimpleNamespace(settings=asked), SimpleNamespace(body=path)
+    return SimpleNamespace(settings=asked), CaptureSettings(body=path)
 
 
 def test_a_body_of_an_earlier_take_has_a_twin_with_few_vertices(tmp_path, rng):

@@ -9,6 +9,7 @@ import pytest
 from tests import people, performer
 
 from marey.arrays import Floats
+from marey.body.metaball_person import metaball_person, reshaped
 from marey.body.person import person_body
 from marey.body.surface import Body
 from marey.errors import FileProblem
@@ -174,6 +175,52 @@ def test_a_body_read_back_follows_what_its_preset_follows(tmp_path):
     assert preset == "right_arm"
     np.testing.assert_array_equal(back.outline_counts, limb.outline_counts)
     np.testing.assert_array_equal(back.followed_joints, limb.followed_joints)
+
+
+def test_a_body_of_metaballs_comes_back_whole(tmp_path, rng):
+    made = metaball_person("simple", "coarse", preset="right_arm")
+    made = reshaped(made, rng.normal(size=len(made.space)) * 0.05)
+    person = replace(made, numbers_covariance=0.01 * made.space.prior_covariance)
+    write_body(tmp_path / "body.npz", person, preset="right_arm")
+    back, _ = read_body(tmp_path / "body.npz")
+    for name in ("vertices", "joint_centres", "numbers", "numbers_covariance", "joint_sd", "joint_offset_sd"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(person, name), err_msg=name)
+    assert back.skeleton.coordinate_names == back.metaballs.mean.skeleton.coordinate_names
+    other = rng.normal(size=len(made.space)) * 0.05
+    np.testing.assert_array_equal(reshaped(back, other).vertices, reshaped(person, other).vertices)
+    np.testing.assert_array_equal(back.space.leading, person.space.leading)
+
+
+def test_radii_in_the_file_carry_the_uncertainty_of_the_numbers(tmp_path, rng):
+    person = metaball_person("simple", "coarse")
+    covariance = 0.01 * person.space.prior_covariance
+    write_body(tmp_path / "body.npz", replace(person, numbers_covariance=covariance), preset="full")
+    count = 2000
+    drawn = [person.metaballs.balls(n).radii for n in rng.multivariate_normal(person.numbers, covariance, count)]
+    with np.load(tmp_path / "body.npz") as stored:
+        np.testing.assert_array_equal(stored["metaball_radii"], person.metaballs.balls(person.numbers).radii)
+        np.testing.assert_allclose(stored["metaball_radii_sd"], np.std(drawn, 0), rtol=5 / np.sqrt(2 * count))
+        centres = stored["metaball_centre"] + stored["segment_origin"][stored["metaball_segment"]]
+        shapes = {name: stored[f"metaball_{name}"].shape for name in ("centre", "radii", "weight", "rotation")}
+    np.testing.assert_allclose(centres, person.metaballs.balls(person.numbers).at_rest().place)
+    assert shapes == {"centre": (60, 3), "radii": (60, 3), "weight": (60,), "rotation": (60, 3, 3)}
+
+
+def test_metaballs_that_are_not_those_of_the_numbers_are_refused(tmp_path):
+    write_body(tmp_path / "body.npz", metaball_person("simple", "coarse"), preset="full")
+    stored = npz.read_arrays(tmp_path / "body.npz")
+    npz.write_arrays(tmp_path / "moved.npz", stored | {"metaball_centre": stored["metaball_centre"] + 0.01})
+    with pytest.raises(FileProblem, match="metaballs are not those of its numbers"):
+        read_body(tmp_path / "moved.npz")
+    npz.write_arrays(tmp_path / "less.npz", {k: v for k, v in stored.items() if k != "metaball_radii_modes"})
+    with pytest.raises(FileProblem, match="metaball_radii_modes"):
+        read_body(tmp_path / "less.npz")
+
+
+def test_a_mesh_has_no_metaballs(results: Path):
+    with np.load(results / "body.npz") as stored:
+        assert [stored[f"metaball_{name}"].shape for name in ("segment", "centre", "radii")] == [(0,), (0, 3), (0, 3)]
+    assert read_body(results / "body.npz")[0].metaballs is None
 
 
 def test_our_own_glb_is_read_as_the_body_it_came_from(results: Path, person: Body):

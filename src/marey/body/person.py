@@ -106,17 +106,27 @@ def person_body(
     Raises:
         SettingProblem: The preset is unknown.
     """
-    if preset not in PRESETS:
-        raise SettingProblem(f"preset is '{preset}'; it should be one of {', '.join(PRESETS)}.")
+    followed = preset_named(preset)
     family = load_family(level, numbers)
     space = person_space(family, numbers=numbers)
     if stature_m is not None:
         space = condition(space, measures(family), {"stature": (stature_m, STATURE_SD)})
     body = _body(family, space)
-    return _preset_body(replace(body, numbers=space.prior_mean), PRESETS[preset])
+    return preset_body(replace(body, numbers=space.prior_mean), followed)
 
 
-def _preset_body(body: Body, preset: Preset) -> Body:
+def preset_named(name: str) -> Preset:
+    """Find a preset.
+
+    Raises:
+        SettingProblem: None has the name.
+    """
+    if name not in PRESETS:
+        raise SettingProblem(f"preset is '{name}'; it should be one of {', '.join(PRESETS)}.")
+    return PRESETS[name]
+
+
+def preset_body(body: Body, preset: Preset) -> Body:
     """Leave of a body what a preset follows. Where the skin ends it has no outline."""
     skeleton = body.skeleton
     if preset.coordinates is not None:
@@ -128,6 +138,8 @@ def _preset_body(body: Body, preset: Preset) -> Body:
     cut = np.isin(body.faces, np.unique(body.faces[~there])).any(1)
     names = preset.segments or [name for name in skeleton.segment_names if name not in preset.unseen]
     followed = np.isin(skeleton.segment_names, names)
+    balls = body.metaballs
     return replace(
-        body, skeleton=skeleton, faces=body.faces[there], outlined=(believed & ~cut)[there], followed=followed
-    )
+        body, skeleton=skeleton, faces=body.faces[there], outlined=(believed & ~cut)[there], followed=followed,
+        metaballs=None if balls is None else replace(balls, mean=replace(balls.mean, skeleton=skeleton)),
+    )  # fmt: skip

@@ -1,6 +1,7 @@
 """Presets: which segments and coordinates of a person a capture follows."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 _ARM = ("shoulder_sweep", "shoulder_lift", "shoulder_turn", "elbow_flexion", "pronation", "wrist_flexion",
         "wrist_deviation")  # fmt: skip
@@ -47,3 +48,6 @@ PRESETS: dict[str, Preset] = {
         for side in _BOTH
     },
 }
+
+GENERIC_BODIES: dict[str, Literal["simple", "full"]] = {"metaballs": "full", "simple-metaballs": "simple"}
+"""Bodies of generic size that a capture knows by a word instead of a file, and the detail of their metaballs."""

@@ -2,13 +2,16 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from marey.arrays import Floats, Integers, Mask, frozen
 from marey.body.kinematics import share_faces
 from marey.body.skeleton import JOINT_OF_SEGMENT, Skeleton
+
+if TYPE_CHECKING:
+    from marey.body.metaball_person import MetaballSpace
 
 
 class PackedSkeleton(NamedTuple):
@@ -51,6 +54,8 @@ class ShapeSpace:
     """(M,) what to expect of a person of whom nothing is known."""
     prior_covariance: Floats
     """(M, M)."""
+    ranked: bool = True
+    """Whether the first numbers say most of a person, so that a rough fit may leave out the others."""
 
     def __post_init__(self) -> None:
         for name in ("vertex_mean", "vertex_modes", "joint_mean", "joint_modes", "prior_mean", "prior_covariance"):
@@ -70,6 +75,34 @@ class ShapeSpace:
         """(V, 3, M): the vertices' modes, for kernels that sum over many numbers at once."""
         return frozen(np.moveaxis(self.vertex_modes, 0, 2))
 
+    @cached_property
+    def leading(self) -> Floats:
+        """(M, M): directions of the numbers, one a row, of which the first ones say most of a person.
+
+        The numbers themselves where they are ranked; else independent directions of unit variance, those first in
+        which the people that the prior expects differ most in their skin.
+        """
+        if self.ranked:
+            return frozen(np.eye(len(self)))
+        root = np.linalg.cholesky(self.prior_covariance)
+        skin = self.vertex_modes.reshape(len(self), -1)
+        _, turn = np.linalg.eigh(root.T @ (skin @ skin.T) @ root)
+        return frozen((root @ turn[:, ::-1]).T)
+
+    @cached_property
+    def by_rank(self) -> "ShapeSpace":
+        """The same shapes, by the steps along the `leading` directions: numbers (M,) are leading.T @ steps."""
+        if self.ranked:
+            return self
+        steps = np.linalg.inv(self.leading.T)
+        covariance = steps @ self.prior_covariance @ steps.T
+        return ShapeSpace(
+            names=tuple(f"direction_{i + 1}" for i in range(len(self))),
+            vertex_mean=self.vertex_mean, vertex_modes=np.tensordot(self.leading, self.vertex_modes, 1),
+            joint_mean=self.joint_mean, joint_modes=np.tensordot(self.leading, self.joint_modes, 1),
+            prior_mean=steps @ self.prior_mean, prior_covariance=0.5 * (covariance + covariance.T),
+        )  # fmt: skip
+
     def first(self, numbers: int) -> "ShapeSpace":
         """Keep only the first numbers."""
         return self.keep(range(numbers))
@@ -86,6 +119,7 @@ class ShapeSpace:
             joint_modes=self.joint_modes[index],
             prior_mean=self.prior_mean[index],
             prior_covariance=self.prior_covariance[np.ix_(index, index)],
+            ranked=self.ranked,
         )
 
     def vertices(self, numbers: Floats) -> Floats:
@@ -123,6 +157,8 @@ class Body:
     """(S,) how far, by axis, it lies from there in every posture [m]; None where nobody knows."""
     numbers_covariance: Floats | None = None
     """(M, M) of the numbers, once they were estimated."""
+    metaballs: "MetaballSpace | None" = None
+    """The metaballs whose surface the skin is, of the same numbers; None where the skin is a mesh of its own."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "numbers", frozen(self.numbers))

@@ -8,8 +8,11 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from marey.body.family import LEVELS
+from marey.body.metaball_person import metaball_body, metaball_person, reshaped
 from marey.body.person import person_body
 from marey.body.pose import Pose
+from marey.body.presets import GENERIC_BODIES
 from marey.body.surface import Body
 from marey.cli import capture_stages as stages
 from marey.cli.capture_report import draw_overlays, report_capture
@@ -32,6 +35,7 @@ from marey.fit.person import (
     unseen,
     with_shape,
 )
+from marey.fit.pick_up import of_one_shape
 from marey.fit.search import Candidate
 from marey.fit.sequence import RefineMemory
 from marey.fit.start_joints import start_from_joints
@@ -83,8 +87,9 @@ def capture(folder: Path, settings: CaptureSettings, progress: Progress) -> Path
     stages.keep_memory()
     with threadpool_limits(1):
         bodies = open_bodies(trial, settings)
-        named = [*trial.input_files, *([settings.body] if settings.body else [])]
-        cache = StageCache(out, [file_fingerprint(path) for path in named])
+        named = [*trial.input_files, *([settings.body_file] if settings.body_file else [])]
+        how = f"{settings.body if settings.body_file is None else ''}, {settings.fixed_sizes}"
+        cache = StageCache(out, [*(file_fingerprint(path) for path in named), how])
         scope = (trial.rig.names, trial.take.first, trial.take.end, trial.settings.model_dump_json())
         with (
             cache,
@@ -129,6 +134,10 @@ class Bodies:
     fine: Body
     coarse: Body
 
+    def held(self) -> "Bodies":
+        """The same bodies, whose sizes nothing changes."""
+        return Bodies(of_one_shape(self.fine), of_one_shape(self.coarse))
+
 
 def require_two_cameras(trial: Trial) -> None:
     """Check that depth can be measured.
@@ -148,18 +157,24 @@ def open_bodies(trial: Trial, settings: CaptureSettings) -> Bodies:
     same shape numbers and the same joints. A scan has none and is used as it is: the start takes the longer the more
     vertices it has; below 2000 they hardly count.
     """
-    preset = trial.settings.preset or "full"
+    preset, stature = trial.settings.preset or "full", trial.settings.stature_m
+    detail = GENERIC_BODIES.get(str(settings.body))
     fine, coarse = (
-        person_body(level, preset=preset, stature_m=trial.settings.stature_m) for level in ("fine", "coarse")
+        metaball_person(detail, level, preset=preset, stature_m=stature)
+        if detail
+        else person_body(level, preset=preset, stature_m=stature)
+        for level in LEVELS
     )
-    if settings.body is None:
+    if settings.body_file is None:
         return Bodies(fine, coarse)
-    given = open_body(settings.body, fine)
+    given = open_body(settings.body_file, fine)
     return Bodies(given, coarse_twin(given, coarse) or given)
 
 
 def coarse_twin(given: Body, coarse: Body) -> Body | None:
     """Give a body of few vertices the shape of another, or None where its numbers do not mean the same joints."""
+    if given.metaballs is not None:
+        return metaball_twin(given, coarse)
     same = given.space.names == coarse.space.names and given.skeleton.segment_names == coarse.skeleton.segment_names
     if not same or given.skeleton.coordinate_names != coarse.skeleton.coordinate_names:
         return None
@@ -168,6 +183,14 @@ def coarse_twin(given: Body, coarse: Body) -> Body | None:
     )  # fmt: skip
     twin = replace(with_shape(given, coarse), space=prior)
     return twin if np.allclose(twin.joint_centres, given.joint_centres, atol=TWIN_M) else None
+
+
+def metaball_twin(given: Body, coarse: Body) -> Body | None:
+    """Bring the few vertices of another body onto the metaballs of one, or give None where they move otherwise."""
+    if given.metaballs is None or given.skeleton.coordinate_names != coarse.skeleton.coordinate_names:
+        return None
+    generic = metaball_body(given.metaballs, template=coarse)
+    return with_shape(given, replace(generic, skeleton=given.skeleton))
 
 
 def _capture(run: Run, bodies: Bodies, logs: Logs) -> None:
@@ -205,6 +228,7 @@ def _capture(run: Run, bodies: Bodies, logs: Logs) -> None:
 def _tracked(run: Run, take: Take, bodies: Bodies) -> Tracked:
     """Find the start, follow the person, and learn the shape."""
     person, progress, cache = run.person, run.progress, run.cache
+    free = bodies.held() if run.settings.fixed_sizes else bodies
 
     def start() -> Arrays:
         count = min(person.start_frames, len(take.frames))
@@ -212,9 +236,9 @@ def _tracked(run: Run, take: Take, bodies: Bodies) -> Tracked:
             cache.frames("start_frames", depends=run.scope) as log,
             progress.stage("Start", count) as step,
         ):
-            kept = KeptCandidates(log, bodies.fine)
-            found = begin(run, take, bodies, kept, done=lambda frame: step())
-        return _packed({found[0]: found[1]}, found[1].posed.body)
+            kept = KeptCandidates(log, free.fine)
+            frame, found = begin(run, take, free, kept, done=lambda frame: step())
+        return _packed({frame: found}, bodies.fine if run.settings.fixed_sizes else found.posed.body)
 
     def follow() -> Arrays:
         begun = _unpacked(cache.arrays("start", start, depends=run.scope), bodies.fine)
@@ -244,7 +268,7 @@ def _tracked(run: Run, take: Take, bodies: Bodies) -> Tracked:
             progress.stage("Shape and motion", SHAPE_ROUNDS * len(followed.poses)) as step,
         ):
             for fit in refine_person(
-                take, followed.body, followed.poses, shape_frames(followed.scores, person.shape_frames), person,
+                take, followed.body, followed.poses, frames_for_sizes(run, followed.scores), person,
                 height=person.track_height, rounds=SHAPE_ROUNDS, done=lambda frame: step(), memory=memory,
             ):  # fmt: skip
                 poses |= fit.by_frame
@@ -255,6 +279,11 @@ def _tracked(run: Run, take: Take, bodies: Bodies) -> Tracked:
     found = _unpacked(cache.arrays("shape", shape, depends=run.scope), bodies.fine)
     take.forget()
     return found
+
+
+def frames_for_sizes(run: Run, scores: Mapping[int, float]) -> list[int]:
+    """Choose the frames that tell of the body's sizes, none where these are to stay."""
+    return [] if run.settings.fixed_sizes else shape_frames(scores, run.person.shape_frames)
 
 
 def begin(
@@ -328,7 +357,7 @@ def _refined(run: Run, take: Take, tracked: Tracked, bodies: Bodies, filled: Ite
         run.progress.stage("Refinement", FINE_ROUNDS * len(poses)) as step,
     ):
         for fit in refine_person(
-            take, tracked.body, poses, shape_frames(tracked.scores, person.shape_frames), person,
+            take, tracked.body, poses, frames_for_sizes(run, tracked.scores), person,
             height=person.fine_height, rounds=FINE_ROUNDS, blind=blind, done=lambda frame: step(), memory=memory,
         ):  # fmt: skip
             found |= fit.by_frame
@@ -355,7 +384,7 @@ def _unpacked(arrays: Arrays, body: Body) -> Tracked:
     frames = [int(frame) for frame in arrays["frames"]]
     poses = [Pose(*parts) for parts in zip(arrays["translation"], arrays["rotation"], arrays["angles"], strict=True)]
     return Tracked(
-        body.with_numbers(arrays["numbers"]),
+        reshaped(body, arrays["numbers"]),
         dict(zip(frames, poses, strict=True)),
         dict(zip(frames, map(float, arrays["score"]), strict=True)),
     )

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 import marey
-from marey.body.presets import PRESETS
+from marey.body.presets import GENERIC_BODIES, PRESETS
 from marey.cli.settings import CaptureSettings, parse_frames, parse_names
 from marey.errors import FileProblem, MareyError
 
@@ -42,8 +42,16 @@ Start = Annotated[
     typer.Option(metavar="FILE", help="Clicked or detected joints to start from: JSON, or a folder of OpenPose JSON."),
 ]
 BodyFile = Annotated[
-    Path | None,
-    typer.Option("--body", metavar="FILE", help="A body.npz found before, a skinned GLB, or a TOML that names a mesh."),
+    str | None,
+    typer.Option(
+        "--body",
+        metavar="FILE|NAME",
+        help="A body.npz found before, a skinned GLB, or a TOML that names a mesh; or a generic body by name: "
+        f"{', '.join(GENERIC_BODIES)}.",
+    ),
+]
+FixedSizes = Annotated[
+    bool, typer.Option("--fixed-sizes", help="Keep the body's sizes as they are instead of learning them.")
 ]
 NoOverlay = Annotated[bool, typer.Option("--no-overlay", help="Draw no overlay videos.")]
 Quiet = Annotated[
@@ -76,6 +84,7 @@ def capture(
     stature: Stature = None,
     start: Start = None,
     body: BodyFile = None,
+    fixed_sizes: FixedSizes = False,
     no_overlay: NoOverlay = False,
     quiet: Quiet = False,
 ) -> None:
@@ -97,6 +106,7 @@ def capture(
         stature_m=stature,
         start=start,
         body=body,
+        fixed_sizes=fixed_sizes,
         overlay=not no_overlay,
     )
     _capture(trial, settings, quiet=quiet)

@@ -4,6 +4,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
+from marey.body.presets import GENERIC_BODIES
 from marey.errors import FileProblem, SettingProblem
 
 
@@ -27,15 +28,23 @@ class CaptureSettings:
     """The person's height [m]."""
     start: Path | None = None
     """A file of clicked or detected joints, or a folder of OpenPose files, to start from."""
-    body: Path | None = None
-    """A body found before, or a scan, to be followed instead of an unknown one."""
+    body: Path | str | None = None
+    """A body found before, or a scan, to be followed instead of an unknown one; or one of `GENERIC_BODIES`."""
+    fixed_sizes: bool = False
+    """Whether the body keeps its sizes, instead of taking those that the take shows."""
     overlay: bool = True
     """Whether overlay videos are drawn."""
 
     def __post_init__(self) -> None:
-        for option, path in (("--start", self.start), ("--body", self.body)):
+        for option, path in (("--start", self.start), ("--body", self.body_file)):
             if path is not None and not path.exists():
-                raise FileProblem(path, "does not exist", f"Mend {option}.")
+                words = f"It may also be {' or '.join(GENERIC_BODIES)}." if option == "--body" else ""
+                raise FileProblem(path, "does not exist", f"Mend {option}. {words}".strip())
+
+    @property
+    def body_file(self) -> Path | None:
+        """The file of the body, None where there is none."""
+        return None if self.body is None or self.body in GENERIC_BODIES else Path(self.body)
 
     def changes(self) -> dict[str, object]:
         """Give what replaces the settings of trial.toml, as `marey.io.trial.read_trial` takes it."""

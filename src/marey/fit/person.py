@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from marey.arrays import Mask
+from marey.body.metaball_person import reshaped
 from marey.body.pose import Pose, PosedBody
 from marey.body.surface import Body
 from marey.cameras.camera import Camera
@@ -339,4 +340,4 @@ def refine_person(
 
 def with_shape(body: Body, other: Body) -> Body:
     """Give a body of another level the shape numbers of this one."""
-    return replace(other, numbers=body.numbers, numbers_covariance=body.numbers_covariance)
+    return replace(reshaped(other, body.numbers), numbers_covariance=body.numbers_covariance)

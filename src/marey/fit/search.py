@@ -186,18 +186,20 @@ def standing_ways(hull: Floats) -> list[Floats]:
 
 
 def _narrow(posed: PosedBody, numbers: int) -> PosedBody:
-    """Leave only the first shape numbers free; the others stay as they are."""
-    body = posed.body
-    fixed = np.arange(len(body.space)) >= numbers
-    space = replace(body.space, prior_mean=np.where(fixed, body.numbers, body.space.prior_mean)).keep(range(numbers))
-    return replace(posed, body=replace(body, space=space, numbers=body.numbers[:numbers]))
+    """Leave only the first shape numbers, or leading directions of them, free; the others stay as they are."""
+    body, whole = posed.body, posed.body.space.by_rank
+    steps = np.linalg.solve(body.space.leading.T, body.numbers)
+    fixed = np.arange(len(whole)) >= numbers
+    space = replace(whole, prior_mean=np.where(fixed, steps, whole.prior_mean)).keep(range(numbers))
+    return replace(posed, body=replace(body, space=space, numbers=steps[:numbers], metaballs=None))
 
 
 def _widen(narrow: Body, wide: Body) -> Body:
     """Give the whole body the numbers that were free."""
-    numbers = np.array(wide.numbers)
-    numbers[: len(narrow.numbers)] = narrow.numbers
-    return wide.with_numbers(numbers)
+    leading = wide.space.leading
+    steps = np.linalg.solve(leading.T, wide.numbers)
+    steps[: len(narrow.numbers)] = narrow.numbers
+    return wide.with_numbers(leading.T @ steps)
 
 
 def about_face(posed: PosedBody) -> Pose:

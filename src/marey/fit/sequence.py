@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from marey.arrays import Floats, Integers
+from marey.body.metaball_person import reshaped
 from marey.body.pose import Pose, PosedBody
 from marey.body.skeleton import Skeleton
 from marey.body.surface import Body
@@ -169,11 +170,11 @@ def refine_in_pieces(
         raise ValueError("at least one round is needed")
     memory = memory or RefineMemory()
     settings = settings or SequenceSettings()
-    work = _Work(list(frames), levels, set(shape_frames), blind, rate, rounds, settings, done, memory)
+    work = _Work(list(frames), levels, set(shape_frames), blind, rate, rounds, settings, done, memory, body)
     poses = list(poses)
     for round_ in range(rounds - 1):
         if round_ in memory.rounds:
-            poses, body = _unpacked(memory.rounds[round_], body)
+            poses, body = _unpacked(memory.rounds[round_], work.first)
             for frame in frames:
                 done(frame)
             continue
@@ -196,7 +197,7 @@ def _packed(poses: Sequence[Pose], body: Body) -> Arrays:
 
 def _unpacked(arrays: Arrays, body: Body) -> tuple[list[Pose], Body]:
     parts = zip(arrays["translation"], arrays["rotation"], arrays["angles"], strict=True)
-    return [Pose(*part) for part in parts], body.with_numbers(arrays["numbers"])
+    return [Pose(*part) for part in parts], reshaped(body, arrays["numbers"])
 
 
 DISTINCT_FRAMES = 3.0
@@ -227,6 +228,8 @@ class _Work:
     settings: SequenceSettings
     done: Callable[[int], None]
     memory: RefineMemory
+    first: Body
+    """As it was before; of other numbers it is always made from here, so that an interruption changes nothing."""
 
     @cached_property
     def windows(self) -> list[Window]:
@@ -325,7 +328,7 @@ class _Work:
             steps = -(part["own"] + part["by_shape"] @ shape[: part["by_shape"].shape[1]])
             own = poses[window.begin : window.end]
             moved += [pose.step(step) for pose, step in zip(own, steps.reshape(len(own), -1), strict=True)]
-        return moved, body.with_numbers(body.numbers + shape) if self.free else body
+        return moved, reshaped(self.first, body.numbers + shape) if self.free else body
 
     def _shape_step(self, poses: Sequence[Pose], body: Body, round_: int) -> Floats:
         if not self.free:
@@ -335,7 +338,9 @@ class _Work:
             information, gradient = information + part["corner"], gradient + part["shape_gradient"]
             if part["by_shape"].shape[1]:
                 information, gradient = information - part["taken"], gradient - part["taken_gradient"]
-        information = 0.5 * (information + information.T) + np.eye(len(gradient)) / TRUST_SHAPE**2
+        if len(gradient):
+            usual = float(np.median(np.diag(body.space.prior_covariance)))
+            information = 0.5 * (information + information.T) + np.eye(len(gradient)) / (usual * TRUST_SHAPE**2)
         return bounded_step(information, gradient, *shape_reach(body, self.settings.clip))
 
     def pieces(self, poses: Sequence[Pose], body: Body) -> Iterator[SequenceFit]:

@@ -5,6 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from marey.arrays import Floats
+from marey.body.metaball_person import MetaballSpace
+from marey.body.metaballs import Metaballs
 from marey.body.scan import scanned_body
 from marey.body.skeleton import Coordinate, Skeleton
 from marey.body.surface import Body, ShapeSpace
@@ -24,7 +26,7 @@ _NEXT = {"pelvis": "abdomen", "abdomen": "thorax", "thorax": "neck", "neck": "he
 _WANTED = (
     "preset", "segment_names", "parents", "coordinate_names", "coordinate_segment", "coordinate_numbers", "numbers",
     "numbers_covariance", "number_names", "segment_origin_sd", "segment_origin_offset_sd", "segment_followed", "faces",
-    "face_outlined", "vertex_segments", "vertex_weights", *(f"space_{n}" for n in _SPACE),
+    "face_outlined", "vertex_segments", "vertex_weights", "metaball_segment", *(f"space_{n}" for n in _SPACE),
 )  # fmt: skip
 
 
@@ -36,7 +38,9 @@ def write_body(path: Path | str, body: Body, *, preset: str) -> None:
     (`space_...`), so that `read_body` gives back the same body. `segment_origin_sd` and `segment_origin_offset_sd` (S,)
     say how far, by axis, joint centres lie beside the skin's: from posture to posture, and all the time [m];
     `face_outlined` (T,) and `segment_followed` (S,) what the preset believes and follows. A mesh has no metaballs:
-    those arrays are empty.
+    those arrays are empty. With metaballs come their axes `metaball_rotation` (M, 3, 3) in the segment, one a column,
+    and how centres and radii follow from the numbers: `metaball_mean_centre`, `metaball_mean_radii` (M, 3) where all
+    are zero, `metaball_centre_modes`, `metaball_radii_modes` (N, M, 3) [m by unit of the number].
 
     Args:
         path: The file.
@@ -60,9 +64,7 @@ def write_body(path: Path | str, body: Body, *, preset: str) -> None:
             "segment_origin": body.joint_centres,
             "segment_origin_sd": unsaid if body.joint_sd is None else body.joint_sd,
             "segment_origin_offset_sd": unsaid if body.joint_offset_sd is None else body.joint_offset_sd,
-            "metaball_segment": np.zeros(0, np.int64),
-            **{f"metaball_{name}": np.zeros((0, 3)) for name in ("centre", "radii", "radii_sd")},
-            "metaball_weight": np.zeros(0),
+            **_metaball_arrays(body),
             "vertices": body.vertices,
             "faces": body.faces,
             "face_outlined": body.outline_counts,
@@ -77,8 +79,53 @@ def write_body(path: Path | str, body: Body, *, preset: str) -> None:
             "numbers": body.numbers,
             "numbers_covariance": unknown if body.numbers_covariance is None else body.numbers_covariance,
             **{f"space_{name}": getattr(body.space, name) for name in _SPACE},
+            "space_ranked": body.space.ranked,
         },
     )
+
+
+def _metaball_arrays(body: Body) -> dict[str, np.ndarray]:
+    """Give what the file holds of the metaballs."""
+    space = body.metaballs
+    if space is None:
+        none = {f"metaball_{name}": np.zeros((0, 3)) for name in ("centre", "radii", "radii_sd")}
+        return none | {"metaball_segment": np.zeros(0, np.int64), "metaball_weight": np.zeros(0)}
+    balls, covariance = space.balls(body.numbers), body.numbers_covariance
+    sd = np.full(balls.radii.shape, np.nan)
+    if covariance is not None:
+        variance = np.einsum("iab,ij,jab->ab", space.radii_modes, covariance, space.radii_modes, optimize=True)
+        sd = np.sqrt(np.maximum(variance, 0.0))
+    own = {name: getattr(balls, name) for name in ("segment", "centre", "rotation", "radii", "weight")}
+    whole = own | {
+        "radii_sd": sd, "mean_centre": space.mean.centre, "mean_radii": space.mean.radii,
+        "centre_modes": space.centre_modes, "radii_modes": space.radii_modes,
+    }  # fmt: skip
+    return {f"metaball_{name}": values for name, values in whole.items()}
+
+
+def _metaballs(stored: dict[str, np.ndarray], skeleton: Skeleton, space: ShapeSpace) -> MetaballSpace | None:
+    """Take up the metaballs of a file, or none where it has none.
+
+    Raises:
+        KeyError: It has metaballs, but not how they follow from the numbers.
+        ValueError: They are not those of the numbers.
+    """
+    if not len(stored["metaball_segment"]):
+        return None
+    mean = Metaballs(
+        skeleton=skeleton, joint_centres=space.joint_mean, segment=stored["metaball_segment"],
+        centre=stored["metaball_mean_centre"], rotation=stored["metaball_rotation"],
+        radii=stored["metaball_mean_radii"], weight=stored["metaball_weight"],
+    )  # fmt: skip
+    found = MetaballSpace(
+        names=space.names, mean=mean, centre_modes=stored["metaball_centre_modes"],
+        radii_modes=stored["metaball_radii_modes"], joint_modes=space.joint_modes, prior_mean=space.prior_mean,
+        prior_covariance=space.prior_covariance,
+    )  # fmt: skip
+    balls = found.balls(stored["numbers"])
+    if not all(np.allclose(getattr(balls, name), stored[f"metaball_{name}"]) for name in ("centre", "radii")):
+        raise ValueError("its metaballs are not those of its numbers")
+    return found
 
 
 def read_body(path: Path | str) -> tuple[Body, str]:
@@ -104,9 +151,12 @@ def read_body(path: Path | str) -> tuple[Body, str]:
         space = ShapeSpace(
             names=tuple(str(name) for name in stored["number_names"]),
             **{name: stored[f"space_{name}"] for name in _SPACE},
+            ranked=bool(stored.get("space_ranked", True)),
         )
+        skeleton = Skeleton(segment_names=names, parents=stored["parents"], coordinates=coordinates)
         body = Body(
-            skeleton=Skeleton(segment_names=names, parents=stored["parents"], coordinates=coordinates),
+            skeleton=skeleton,
+            metaballs=_metaballs(stored, skeleton, space),
             space=space,
             numbers=stored["numbers"],
             faces=stored["faces"],
