@@ -171,7 +171,9 @@ def _lengthened(balls: Metaballs, segments: Integers) -> Floats:
     return moved
 
 
-def metaball_body(space: MetaballSpace, numbers: Floats | None = None, template: Body | None = None) -> Body:
+def metaball_body(
+    space: MetaballSpace, numbers: Floats | None = None, template: Body | None = None, *, settle: bool = True
+) -> Body:
     """Make the skin over metaballs, as a body that can be posed, drawn and fitted like any other.
 
     The vertices of a template come to lie on the surface at rest. They move with the numbers as material points do:
@@ -187,12 +189,13 @@ def metaball_body(space: MetaballSpace, numbers: Floats | None = None, template:
         numbers: (N,) of this person, the generic one's when None.
         template: the body whose skin is brought onto the surface, the family's mean when None. What it follows, and
             which outlines count, stays.
+        settle: whether its vertices are brought onto the surface; else they lie where they shall.
     """
     at = np.zeros(len(space)) if numbers is None else np.asarray(numbers, float)
     given = family_body("fine") if template is None else template
     posed = space.balls(at).at_rest()
     limb = _vertex_limbs(given)
-    vertices = posed.onto_surface(given.vertices, limb)
+    vertices = posed.onto_surface(given.vertices, limb) if settle else given.vertices
     modes = _skin_modes(space, posed, vertices, limb)
     segments, weights = _strongest(posed, vertices, limb)
     return replace(
