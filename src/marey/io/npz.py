@@ -140,6 +140,7 @@ def _write_rows(
             if np.shape(piece)[1:] != shape[1:]:
                 raise ValueError(f"{name} came with rows of shape {np.shape(piece)[1:]} instead of {shape[1:]}")
             file.write(np.ascontiguousarray(piece, dtype=dtype).tobytes())
-            written += len(piece)
-    if written != shape[0]:
-        raise ValueError(f"{name} came with {written} rows instead of {shape[0]}")
+            written += len(np.atleast_1d(piece))
+    wanted = shape[0] if shape else 1
+    if written != wanted:
+        raise ValueError(f"{name} came with {written} rows instead of {wanted}")
