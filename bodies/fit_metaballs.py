@@ -1,38 +1,51 @@
-"""Fits the generic metaballs of both levels to the skin of the mean body, and writes src/marey/body/metaballs.npz.
+"""Fits the generic metaballs of both levels to the skin of the mean body, draws them, and writes metaballs.npz.
 
-Development only: PYTHONPATH=src python bodies/fit_metaballs.py
+Development only: PYTHONPATH=src python bodies/fit_metaballs.py [--out FILE]. Look at the drawing beside the file before
+it takes the place of the one that is shipped.
 """
 
+import argparse
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from draw import VIEWS, draw
 from scipy.cluster.vq import kmeans2
 from scipy.spatial import cKDTree
 
 from marey.body.family import distal_ends, load_family
+from marey.body.metaball_person import vertex_limbs
 from marey.body.metaballs import ANY_LIMB, Metaballs
 from marey.body.person import family_body
-from marey.body.surface import Body
+from marey.body.surface import Body, ShapeSpace
 
 OUT = Path(__file__).parents[1] / "src" / "marey" / "body" / "metaballs.npz"
 
 # How many balls a segment has; on the trunk as many pairs.
-SIMPLE = {"pelvis": 2, "abdomen": 3, "thorax": 2, "neck": 1, "head": 3, "clavicle": 1, "hand": 2, "foot": 3, "toes": 1}
+SIMPLE = {"pelvis": 2, "abdomen": 3, "thorax": 2, "neck": 1, "head": 3, "clavicle": 1, "hand": 3, "foot": 3, "toes": 1}
 SIMPLE |= {"upperarm": 3, "forearm": 3, "thigh": 3, "shank": 3}
-FULL = {"pelvis": 3, "abdomen": 6, "thorax": 3, "neck": 2, "head": 4, "clavicle": 2, "hand": 6, "foot": 5, "toes": 2}
+FULL = {"pelvis": 3, "abdomen": 6, "thorax": 3, "neck": 2, "head": 5, "clavicle": 2, "hand": 9, "foot": 6, "toes": 3}
 FULL |= {"upperarm": 6, "forearm": 5, "thigh": 7, "shank": 7}
 LEVELS = {"simple": SIMPLE, "full": FULL}
 
 FILLED = 0.007
 """Edge of the cells that fill the body, among which the balls are placed [m]."""
-SKIN_SD, CENTRE_SD, SIZE_SD = 0.002, 0.015, 0.15
-"""What pulls: the skin [m], the place where a ball started [m], its start size (relative)."""
+SKIN_SD, CENTRE_SD, SIZE_SD = 0.002, 0.4, 0.4
+"""What pulls: the skin [m], the place where a ball started (by its mean start radius), its start size (relative)."""
 CELL, SHELLS, CLEAR, KEPT, SPACE_SD = 0.025, (-0.012, 0.012, 0.03), 0.011, 0.2, 0.005
 """Points of a grid [m], and of shells about the skin [m], that lie this far off the skin [m] must read at least this
 share of their distance, on their side [m].
 The skin's points alone do not see thin discs that stand out between them."""
-ITERATIONS = 40
+INSIDE_SD = 0.001
+"""How far outside of the skin a ball's centre may lie [m]. Far from the skin's points, and deep inside, where distances
+are held down (`metaball_field.CORE`), nothing else keeps a ball whose size and place make up for each other."""
+DEEPEST = 0.15
+"""No point lies deeper in the body [m]."""
+THINNEST = 0.008
+"""No radius is less [m]: a thinner disc has an edge on which points find no way to the surface."""
+ITERATIONS, LONGEST, GROWTH = 80, 0.004, 0.15
+"""Steps, and how far one of them may move a ball [m] and grow it (logarithm): a ball that leaps out of the body does
+not find its way back."""
 
 
 def bone_frame(bone: np.ndarray) -> np.ndarray:
@@ -56,9 +69,33 @@ def filled(body: Body) -> tuple[np.ndarray, np.ndarray]:
 
 def outside(body: Body, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """How far points lie outside the skin, by the nearest face's centre, and that face."""
-    centres = body.vertices[body.faces].mean(1)
-    away, face = cKDTree(centres).query(points)
-    return away * np.sign(np.einsum("na,na->n", points - centres[face], normals(body)[face])), face
+    away, face = cKDTree(body.vertices[body.faces].mean(1)).query(points)
+    inside = np.zeros(len(points), bool)
+    inside[away < DEEPEST] = surrounded(body, points[away < DEEPEST])
+    return np.where(inside, -away, away), face
+
+
+def surrounded(body: Body, points: np.ndarray) -> np.ndarray:
+    """Whether points lie within the skin: a line straight up leaves it once more than it enters.
+
+    The normal of the nearest face would not do: between toes and fingers, and beyond their tips, it may look away.
+    """
+    columns, column = np.unique(points[:, :2] + [1.1e-7, 1.7e-7], axis=0, return_inverse=True)
+    a, b, c = body.vertices[body.faces].transpose(1, 0, 2)
+    along, beside = b - a, c - a
+    size = along[:, 0] * beside[:, 1] - along[:, 1] * beside[:, 0]
+    a, along, beside, size = (part[np.abs(size) > 1e-12] for part in (a, along, beside, size))
+    order = np.argsort(column, kind="stable")
+    first = np.searchsorted(column[order], np.arange(len(columns) + 1))
+    odd = np.zeros(len(points), bool)
+    for i, (x, y) in enumerate(columns):
+        dx, dy = x - a[:, 0], y - a[:, 1]
+        s, t = (dx * beside[:, 1] - dy * beside[:, 0]) / size, (dy * along[:, 0] - dx * along[:, 1]) / size
+        hit = (s >= 0.0) & (t >= 0.0) & (s + t <= 1.0)
+        height = a[hit, 2] + s[hit] * along[hit, 2] + t[hit] * beside[hit, 2]
+        own = order[first[i] : first[i + 1]]
+        odd[own] = np.sum(height > points[own, 2, None], axis=1) % 2 == 1
+    return odd
 
 
 def normals(body: Body) -> np.ndarray:
@@ -116,12 +153,13 @@ def surroundings(body: Body) -> tuple[np.ndarray, np.ndarray]:
 
 
 def changed(balls: Metaballs, step: np.ndarray) -> Metaballs:
-    """Move the centres and scale the radii of both halves by a step (6 M / 2,)."""
+    """Move the centres and scale the radii of both halves by a step (6 M / 2,), no ball farther than `LONGEST`."""
     moved, grown = step.reshape(2, len(balls) // 2, 3)
+    moved = moved * np.minimum(1.0, LONGEST / np.maximum(np.linalg.norm(moved, axis=1), 1e-9))[:, None]
     return replace(
         balls,
         centre=balls.centre + np.concatenate([moved, moved * [-1, 1, 1]]),
-        radii=balls.radii * np.exp(np.clip(np.concatenate([grown, grown]), -0.5, 0.5)),
+        radii=np.maximum(balls.radii * np.exp(np.clip(np.concatenate([grown, grown]), -GROWTH, GROWTH)), THINNEST),
     )
 
 
@@ -133,7 +171,10 @@ class Fit:
         self.points, area, self.limb = samples(body)
         self.share = area / area.mean()
         self.grid, self.off = surroundings(body)
-        self.prior = np.repeat([CENTRE_SD**-2.0, SIZE_SD**-2.0], 3 * (len(first) // 2))
+        self.body, self.centres = body, body.vertices[body.faces].mean(1)
+        half = len(first) // 2
+        near = CENTRE_SD * np.repeat(first.radii[:half].mean(1), 3)
+        self.prior = np.concatenate([near**-2.0, np.full(3 * half, SIZE_SD**-2.0)])
 
     def from_start(self, balls: Metaballs) -> np.ndarray:
         """How far centres [m] and radii (relative) are from where they started: (6 M / 2,)."""
@@ -145,12 +186,21 @@ class Fit:
         """By how much points of the grid read too little for their side [m]."""
         return np.minimum(distance * np.sign(off) - KEPT * np.abs(off), 0.0) * np.sign(off)
 
+    def strayed(self, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """How far balls (M, 3) of the left half lie outside the skin, zero inside, and the direction to there."""
+        half = place[: len(place) // 2]
+        off, face = outside(self.body, half)
+        way = (half - self.centres[face]) / np.maximum(np.abs(off), 1e-9)[:, None]
+        return np.maximum(off, 0.0), way
+
     def cost(self, balls: Metaballs) -> float:
         """Half the sum of squares."""
         posed = balls.at_rest()
+        stray = self.strayed(posed.place)[0] / INSIDE_SD
         skin = posed.distance(self.points, self.limb) / SKIN_SD
         space = self.trespass(posed.distance(self.grid), self.off) / SPACE_SD
-        return 0.5 * float(self.share @ skin**2 + np.sum(space**2) + self.prior @ self.from_start(balls) ** 2)
+        believed = self.prior @ self.from_start(balls) ** 2
+        return 0.5 * float(self.share @ skin**2 + np.sum(space**2) + np.sum(stray**2) + believed)
 
     def normal_equations(self, balls: Metaballs) -> tuple[np.ndarray, np.ndarray]:
         """Normal matrix and gradient by centres and logarithms of radii."""
@@ -166,7 +216,13 @@ class Fit:
         weight = np.concatenate([self.share / SKIN_SD**2, np.full(near.sum(), SPACE_SD**-2.0)])
         residual = np.concatenate([of.residual[:count], beside[near]])
         normal = jacobian.T @ (weight[:, None] * jacobian) + np.diag(self.prior)
-        return normal, jacobian.T @ (weight * residual) + self.prior * self.from_start(balls)
+        gradient = jacobian.T @ (weight * residual) + self.prior * self.from_start(balls)
+        off, way = self.strayed(posed.place)
+        for m in np.flatnonzero(off):
+            own = slice(3 * m, 3 * m + 3)
+            normal[own, own] += np.outer(way[m], way[m]) / INSIDE_SD**2
+            gradient[own] += off[m] * way[m] / INSIDE_SD**2
+        return normal, gradient
 
     def run(self) -> Metaballs:
         """Minimise by Levenberg-Marquardt."""
@@ -183,26 +239,57 @@ class Fit:
         return balls
 
 
+def drawn(fitted: dict[str, Metaballs], body: Body, path: Path) -> None:
+    """Draw the skin over each detail's balls from three sides, and say how many faces are folded."""
+    import matplotlib.pyplot as plt
+
+    palette = np.array(plt.get_cmap("tab20").colors)
+    figure, axes = plt.subplots(len(fitted), 3, figsize=(15, 9 * len(fitted)))
+    for row, (level, balls) in zip(axes, fitted.items(), strict=True):
+        vertices = balls.at_rest().onto_surface(body.vertices, vertex_limbs(body))
+        turned = np.einsum("ta,ta->t", normals(replace(body, space=moved_to(body, vertices))), normals(body)) < 0.0
+        names = np.array(body.skeleton.segment_names)[body.face_segment[turned]]
+        print(f"{level}: folded faces {dict(zip(*np.unique(names, return_counts=True), strict=True))}")
+        for place, view in zip(row, VIEWS, strict=True):
+            draw(place, vertices, body.faces, palette[body.face_segment % 20], view)
+    figure.subplots_adjust(0, 0, 1, 1, 0, 0)
+    figure.savefig(path, dpi=60)
+
+
+def moved_to(body: Body, vertices: np.ndarray) -> ShapeSpace:
+    """The shapes of a body whose mean skin is another."""
+    return replace(body.space, vertex_mean=vertices - np.tensordot(body.numbers, body.space.vertex_modes, 1))
+
+
+def told(level: str, balls: Metaballs, body: Body) -> None:
+    """Say how well balls fit, all over and by segment."""
+    points, area, limb = samples(body)
+    owner = body.face_segment[body.vertices[body.faces].mean(1)[:, 0] > 0.0]
+    off = balls.at_rest().distance(points, limb)
+    rms = np.sqrt(np.average(off**2, weights=area))
+    most = np.quantile(np.abs(off), 0.95)
+    print(f"{level}: {len(balls)} balls, {1e3 * rms:.1f} mm RMS, 95 % within {1e3 * most:.1f} mm")
+    for k, name in enumerate(body.skeleton.segment_names):
+        own = owner == k
+        if own.any():
+            print(f"  {name}: {1e3 * np.sqrt(np.average(off[own] ** 2, weights=area[own])):.1f}")
+
+
 def main() -> None:
-    """Fit both levels, say how well, and write the file."""
+    """Fit both levels, say how well, draw them, and write the file."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=OUT, help="NPZ; the drawing gets its name")
+    path = parser.parse_args().out
     family, body = load_family("fine"), family_body("fine")
     ends = distal_ends(family)
     bones = {name: ends[i] - family.joints_mean[i] for i, name in enumerate(family.segment_names)}
-    arrays = {"segment_names": np.array(body.skeleton.segment_names)}
-    points, area, limb = samples(body)
-    owner = body.face_segment[body.vertices[body.faces].mean(1)[:, 0] > 0.0]
+    arrays, fitted = {"segment_names": np.array(body.skeleton.segment_names)}, {}
     for level, counts in LEVELS.items():
-        balls = Fit(start(body, bones, counts), body).run()
-        off = balls.at_rest().distance(points, limb)
-        rms = np.sqrt(np.average(off**2, weights=area))
-        most = np.quantile(np.abs(off), 0.95)
-        print(f"{level}: {len(balls)} balls, {1e3 * rms:.1f} mm RMS, 95 % within {1e3 * most:.1f} mm")
-        for k, name in enumerate(body.skeleton.segment_names):
-            own = owner == k
-            if own.any():
-                print(f"  {name}: {1e3 * np.sqrt(np.average(off[own] ** 2, weights=area[own])):.1f}")
+        balls = fitted[level] = Fit(start(body, bones, counts), body).run()
+        told(level, balls, body)
         arrays |= {f"{level}_{name}": getattr(balls, name) for name in ("segment", "centre", "rotation", "radii")}
-    np.savez_compressed(OUT, **arrays)
+    np.savez_compressed(path, **arrays)
+    drawn(fitted, body, Path(path.stem + ".png") if path == OUT else path.with_suffix(".png"))
 
 
 if __name__ == "__main__":

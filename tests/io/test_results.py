@@ -9,7 +9,8 @@ import pytest
 from tests import people, performer
 
 from marey.arrays import Floats
-from marey.body.metaball_person import metaball_person, reshaped
+from marey.body.metaball_people import metaball_person
+from marey.body.metaball_person import reshaped
 from marey.body.person import person_body
 from marey.body.surface import Body
 from marey.errors import FileProblem

@@ -8,11 +8,8 @@ from typing import Literal
 import numpy as np
 
 from marey.arrays import Floats, Integers, frozen
-from marey.body.anthropometry import condition, measures
-from marey.body.departures import JOINT_SD, SEGMENT_OF_JOINT
-from marey.body.family import Level, load_family
 from marey.body.metaballs import ANY_LIMB, Linearized, Metaballs, PosedMetaballs
-from marey.body.person import CONSTANT, STATURE_SD, VARYING, family_body, preset_body, preset_named
+from marey.body.person import family_body
 from marey.body.surface import Body, ShapeSpace
 from marey.errors import SettingProblem
 
@@ -46,6 +43,8 @@ class MetaballSpace:
     """(N, N) of the numbers among people."""
     prior_mean: Floats = field(default_factory=lambda: np.zeros(0))
     """(N,) what to expect of a person of whom nothing is known; zeros when empty."""
+    ranked: bool = False
+    """Whether the first numbers say most of a person."""
 
     def __post_init__(self) -> None:
         if not len(self.prior_mean):
@@ -172,14 +171,19 @@ def _lengthened(balls: Metaballs, segments: Integers) -> Floats:
 
 
 def metaball_body(
-    space: MetaballSpace, numbers: Floats | None = None, template: Body | None = None, *, settle: bool = True
+    space: MetaballSpace,
+    numbers: Floats | None = None,
+    template: Body | None = None,
+    *,
+    settle: bool = True,
+    keep_weights: bool = False,
 ) -> Body:
     """Make the skin over metaballs, as a body that can be posed, drawn and fitted like any other.
 
     The vertices of a template come to lie on the surface at rest. They move with the numbers as material points do:
     with the balls that make up their share of the field, and, to first order, so that they stay on the surface. The
     body's shapes are therefore right near the numbers for which it was made; `reshaped` makes it anew for others.
-    With the pose the skin is blended by the balls' shares; only at rest is it the metaballs' own surface.
+    With the pose the skin is blended; only at rest is it the metaballs' own surface.
 
     Unlike the paper, whose skin is sampled along cross-sections, the triangles are the template's, so that the same
     vertex is the same place on everybody.
@@ -190,20 +194,24 @@ def metaball_body(
         template: the body whose skin is brought onto the surface, the family's mean when None. What it follows, and
             which outlines count, stays.
         settle: whether its vertices are brought onto the surface; else they lie where they shall.
+        keep_weights: whether the skin is blended by the template's weights, which suit people better where they were
+            learned, instead of the balls' shares.
     """
     at = np.zeros(len(space)) if numbers is None else np.asarray(numbers, float)
     given = family_body("fine") if template is None else template
     posed = space.balls(at).at_rest()
-    limb = _vertex_limbs(given)
+    limb = vertex_limbs(given)
     vertices = posed.onto_surface(given.vertices, limb) if settle else given.vertices
     modes = _skin_modes(space, posed, vertices, limb)
-    segments, weights = _strongest(posed, vertices, limb)
+    segments, weights = given.vertex_segments, given.vertex_weights
+    if not keep_weights:
+        segments, weights = _strongest(posed, vertices, limb)
     return replace(
         given,
         space=ShapeSpace(
             names=space.names, vertex_mean=vertices - np.tensordot(at, modes, 1), vertex_modes=modes,
             joint_mean=space.mean.joint_centres, joint_modes=space.joint_modes,
-            prior_mean=space.prior_mean, prior_covariance=space.prior_covariance, ranked=False,
+            prior_mean=space.prior_mean, prior_covariance=space.prior_covariance, ranked=space.ranked,
         ),
         numbers=at, vertex_segments=segments, vertex_weights=weights, metaballs=space,
         joint_sd=None, joint_offset_sd=None, numbers_covariance=None,
@@ -218,60 +226,14 @@ def reshaped(body: Body, numbers: Floats) -> Body:
     changed = body.with_numbers(numbers)
     if body.metaballs is None or np.array_equal(numbers, body.numbers):
         return changed
-    made = metaball_body(body.metaballs, numbers, changed)
+    made = metaball_body(body.metaballs, numbers, changed, keep_weights=True)
     return replace(
         made, joint_sd=body.joint_sd, joint_offset_sd=body.joint_offset_sd,
         numbers_covariance=body.numbers_covariance,
     )  # fmt: skip
 
 
-def metaball_person(
-    detail: Detail = "full", level: Level = "fine", *, preset: str = "full", stature_m: float | None = None
-) -> Body:
-    """Make the generic person of metaballs, as a capture starts from it when nothing else is known.
-
-    Args:
-        detail: see `generic_metaballs`.
-        level: of the triangles, "fine" or "coarse".
-        preset: one of `PRESETS`.
-        stature_m: the person's height, where it is known [m].
-
-    Raises:
-        SettingProblem: The detail or the preset is unknown.
-    """
-    followed = preset_named(preset)
-    space, template = metaball_space(detail), family_body(level)
-    body = metaball_body(space, template=template)
-    beneath, beside = _joint_spread(detail)
-    if stature_m is not None:
-        known = condition(body.space, measures(load_family(level)), {"stature": (stature_m, STATURE_SD)})
-        space = replace(space, prior_mean=known.prior_mean, prior_covariance=known.prior_covariance)
-        body = metaball_body(space, known.prior_mean, body.with_numbers(known.prior_mean))
-    body = replace(body, joint_sd=VARYING * beneath, joint_offset_sd=np.hypot(CONSTANT * beneath, beside))
-    return preset_body(body, followed)
-
-
-@lru_cache(maxsize=len(DETAILS))
-def _joint_spread(detail: Detail) -> tuple[Floats, Floats]:
-    """Give how far (S,) joint centres lie from where metaballs that fit the skin put them, by axis [m].
-
-    Returns:
-        What they do so among the learned family's people, and what people's joints do beside those of the family.
-    """
-    family, balls = family_body("fine"), metaball_body(metaball_space(detail)).space
-    own_skin, their_skin = (space.vertex_modes.reshape(len(space), -1).T for space in (balls, family.space))
-    numbers = np.linalg.lstsq(own_skin, their_skin, rcond=None)[0]
-    missed = family.space.joint_modes - np.tensordot(numbers.T, balls.joint_modes, 1)
-    own = family.joint_sd / VARYING if family.joint_sd is not None else 0.0
-    beneath = np.hypot(np.sqrt(np.sum(missed**2, axis=(0, 2)) / 3.0), own)
-    beside = np.zeros(len(beneath))
-    for joint, spreads in JOINT_SD.items():
-        of_joint = [name.endswith(SEGMENT_OF_JOINT[joint]) for name in family.skeleton.segment_names]
-        beside[of_joint] = np.sqrt(np.mean(np.square(spreads)))
-    return frozen(beneath), frozen(beside)
-
-
-def _vertex_limbs(body: Body) -> Integers:
+def vertex_limbs(body: Body) -> Integers:
     """Give the limb (V,) to which the skin's vertices belong, `ANY_LIMB` on the trunk."""
     strongest = np.argmax(body.vertex_weights, 1)
     limb = body.skeleton.segment_limb[body.vertex_segments[np.arange(len(strongest)), strongest]]

@@ -9,7 +9,8 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from marey.body.family import LEVELS
-from marey.body.metaball_person import metaball_body, metaball_person, reshaped
+from marey.body.metaball_people import metaball_person
+from marey.body.metaball_person import metaball_body, reshaped
 from marey.body.person import person_body
 from marey.body.pose import Pose
 from marey.body.presets import GENERIC_BODIES
@@ -189,7 +190,7 @@ def metaball_twin(given: Body, coarse: Body) -> Body | None:
     """Bring the few vertices of another body onto the metaballs of one, or give None where they move otherwise."""
     if given.metaballs is None or given.skeleton.coordinate_names != coarse.skeleton.coordinate_names:
         return None
-    generic = metaball_body(given.metaballs, template=coarse)
+    generic = metaball_body(given.metaballs, template=coarse, keep_weights=True)
     return with_shape(given, replace(generic, skeleton=given.skeleton))
 
 

@@ -120,7 +120,7 @@ def _metaballs(stored: dict[str, np.ndarray], skeleton: Skeleton, space: ShapeSp
     found = MetaballSpace(
         names=space.names, mean=mean, centre_modes=stored["metaball_centre_modes"],
         radii_modes=stored["metaball_radii_modes"], joint_modes=space.joint_modes, prior_mean=space.prior_mean,
-        prior_covariance=space.prior_covariance,
+        prior_covariance=space.prior_covariance, ranked=space.ranked,
     )  # fmt: skip
     balls = found.balls(stored["numbers"])
     if not all(np.allclose(getattr(balls, name), stored[f"metaball_{name}"]) for name in ("centre", "radii")):
