@@ -1,0 +1,54 @@
+"""How a surface is measured: spacing, patches, and what counts as a good match."""
+
+from dataclasses import dataclass
+
+from marey.errors import SettingProblem
+
+
+@dataclass(frozen=True, kw_only=True)
+class SurfaceSettings:
+    """What a measurement of a surface asks for.
+
+    Raises:
+        SettingProblem: A value is impossible.
+    """
+
+    spacing: int = 2
+    """Distance from point to point in the template [px]."""
+    patch: int = 13
+    """Width and height of the patches [px], odd; where texture is weak, larger ones are tried."""
+    enlarged: tuple[float, ...] = (1.6, 2.4)
+    """By what factors patches grow where they are not found otherwise."""
+    correlation: float = 0.8
+    """Least correlation of a patch with the template's."""
+    sd_px: float = 0.15
+    """Greatest standard deviation of a match in its weakest direction [px]."""
+    epipolar_px: float = 2.0
+    """Greatest distance of a match from the epipolar line [px]; less where the seeds show that the cameras are better
+    than that."""
+    residual_px: float = 1.0
+    """Greatest root mean square residual of the forward intersection [px]; less where most points are better."""
+    angle: float = 0.7
+    """Cameras whose views of the scene differ by more are not matched with each other [rad]."""
+    seeds: int = 900
+    """At most so many corners of the template are looked for in the other pictures."""
+
+    def __post_init__(self) -> None:
+        faults = []
+        if self.spacing < 1:
+            faults.append(f"spacing is {self.spacing}; it is a whole number of pixels from 1 up")
+        if self.patch < 5 or self.patch % 2 == 0 or self.patch > 101:
+            faults.append(f"patch is {self.patch}; a patch has an odd number of pixels from 5 to 101")
+        if not 0 < self.correlation < 1:
+            faults.append(f"correlation is {self.correlation:g}; it lies between 0 and 1")
+        for name in ("sd_px", "epipolar_px", "residual_px", "angle"):
+            if not getattr(self, name) > 0:
+                faults.append(f"{name} is {getattr(self, name):g}; it must be positive")
+        if faults:
+            raise SettingProblem(f"A surface cannot be measured like this: {'; '.join(faults)}.")
+
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """The patches' sizes, in the order in which they are tried [px]."""
+        larger = (2 * round(factor * (self.patch - 1) / 2) + 1 for factor in self.enlarged)
+        return (self.patch, *larger)
