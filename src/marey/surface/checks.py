@@ -5,7 +5,7 @@ import numpy as np
 
 from marey.arrays import Floats, Integers, Mask
 from marey.images.matching import MatchSettings, match
-from marey.surface.growth import Field, Grid
+from marey.surface.field import Field, Grid
 from marey.surface.views import View
 
 _TOLERANCE = 0.3
@@ -18,7 +18,7 @@ _AGREEING = 3
 _MAJORITY = 0.5
 _ISLAND = 16
 """Smallest width and height of a piece of surface, in pixels of the template: about a patch."""
-_BACK = 0.5
+_BACK = 1.0
 """How far beside its beginning the way back may end [px]."""
 
 

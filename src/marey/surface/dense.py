@@ -8,9 +8,9 @@ import numpy as np
 
 from marey.arrays import Floats, Image, Integers, frozen
 from marey.cameras.epipolar import epipolar_lines
-from marey.surface.acceptance import Limits, beside_lines, weakest_sd
-from marey.surface.checks import continuous
-from marey.surface.growth import Field, Grid, grow
+from marey.surface.acceptance import Limits, beside_lines
+from marey.surface.field import Field, Grid
+from marey.surface.growth import grow
 from marey.surface.seeds import Seeds, find_seeds
 from marey.surface.settings import SurfaceSettings
 from marey.surface.views import Comparison, View
@@ -90,8 +90,7 @@ def match_tuples(
             correlation=settings.correlation, sd_px=settings.sd_px,
             epipolar_px=_epipolar_limit(template, search, start, settings),
         )  # fmt: skip
-        field = grow(template, search, grid, start, limits, settings)
-        return continuous(field, grid, weakest_sd(field.covariance))
+        return grow(template, search, grid, start, limits, settings)
 
     with ThreadPoolExecutor(max(1, min(threads, len(searched)))) as pool:
         fields = list(pool.map(work, searched, seeds))

@@ -1,14 +1,15 @@
 """Growth: from its seeds, a match spreads over the template, from each found patch to the patches beside it."""
 
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from marey.arrays import Floats, Integers, Mask, frozen
+from marey.arrays import Floats, Integers, Mask
 from marey.images.matching import Matches, MatchSettings, match
 from marey.surface.acceptance import Limits, good, weakest_sd
+from marey.surface.checks import continuous
+from marey.surface.field import Field, Grid
 from marey.surface.seeds import Seeds
 from marey.surface.settings import SurfaceSettings
 from marey.surface.views import View
@@ -19,90 +20,8 @@ _REACH = 0.8
 """How far from where its neighbour predicts it a patch may be, relative to the spacing, and ..."""
 _LEAST_REACH = 1.5
 """... at least [px]."""
-_AROUND = np.array([[0, -1], [0, 1], [-1, 0], [1, 0], [-1, -1], [-1, 1], [1, -1], [1, 1]])
-"""Row and column of the neighbours."""
 _WIDE = 4
 """Spacing from which on a step that fails is halved [px]."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Grid:
-    """Where in the template points are measured."""
-
-    left: int
-    """x of the first column [px]."""
-    top: int
-    """y of the first row [px]."""
-    spacing: int
-    """[px]."""
-    rows: int
-    columns: int
-
-    @staticmethod
-    def over(view: View, *, spacing: int, half: int) -> "Grid":
-        """Cover a picture as far as patches fit into it."""
-        edge = half + 2
-        width, height = view.camera.size
-        rows, columns = (max(0, (side - 2 * edge - 1) // spacing + 1) for side in (height, width))
-        left, top = ((side - 1 - (count - 1) * spacing) // 2 for side, count in ((width, columns), (height, rows)))
-        return Grid(left=left, top=top, spacing=spacing, rows=rows, columns=columns)
-
-    def __len__(self) -> int:
-        """Count the nodes."""
-        return self.rows * self.columns
-
-    @cached_property
-    def pixels(self) -> Floats:
-        """(n, 2) the nodes, row by row [px]."""
-        row, column = np.divmod(np.arange(len(self)), max(self.columns, 1))
-        return np.stack([self.left + self.spacing * column, self.top + self.spacing * row], axis=-1).astype(float)
-
-    def neighbours(self, nodes: Integers) -> Integers:
-        """Give the eight nodes (m, 8) about each of some nodes; -1 beyond the border."""
-        row, column = np.divmod(nodes, self.columns)
-        r, c = row[:, None] + _AROUND[:, 0], column[:, None] + _AROUND[:, 1]
-        inside = (r >= 0) & (r < self.rows) & (c >= 0) & (c < self.columns)
-        return np.where(inside, r * self.columns + c, -1)
-
-    def nearest(self, pixels: Floats) -> Integers:
-        """Give the node nearest to each pixel (n, 2)."""
-        place = np.round((pixels - [self.left, self.top]) / self.spacing).astype(int)
-        column, row = np.clip(place, 0, [self.columns - 1, self.rows - 1]).T
-        return row * self.columns + column
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Field:
-    """What was found of a template in one search picture, node by node; NaN where nothing was."""
-
-    there: Floats
-    """(n, 2) [px]."""
-    maps: Floats
-    """(n, 2, 2)."""
-    covariance: Floats
-    """(n, 2, 2) [px2]."""
-    correlation: Floats
-    """(n,)."""
-    size: Integers
-    """(n,) of the patch [px]; 0 where nothing was found."""
-
-    def __post_init__(self) -> None:
-        for name in ("there", "maps", "covariance", "correlation"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-        object.__setattr__(self, "size", frozen(self.size, np.int64))
-
-    @property
-    def found(self) -> Mask:
-        """(n,) where something was found."""
-        return self.size > 0
-
-    def only(self, kept: Mask) -> "Field":
-        """Forget all but some nodes (n,)."""
-        pick = lambda values: np.where(kept.reshape(-1, *[1] * (values.ndim - 1)), values, np.nan)  # noqa: E731
-        return Field(
-            there=pick(self.there), maps=pick(self.maps), covariance=pick(self.covariance),
-            correlation=pick(self.correlation), size=np.where(kept, self.size, 0),
-        )  # fmt: skip
 
 
 def grow(template: View, search: View, grid: Grid, seeds: Seeds, limits: Limits, settings: SurfaceSettings) -> Field:
@@ -124,24 +43,25 @@ def grow(template: View, search: View, grid: Grid, seeds: Seeds, limits: Limits,
     Returns:
         What was found.
     """
-    wave = _Wave(template, search, grid, limits)
+    wave = _Wave(template, search, grid)
     if not len(seeds) or not len(grid):
         return wave.field()
     region = cKDTree(seeds.pixels).query(grid.pixels)[1]
-    for size in settings.sizes:
-        wave.begin(size)
+    for size, correlation in zip(settings.sizes, settings.correlations, strict=True):
+        wave.begin(size, replace(limits, correlation=correlation))
         if size == settings.patch:
             wave.sow(seeds)
             wave.spread(region)
         wave.spread(None)
+        wave.prune()
     return wave.field()
 
 
 class _Wave:
     """A match that is spreading."""
 
-    def __init__(self, template: View, search: View, grid: Grid, limits: Limits):
-        self._views, self._grid, self._limits = (template, search), grid, limits
+    def __init__(self, template: View, search: View, grid: Grid):
+        self._views, self._grid = (template, search), grid
         count = len(grid)
         self._there, self._maps = np.full((count, 2), np.nan), np.full((count, 2, 2), np.nan)
         self._covariance, self._correlation = np.full((count, 2, 2), np.nan), np.full(count, np.nan)
@@ -149,10 +69,10 @@ class _Wave:
         self._sd = np.full(count + 1, np.inf)
         """The last number belongs to no node, and is what neighbours beyond the border have."""
         self._allowed = np.append(template.shows(grid.pixels), False)
-        self._settings = MatchSettings()
 
-    def begin(self, size: int) -> None:
+    def begin(self, size: int, limits: Limits) -> None:
         """Go on with patches of another size."""
+        self._limits = limits
         reach = max(_LEAST_REACH, _REACH * self._grid.spacing)
         self._settings = MatchSettings(size=size, noise=self._views[0].noise, reach=reach)
         self._tries[:] = 0
@@ -217,6 +137,14 @@ class _Wave:
         self._size[kept] = self._settings.size
         self._sd[kept] = weakest_sd(found.covariance[fine])
         return fine
+
+    def prune(self) -> None:
+        """Forget what the patches beside it contradict, so that larger patches may try again."""
+        lost = (self._size > 0) & ~continuous(self.field(), self._grid, self._sd[:-1]).found
+        for values in (self._there, self._maps, self._covariance, self._correlation):
+            values[lost] = np.nan
+        self._size[lost] = 0
+        self._sd[:-1][lost] = np.inf
 
     def field(self) -> Field:
         """Give what was found."""

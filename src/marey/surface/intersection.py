@@ -41,9 +41,8 @@ def intersect(views: Sequence[View], tuples: Tuples, settings: SurfaceSettings, 
     pixels[_off_their_lines(views, tuples, settings)] = np.nan
     solved = triangulate(cameras, pixels.swapaxes(0, 1), sigma_px=sigma.T)
     kept &= solved.views >= 2
-    for views_count in np.unique(solved.views[kept]):
-        some = kept & (solved.views == views_count)
-        kept[some] = solved.residual_px[some] <= _limit(solved.residual_px[some], settings.residual_px)
+    most = kept & (solved.views == solved.views.max(initial=0))
+    kept &= solved.residual_px <= _limit(solved.residual_px[most], settings.residual_px)
     two = np.flatnonzero(kept & (solved.views == 2))
     kept[two] = _borne_out(views, tuples, pixels, two)
     whole = np.zeros(len(tuples.grid), bool)

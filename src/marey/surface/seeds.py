@@ -30,8 +30,19 @@ _BACK = 2.0
 """How near the way back must come to where it began [px of the sweep]."""
 _ROUND = 2.5
 """How well rays of three views must meet [px]."""
-_QUALITY = 0.005
-"""How weak a corner may be, against the strongest."""
+_STEP = 1.5
+"""From one hypothesis to the next [px of the sweep]; patches still look alike there."""
+_BLOCK = 7
+"""Width and height of a corner's surroundings [px]."""
+_STRENGTH = 4.0
+"""What OpenCV's strength of a corner is for a mean square gradient of 1 [grey2/px2] in a block of seven pixels."""
+_NOISE_SHARE = 1.0
+"""Least mean square gradient in a corner's weakest direction, as a multiple of the noise's variance [1/px2]; noise
+itself has 0.2."""
+_LEAST_NOISE = 1.0
+"""Compression hides noise: no camera is believed to have less [grey levels]."""
+_EDGE = 8
+"""Pixels along the picture's border in which no corner is sought."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -67,11 +78,34 @@ class Seeds:
         return Seeds(**{name: np.concatenate(pair) for name, pair in pairs.items()})
 
 
-def corners(view: View, *, most: int, distance: int) -> Floats:
-    """Find places (n, 2) of a view that its surroundings tell apart from those nearby [px]."""
-    inside = None if view.mask is None else view.mask.astype(np.uint8)
-    found = cv2.goodFeaturesToTrack(view.grey, most, _QUALITY, distance, mask=inside, blockSize=7)
-    return np.zeros((0, 2)) if found is None else found.reshape(-1, 2).astype(float)
+def corners(view: View, *, most: int) -> Floats:
+    """Find places of a view that their surroundings tell apart from those nearby, all over the picture.
+
+    The picture is cut into equal cells, and each cell gives its best place: the strongest corners of all would crowd
+    where the texture is best, and leave the rest to grow from afar.
+
+    Args:
+        view: Whose picture.
+        most: At most so many.
+
+    Returns:
+        (n, 2) [px]; those that are no more than noise are left out.
+    """
+    strength = cv2.cornerMinEigenVal(view.grey.astype(np.float32), _BLOCK) / _STRENGTH
+    strength[:_EDGE], strength[-_EDGE:], strength[:, :_EDGE], strength[:, -_EDGE:] = 0, 0, 0, 0
+    if view.mask is not None:
+        strength[~view.mask] = 0
+    height, width = strength.shape
+    cell = max(8, int(np.ceil(np.sqrt(height * width / most))))
+    rows, columns = -(-height // cell), -(-width // cell)
+    padded = np.zeros((rows * cell, columns * cell), np.float32)
+    padded[:height, :width] = strength
+    cells = padded.reshape(rows, cell, columns, cell).swapaxes(1, 2).reshape(rows * columns, cell * cell)
+    best = cells.argmax(axis=1)
+    strong = np.flatnonzero(cells[np.arange(len(cells)), best] > _NOISE_SHARE * max(view.noise, _LEAST_NOISE) ** 2)
+    x = strong % columns * cell + best[strong] % cell
+    y = strong // columns * cell + best[strong] // cell
+    return np.stack([x, y], axis=-1).astype(float)
 
 
 def find_seeds(
@@ -92,8 +126,7 @@ def find_seeds(
         Seeds of each searched view; perhaps none.
     """
     factor = min(1.0, _SIDE / max(max(view.camera.size) for view in (template, *searched)))
-    distance = max(5, round(max(template.camera.size) / 75))
-    pixels = corners(template, most=settings.seeds, distance=distance)
+    pixels = corners(template, most=settings.seeds)
 
     def work(search: View) -> Seeds:
         there, maps = _swept(template, search, pixels, factor=factor)
@@ -144,7 +177,7 @@ def _swept(template: View, search: View, pixels: Floats, *, factor: float) -> tu
 
 def _most_like(template: View, search: View, pixels: Floats) -> tuple[Floats, Floats]:
     """Give the place (n, 2) most like each pixel's surroundings, and its map (n, 2, 2); NaN if another is as good."""
-    tried = hypotheses(template.camera, search.camera, pixels, step=1.0, margin=_HALF)
+    tried = hypotheses(template.camera, search.camera, pixels, step=_STEP, margin=_HALF)
     scores = correlations(
         template.grey.astype(np.float32), search.grey.astype(np.float32), pixels, tried, half=_HALF
     )  # fmt: skip

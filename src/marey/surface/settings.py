@@ -17,16 +17,18 @@ class SurfaceSettings:
     """Distance from point to point in the template [px]."""
     patch: int = 13
     """Width and height of the patches [px], odd; where texture is weak, larger ones are tried."""
-    enlarged: tuple[float, ...] = (1.6, 2.4)
+    enlarged: tuple[float, ...] = (1.6, 2.4, 3.2)
     """By what factors patches grow where they are not found otherwise."""
-    correlation: float = 0.8
+    correlation: float = 0.75
     """Least correlation of a patch with the template's."""
-    sd_px: float = 0.15
+    eased: float = 0.05
+    """By how much less larger patches may correlate, for each step of size: more pixels agree by chance less often."""
+    sd_px: float = 0.12
     """Greatest standard deviation of a match in its weakest direction [px]."""
     epipolar_px: float = 2.0
     """Greatest distance of a match from the epipolar line [px]; less where the seeds show that the cameras are better
     than that."""
-    residual_px: float = 1.0
+    residual_px: float = 1.5
     """Greatest root mean square residual of the forward intersection [px]; less where most points are better."""
     angle: float = 0.7
     """Cameras whose views of the scene differ by more are not matched with each other [rad]."""
@@ -46,6 +48,11 @@ class SurfaceSettings:
                 faults.append(f"{name} is {getattr(self, name):g}; it must be positive")
         if faults:
             raise SettingProblem(f"A surface cannot be measured like this: {'; '.join(faults)}.")
+
+    @property
+    def correlations(self) -> tuple[float, ...]:
+        """Least correlations of the patches of each size."""
+        return tuple(max(0.3, self.correlation - k * self.eased) for k in range(len(self.sizes)))
 
     @property
     def sizes(self) -> tuple[int, ...]:

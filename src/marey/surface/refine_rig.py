@@ -1,0 +1,233 @@
+"""Cameras corrected by the matches themselves: a bundle adjustment of their relative poses.
+
+Rays of patches that three pictures show do not meet where a camera stands a little otherwise than its calibration says.
+The poses, and only they, are corrected by what such rays tell; what they do not tell stays as it was calibrated.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from marey.arrays import Floats
+from marey.cameras.camera import Camera
+from marey.cameras.rig import Rig
+from marey.cameras.triangulate import triangulate
+from marey.errors import SettingProblem
+from marey.geometry import rotations
+from marey.geometry.rigid import RigidTransform
+
+TURN_SD_PX = 0.5
+"""How far a calibrated camera may be turned wrong, standard deviation, as pixels in the middle of its picture [px]."""
+SHIFT_SD = 0.0015
+"""How far it may stand beside its place, as a share of its distance from the fixed camera."""
+_TELLING = 300
+"""At most so many matches of an instant take part: patches overlap, and what the pictures have against the lens model
+goes together over wide parts of them, so that more would only seem to tell more."""
+_BASELINE_SD = 1e-6
+"""The first camera's distance from the fixed one keeps the scale, to within this share."""
+_ROUNDS = 12
+_CAUTION = 2.4
+"""Cauchy's scale: residuals of so many standard deviations count half."""
+_LEAST_TUPLES = 100
+_SIGNIFICANT_PX = 0.05
+_SIGNIFICANT_SHARE = 0.85
+"""A correction counts as significant that takes the median residual down by so much, and to this share or less."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Sighting:
+    """Matches of one instant."""
+
+    pixels: Floats
+    """(n, C, 2) [px]; NaN without a match."""
+    sigma: Floats
+    """(n, C) [px]."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RigRefinement:
+    """What the matches say of the cameras."""
+
+    rig: Rig
+    """The corrected cameras."""
+    turn: Floats
+    """(C,) by how much each was turned [rad]."""
+    shift: Floats
+    """(C,) by how much each was moved [m]."""
+    moved_px: Floats
+    """(C,) by how much pixels moved with it, root mean square over the matches [px]."""
+    residual_before: float
+    """Median residual of the forward intersection with the given cameras [px]."""
+    residual_after: float
+    """The same with the corrected ones."""
+    tuples: int
+    """Matches that took part."""
+
+    @property
+    def significant(self) -> bool:
+        """Whether the given cameras are plainly not what the matches show."""
+        fall = self.residual_before - self.residual_after
+        return fall >= _SIGNIFICANT_PX and self.residual_after <= _SIGNIFICANT_SHARE * self.residual_before
+
+
+def refine_rig(rig: Rig, sightings: Sequence[Sighting], *, fixed: int) -> RigRefinement | None:
+    """Correct the poses of all cameras but one, so that the rays of matches meet.
+
+    The fixed camera and the length of the first other one's baseline keep the world's place and scale; calibrated poses
+    are observations with standard deviations. Instants whose rays meet badly after all (cameras that were not exposed
+    at one time) weigh less, by their own variance.
+
+    Args:
+        rig: C cameras as they were calibrated.
+        sightings: Matches, an instant each; those seen by three cameras and more count, or all where there is none.
+        fixed: The camera that stays.
+
+    Returns:
+        The correction; None with too few matches.
+
+    Raises:
+        SettingProblem: The rig has no camera of the fixed one's number.
+    """
+    if not 0 <= fixed < len(rig):
+        raise SettingProblem(f"Camera {fixed} cannot be kept; the rig has {len(rig)}.")
+    sightings = [_telling(sighting) for sighting in sightings]
+    sightings = [sighting for sighting in sightings if len(sighting.pixels)]
+    if sum(len(sighting.pixels) for sighting in sightings) < _LEAST_TUPLES:
+        return None
+    cameras = list(rig)
+    free = [i for i in range(len(rig)) if i != fixed and any(_shows(s, i) for s in sightings)]
+    weights = np.ones(len(sightings))
+    for _ in range(_ROUNDS):
+        normal, right = _prior(rig, cameras, free, fixed)
+        for k, sighting in enumerate(sightings):
+            system = _system(cameras, sighting, free, weights[k])
+            normal, right, weights[k] = normal + system[0], right + system[1], 1 / max(1.0, system[2])
+        step = np.linalg.solve(normal, right).reshape(-1, 6)
+        for i, change in zip(free, step, strict=True):
+            pose = RigidTransform.from_vector(change[3:], change[:3]) @ cameras[i].camera_from_world
+            cameras[i] = replace(cameras[i], camera_from_world=pose)
+    return _compared(rig, Rig(tuple(cameras)), sightings)
+
+
+def _telling(sighting: Sighting) -> Sighting:
+    """Keep some matches of those that tell most."""
+    views = np.isfinite(sighting.pixels[..., 0]).sum(axis=1)
+    kept = np.flatnonzero(views >= (3 if (views >= 3).any() else 2))
+    kept = kept[np.linspace(0, len(kept) - 1, min(_TELLING, len(kept))).astype(int)]
+    return Sighting(pixels=sighting.pixels[kept], sigma=sighting.sigma[kept])
+
+
+def _shows(sighting: Sighting, camera: int) -> bool:
+    return bool(np.isfinite(sighting.pixels[:, camera, 0]).any())
+
+
+def _prior(rig: Rig, cameras: Sequence[Camera], free: Sequence[int], fixed: int) -> tuple[Floats, Floats]:
+    """Build the normal equations of the calibrated poses, and of the baseline that keeps the scale."""
+    size = 6 * len(free)
+    normal, right = np.zeros((size, size)), np.zeros(size)
+    for k, i in enumerate(free):
+        away = cameras[i].camera_from_world @ rig.cameras[i].camera_from_world.inverse()
+        baseline = float(np.linalg.norm(rig.centres[i] - rig.centres[fixed]))
+        turn = TURN_SD_PX / float(rig.cameras[i].matrix[0, 0])
+        sd = np.repeat([SHIFT_SD * max(baseline, 1e-9), turn], 3)
+        own = slice(6 * k, 6 * k + 6)
+        normal[own, own] += np.diag(sd**-2.0)
+        right[own] -= np.concatenate([away.translation, away.rotation_vector]) / sd**2
+    if free:
+        _keep_scale(rig, cameras, free[0], fixed, normal, right)
+    return normal, right
+
+
+def _keep_scale(
+    rig: Rig, cameras: Sequence[Camera], first: int, fixed: int, normal: Floats, right: Floats
+) -> None:  # fmt: skip
+    """Add that the first free camera keeps its distance from the fixed one."""
+    given = float(np.linalg.norm(rig.centres[first] - rig.centres[fixed]))
+    apart = cameras[first].centre - cameras[fixed].centre
+    now = float(np.linalg.norm(apart))
+    # The centre lies at -R^T t; a shift of the camera's axes moves it by -R^T of that, a turn not at first order but
+    # through t: centre' = -R^T exp(-w) (exp(w) t + v), in which the turn cancels.
+    row = np.zeros(len(right))
+    row[:3] = -(cameras[first].camera_from_world.rotation @ (apart / now))
+    sd = _BASELINE_SD * given
+    normal += np.outer(row, row) / sd**2
+    right += row * (given - now) / sd**2
+
+
+def _system(
+    cameras: Sequence[Camera], sighting: Sighting, free: Sequence[int], weight: float
+) -> tuple[Floats, Floats, float]:
+    """Build the reduced normal equations of one instant, its points eliminated; and give its variance factor."""
+    solved = triangulate(cameras, sighting.pixels.swapaxes(0, 1), sigma_px=sighting.sigma.T)
+    good = np.isfinite(solved.points[:, 0])
+    points, pixels, sigma = solved.points[good], sighting.pixels[good], sighting.sigma[good]
+    count, size = len(points), 6 * len(free)
+    by_point, by_pose = np.zeros((count, len(cameras), 2, 3)), np.zeros((count, len(cameras), 2, size))
+    residual = np.zeros((count, len(cameras), 2))
+    for i, camera in enumerate(cameras):
+        projected, slope = camera.project_with_derivative(points)
+        scale = np.where(np.isfinite(pixels[:, i, 0]), 1 / sigma[:, i], 0.0)
+        known = scale > 0
+        residual[known, i] = (pixels[known, i] - projected[known]) * scale[known, None]
+        by_point[known, i] = slope[known] * scale[known, None, None]
+        if i in free:
+            at = 6 * free.index(i)
+            by_pose[known, i, :, at : at + 6] = _by_pose(camera, points[known], by_point[known, i])
+    squares = np.sum(residual**2, axis=(1, 2))
+    freedom = 2 * np.isfinite(pixels[..., 0]).sum(axis=1) - 3
+    factor = float(np.median(squares / freedom)) / 0.79
+    robust = weight / (1 + squares * weight / freedom / _CAUTION**2)
+    rows = 2 * len(cameras)
+    point, pose, left = (
+        by_point.reshape(count, rows, 3),
+        by_pose.reshape(count, rows, size),
+        residual.reshape(count, -1),
+    )
+    both = np.einsum("nri,nrj->nij", point, pose)
+    own = np.einsum("nri,nr->ni", point, left)
+    share = np.linalg.solve(np.einsum("nri,nrj->nij", point, point), both)
+    normal = np.einsum("n,nri,nrj->ij", robust, pose, pose) - np.einsum("n,nki,nkj->ij", robust, both, share)
+    right = np.einsum("n,nri,nr->i", robust, pose, left) - np.einsum("n,nki,nk->i", robust, share, own)
+    return normal, right, factor
+
+
+def _by_pose(camera: Camera, points: Floats, by_point: Floats) -> Floats:
+    """Differentiate pixels (n, 2, 6) by a shift and a turn of the camera's axes."""
+    pose = camera.camera_from_world
+    by_axes = by_point @ pose.rotation.T
+    return np.concatenate([by_axes, -by_axes @ rotations.hat(pose.apply(points))], axis=-1)
+
+
+def _compared(given: Rig, found: Rig, sightings: Sequence[Sighting]) -> RigRefinement:
+    moved = [new.camera_from_world @ old.camera_from_world.inverse() for new, old in zip(found, given, strict=True)]
+    before, after = (_residuals(rig, sightings) for rig in (given, found))
+    return RigRefinement(
+        rig=found,
+        turn=np.array([np.linalg.norm(motion.rotation_vector) for motion in moved]),
+        shift=np.linalg.norm(found.centres - given.centres, axis=1),
+        moved_px=_moved_px(given, found, sightings),
+        residual_before=before,
+        residual_after=after,
+        tuples=sum(len(sighting.pixels) for sighting in sightings),
+    )
+
+
+def _residuals(rig: Rig, sightings: Sequence[Sighting]) -> float:
+    """Give the median residual, of the instants with the median of each [px]."""
+    return float(
+        np.median(
+            [
+                np.nanmedian(triangulate(rig.cameras, s.pixels.swapaxes(0, 1), sigma_px=s.sigma.T).residual_px)
+                for s in sightings
+            ]
+        )
+    )
+
+
+def _moved_px(given: Rig, found: Rig, sightings: Sequence[Sighting]) -> Floats:
+    pixels = np.concatenate([s.pixels for s in sightings]).swapaxes(0, 1)
+    sigma = np.concatenate([s.sigma for s in sightings]).T
+    points = triangulate(found.cameras, pixels, sigma_px=sigma).points
+    apart = [new.project(points) - old.project(points) for new, old in zip(found, given, strict=True)]
+    return np.array([np.sqrt(np.nanmean(np.sum(d**2, axis=-1))) for d in apart])
