@@ -8,7 +8,7 @@ import numpy as np
 
 from marey.arrays import Floats, Image, Integers, frozen
 from marey.cameras.epipolar import epipolar_lines
-from marey.surface.acceptance import Limits, beside_lines
+from marey.surface.acceptance import beside_lines
 from marey.surface.field import Field, Grid
 from marey.surface.growth import grow
 from marey.surface.seeds import Seeds, find_seeds
@@ -86,11 +86,8 @@ def match_tuples(
         seeds[k] = seeds[k] if known is None else seeds[k].and_also(known)
 
     def work(search: View, start: Seeds) -> Field:
-        limits = Limits(
-            correlation=settings.correlation, sd_px=settings.sd_px,
-            epipolar_px=_epipolar_limit(template, search, start, settings),
-        )  # fmt: skip
-        return grow(template, search, grid, start, limits, settings)
+        limit = _epipolar_limit(template, search, start, settings)
+        return grow(template, search, grid, start, settings, epipolar_px=limit)
 
     with ThreadPoolExecutor(max(1, min(threads, len(searched)))) as pool:
         fields = list(pool.map(work, searched, seeds))

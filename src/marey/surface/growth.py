@@ -1,7 +1,5 @@
 """Growth: from its seeds, a match spreads over the template, from each found patch to the patches beside it."""
 
-from dataclasses import replace
-
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -11,11 +9,15 @@ from marey.surface.acceptance import Limits, good, weakest_sd
 from marey.surface.checks import continuous
 from marey.surface.field import Field, Grid
 from marey.surface.seeds import Seeds
-from marey.surface.settings import SurfaceSettings
+from marey.surface.settings import Pass, SurfaceSettings
 from marey.surface.views import View
 
-_ATTEMPTS = 2
-"""How often a patch of one size is tried, each time from another one beside it."""
+_ATTEMPTS = 1
+"""How often a patch of one size is tried."""
+_STEPS = 15
+"""Most steps of a match: a start beside a good neighbour takes three or four, more where texture is weak."""
+_PRECISION = 0.04
+"""The last step's size [px]; what is left after it is a tenth of it and less."""
 _REACH = 0.8
 """How far from where its neighbour predicts it a patch may be, relative to the spacing, and ..."""
 _LEAST_REACH = 1.5
@@ -24,7 +26,9 @@ _WIDE = 4
 """Spacing from which on a step that fails is halved [px]."""
 
 
-def grow(template: View, search: View, grid: Grid, seeds: Seeds, limits: Limits, settings: SurfaceSettings) -> Field:
+def grow(
+    template: View, search: View, grid: Grid, seeds: Seeds, settings: SurfaceSettings, *, epipolar_px: float
+) -> Field:
     """Spread matches over the template ([Plaenkers1999] section 2.1).
 
     Each seed's Voronoi region is covered from the seed, by patches that begin where the patch beside them predicts
@@ -37,8 +41,8 @@ def grow(template: View, search: View, grid: Grid, seeds: Seeds, limits: Limits,
         search: The view in which they are looked for.
         grid: The patches' centres.
         seeds: Where to begin.
-        limits: Which matches are believed.
-        settings: Sizes of the patches.
+        settings: Sizes of the patches, and which matches are believed.
+        epipolar_px: How far from its epipolar line a match may lie [px].
 
     Returns:
         What was found.
@@ -47,10 +51,10 @@ def grow(template: View, search: View, grid: Grid, seeds: Seeds, limits: Limits,
     if not len(seeds) or not len(grid):
         return wave.field()
     region = cKDTree(seeds.pixels).query(grid.pixels)[1]
-    for size, correlation in zip(settings.sizes, settings.correlations, strict=True):
-        wave.begin(size, replace(limits, correlation=correlation))
-        if size == settings.patch:
-            wave.sow(seeds)
+    for number, way in enumerate(settings.passes):
+        wave.begin(way, epipolar_px)
+        wave.sow(seeds)
+        if number == 0:
             wave.spread(region)
         wave.spread(None)
         wave.prune()
@@ -70,18 +74,20 @@ class _Wave:
         """The last number belongs to no node, and is what neighbours beyond the border have."""
         self._allowed = np.append(template.shows(grid.pixels), False)
 
-    def begin(self, size: int, limits: Limits) -> None:
-        """Go on with patches of another size."""
-        self._limits = limits
+    def begin(self, way: Pass, epipolar_px: float) -> None:
+        """Go on in another way."""
+        self._limits = Limits(correlation=way.correlation, sd_px=way.sd_px, epipolar_px=epipolar_px)
         reach = max(_LEAST_REACH, _REACH * self._grid.spacing)
-        self._settings = MatchSettings(size=size, noise=self._views[0].noise, reach=reach)
+        self._settings = MatchSettings(
+            size=way.size, noise=self._views[0].noise, reach=reach, steps=_STEPS, precision=_PRECISION
+        )
         self._tries[:] = 0
 
     def sow(self, seeds: Seeds) -> None:
-        """Match the node nearest to each seed."""
+        """Match the node nearest to each seed, where nothing is found yet."""
         nodes, which = np.unique(self._grid.nearest(seeds.pixels), return_index=True)
-        allowed = self._allowed[nodes]
-        nodes, which = nodes[allowed], which[allowed]
+        wanted = self._allowed[nodes] & (self._size[nodes] == 0)
+        nodes, which = nodes[wanted], which[wanted]
         self._attempt(nodes, seeds.pixels[which], seeds.there[which], seeds.maps[which])
 
     def spread(self, region: Integers | None) -> None:

@@ -17,11 +17,11 @@ from marey.errors import SettingProblem
 from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
 
-TURN_SD_PX = 0.5
+TURN_SD_PX = 1.0
 """How far a calibrated camera may be turned wrong, standard deviation, as pixels in the middle of its picture [px]."""
-SHIFT_SD = 0.0015
+SHIFT_SD = 0.002
 """How far it may stand beside its place, as a share of its distance from the fixed camera."""
-_TELLING = 300
+_TELLING = 600
 """At most so many matches of an instant take part: patches overlap, and what the pictures have against the lens model
 goes together over wide parts of them, so that more would only seem to tell more."""
 _BASELINE_SD = 1e-6
@@ -31,7 +31,7 @@ _CAUTION = 2.4
 """Cauchy's scale: residuals of so many standard deviations count half."""
 _LEAST_TUPLES = 100
 _SIGNIFICANT_PX = 0.05
-_SIGNIFICANT_SHARE = 0.85
+_SIGNIFICANT_SHARE = 0.92
 """A correction counts as significant that takes the median residual down by so much, and to this share or less."""
 
 

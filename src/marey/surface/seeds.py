@@ -149,18 +149,16 @@ def exact(
     reach: float,
 ) -> Seeds:
     """Match rough seeds exactly, with a large patch first; NaN where they are not found or not good."""
-    first = MatchSettings(size=settings.sizes[1], noise=template.noise, reach=reach)
-    large = match(template.spline, search.spline, pixels, there, maps=maps, settings=first)
-    second = MatchSettings(size=settings.patch, noise=template.noise, reach=reach)
-    small = match(
-        template.spline, search.spline, pixels, large.pixels, maps=large.search_from_template, settings=second
-    )  # fmt: skip
-    limits = Limits(correlation=settings.correlation, sd_px=settings.sd_px, epipolar_px=settings.epipolar_px)
-    there, maps = np.full_like(pixels, np.nan), np.full((len(pixels), 2, 2), np.nan)
-    for found in (large, small):
+    exact_there, exact_maps = np.full_like(pixels, np.nan), np.full((len(pixels), 2, 2), np.nan)
+    for way in reversed(settings.passes):
+        rules = MatchSettings(size=way.size, noise=template.noise, reach=reach)
+        limits = Limits(correlation=way.correlation, sd_px=way.sd_px, epipolar_px=settings.epipolar_px)
+        found = match(template.spline, search.spline, pixels, there, maps=maps, settings=rules)
         fine = good(template, search, pixels, found, limits)
-        there[fine], maps[fine] = found.pixels[fine], found.search_from_template[fine]
-    return Seeds(pixels=pixels, there=there, maps=maps)
+        exact_there[fine], exact_maps[fine] = found.pixels[fine], found.search_from_template[fine]
+        there = np.where(np.isnan(exact_there), there, exact_there)
+        maps = np.where(np.isnan(exact_maps), maps, exact_maps)
+    return Seeds(pixels=pixels, there=exact_there, maps=exact_maps)
 
 
 def _swept(template: View, search: View, pixels: Floats, *, factor: float) -> tuple[Floats, Floats]:

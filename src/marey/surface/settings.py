@@ -1,8 +1,20 @@
 """How a surface is measured: spacing, patches, and what counts as a good match."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from marey.errors import SettingProblem
+
+
+class Pass(NamedTuple):
+    """One way of matching."""
+
+    size: int
+    """Width and height of the patches [px]."""
+    correlation: float
+    """At least."""
+    sd_px: float
+    """In the weakest direction, at most [px]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -17,14 +29,16 @@ class SurfaceSettings:
     """Distance from point to point in the template [px]."""
     patch: int = 13
     """Width and height of the patches [px], odd; where texture is weak, larger ones are tried."""
-    enlarged: tuple[float, ...] = (1.6, 2.4, 3.2)
-    """By what factors patches grow where they are not found otherwise."""
+    enlarged: tuple[float, ...] = (1.6, 2.4, 3.2, 4.0)
+    """By what factors patches grow where they are not found otherwise, or not with certainty."""
     correlation: float = 0.75
-    """Least correlation of a patch with the template's."""
+    """Least correlation of a patch with the template's, and ..."""
     eased: float = 0.05
-    """By how much less larger patches may correlate, for each step of size: more pixels agree by chance less often."""
-    sd_px: float = 0.12
+    """... by how much less larger patches may correlate, for each step of size: more pixels agree less by chance."""
+    sd_px: float = 0.06
     """Greatest standard deviation of a match in its weakest direction [px]."""
+    doubtful: float = 2.5
+    """By what factor that may be exceeded where no patch of any size is better."""
     epipolar_px: float = 2.0
     """Greatest distance of a match from the epipolar line [px]; less where the seeds show that the cameras are better
     than that."""
@@ -50,12 +64,10 @@ class SurfaceSettings:
             raise SettingProblem(f"A surface cannot be measured like this: {'; '.join(faults)}.")
 
     @property
-    def correlations(self) -> tuple[float, ...]:
-        """Least correlations of the patches of each size."""
-        return tuple(max(0.3, self.correlation - k * self.eased) for k in range(len(self.sizes)))
-
-    @property
-    def sizes(self) -> tuple[int, ...]:
-        """The patches' sizes, in the order in which they are tried [px]."""
-        larger = (2 * round(factor * (self.patch - 1) / 2) + 1 for factor in self.enlarged)
-        return (self.patch, *larger)
+    def passes(self) -> tuple[Pass, ...]:
+        """What is tried one after the other: ever larger patches, and last what is less certain."""
+        sizes = [2 * round(factor * (self.patch - 1) / 2) + 1 for factor in (1.0, *self.enlarged)]
+        least = [max(0.3, self.correlation - k * self.eased) for k in range(len(sizes))]
+        strict = [Pass(size, bound, self.sd_px) for size, bound in zip(sizes, least, strict=True)]
+        last = [Pass(each.size, each.correlation, self.doubtful * self.sd_px) for each in strict[:3]]
+        return (*strict, *last)
