@@ -113,6 +113,58 @@ def capture(
 
 
 @app.command()
+def surface(
+    trial: Annotated[
+        Path, typer.Argument(metavar="TRIAL", help="Folder with cameras.toml and a video, or stills, of each camera.")
+    ],
+    out: Out = None,
+    cameras: Cameras = None,
+    frames: Frames = None,
+    seeds: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Clicked seeds: CSV, x and y in each camera of cameras.toml a row."),
+    ] = None,
+    spacing: Annotated[int, typer.Option(metavar="PX", help="Distance from point to point in the picture.")] = 2,
+    patch: Annotated[int, typer.Option(metavar="PX", help="Width of the smallest patches, an odd number.")] = 13,
+    refine_rig: Annotated[
+        bool | None,
+        typer.Option(
+            "--refine-rig/--keep-rig",
+            help="Correct the cameras' poses by the matches, or never. [default: where three or more plainly need it]",
+        ),
+    ] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Measure the visible surface of what a trial shows, as 3-D points.
+
+    TRIAL holds `cameras.toml` and `cam01.mp4`, ..., or stills `cam01_1.jpg`, ..., or `images/cam01.jpg`, ... of one
+    instant; pictures of the empty room in `background/`, or known `masks/`, keep the room out. The surface needs
+    texture, and cameras 10 to 25 degrees apart.
+
+    Examples:
+    * `marey surface face1`
+    * `marey surface arm3 --spacing 4 --frames 0:10`
+    * `marey surface face1 --seeds clicked.csv --keep-rig`
+    """
+    from marey.cli.progress import Progress
+    from marey.cli.surface import surface as measure_surface
+    from marey.cli.surface_settings import SurfaceOptions
+
+    _require_folder(trial)
+    options = SurfaceOptions(
+        out=out,
+        cameras=None if cameras is None else parse_names(cameras),
+        frames=None if frames is None else parse_frames(frames),
+        seeds=seeds,
+        spacing=spacing,
+        patch=patch,
+        refine_rig=refine_rig,
+    )
+    results = measure_surface(trial, options, Progress(quiet=quiet))
+    typer.echo(f"Surface: {results / 'surface.npz'}")
+
+
+@app.command()
 def demo(out: Out = None, quiet: Quiet = False) -> None:
     """Capture the take that comes with the program, and say where its report is."""
     example = example_folder()
@@ -193,11 +245,15 @@ def _capture(trial: Path, settings: CaptureSettings, *, quiet: bool) -> None:
     from marey.cli.capture import capture as capture_trial
     from marey.cli.progress import Progress
 
+    _require_folder(trial)
+    results = capture_trial(trial, settings, Progress(quiet=quiet))
+    typer.echo(f"Report: {results / 'report.html'}")
+
+
+def _require_folder(trial: Path) -> None:
     if not trial.is_dir():
         what = "is a file" if trial.exists() else "does not exist"
         raise FileProblem(trial, what, "Give the folder that holds the videos and cameras.toml.")
-    results = capture_trial(trial, settings, Progress(quiet=quiet))
-    typer.echo(f"Report: {results / 'report.html'}")
 
 
 def example_folder() -> Path:

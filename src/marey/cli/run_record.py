@@ -10,6 +10,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import fields, is_dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -131,7 +132,7 @@ def _move_in(staging: Path, out: Path) -> None:
     files = sorted(path.relative_to(staging) for path in staging.rglob("*") if path.is_file())
     # The record goes last: a folder whose run.json names this run holds all of its results.
     files.sort(key=lambda name: str(name) == RECORD)
-    old = _files_of_last_run(out)
+    old = _carry_over(staging, out)
     for name in files:
         _make_folder((out / name).parent)
         os.replace(staging / name, out / name)
@@ -139,13 +140,32 @@ def _move_in(staging: Path, out: Path) -> None:
         (out / name).unlink(missing_ok=True)
 
 
-def _files_of_last_run(out: Path) -> set[Path]:
-    try:
-        listed = json.loads((out / RECORD).read_text(encoding="utf-8"))["files"]
-        names = [Path(name) for name in listed]
-    except (OSError, ValueError, KeyError, TypeError):
-        return set()
+def _carry_over(staging: Path, out: Path) -> set[Path]:
+    """Keep in the new record what other commands left in the folder; give the files of the same command's last run."""
+    now, before = _record_in(staging), _record_in(out)
+    earlier = before.pop("earlier", {})
+    earlier[before.get("command")] = before
+    last = earlier.pop(now.get("command"), {})
+    earlier = {command: record for command, record in earlier.items() if command}
+    if earlier:
+        _write_json(staging / RECORD, now | {"earlier": earlier})
+    # What two commands write, the last one owns; the others' files stay.
+    kept = {name for record in earlier.values() for name in record.get("files", [])}
+    names = {Path(name) for name in last.get("files", []) if name not in kept}
     return {name for name in names if not name.is_absolute() and ".." not in name.parts}
+
+
+def _record_in(folder: Path) -> dict[str, Any]:
+    try:
+        record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    sound = isinstance(record, dict) and all(isinstance(record.get(key, []), list) for key in ("files",))
+    return record if sound else {}
+
+
+def _write_json(path: Path, record: Mapping[str, object]) -> None:
+    path.write_text(json.dumps(record, indent=2, ensure_ascii=False, default=str) + "\n", encoding="utf-8")
 
 
 def write_record(
@@ -181,8 +201,7 @@ def write_record(
         "warnings": list(progress.warnings),
         "files": [*sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()), RECORD],
     }
-    text = json.dumps(record, indent=2, ensure_ascii=False, default=str) + "\n"
-    (folder / RECORD).write_text(text, encoding="utf-8")
+    _write_json(folder / RECORD, record)
 
 
 def _name(path: Path, root: Path) -> str:

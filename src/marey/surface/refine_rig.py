@@ -22,7 +22,7 @@ TURN_SD_PX = 1.0
 SHIFT_SD = 0.002
 """How far it may stand beside its place, as a share of its distance from the fixed camera."""
 _TELLING = 600
-"""At most so many matches of an instant take part: patches overlap, and what the pictures have against the lens model
+"""At most so many matches take part in all: patches overlap, and what the pictures have against the lens model
 goes together over wide parts of them, so that more would only seem to tell more."""
 _BASELINE_SD = 1e-6
 """The first camera's distance from the fixed one keeps the scale, to within this share."""
@@ -91,7 +91,7 @@ def refine_rig(rig: Rig, sightings: Sequence[Sighting], *, fixed: int) -> RigRef
     """
     if not 0 <= fixed < len(rig):
         raise SettingProblem(f"Camera {fixed} cannot be kept; the rig has {len(rig)}.")
-    sightings = [_telling(sighting) for sighting in sightings]
+    sightings = [_telling(sighting, _TELLING // max(len(sightings), 1)) for sighting in sightings]
     sightings = [sighting for sighting in sightings if len(sighting.pixels)]
     if sum(len(sighting.pixels) for sighting in sightings) < _LEAST_TUPLES:
         return None
@@ -110,11 +110,11 @@ def refine_rig(rig: Rig, sightings: Sequence[Sighting], *, fixed: int) -> RigRef
     return _compared(rig, Rig(tuple(cameras)), sightings)
 
 
-def _telling(sighting: Sighting) -> Sighting:
+def _telling(sighting: Sighting, most: int) -> Sighting:
     """Keep some matches of those that tell most."""
     views = np.isfinite(sighting.pixels[..., 0]).sum(axis=1)
     kept = np.flatnonzero(views >= (3 if (views >= 3).any() else 2))
-    kept = kept[np.linspace(0, len(kept) - 1, min(_TELLING, len(kept))).astype(int)]
+    kept = kept[np.linspace(0, len(kept) - 1, min(most, len(kept))).astype(int)]
     return Sighting(pixels=sighting.pixels[kept], sigma=sighting.sigma[kept])
 
 

@@ -1,0 +1,212 @@
+"""`marey surface`: from the pictures of a trial to the points of the visible surface."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from marey.arrays import Floats
+from marey.cameras.rig import Rig
+from marey.cli import capture_stages as stages
+from marey.cli.capture import require_two_cameras
+from marey.cli.progress import Progress
+from marey.cli.run_record import StageCache, finished_together, write_record
+from marey.cli.surface_settings import SurfaceOptions
+from marey.cli.surface_stages import (
+    KeptFrames,
+    Measurement,
+    checked_rig,
+    measure_frames,
+    measurement,
+    rig_arrays,
+    rig_from,
+    why_nothing,
+)
+from marey.errors import MareyError
+from marey.io.calibration import read_rig, write_cameras_toml
+from marey.io.pictures import write_picture
+from marey.io.seeds import read_seeds
+from marey.io.stages import FrameLog, file_fingerprint
+from marey.io.surface import write_ply, write_surface
+from marey.io.trial import Trial, read_trial
+from marey.surface.measured import MeasuredPoints
+from marey.surface.refine_rig import RigRefinement
+from marey.surface.settings import SurfaceSettings
+from marey.view.surface import depth_picture, lit_picture
+
+_LEAST_CAMERAS = 3
+"""Two cameras tell too little of themselves to be corrected unasked."""
+
+
+def surface(folder: Path, options: SurfaceOptions, progress: Progress) -> Path:
+    """Measure the surface that the pictures of a trial show.
+
+    Args:
+        folder: The trial.
+        options: What is asked for; what it leaves open, trial.toml may say.
+        progress: Is shown, and keeps timings and warnings.
+
+    Returns:
+        The folder with the results.
+
+    Raises:
+        FileProblem: Something in the trial cannot be used, or its cameras show no surface in common. Frames that were
+            measured before a damaged one are written all the same.
+        SettingProblem: A setting is impossible.
+    """
+    settings = SurfaceSettings(spacing=options.spacing, patch=options.patch)
+    trial = read_trial(folder, **options.changes())
+    require_two_cameras(trial)
+    clicks = None if options.seeds is None else _clicks(options.seeds, trial)
+    out = options.out or folder / "marey"
+    for note in trial.take.notes:
+        progress.warn(note)
+    stages.quiet_threads()
+    named = [*trial.input_files, *([options.seeds] if options.seeds else [])]
+    scope = (trial.rig.names, trial.take.first, trial.take.end, trial.settings.model_dump_json(), settings)
+    with threadpool_limits(1):
+        run = measurement(trial, settings, clicks, progress)
+        with StageCache(out, [file_fingerprint(path) for path in named]) as cache:
+            refined = _refined(run, options, cache, scope)
+            rig = trial.rig if refined is None else refined.rig
+            with cache.frames("surface", depends=(scope, refined is not None)) as log:
+                _measure(run, rig, log, out, options, refined)
+    return out
+
+
+def _clicks(path: Path, trial: Trial) -> Floats:
+    """Read clicked seeds, and keep the columns of the cameras that are kept."""
+    every = read_rig(trial.calibration)
+    return read_seeds(path, every)[:, [every.names.index(name) for name in trial.rig.names]]
+
+
+def _refined(run: Measurement, options: SurfaceOptions, cache: StageCache, scope: object) -> RigRefinement | None:
+    """Correct the cameras where that was asked for, or where three of them plainly need it."""
+    rig = run.trial.rig
+    wanted = options.refine_rig
+    if wanted is False or (wanted is None and len(rig) < _LEAST_CAMERAS):
+        return None
+    found = rig_from(cache.arrays("rig", lambda: rig_arrays(checked_rig(run), rig), depends=scope), rig)
+    if found is None:
+        if wanted:
+            run.progress.warn("Too few matches to correct the cameras; they stay as they were calibrated.")
+        return None
+    return found if wanted or found.significant else None
+
+
+def _measure(
+    run: Measurement, rig: Rig, log: FrameLog, out: Path, options: SurfaceOptions, refined: RigRefinement | None
+) -> None:
+    """Measure all frames and write what was measured, also where a damaged frame ends the work."""
+    parts = KeptFrames(log, rig.names)
+    try:
+        measure_frames(run, rig, log)
+    except MareyError:
+        if any(len(part) for part in parts):
+            run.progress.warn(f"Only the {len(parts)} frames before the damaged one were measured.")
+            write_results(run, rig, parts, out, options, refined)
+        raise
+    if not any(len(part) for part in parts):
+        raise why_nothing(run.trial, run, run.trial.take.images(run.trial.take.first))
+    write_results(run, rig, parts, out, options, refined)
+
+
+def write_results(
+    run: Measurement,
+    rig: Rig,
+    parts: Sequence[MeasuredPoints],
+    out: Path,
+    options: SurfaceOptions,
+    refined: RigRefinement | None,
+) -> None:
+    """Write all results at once, and say what they are."""
+    trial, progress = run.trial, run.progress
+    asked: dict[str, object] = {
+        **trial.settings.model_dump(mode="json", exclude_none=True),
+        "spacing_px": run.settings.spacing, "patch_px": run.settings.patch,
+        "seeds": options.seeds, "compared": [_named(rig, *each) for each in run.compared],
+        "rig_correction": None if refined is None else correction(rig, refined),
+    }  # fmt: skip
+    with finished_together(out) as folder:
+        with progress.stage("Results"):
+            write_surface(folder / "surface.npz", parts, rig.names)
+            _write_clouds(folder, trial, parts)
+            _draw(folder, run, rig, parts)
+            if refined is not None:
+                write_cameras_toml(rig, folder / "cameras.toml")
+        write_record(
+            folder, command="surface", settings=asked, inputs=trial.input_files, root=trial.folder, progress=progress,
+        )  # fmt: skip
+    if refined is not None:
+        progress.say(correction_text(rig, refined))
+    progress.say(summary(parts))
+
+
+def _named(rig: Rig, template: int, searched: Sequence[int]) -> dict[str, object]:
+    return {"template": rig.names[template], "searched": [rig.names[i] for i in searched]}
+
+
+def _write_clouds(folder: Path, trial: Trial, parts: Sequence[MeasuredPoints]) -> None:
+    """Write a point cloud a frame; the first with points is `surface.ply`."""
+    first = True
+    for number, part in enumerate(parts):
+        if first and len(part):
+            write_ply(folder / "surface.ply", part)
+            first = False
+        if len(parts) > 1:
+            write_ply(folder / "surface" / f"frame_{trial.take.first + number:05d}.ply", part)
+
+
+def _draw(folder: Path, run: Measurement, rig: Rig, parts: Sequence[MeasuredPoints]) -> None:
+    """Draw the frame with most points."""
+    best = max(range(len(parts)), key=lambda number: len(parts[number]))
+    points, images = parts[best], run.trial.take.images(run.trial.take.first + best)
+    for template, _ in run.compared:
+        camera = rig.cameras[template]
+        picture = depth_picture(points, camera, template, images[template])
+        write_picture(
+            folder / f"surface_{camera.name}.png", np.hstack([picture, lit_picture(points, camera, template)])
+        )
+
+
+def correction(rig: Rig, refined: RigRefinement) -> Mapping[str, object]:
+    """Give the correction of the cameras for the record."""
+    cameras = {
+        name: {"turned_deg": float(np.degrees(turn)), "moved_mm": float(1e3 * shift), "moved_px": float(px)}
+        for name, turn, shift, px in zip(rig.names, refined.turn, refined.shift, refined.moved_px, strict=True)
+    }
+    return {
+        "median_residual_px": {"as_calibrated": refined.residual_before, "corrected": refined.residual_after},
+        "matches": refined.tuples,
+        "cameras": cameras,
+    }
+
+
+def correction_text(rig: Rig, refined: RigRefinement) -> str:
+    """Say how the cameras were corrected."""
+    each = ", ".join(
+        f"{name} by {np.degrees(turn):.3f} degrees and {1e3 * shift:.2f} mm ({px:.2f} px)"
+        for name, turn, shift, px in zip(rig.names, refined.turn, refined.shift, refined.moved_px, strict=True)
+        if shift > 0
+    )
+    return (
+        f"The cameras were corrected by {refined.tuples} matches: {each}. The median residual of rays that should meet "
+        f"fell from {refined.residual_before:.2f} to {refined.residual_after:.2f} px. See cameras.toml in the results."
+    )
+
+
+def summary(parts: Sequence[MeasuredPoints]) -> str:
+    """Say in a line what was measured."""
+    counts = np.array([len(part) for part in parts])
+    filled = [part for part in parts if len(part)]
+    residual = np.median([np.median(part.residual_px) for part in filled])
+    sd = 1e3 * np.median(
+        [np.median(np.sqrt(np.trace(part.covariance, axis1=1, axis2=2))) for part in filled]
+    )  # fmt: skip
+    several = np.mean([np.mean(part.views > 2) for part in filled])
+    where = f" in {len(filled)} of {len(parts)} frames" if len(parts) > 1 else ""
+    return (
+        f"{counts.sum()} points{where}, {100 * several:.0f} % of them seen by three cameras or more; residual "
+        f"{residual:.2f} px, standard deviation {sd:.2f} mm (medians)."
+    )

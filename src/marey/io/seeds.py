@@ -1,0 +1,79 @@
+"""Seeds that a person clicked: one a row, where it is seen in each camera."""
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from marey.arrays import Floats
+from marey.cameras.rig import Rig
+from marey.errors import FileProblem
+
+
+def read_seeds(path: Path | str, rig: Rig) -> Floats:
+    """Read a table of seeds.
+
+    Args:
+        path: CSV: in each row x and y in each camera of `cameras.toml`, in its order, empty where unknown. Rows of
+            words (a head) and empty ones are passed over.
+        rig: All cameras of that file.
+
+    Returns:
+        (n, C, 2) [px]; NaN where unknown.
+
+    Raises:
+        FileProblem: It cannot be read, a row has another length or no numbers, or a seed lies outside of its picture;
+            the message names the row.
+    """
+    try:
+        with Path(path).open(newline="", encoding="utf-8-sig") as file:
+            text = file.read()
+    except (OSError, UnicodeDecodeError) as error:
+        raise FileProblem(path, f"cannot be read ({error})", "Give a CSV file with --seeds.") from error
+    kind = csv.excel if "," in text or ";" not in text else _Semicolons
+    rows = [
+        (number, _numbers(path, number, [cell.strip() for cell in row], rig))
+        for number, row in enumerate(csv.reader(text.splitlines(), kind), start=1)
+        if any(cell.strip() for cell in row) and not _is_head(row)
+    ]
+    if not rows:
+        raise FileProblem(path, "holds no seed", _layout(rig))
+    return np.stack([seed for _, seed in rows])
+
+
+class _Semicolons(csv.excel):
+    delimiter = ";"
+
+
+def _is_head(row: Sequence[str]) -> bool:
+    return row[0].lstrip().startswith("#") or not any(map(_is_number, row))
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
+
+
+def _numbers(path: Path | str, number: int, row: Sequence[str], rig: Rig) -> Floats:
+    if len(row) != 2 * len(rig):
+        raise FileProblem(path, f"has {len(row)} columns in row {number}", _layout(rig))
+    wrong = [cell for cell in row if cell and not _is_number(cell)]
+    if wrong:
+        raise FileProblem(path, f"has '{wrong[0]}' in row {number}, where a number belongs", _layout(rig))
+    seed = np.array([float(cell) if cell else np.nan for cell in row]).reshape(-1, 2)
+    for camera, pixel in zip(rig, seed, strict=True):
+        if np.isfinite(pixel).any() and not camera.sees(pixel):
+            x, y = pixel
+            wrong_place = f"has a seed in row {number} at ({x:g}, {y:g}), outside of the picture of '{camera.name}'"
+            size = f"x lies between 0 and {camera.width - 1}, y between 0 and {camera.height - 1}."
+            raise FileProblem(path, wrong_place, size)
+    return seed
+
+
+def _layout(rig: Rig) -> str:
+    head = ", ".join(f"{name} x, {name} y" for name in rig.names)
+    return f"Each row holds {2 * len(rig)} cells: {head}; empty where unknown."
