@@ -3,8 +3,8 @@
     python bench/faces.py SHARED OUT [SPACING]
 
 Runs `marey surface` on the instants 2 to 5 of `face1` together, and on each for itself, and compares with the facial
-skin that was drawn by hand. Pairs: the distance between the points of left and middle and those of middle and right, for
-the same pixel of the middle picture, from the pixels in surface.npz, by the corrected cameras and by the given ones.
+skin that was drawn by hand. Pairs: the distance between the points of left and middle and those of middle and right,
+for the same pixel of the middle picture, from the pixels in surface.npz, by the corrected cameras and the given ones.
 """
 
 import shutil
