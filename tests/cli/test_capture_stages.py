@@ -106,7 +106,7 @@ def test_who_stands_or_bows_is_upright(posture):
 def test_the_surface_is_drawn_where_a_pose_is_known_and_compared_with_what_was_seen(tmp_path):
     cameras, body = worlds.ring(2), worlds.person()
     poses = {3: worlds.pose(body), 4: worlds.pose(body, yaw=1.0)}
-    drawn = stages.surface_masks(body, poses, cameras)
+    drawn = stages.surface_masks(stages.PosedSkin.of(body, poses), poses, cameras)
     assert drawn(2) is None
     with FrameLog(tmp_path / "masks.log") as log:
         store = MaskStore(log, 3, cameras)
@@ -124,11 +124,11 @@ def test_the_surface_is_drawn_where_a_pose_is_known_and_compared_with_what_was_s
 def test_skins_and_what_is_seen_of_them_have_a_row_for_each_frame():
     cameras, body = worlds.ring(2), worlds.person()
     poses = {1: worlds.pose(body)}
-    skins = list(stages.skins(body, poses, 3))
+    skins = list(stages.skins(stages.PosedSkin.of(body, poses), list(poses), 3))
     assert len(skins) == 3
     assert np.isnan(skins[0]).all()
     np.testing.assert_array_equal(skins[1], PosedBody(body, poses[1]).vertices)
-    seen = list(stages.seen_vertices(body, poses, cameras, 3))
+    seen = list(stages.seen_vertices(stages.PosedSkin.of(body, poses), list(poses), cameras, 3))
     assert not seen[0].any()
     assert not seen[2].any()
     assert 0.05 < seen[1].mean() < 0.8

@@ -11,10 +11,14 @@ from tests.people import any_points, any_pose, stick_person
 
 import marey.observations
 from marey.arrays import Floats
+from marey.body.metaball_person import MetaballSpace
+from marey.body.metaballs import Metaballs
 from marey.body.pose import PosedBody
 from marey.cameras.camera import Camera
+from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
 from marey.observations.joint_point import JointPoints
+from marey.observations.metaball_points import PointsOnMetaballs, assign
 from marey.observations.observation import Observation
 from marey.observations.prior import Habit, JointLimits, NearPose, ShapePrior
 from marey.observations.silhouette import SilhouettePlanes, SilhouetteRays
@@ -62,6 +66,25 @@ def joints(rng: np.random.Generator, posed: PosedBody) -> Observation:
     )
 
 
+def points_on_metaballs(rng: np.random.Generator, posed: PosedBody) -> Observation:
+    body, balls, numbers = posed.body, 40, len(posed.body.space)
+    segments = rng.integers(0, len(body.skeleton.segment_names), balls)
+    mean = Metaballs(
+        skeleton=body.skeleton, joint_centres=body.space.joint_mean, segment=segments,
+        centre=rng.normal(size=(balls, 3)) * 0.05, rotation=rotations.exp(rng.normal(size=(balls, 3))),
+        radii=rng.uniform(0.1, 0.3, (balls, 3)), weight=np.ones(balls),
+    )  # fmt: skip
+    space = MetaballSpace(
+        names=body.space.names, mean=mean, centre_modes=rng.normal(size=(numbers, balls, 3)) * 0.01,
+        radii_modes=rng.normal(size=(numbers, balls, 3)) * 0.01, joint_modes=body.space.joint_modes,
+        prior_covariance=np.eye(numbers),
+    )  # fmt: skip
+    near = posed.segment_origin[rng.integers(0, len(posed.segment_origin), POINTS)]
+    points = near + rng.normal(size=(POINTS, 3)) * 0.1
+    limb = assign(space, posed, points, np.zeros((POINTS, 3, 3)), model_sd=np.ones(POINTS)).limb
+    return PointsOnMetaballs(space=space, points=points, limb=limb, spread=rng.uniform(0.5, 2.0, POINTS))
+
+
 CATALOGUE: dict[type[Observation], Make] = {
     SilhouettePlanes: planes,
     SilhouetteRays: rays,
@@ -69,6 +92,7 @@ CATALOGUE: dict[type[Observation], Make] = {
     JointLimits: lambda rng, posed: JointLimits(),
     Habit: lambda rng, posed: Habit(share=0.7),
     NearPose: near_pose,
+    PointsOnMetaballs: points_on_metaballs,
     ShapePrior: lambda rng, posed: ShapePrior(share=0.5),
 }
 """One line a kind: how to make one of any numbers."""

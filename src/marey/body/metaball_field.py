@@ -95,7 +95,7 @@ def _slope(axes, radii, local, share, gradient):
 
 
 @numba.njit(cache=True, nogil=True)
-def _distance(level, square):
+def distance_of_level(level, square):
     """Give the distance from L = ln(F / T) and |grad L|^2, and what dL and grad L . d(grad L) do to it.
 
     With g = sqrt(|grad L|^2 + k^2) it is -L / g outside, and inside -L / ((g + q) / 2), q = sqrt(g^2 + 4 c L).
@@ -110,7 +110,7 @@ def _distance(level, square):
 
 @numba.njit(cache=True, nogil=True)
 def distances(points, limbs, limb_count, ball_limb, place, axes, radii, weight):
-    """Give how far points (n, 3) lie outside the surface, see `_distance`."""
+    """Give how far points (n, 3) lie outside the surface, see `distance_of_level`."""
     local, share = np.empty((radii.shape[0], 3)), np.empty(radii.shape[0])
     top, total, slope = np.empty(limb_count), np.empty(limb_count), np.empty(3)
     distance = np.empty(points.shape[0])
@@ -118,8 +118,43 @@ def distances(points, limbs, limb_count, ball_limb, place, axes, radii, weight):
         level = _weigh(points[i], limbs[i], ball_limb, place, axes, radii, weight, local, share, top, total)
         _slope(axes, radii, local, share, slope)
         square = slope[0] ** 2 + slope[1] ** 2 + slope[2] ** 2
-        distance[i] = _distance(level, square)[0]
+        distance[i] = distance_of_level(level, square)[0]
     return distance
+
+
+@numba.njit(cache=True, nogil=True)
+def bring_onto(
+    points, limbs, limb_count, ball_limb, place, axes, radii, weight, steps, longest, close
+):  # fmt: skip
+    """Move points (n, 3) along the surface's normals until they lie close to it, by steps no longer than given."""
+    local, share = np.empty((radii.shape[0], 3)), np.empty(radii.shape[0])
+    top, total, slope = np.empty(limb_count), np.empty(limb_count), np.empty(3)
+    for i in range(points.shape[0]):
+        for _ in range(steps):
+            level = _weigh(points[i], limbs[i], ball_limb, place, axes, radii, weight, local, share, top, total)
+            _slope(axes, radii, local, share, slope)
+            square = slope[0] ** 2 + slope[1] ** 2 + slope[2] ** 2
+            off = min(max(distance_of_level(level, square)[0], -longest), longest)
+            for a in range(3):
+                points[i, a] += off * slope[a] / np.sqrt(max(square, 1e-12))
+            if abs(off) < close:
+                break
+
+
+@numba.njit(cache=True, nogil=True)
+def nearest_limbs(points, limb_count, ball_limb, place, axes, radii, weight):
+    """Give for points (n, 3) the limb (n,) whose own field is greatest there, and the unit normal (n, 3) outwards."""
+    local, share = np.empty((radii.shape[0], 3)), np.empty(radii.shape[0])
+    top, total, slope = np.empty(limb_count), np.empty(limb_count), np.empty(3)
+    limb, outward = np.empty(points.shape[0], np.int64), np.zeros((points.shape[0], 3))
+    for i in range(points.shape[0]):
+        _weigh(points[i], -1, ball_limb, place, axes, radii, weight, local, share, top, total)
+        limb[i] = np.argmax(top)
+        _slope(axes, radii, local, share, slope)
+        steep = np.sqrt(slope[0] ** 2 + slope[1] ** 2 + slope[2] ** 2)
+        for a in range(3):
+            outward[i, a] = -slope[a] / max(steep, 1e-9)
+    return limb, outward
 
 
 @numba.njit(cache=True, nogil=True)
@@ -131,7 +166,7 @@ def linearize(
 
     With L = ln(F / T), G its gradient and p_m the share of ball m, whose logarithm of the field is f_m, any change t of
     ball m gives dL = p_m f_mt and G.dG = p_m (G.grad f_mt + f_mt (G.grad f_m - |G|^2)), by which the
-    distance changes as `_distance` says.
+    distance changes as `distance_of_level` says.
     """
     local, share = np.empty((radii.shape[0], 3)), np.empty(radii.shape[0])
     top, total, slope = np.empty(limb_count), np.empty(limb_count), np.empty(3)
@@ -140,7 +175,7 @@ def linearize(
         _slope(axes, radii, local, share, slope)
         square = slope[0] ** 2 + slope[1] ** 2 + slope[2] ** 2
         if as_distance:
-            residual[i], first, second = _distance(level, square)
+            residual[i], first, second = distance_of_level(level, square)
         else:
             residual[i] = THRESHOLD * np.expm1(level)
             first, second = THRESHOLD * np.exp(level), 0.0

@@ -135,7 +135,7 @@ def metaball_person(
     if detail == "full":
         body = replace(body, joint_sd=person.joint_sd, joint_offset_sd=person.joint_offset_sd)
     else:
-        beneath, beside = _joint_spread()
+        beneath, beside = joint_spread()
         body = replace(body, joint_sd=VARYING * beneath, joint_offset_sd=np.hypot(CONSTANT * beneath, beside))
     if stature_m is not None:
         body = _as_tall(body, space, level, stature_m)
@@ -151,7 +151,7 @@ def _as_tall(body: Body, space: MetaballSpace, level: Level, stature_m: float) -
 
 
 @lru_cache(maxsize=1)
-def _joint_spread() -> tuple[Floats, Floats]:
+def joint_spread() -> tuple[Floats, Floats]:
     """Give how far (S,) joint centres lie from where simple metaballs that fit the skin put them, by axis [m].
 
     Returns:

@@ -1,5 +1,6 @@
 """The metaballs of a person of generic size, the numbers in which people differ, and the skin as a body to fit."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from importlib.resources import files
@@ -16,6 +17,8 @@ from marey.errors import SettingProblem
 Detail = Literal["simple", "full"]
 DETAILS: tuple[Detail, ...] = ("simple", "full")
 
+SINGLE_SD = 0.08
+"""How much a single ball's radii are believed to depart from those of its segment, as a share."""
 OWN_SD = 0.05
 """How much lengths and widths of a person's segments are believed to depart from the learned family's, as a share."""
 
@@ -149,6 +152,39 @@ def _family_covariance(space: MetaballSpace) -> Floats:
     )
     by_family = np.linalg.lstsq(own.T, theirs.T, rcond=None)[0]
     return by_family @ by_family.T
+
+
+def single_radii(space: MetaballSpace, segments: Sequence[str], *, sd: float = SINGLE_SD) -> MetaballSpace:
+    """Give every ball of some segments its own radii as further numbers, shares of the generic ones.
+
+    [Plaenkers1999] section 4 fits the radii themselves; unlike the paper, they are held to the sizes that the balls of
+    a segment have in common by a standard deviation.
+
+    Args:
+        space: of lengths and widths.
+        segments: names without a side; both sides stay alike.
+        sd: how far a radius is believed to depart, as a share of it.
+    """
+    mean, names = space.mean, list(space.names)
+    radii = []
+    plain = np.array([name.rpartition("_")[2] for name in mean.skeleton.segment_names])
+    for segment in dict.fromkeys(segments):
+        sides = [np.flatnonzero(mean.segment == k) for k in np.flatnonzero(plain == segment)]
+        for j, both in enumerate(zip(*sides, strict=True), 1):
+            for axis, across in enumerate(("breadth", "depth", "length")):
+                own = np.zeros_like(mean.radii)
+                own[list(both), axis] = mean.radii[list(both), axis]
+                radii.append(own)
+                names.append(f"{segment}_ball_{j}_{across}")
+    more, count = np.array(radii).reshape(-1, *mean.radii.shape), len(space)
+    covariance = sd**2 * np.eye(len(names))
+    covariance[:count, :count] = space.prior_covariance
+    return replace(
+        space, names=tuple(names), radii_modes=np.concatenate([space.radii_modes, more]),
+        centre_modes=np.concatenate([space.centre_modes, np.zeros_like(more)]),
+        joint_modes=np.concatenate([space.joint_modes, np.zeros((len(more), *space.joint_modes.shape[1:]))]),
+        prior_covariance=covariance, prior_mean=np.concatenate([space.prior_mean, np.zeros(len(more))]),
+    )  # fmt: skip
 
 
 def _stretched(balls: Metaballs, segments: Integers, axes: tuple[int, ...]) -> tuple[Floats, Floats]:

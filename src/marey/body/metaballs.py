@@ -118,6 +118,11 @@ class PosedMetaballs:
         """(S, 3) the joint centre about which each segment turns [m, world]."""
         return self._segments[1]
 
+    @property
+    def world_axes(self) -> Floats:
+        """(D - 6, 3) axes of the joint coordinates in the world."""
+        return self._segments[2]
+
     @cached_property
     def place(self) -> Floats:
         """(M, 3) the balls' centres in the world [m]."""
@@ -155,6 +160,15 @@ class PosedMetaballs:
         """Give each ball's share of the field (n, M) at points (n, 3), of sum one; limb as in `field`."""
         return metaball_field.shares(*self._field_arguments(points, limb))
 
+    def nearest_limbs(self, points: Floats) -> tuple[Integers, Floats]:
+        """Give the limb (n,), an index in `LIMBS`, whose own field is greatest at points (n, 3), and normals outwards.
+
+        Returns:
+            (n,), and (n, 3) of length one.
+        """
+        arguments = self._field_arguments(points, ANY_LIMB)
+        return metaball_field.nearest_limbs(arguments[0], *arguments[2:])
+
     def distances(self, points: Floats, limb: Integers | int = ANY_LIMB) -> Linearized:
         """Give how far points lie outside the surface, to first order [m], and how that changes.
 
@@ -187,6 +201,13 @@ class PosedMetaballs:
             points -= (off / steep)[:, None] * of.by_point
             if np.abs(off).max() < _CLOSE:
                 break
+        return points
+
+    def skin(self, points: Floats, limb: Integers | int = ANY_LIMB) -> Floats:
+        """Bring points (n, 3) onto the surface as `onto_surface` does, but along the field's own slope, and quickly."""
+        points = np.array(points, float)
+        arguments = self._field_arguments(points, limb)
+        metaball_field.bring_onto(points, *arguments[1:], _STEPS, _LONGEST, _CLOSE)
         return points
 
     def _linearized(self, points: Floats, limb: Integers | int, *, as_distance: bool) -> Linearized:

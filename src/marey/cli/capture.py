@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from marey.arrays import Mask
 from marey.body.family import LEVELS
 from marey.body.metaball_people import metaball_person
 from marey.body.metaball_person import metaball_body, reshaped
@@ -76,6 +77,26 @@ def capture(folder: Path, settings: CaptureSettings, progress: Progress) -> Path
     Raises:
         FileProblem: Something in the trial cannot be used.
     """
+    with opened(folder, settings, progress) as (run, bodies, logs):
+        _capture(run, bodies, logs)
+    return run.out
+
+
+@contextmanager
+def opened(
+    folder: Path, settings: CaptureSettings, progress: Progress, *, more: Sequence[Path] = ()
+) -> "Iterator[tuple[Run, Bodies, Logs]]":
+    """Open a trial, and what the last run on it left when it was interrupted.
+
+    Args:
+        folder: The trial.
+        settings: What is asked for.
+        progress: Is shown.
+        more: Other files on which the results depend.
+
+    Raises:
+        FileProblem: Something in the trial cannot be used.
+    """
     trial = read_trial(folder, **settings.changes())
     require_two_cameras(trial)
     if trial.start is not None:
@@ -88,7 +109,7 @@ def capture(folder: Path, settings: CaptureSettings, progress: Progress) -> Path
     stages.keep_memory()
     with threadpool_limits(1):
         bodies = open_bodies(trial, settings)
-        named = [*trial.input_files, *([settings.body_file] if settings.body_file else [])]
+        named = [*trial.input_files, *([settings.body_file] if settings.body_file else []), *more]
         how = f"{settings.body if settings.body_file is None else ''}, {settings.fixed_sizes}"
         cache = StageCache(out, [*(file_fingerprint(path) for path in named), how])
         scope = (trial.rig.names, trial.take.first, trial.take.end, trial.settings.model_dump_json())
@@ -98,8 +119,7 @@ def capture(folder: Path, settings: CaptureSettings, progress: Progress) -> Path
             cache.frames("common", depends=scope) as common,
             cache.frames("outlines", depends=scope) as better,
         ):
-            _capture(Run(trial, settings, progress, cache, scope, out), bodies, Logs(log, common, better))
-    return out
+            yield Run(trial, settings, progress, cache, scope, out), bodies, Logs(log, common, better)
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,8 +214,32 @@ def metaball_twin(given: Body, coarse: Body) -> Body | None:
     return with_shape(given, replace(generic, skeleton=given.skeleton))
 
 
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """A person followed through the take, and the silhouettes about the person."""
+
+    tracked: Tracked
+    filled: Mapping[int, Pose]
+    """Frames without an answer between others that have one."""
+    outlines: MaskStore
+    frames: Sequence[int]
+    """Those that show somebody."""
+
+    def take(self, run: "Run") -> Take:
+        """Give the take as the refinement sees it."""
+        poses, store = self.tracked.poses, self.outlines
+        return Take(tuple(run.trial.rig), store, tuple(poses), run.trial.take.rate, store.edges)
+
+
 def _capture(run: Run, bodies: Bodies, logs: Logs) -> None:
     """Go from pictures to results: silhouettes, person, silhouettes about the person, and the person again."""
+    followed = follow_person(run, bodies, logs)
+    refined = refined_person(run, followed, bodies)
+    write_capture(run, refined, followed.outlines, followed.frames)
+
+
+def follow_person(run: Run, bodies: Bodies, logs: Logs) -> Followed:
+    """Go from pictures to a person's poses in every frame: silhouettes, person, and silhouettes about the person."""
     trial, progress = run.trial, run.progress
     cameras, first = list(trial.rig), trial.take.first
     outlines, small = MaskStore(logs.outlines, first, cameras), cameras
@@ -221,9 +265,7 @@ def _capture(run: Run, bodies: Bodies, logs: Logs) -> None:
         views = [stages.Watched(model) for model in models]
         predicted = stages.expectations(tracked.body, known, cameras, small)
         stages.find_silhouettes(trial, views, cameras, outlines, progress, name="Outlines", predicted=predicted)
-    again = Take(tuple(cameras), outlines, tuple(known), trial.take.rate, outlines.edges)
-    refined = _refined(run, again, replace(tracked, poses=known), bodies, filled)
-    write_capture(run, refined, outlines, frames)
+    return Followed(replace(tracked, poses=known), filled, outlines, frames)
 
 
 def _tracked(run: Run, take: Take, bodies: Bodies) -> Tracked:
@@ -265,7 +307,7 @@ def _tracked(run: Run, take: Take, bodies: Bodies) -> Tracked:
         followed = _unpacked(cache.arrays("tracked", follow, depends=run.scope), bodies.fine)
         poses: dict[int, Pose] = {}
         with (
-            _rounds(run, "shape") as memory,
+            rounds_of(run, "shape") as memory,
             progress.stage("Shape and motion", SHAPE_ROUNDS * len(followed.poses)) as step,
         ):
             for fit in refine_person(
@@ -317,7 +359,7 @@ def begin(
 
 
 @contextmanager
-def _rounds(run: Run, name: str) -> Iterator[RefineMemory]:
+def rounds_of(run: Run, name: str) -> Iterator[RefineMemory]:
     """Open what a refinement remembers of its rounds, and of the windows of the round in work."""
     with (
         run.cache.frames(f"{name}_rounds", depends=run.scope) as rounds,
@@ -337,24 +379,24 @@ class Refined:
     """Frames of which only their neighbours speak."""
 
 
-def _refined(run: Run, take: Take, tracked: Tracked, bodies: Bodies, filled: Iterable[int]) -> Refined:
+def refined_person(run: Run, followed: Followed, bodies: Bodies) -> Refined:
     """Mend single frames and refine the whole, now that body and silhouettes are better known.
 
     Frames that were filled count as measured where the better silhouettes bear them out.
     """
-    person = run.person
+    person, take, tracked = run.person, followed.take(run), followed.tracked
     with run.cache.frames("mended_frames", depends=run.scope) as log, run.progress.stage("Mending"):
         poses = mend_person(
             take, tracked.body, with_shape(tracked.body, bodies.coarse), tracked.poses, person,
             memory=KeptCandidates(log, tracked.body),
         )  # fmt: skip
     usual = float(np.median(list(tracked.scores.values())))
-    blind = unseen(take, tracked.body, poses, filled, person, usual=usual)
+    blind = unseen(take, tracked.body, poses, followed.filled, person, usual=usual)
     take.forget()
     found: dict[int, Pose] = {}
     pieces = []
     with (
-        _rounds(run, "refined") as memory,
+        rounds_of(run, "refined") as memory,
         run.progress.stage("Refinement", FINE_ROUNDS * len(poses)) as step,
     ):
         for fit in refine_person(
@@ -391,13 +433,29 @@ def _unpacked(arrays: Arrays, body: Body) -> Tracked:
     )
 
 
-def write_capture(run: Run, refined: Refined, store: MaskStore, frames: Sequence[int]) -> None:
-    """Write all results at once."""
+def write_capture(
+    run: Run, refined: Refined, store: MaskStore, frames: Sequence[int], *, command: str = "capture",
+    skin: stages.PosedSkin | None = None, seen: Iterable[Mask] | None = None,
+    more: Callable[[Path], None] = lambda folder: None,
+) -> None:  # fmt: skip
+    """Write all results at once.
+
+    Args:
+        run: What was run.
+        refined: The motion and the body.
+        store: The silhouettes.
+        frames: Those that show somebody.
+        command: What the record names.
+        skin: Another skin than the body's own.
+        seen: For each frame of the video what of the skin was measured; else what lies on the rim of the surface.
+        more: Writes further files into the folder it is given.
+    """
     trial, progress, take = run.trial, run.progress, run.trial.take
     cameras, body, poses = list(trial.rig), refined.body, refined.poses
     lost = np.zeros(take.count, bool)
     lost[[frame for frame in frames if frame not in poses]] = True
-    drawn = stages.surface_masks(body, poses, cameras)
+    known, skin = sorted(poses), skin or stages.PosedSkin.of(body, poses)
+    drawn = stages.surface_masks(skin, known, cameras)
     with finished_together(run.out) as folder:
         with progress.stage("Comparison", len(poses)) as step:
             agreement = stages.agreements(drawn, poses, store, done=step)
@@ -409,8 +467,10 @@ def write_capture(run: Run, refined: Refined, store: MaskStore, frames: Sequence
             stages.write_all_masks(folder, trial, store, drawn)
             write_results(
                 folder, motion, body, preset=trial.settings.preset or "full", mass_kg=trial.settings.mass_kg,
-                skin=stages.skins(body, poses, take.count), seen=stages.seen_vertices(body, poses, cameras, take.count),
+                skin=stages.skins(skin, known, take.count), skin_faces=skin.faces,
+                seen=seen or stages.seen_vertices(skin, known, cameras, take.count),
             )  # fmt: skip
+            more(folder)
         asked = {"preset": "full"} | trial.settings.model_dump(mode="json", exclude_none=True)
         show = store.known
         stills = (
@@ -422,5 +482,5 @@ def write_capture(run: Run, refined: Refined, store: MaskStore, frames: Sequence
             trial, motion, body, show, stills=stills, settings=asked, folder=folder, progress=progress
         )  # fmt: skip
         write_record(
-            folder, command="capture", settings=asked, inputs=trial.input_files, root=trial.folder, progress=progress
+            folder, command=command, settings=asked, inputs=trial.input_files, root=trial.folder, progress=progress
         )

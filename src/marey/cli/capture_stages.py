@@ -12,10 +12,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from marey.arrays import Floats, Image, Mask
+from marey.arrays import Floats, Image, Integers, Mask
 from marey.body.pose import Pose, PosedBody
 from marey.body.surface import Body
+from marey.cameras import lens
 from marey.cameras.camera import Camera
+from marey.cameras.visibility import View, see
 from marey.cli.mask_store import MaskStore
 from marey.cli.progress import Progress
 from marey.errors import FileProblem
@@ -307,16 +309,35 @@ def warn_of_lost(progress: Progress, frames: Sequence[int], found: Container[int
         progress.warn(f"The person was seen but lost in {frames_text(lost)}: there is no answer.")
 
 
+@dataclass(frozen=True, eq=False)
+class PosedSkin:
+    """A skin in every frame whose pose is known."""
+
+    faces: Integers
+    """(T, 3)."""
+    vertices_of: Callable[[int], Floats]
+    """Gives the posed vertices (V, 3) of a frame [m, world]."""
+
+    @staticmethod
+    def of(body: Body, poses: Mapping[int, Pose]) -> "PosedSkin":
+        """Give a body's own skin."""
+        return PosedSkin(body.faces, lambda frame: PosedBody(body, poses[frame]).vertices)
+
+    def seen_by(self, camera: Camera, frame: int) -> View:
+        """Draw it as a camera sees it."""
+        vertices = np.ascontiguousarray(self.vertices_of(frame))
+        projected = np.empty_like(vertices)
+        lens.project_points(camera.packed, vertices, projected)
+        return see(projected, self.faces, camera.size)
+
+
 def surface_masks(
-    body: Body, poses: Mapping[int, Pose], cameras: Sequence[Camera]
+    skin: PosedSkin, frames: Container[int], cameras: Sequence[Camera]
 ) -> Callable[[int], Sequence[Mask] | None]:
-    """Give a function that draws the body's silhouette in every camera, for frames whose pose is known."""
+    """Give a function that draws the skin's silhouette in every camera, for frames whose pose is known."""
 
     def drawn(frame: int) -> Sequence[Mask] | None:
-        if frame not in poses:
-            return None
-        posed = PosedBody(body, poses[frame])
-        return [view_of(posed, camera).mask() for camera in cameras]
+        return [skin.seen_by(camera, frame).mask() for camera in cameras] if frame in frames else None
 
     return drawn
 
@@ -379,22 +400,27 @@ def write_all_masks(
             write_masks(folder / kind / f"{camera.name}.npz", own, shape=(count, camera.height, camera.width))
 
 
-def skins(body: Body, poses: Mapping[int, Pose], count: int) -> Iterator[Floats]:
+def skins(skin: PosedSkin, frames: Sequence[int], count: int) -> Iterator[Floats]:
     """Pose the skin (V, 3) of every frame; NaN where there is no answer."""
+    nowhere = np.full((vertices_in(skin, frames), 3), np.nan)
     for frame in range(count):
-        known = frame in poses
-        yield PosedBody(body, poses[frame]).vertices if known else np.full(body.vertices.shape, np.nan)
+        yield skin.vertices_of(frame) if frame in frames else nowhere
 
 
-def seen_vertices(body: Body, poses: Mapping[int, Pose], cameras: Sequence[Camera], count: int) -> Iterator[Mask]:
+def vertices_in(skin: PosedSkin, frames: Iterable[int]) -> int:
+    """Count the skin's vertices."""
+    return len(skin.vertices_of(next(iter(frames))))
+
+
+def seen_vertices(skin: PosedSkin, frames: Sequence[int], cameras: Sequence[Camera], count: int) -> Iterator[Mask]:
     """Tell for every frame which vertices (V,) lie on the rim of the surface in some camera, where outlines speak."""
+    vertices = vertices_in(skin, frames)
     for frame in range(count):
-        seen = np.zeros(len(body.vertices), bool)
-        if frame in poses:
-            posed = PosedBody(body, poses[frame])
+        seen = np.zeros(vertices, bool)
+        if frame in frames:
             for camera in cameras:
-                rim = view_of(posed, camera).rim(body.faces)
-                seen[body.faces[rim.face]] = True
+                rim = skin.seen_by(camera, frame).rim(skin.faces)
+                seen[skin.faces[rim.face]] = True
         yield seen
 
 

@@ -165,6 +165,46 @@ def surface(
 
 
 @app.command()
+def shape(
+    trial: Annotated[Path, typer.Argument(metavar="TRIAL", help="Folder with one video a camera and cameras.toml.")],
+    out: Out = None,
+    cameras: Cameras = None,
+    frames: Frames = None,
+    preset: Preset = None,
+    stature: Stature = None,
+    start: Start = None,
+    body: BodyFile = None,
+    no_overlay: NoOverlay = False,
+    quiet: Quiet = False,
+) -> None:
+    """Fit the person's own body: skeleton, metaballs, skin.
+
+    What `marey surface` measured is read from the folder of the results, or measured first. Silhouettes speak, too.
+    Beside what `marey capture` leaves there is `segments.csv`: lengths, girths, volumes, masses and inertia.
+
+    Examples:
+    * `marey shape arm --preset right_arm`
+    * `marey shape walk01 --stature 1.80 --out results/walk01`
+    """
+    settings = CaptureSettings(
+        out=out,
+        cameras=None if cameras is None else parse_names(cameras),
+        frames=None if frames is None else parse_frames(frames),
+        preset=preset,
+        stature_m=stature,
+        start=start,
+        body=body,
+        overlay=not no_overlay,
+    )
+    _require_folder(trial)
+    from marey.cli.progress import Progress
+    from marey.cli.shape import shape as shape_trial
+
+    results = shape_trial(trial, settings, Progress(quiet=quiet))
+    typer.echo(f"Report: {results / 'report.html'}")
+
+
+@app.command()
 def demo(out: Out = None, quiet: Quiet = False) -> None:
     """Capture the take that comes with the program, and say where its report is."""
     example = example_folder()
@@ -172,40 +212,6 @@ def demo(out: Out = None, quiet: Quiet = False) -> None:
         # Results do not belong into the folder of an installed program.
         out = Path("marey-demo")
     _capture(example, CaptureSettings(out=out), quiet=quiet)
-
-
-@app.command()
-def retarget(
-    motion: Annotated[Path, typer.Argument(metavar="MOTION", help="A folder of results, or a motion.npz.")],
-    character: Annotated[Path, typer.Argument(metavar="CHARACTER", help="A GLB or glTF with a skinned mesh.")],
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", "-o", metavar="FILE", help="The file to write. [default: beside the motion]"),
-    ] = None,
-    named: Annotated[
-        Path | None,
-        typer.Option("--map", metavar="FILE", help='A TOML with \\[joints] and left_thigh = "name in the character".'),
-    ] = None,
-    no_ground: Annotated[
-        bool, typer.Option("--no-ground", help="Do not keep the lower foot at the person's height above the floor.")
-    ] = False,
-    quiet: Quiet = False,
-) -> None:
-    """Put a recovered motion on another character.
-
-    The character's own names, sizes, rest posture and axes may be what they like; the copy has the motion as one more
-    animation and is otherwise unchanged.
-
-    Examples:
-    * `marey retarget walk01/marey knight.glb`
-    * `marey retarget walk01/marey knight.glb --map knight.toml --out knight_walks.glb`
-    """
-    from marey.cli.retarget import retarget as carry_over
-
-    path, notes = carry_over(motion, character, out=out, named=named, grounded=not no_ground)
-    for note in notes if not quiet else []:
-        typer.echo(note)
-    typer.echo(f"Written: {path}")
 
 
 @app.command()

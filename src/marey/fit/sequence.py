@@ -93,6 +93,10 @@ LONGEST_WINDOW, LONGEST_OVERLAP = 600, 120
 
 Arrays = dict[str, Floats]
 
+FrameTerms = Callable[[int, PosedBody], tuple[Floats, Floats]]
+"""Gives for a frame and the body in its pose what other observations say of pose and shape,
+(D + M, D + M) and (D + M,)."""
+
 
 @dataclass(frozen=True, eq=False)
 class RefineMemory:
@@ -115,6 +119,7 @@ def refine_sequence(
     shape_frames: Sequence[int] = (),
     settings: SequenceSettings | None = None,
     blind: Container[int] = (),
+    also: FrameTerms | None = None,
     done: Callable[[int], None] = lambda frame: None,
     memory: RefineMemory | None = None,
 ) -> SequenceFit:
@@ -126,7 +131,7 @@ def refine_sequence(
         list(
             refine_in_pieces(
                 frames, poses, body, levels, rate=rate, rounds=rounds, shape_frames=shape_frames, settings=settings,
-                blind=blind, done=done, memory=memory,
+                blind=blind, also=also, done=done, memory=memory,
             )
         )
     )  # fmt: skip
@@ -143,6 +148,7 @@ def refine_in_pieces(
     shape_frames: Sequence[int] = (),
     settings: SequenceSettings | None = None,
     blind: Container[int] = (),
+    also: FrameTerms | None = None,
     done: Callable[[int], None] = lambda frame: None,
     memory: RefineMemory | None = None,
 ) -> Iterator[SequenceFit]:
@@ -163,6 +169,7 @@ def refine_in_pieces(
         shape_frames: frames whose outlines also speak of the shape.
         settings: what is known before.
         blind: frames whose silhouettes are not believed; only their neighbours speak of them.
+        also: what else was observed in a frame, for example points of the surface.
         done: told of every frame in every round.
         memory: takes each window and each round as soon as it is done; what it holds already is not done again.
     """
@@ -170,7 +177,7 @@ def refine_in_pieces(
         raise ValueError("at least one round is needed")
     memory = memory or RefineMemory()
     settings = settings or SequenceSettings()
-    work = _Work(list(frames), levels, set(shape_frames), blind, rate, rounds, settings, done, memory, body)
+    work = _Work(list(frames), levels, set(shape_frames), blind, rate, rounds, settings, done, memory, body, also)
     poses = list(poses)
     for round_ in range(rounds - 1):
         if round_ in memory.rounds:
@@ -230,6 +237,7 @@ class _Work:
     memory: RefineMemory
     first: Body
     """As it was before; of other numbers it is always made from here, so that an interruption changes nothing."""
+    also: FrameTerms | None = None
 
     @cached_property
     def windows(self) -> list[Window]:
@@ -278,6 +286,10 @@ class _Work:
             else:
                 hessian, gradient, _ = normal_equations(posed, gather_moments(posed, found, weights))
                 add_dense(posed, priors, hessian, gradient)
+            if self.also is not None:
+                more, pull = self.also(self.frames[f], posed)
+                size = len(gradient)
+                hessian, gradient = hessian + more[:size, :size], gradient + pull[:size]
             across = sum(float(w @ (m.residuals(posed) ** 2).sum(1)) for w, m in zip(weights, found, strict=True))
             return _Equations(hessian, gradient, across, sum(float(w.sum()) for w in weights))
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from marey.arrays import Floats, Mask
+from marey.arrays import Floats, Integers, Mask
 from marey.body.surface import Body
 from marey.errors import FileProblem
 from marey.io import body as body_file
@@ -29,6 +29,7 @@ def write_results(
     preset: str,
     mass_kg: float | None = None,
     skin: Iterable[Floats] | None = None,
+    skin_faces: Integers | None = None,
     seen: Iterable[Mask] | None = None,
 ) -> None:
     """Write all files of a captured motion; each is there whole or not at all.
@@ -41,6 +42,7 @@ def write_results(
         mass_kg: The person's mass for the OpenSim model, where it is known.
         skin: For each frame the posed skin (V, 3) in the world [m], NaN without an answer, an array (F, V, 3) or one by
             one; `skin.npz` is written with it.
+        skin_faces: (T, 3) of the skin, the body's own when None; all its vertices belong to some of them.
         seen: For each frame (V,) what of it was measured by some observation.
     """
     folder = Path(folder)
@@ -53,7 +55,10 @@ def write_results(
     if motion.answered.any():
         write_bvh(folder / "motion.bvh", body, motion)
     if skin is not None:
-        npz.write_skin(folder / "skin.npz", skin, body.faces, seen, frames=len(motion), count=len(body.vertices))
+        faces, count = body.faces, len(body.vertices)
+        if skin_faces is not None and skin_faces is not faces:
+            faces, count = skin_faces, int(skin_faces.max()) + 1
+        npz.write_skin(folder / "skin.npz", skin, faces, seen, frames=len(motion), count=count)
 
 
 def write_motion_tables(folder: Path | str, motion: Motion) -> None:

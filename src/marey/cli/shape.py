@@ -1,0 +1,261 @@
+"""`marey shape`: from the measured surface of a trial to the person's own body of metaballs, and its motion."""
+
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from marey.arrays import Floats, Mask
+from marey.body.metaball_person import reshaped, vertex_limbs
+from marey.body.metaballs import PosedMetaballs
+from marey.body.pose import Pose, PosedBody
+from marey.body.segment_measures import segment_measures
+from marey.body.subdivision import finer
+from marey.body.surface import Body
+from marey.cli import capture_stages as stages
+from marey.cli.capture import Bodies, Followed, Logs, Refined, Run, follow_person, opened, refined_person, rounds_of
+from marey.cli.capture import write_capture as write_results_of
+from marey.cli.progress import Progress
+from marey.cli.settings import CaptureSettings
+from marey.cli.surface import surface as measure_surface
+from marey.cli.surface_settings import SurfaceOptions
+from marey.errors import FileProblem
+from marey.fit.person import Take
+from marey.fit.sequence import SequenceFit, refine_in_pieces
+from marey.fit.shape import (
+    DETAILS_IN_TURN,
+    Shaped,
+    ShapeSettings,
+    believed,
+    evenly,
+    freed,
+    measured_segments,
+    metaballs_like,
+    more_detailed,
+    refine_shape,
+    with_coordinates,
+)
+from marey.fit.surface_points import FramePoints, PersonPoints, spread_over
+from marey.io.body import segment_lengths
+from marey.io.csv import write_segments
+from marey.io.stages import Arrays
+from marey.io.surface import read_surface
+from marey.motion.from_fit import Measured, measured
+
+SURFACE = ("surface.npz", "trajectories.npz")
+"""What `marey surface` measured, and the fit reads."""
+KEPT = (*SURFACE, "surface.ply", "cameras.toml", "surface_*.png", "surface/*.ply")
+"""What else it leaves; all of it stays."""
+SPACING_PX = 6
+"""From point to point, where the surface is measured for the fit alone: neighbours say nearly the same."""
+SEEN_M = 0.010
+"""Skin no farther than this from a measured point was measured [m]."""
+OFF_M = 0.015
+"""Skin that lies farther from the metaballs' surface stays where blending puts it: in a crease [m]."""
+LAST_ROUNDS = 2
+
+
+def shape(folder: Path, settings: CaptureSettings, progress: Progress) -> Path:
+    """Fit a person's own body to the measured surface and the silhouettes of a trial.
+
+    Args:
+        folder: The trial.
+        settings: What is asked for; what it leaves open, trial.toml may say.
+        progress: Is shown, and keeps timings and warnings.
+
+    Returns:
+        The folder with the results.
+
+    Raises:
+        FileProblem: Something in the trial cannot be used.
+    """
+    out = settings.out or folder / "marey"
+    if not (out / SURFACE[0]).is_file():
+        measure(folder, replace(settings, out=out), progress)
+    measured_files = [out / name for name in SURFACE if (out / name).is_file()]
+    with opened(folder, settings, progress, more=measured_files) as (run, bodies, logs):
+        points = points_of(run, out / SURFACE[0])
+        followed, begun = begin(run, bodies, logs)
+        shaped = fitted(run, followed, begun, points)
+        write_shape(run, followed, shaped, points)
+    return out
+
+
+def measure(folder: Path, settings: CaptureSettings, progress: Progress) -> None:
+    """Measure the surface first, as `marey surface` does; say so where there is none to be measured."""
+    options = SurfaceOptions(
+        out=settings.out, cameras=settings.cameras, frames=settings.frames, spacing=SPACING_PX
+    )  # fmt: skip
+    try:
+        measure_surface(folder, options, progress)
+    except FileProblem as problem:
+        progress.warn(f"No surface was measured: {problem} The shape is fitted to silhouettes alone.")
+
+
+def points_of(run: Run, path: Path) -> dict[int, FramePoints]:
+    """Read the measured points of the frames that are looked at; none where nothing was measured."""
+    if not path.is_file():
+        return {}
+    surface, take = read_surface(path), run.trial.take
+    found = {}
+    for frame in surface.frames:
+        if take.first <= frame < take.end:
+            own = surface.of_frame(int(frame))
+            found[int(frame)] = FramePoints(np.array(own.points), np.array(own.covariance))
+    return found
+
+
+def begin(run: Run, bodies: Bodies, logs: Logs) -> tuple[Followed, Shaped]:
+    """Capture the person as `marey capture` does, and give the metaballs the shape that it finds."""
+    followed = follow_person(run, bodies, logs)
+    refined = refined_person(run, followed, bodies)
+    whole = freed(refined.body)
+    poses = {f: with_coordinates(pose, refined.body, whole) for f, pose in refined.poses.items()}
+    settings = ShapeSettings()
+    body = metaballs_like(whole)
+    return followed, Shaped(body, poses, settings.begin_model_sd_m, settings.sequence.sigma_px)
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """The person as it is written."""
+
+    body: Body
+    poses: Mapping[int, Pose]
+    pieces: Sequence[Measured]
+    shaped: Shaped
+
+
+def fitted(run: Run, followed: Followed, begun: Shaped, points: Mapping[int, FramePoints]) -> Fitted:
+    """Fit the whole body, then single radii; refine the motion a last time."""
+    settings = ShapeSettings()
+    few = {f: spread_over(given, settings.points_a_frame) for f, given in points.items()}
+    given = PersonPoints(by_frame=few)
+    take = Take(
+        tuple(run.trial.rig), followed.outlines, tuple(begun.poses), run.trial.take.rate, followed.outlines.edges
+    )
+    levels = take.levels(run.person.fine_height)
+    for i, detail in enumerate(DETAILS_IN_TURN[1:]):
+        now = replace(begun, body=more_detailed(begun.body, detail))
+        scale = settings.begin_scale_m if i == 0 else np.inf
+
+        def compute(now: Shaped = now, scale: float = scale, detail: str = detail) -> Arrays:
+            total = settings.repeats * settings.rounds * len(now.poses)
+            with run.progress.stage(f"Shape, {NAMES[detail]}", total) as step:
+                return _packed(
+                    refine_shape(
+                        now, levels, given, rate=take.rate, repeats=settings.repeats, settings=settings, scale_m=scale,
+                        done=lambda frame: step(),
+                    )
+                )  # fmt: skip
+
+        begun = _unpacked(run.cache.arrays(f"body_{detail}", compute, depends=run.scope), now)
+    return _last(run, take, begun, given, settings)
+
+
+NAMES = {"simple": "simplified limbs", "full": "whole body", "single": "single radii"}
+
+
+def _last(run: Run, take: Take, begun: Shaped, given: PersonPoints, settings: ShapeSettings) -> Fitted:
+    points = believed(given, begun.model_sd_m)
+    poses: dict[int, Pose] = {}
+    pieces: list[Measured] = []
+    fit: SequenceFit | None = None
+    with (
+        rounds_of(run, "last") as memory,
+        run.progress.stage("Motion and shape", LAST_ROUNDS * len(begun.poses)) as step,
+    ):
+        for fit in refine_in_pieces(
+            list(begun.poses), list(begun.poses.values()), begun.body, take.levels(run.person.fine_height),
+            rate=take.rate, rounds=LAST_ROUNDS, shape_frames=evenly(list(begun.poses), settings.shape_frames),
+            settings=replace(settings.sequence, sigma_px=begun.outline_sd_px), also=points.terms,
+            done=lambda frame: step(), memory=memory,
+        ):  # fmt: skip
+            poses |= fit.by_frame
+            pieces.append(measured(fit))
+    body = begun.body if fit is None else fit.body
+    return Fitted(body, poses, pieces, replace(begun, body=body, poses=poses))
+
+
+def _packed(found: Shaped) -> Arrays:
+    return {
+        "frames": np.array(list(found.poses)),
+        "translation": np.array([pose.translation for pose in found.poses.values()]),
+        "rotation": np.array([pose.rotation for pose in found.poses.values()]),
+        "angles": np.array([pose.angles for pose in found.poses.values()]),
+        "numbers": np.array(found.body.numbers),
+        "sds": np.array([found.model_sd_m, found.outline_sd_px]),
+    }
+
+
+def _unpacked(arrays: Arrays, begun: Shaped) -> Shaped:
+    parts = zip(arrays["translation"], arrays["rotation"], arrays["angles"], strict=True)
+    poses = dict(zip(map(int, arrays["frames"]), (Pose(*part) for part in parts), strict=True))
+    model, outline = map(float, arrays["sds"])
+    return Shaped(reshaped(begun.body, arrays["numbers"]), poses, model, outline)
+
+
+def write_shape(run: Run, followed: Followed, found: Fitted, points: Mapping[int, FramePoints]) -> None:
+    """Write what a capture writes, the skin with what was measured of it, and the table of segments."""
+    skin = posed_skin(found.body, found.poses)
+    refined = Refined(found.body, found.poses, found.pieces, frozenset())
+
+    def more(folder: Path) -> None:
+        with run.progress.stage("Segments"):
+            write_table(folder, found.body)
+        keep(run.out, folder)
+
+    write_results_of(
+        run, refined, followed.outlines, followed.frames, command="shape", skin=skin,
+        seen=seen_of(skin, points, run.trial.take.count, sorted(found.poses), run) if points else None, more=more,
+    )  # fmt: skip
+
+
+def posed_skin(body: Body, poses: Mapping[int, Pose]) -> stages.PosedSkin:
+    """Give the metaballs' own surface in every frame, finer than the body's triangles."""
+    fine, space = finer(body), body.metaballs
+    if space is None:
+        raise ValueError("the body has no metaballs")
+    balls, limb = space.balls(body.numbers), vertex_limbs(fine)
+
+    def vertices(frame: int) -> Floats:
+        blended = PosedBody(fine, poses[frame]).vertices
+        there = PosedMetaballs(balls, poses[frame]).skin(blended, limb)
+        near = np.linalg.norm(there - blended, axis=1) < OFF_M
+        return np.where(near[:, None], there, blended)
+
+    return stages.PosedSkin(fine.faces, vertices)
+
+
+def seen_of(
+    skin: stages.PosedSkin, points: Mapping[int, FramePoints], count: int, frames: Sequence[int], run: Run
+) -> Iterator[Mask]:
+    """Tell for every frame what of the skin lies near measured points; without any, what lies on its rim."""
+    outlines = stages.seen_vertices(skin, frames, list(run.trial.rig), count)
+    for frame, rim in enumerate(outlines):
+        if frame in frames and frame in points and len(points[frame]):
+            away, _ = cKDTree(points[frame].points).query(skin.vertices_of(frame), distance_upper_bound=SEEN_M)
+            yield away <= SEEN_M
+        else:
+            yield rim
+
+
+def write_table(folder: Path, body: Body) -> None:
+    """Write `segments.csv`: what the segments measure that the preset follows."""
+    if body.metaballs is None:
+        raise ValueError("the body has no metaballs")
+    there = measured_segments(body)
+    measures = segment_measures(body.metaballs, body.numbers, body.numbers_covariance, segments=there)
+    length, length_sd = (values[there] for values in segment_lengths(body))
+    write_segments(folder / "segments.csv", measures, length, length_sd)
+
+
+def keep(out: Path, folder: Path) -> None:
+    """Carry the measured surface over into the new results: it belongs to them, and none of it is made here."""
+    for path in (path for pattern in KEPT for path in sorted(out.glob(pattern))):
+        beside = folder / path.relative_to(out)
+        beside.parent.mkdir(exist_ok=True)
+        shutil.copyfile(path, beside)
