@@ -5,7 +5,7 @@ import pytest
 
 from marey.body.family import load_family
 from marey.body.kinematics import blend_skin
-from marey.body.scan import _shortest_turn, scanned_body
+from marey.body.scan import scanned_body
 from marey.body.skeleton import full_skeleton
 from marey.body.surface import Body, ShapeSpace
 from marey.errors import MareyError
@@ -58,7 +58,7 @@ def t_pose(body: Body, heading: float) -> tuple[np.ndarray, dict[str, np.ndarray
         sign = 1 if side == "left" else -1
         if kind == "upperarm":
             along = rest[names.index(f"{side}_forearm")] - rest[k]
-            turns[k] = _shortest_turn(along, np.array([sign, 0.0, 0.0]))
+            turns[k] = rotations.shortest(along, np.array([sign, 0.0, 0.0]))
         if kind == "thigh":
             turns[k] = rotations.about(np.array([0.0, -1.0, 0.0]), np.array(sign * 0.2))
         if kind == "foot":

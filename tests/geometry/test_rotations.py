@@ -79,3 +79,20 @@ def test_the_kernel_turns_as_the_formula(rng):
         axis = draw(rng, 1.0)
         rotations.turn_about(axis, angle, out)
         np.testing.assert_allclose(out, rotations.about(axis, angle), atol=1e-15)
+
+
+@pytest.mark.parametrize("end", [[0.0, 2, 0], [0.3, -1, 2], [-3.0, 0, 0], [1.0, 0, 0]])
+def test_the_shortest_turn_brings_one_direction_into_another(end):
+    start = np.array([0.5, 0, 0])
+    turn = rotations.shortest(start, np.array(end))
+    np.testing.assert_allclose(turn @ [1, 0, 0], np.array(end) / np.linalg.norm(end), atol=1e-12)
+    np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-12)
+    between = np.arccos(np.clip(end[0] / np.linalg.norm(end), -1, 1))
+    assert np.linalg.norm(rotations.log(turn)) == pytest.approx(between, abs=1e-7)
+
+
+def test_continuous_quaternions_are_the_same_rotations(rng):
+    quaternions = rng.normal(size=(30, 4))
+    found = rotations.continuous(quaternions)
+    assert ((found[1:] * found[:-1]).sum(1) >= 0).all()
+    np.testing.assert_array_equal(np.abs(found), np.abs(quaternions))

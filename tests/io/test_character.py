@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from marey.errors import FileProblem
-from marey.io.character import read_character, segment_called
+from marey.io.character import read_character
 
 
 def write_mixamo_like(path: Path) -> None:
@@ -56,17 +56,6 @@ def test_a_scaled_character_of_another_maker_comes_in_metres(tmp_path):
     np.testing.assert_allclose(character.joint_centres["left_forearm"], [2, 0, 0], atol=1e-6)
     assert character.node_names["left_upperarm"] == "mixamorig:LeftArm"
     np.testing.assert_allclose(character.weights["left_forearm"], [0, 1, 1], atol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("name", "segment"),
-    [
-        ("left_thigh", "left_thigh"), ("mixamorig:RightUpLeg", "right_thigh"), ("LeftToeBase", "left_toes"),
-        ("Hips", "pelvis"), ("mixamorigLeftShoulder", "left_clavicle"), ("LeftHandThumb1", None),
-    ],
-)  # fmt: skip
-def test_names_of_other_makers_are_known(name: str, segment: str | None):
-    assert segment_called(name) == segment
 
 
 def write_scan(folder: Path, joints: str, head: str = 'mesh = "scan.obj"\nunit = "mm"\nup = "y"\n') -> Path:

@@ -113,22 +113,11 @@ def _completed(template: Body, centres: dict[str, Floats]) -> Floats:
             offset = own[k] - own[at(parent)]
             if below:
                 ours, theirs = own[at(below[0])] - own[at(parent)], centres[below[0]] - centres[parent]
-                offset = _shortest_turn(ours, theirs) @ offset * (np.linalg.norm(theirs) / np.linalg.norm(ours))
+                offset = rotations.shortest(ours, theirs) @ offset * (np.linalg.norm(theirs) / np.linalg.norm(ours))
             else:
                 offset = offset * size
             centres[name] = centres[parent] + offset
     return np.stack([centres[name] for name in names])
-
-
-def _shortest_turn(start: Floats, end: Floats) -> Floats:
-    """Turn one direction into another about the axis across both."""
-    across = np.cross(start, end)
-    length = np.linalg.norm(across)
-    angle = np.arctan2(length, start @ end)
-    if length < 1e-12 * np.linalg.norm(start) * np.linalg.norm(end):
-        across = np.cross(start, np.eye(3)[np.argmin(np.abs(start))])
-        length = np.linalg.norm(across)
-    return rotations.about(across / length, np.array(angle))
 
 
 def _turns_to_rest(template: Body, joints: Floats) -> Floats:
@@ -143,11 +132,11 @@ def _turns_to_rest(template: Body, joints: Floats) -> Floats:
         turns[k] = turns[skeleton.parents[k]]
         if kind in ("thigh", "shank", "upperarm", "forearm"):
             end = names.index(f"{side}_{_NEXT[kind]}")
-            turns[k] = _shortest_turn(turns[k] @ (joints[end] - joints[k]), own[end] - own[k]) @ turns[k]
+            turns[k] = rotations.shortest(turns[k] @ (joints[end] - joints[k]), own[end] - own[k]) @ turns[k]
         elif kind == "foot":  # the sole stays as it is in the scan, flat; only the heading of the foot changes
             toes = names.index(f"{side}_toes")
             flat = np.array([1.0, 1.0, 0.0])
-            turns[k] = _shortest_turn((joints[toes] - joints[k]) * flat, (own[toes] - own[k]) * flat)
+            turns[k] = rotations.shortest((joints[toes] - joints[k]) * flat, (own[toes] - own[k]) * flat)
     return turns
 
 

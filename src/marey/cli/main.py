@@ -215,6 +215,40 @@ def demo(out: Out = None, quiet: Quiet = False) -> None:
 
 
 @app.command()
+def retarget(
+    motion: Annotated[Path, typer.Argument(metavar="MOTION", help="A folder of results, or a motion.npz.")],
+    character: Annotated[Path, typer.Argument(metavar="CHARACTER", help="A GLB or glTF with a skinned mesh.")],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", metavar="FILE", help="The file to write. [default: beside the motion]"),
+    ] = None,
+    named: Annotated[
+        Path | None,
+        typer.Option("--map", metavar="FILE", help='A TOML with \\[joints] and left_thigh = "name in the character".'),
+    ] = None,
+    no_ground: Annotated[
+        bool, typer.Option("--no-ground", help="Do not keep the lower foot at the person's height above the floor.")
+    ] = False,
+    quiet: Quiet = False,
+) -> None:
+    """Put a recovered motion on another character.
+
+    The character's own names, sizes, rest posture and axes may be what they like; the copy has the motion as one more
+    animation and is otherwise unchanged.
+
+    Examples:
+    * `marey retarget walk01/marey knight.glb`
+    * `marey retarget walk01/marey knight.glb --map knight.toml --out knight_walks.glb`
+    """
+    from marey.cli.retarget import retarget as carry_over
+
+    path, notes = carry_over(motion, character, out=out, named=named, grounded=not no_ground)
+    for note in notes if not quiet else []:
+        typer.echo(note)
+    typer.echo(f"Written: {path}")
+
+
+@app.command()
 def view(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="A folder of results.")],
     no_browser: Annotated[bool, typer.Option("--no-browser", help="Only print where the report is.")] = False,

@@ -111,6 +111,17 @@ def about(axis: Floats, angle: Floats) -> Floats:
     return exp(np.asarray(axis, float) * np.asarray(angle, float)[..., None])
 
 
+def shortest(start: Floats, end: Floats) -> Floats:
+    """Turn one direction (3,) into another about the axis across both; where they are opposite, about any such axis."""
+    across = np.cross(start, end)
+    length = np.linalg.norm(across)
+    angle = np.arctan2(length, start @ end)
+    if length < 1e-12 * np.linalg.norm(start) * np.linalg.norm(end):
+        across = np.cross(start, np.eye(3)[np.argmin(np.abs(start))])
+        length = np.linalg.norm(across)
+    return about(across / length, np.array(angle))
+
+
 def mean(rotations: Floats) -> Floats:
     """Average rotations: the chordal mean, the rotation nearest to the mean matrix.
 
@@ -162,6 +173,12 @@ def to_quaternion(rotation: Floats) -> Floats:
     best = np.argmax(squares, -1)
     chosen = np.take_along_axis(np.stack(candidates, -2), best[..., None, None], -2)[..., 0, :]
     return chosen / np.linalg.norm(chosen, axis=-1, keepdims=True)
+
+
+def continuous(quaternions: Floats) -> Floats:
+    """Choose signs so that no quaternion (F, 4) of a motion lies opposite to the one before."""
+    sign = np.where((quaternions[1:] * quaternions[:-1]).sum(1) < 0, -1.0, 1.0)
+    return quaternions * np.concatenate([[1.0], np.cumprod(sign)])[:, None]
 
 
 def from_quaternion(quaternion: Floats) -> Floats:

@@ -1,7 +1,5 @@
 """Characters: somebody's own body as a skinned GLB, or as a mesh with joint centres in a TOML."""
 
-import json
-import struct
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,19 +12,12 @@ import trimesh
 from marey.arrays import Floats, Integers, frozen
 from marey.body.skeleton import JOINT_OF_SEGMENT, PARENTS
 from marey.errors import FileProblem
-from marey.geometry import rotations
 from marey.io.axes import GLTF_FROM_WORLD, turned_points
+from marey.io.gltf import Gltf
+from marey.io.rig_names import VRM_BONES, name_joints, path_up
 
 _METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 _WORLD_FROM_UP = {"z": np.eye(3), "y": np.asarray(GLTF_FROM_WORLD).T}
-_LIMBS = {
-    "clavicle": ("shoulder",), "upperarm": ("arm",), "forearm": ("forearm",), "hand": ("hand",),
-    "thigh": ("upleg",), "shank": ("leg",), "foot": ("foot",), "toes": ("toebase", "toe"),
-}  # fmt: skip
-_OTHER_NAMES = {"hips": "pelvis", "spine": "abdomen", "spine2": "thorax", "chest": "thorax"} | {
-    f"{side}{name}": f"{side}_{segment}" for side in ("left", "right") for segment, s in _LIMBS.items() for name in s
-}
-"""What Mixamo and its kin call our segments, in small letters; spine1 belongs to the abdomen where spine2 is there."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -62,15 +53,6 @@ def read_character(path: Path | str) -> Character:
         FileProblem: It cannot be read, or lacks what a body needs.
     """
     return _read_described(Path(path)) if Path(path).suffix.lower() == ".toml" else read_skinned(path)
-
-
-def segment_called(name: str) -> str | None:
-    """Find the segment that a node's name means: ours, or Mixamo's with or without its prefix."""
-    plain = name.split(":")[-1]
-    if plain.lower() in PARENTS:
-        return plain.lower()
-    bare = "".join(c for c in plain.lower() if c.isalnum()).removeprefix("mixamorig")
-    return bare if bare in PARENTS else _OTHER_NAMES.get(bare)
 
 
 def _read_described(path: Path) -> Character:
@@ -127,62 +109,6 @@ def read_mesh(path: Path | str) -> tuple[Floats, Integers]:
     return np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
 
 
-class _Gltf:
-    """The parts of a GLB that a skinned body needs."""
-
-    def __init__(self, path: Path | str):
-        self.path = path
-        try:
-            data = Path(path).read_bytes()
-            magic, version, _ = struct.unpack_from("<III", data)
-            length, kind = struct.unpack_from("<II", data, 12)
-            if magic != 0x46546C67 or version != 2 or kind != 0x4E4F534A:
-                raise ValueError("it does not begin as one")
-            self.document: dict[str, Any] = json.loads(data[20 : 20 + length])
-            self.binary = data[28 + length :]
-        except (OSError, ValueError, struct.error) as error:
-            raise FileProblem(path, f"is no GLB, version 2 ({error})", "Export glTF binary (.glb).") from error
-        self.nodes: list[dict[str, Any]] = self.document.get("nodes", [])
-
-    def array(self, index: int) -> np.ndarray:
-        """Read one accessor (n, width) as float64 or integers."""
-        accessor = self.document["accessors"][index]
-        view = self.document["bufferViews"][accessor["bufferView"]]
-        kind = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}[accessor["componentType"]]
-        width = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}[accessor["type"]]
-        size = np.dtype(kind).itemsize
-        start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
-        stride = view.get("byteStride", width * size)
-        rows = np.ndarray((accessor["count"], width), kind, self.binary, start, (stride, size))
-        scale = float(np.iinfo(kind).max) if accessor.get("normalized") else 1.0
-        return rows / scale if accessor.get("normalized") else rows.astype(float if kind == "<f4" else np.int64)
-
-    def world_from_nodes(self) -> Floats:
-        """Give each node's matrix (n, 4, 4) in the scene, as the file poses it."""
-        local = np.stack([_local_matrix(node) for node in self.nodes])
-        world, parent = np.array(local), self.parents()
-        for n in range(len(self.nodes)):
-            up = parent.get(n)
-            while up is not None:
-                world[n] = local[up] @ world[n]
-                up = parent.get(up)
-        return world
-
-    def parents(self) -> dict[int, int]:
-        """Give each node's parent."""
-        return {child: n for n, node in enumerate(self.nodes) for child in node.get("children", [])}
-
-
-def _local_matrix(node: Mapping[str, Any]) -> Floats:
-    if "matrix" in node:
-        return np.array(node["matrix"], float).reshape(4, 4).T
-    matrix = np.eye(4)
-    x, y, z, w = node.get("rotation", (0, 0, 0, 1))
-    matrix[:3, :3] = rotations.from_quaternion(np.array([w, x, y, z], float)) * np.array(node.get("scale", (1, 1, 1)))
-    matrix[:3, 3] = node.get("translation", (0, 0, 0))
-    return matrix
-
-
 def read_skinned(path: Path | str) -> Character:
     """Read a skinned GLB in the pose in which the file shows it, turned so that Z is up.
 
@@ -194,12 +120,11 @@ def read_skinned(path: Path | str) -> Character:
     Raises:
         FileProblem: It is no GLB, has no skin, or none of our segments.
     """
-    gltf = _Gltf(path)
-    skinned = [(n["mesh"], n["skin"]) for n in gltf.nodes if "mesh" in n and "skin" in n]
-    if not skinned:
-        raise FileProblem(path, "has no skinned mesh", "Export the character with its armature and skin.")
+    gltf = Gltf(path)
+    skinned = gltf.skinned()
     world = gltf.world_from_nodes()
-    owner = _segments_of_nodes(gltf, skinned)
+    named = named_joints(gltf, {})
+    owner = _owners(gltf, skinned, named)
     vertices, faces, weights, start = [], [], [], 0
     try:
         for mesh, skin in skinned:
@@ -213,34 +138,64 @@ def read_skinned(path: Path | str) -> Character:
                 start += count
     except (KeyError, IndexError, ValueError, TypeError) as error:
         raise FileProblem(path, f"is damaged or uses what is not read here ({error!r})", "Export it again.") from error
-    return _assemble(np.concatenate(vertices), np.concatenate(faces), np.concatenate(weights), owner, gltf, world)
+    return _assemble(
+        np.concatenate(vertices), np.concatenate(faces), np.concatenate(weights), owner, named, gltf, world
+    )
 
 
-def _segments_of_nodes(gltf: _Gltf, skinned: list[tuple[int, int]]) -> dict[int, str]:
+def skin_joints(gltf: Gltf, skinned: list[tuple[int, int]]) -> list[int]:
+    """List the nodes that carry skin, and those above them."""
+    joints = {node for _, skin in skinned for node in gltf.document["skins"][skin]["joints"]}
+    parents = gltf.parents()
+    return sorted({above for node in joints for above in path_up(node, parents)})
+
+
+def vrm_joints(gltf: Gltf) -> dict[str, int]:
+    """Give the nodes that a VRM file itself says to be segments, of version 1 or 0; none of other files."""
+    extensions = gltf.document.get("extensions", {})
+    bones = extensions.get("VRMC_vrm", {}).get("humanoid", {}).get("humanBones", {})
+    said = {name: bone.get("node") for name, bone in bones.items()} if isinstance(bones, dict) else {}
+    older = extensions.get("VRM", {}).get("humanoid", {}).get("humanBones", [])
+    said |= {bone.get("bone"): bone.get("node") for bone in older if isinstance(bone, dict)}
+    return {VRM_BONES[name]: node for name, node in said.items() if name in VRM_BONES and isinstance(node, int)}
+
+
+def named_joints(gltf: Gltf, known: Mapping[str, int]) -> dict[str, int]:
+    """Tell which node each segment is, see `name_joints`; what a VRM file says goes before names."""
+    nodes = skin_joints(gltf, gltf.skinned())
+    names = {node: gltf.name(node) for node in nodes}
+    return name_joints(names, gltf.parents(), vrm_joints(gltf) | dict(known))
+
+
+def _owners(gltf: Gltf, skinned: list[tuple[int, int]], named: dict[str, int]) -> dict[int, str]:
     """Tell which segment each joint node belongs to: its own, or that of the next node above which has one."""
     joints = {node for _, skin in skinned for node in gltf.document["skins"][skin]["joints"]}
-    parent = gltf.parents()
-    named: dict[int, str] = {}
-    for node in joints:
-        segment = segment_called(gltf.nodes[node].get("name", ""))
-        if segment is not None and segment not in named.values():
-            named[node] = segment
     if not named:
-        names = ", ".join(sorted(gltf.nodes[n].get("name", "?") for n in joints)[:8])
+        names = ", ".join(sorted(gltf.name(n) for n in joints)[:8])
         raise FileProblem(
             gltf.path, f"has no joint whose name is known ({names} ...)", f"Name them {', '.join(PARENTS)}."
         )
-    top = min(named, key=lambda n: list(PARENTS).index(named[n]))
-    owner = {}
-    for node in joints:
-        up: int | None = node
-        while up is not None and up not in named:
-            up = parent.get(up)
-        owner[node] = named[top if up is None else up]
-    return owner | named
+    segments = {node: segment for segment, node in named.items()}
+    parents, top = gltf.parents(), next(iter(named))
+    above = {node: next((n for n in path_up(node, parents) if n in segments), None) for node in joints}
+    return {node: segments[n] if n is not None else top for node, n in above.items()}
 
 
-def _posed(gltf: _Gltf, primitive: dict[str, Any], skin: dict[str, Any], world: Floats) -> tuple[Floats, Floats]:
+def posed_skin(gltf: Gltf) -> list[tuple[Floats, Floats]]:
+    """Give of every skinned primitive the vertices (V, 3) in the scene and their weights by node (V, n).
+
+    Raises:
+        FileProblem: It is packed in a way that is not read here.
+    """
+    world = gltf.world_from_nodes()
+    return [
+        _posed(gltf, primitive, gltf.document["skins"][skin], world)
+        for mesh, skin in gltf.skinned()
+        for primitive in gltf.document["meshes"][mesh]["primitives"]
+    ]
+
+
+def _posed(gltf: Gltf, primitive: dict[str, Any], skin: dict[str, Any], world: Floats) -> tuple[Floats, Floats]:
     """Pose a primitive's vertices (V, 3) in the scene, and spread its weights over the nodes (V, n)."""
     attributes = primitive["attributes"]
     points = gltf.array(attributes["POSITION"])
@@ -262,20 +217,20 @@ def _posed(gltf: _Gltf, primitive: dict[str, Any], skin: dict[str, Any], world: 
 
 
 def _assemble(
-    vertices: Floats, faces: Integers, shares: Floats, owner: dict[int, str], gltf: _Gltf, world: Floats
+    vertices: Floats,
+    faces: Integers,
+    shares: Floats,
+    owner: dict[int, str],
+    named: dict[str, int],
+    gltf: Gltf,
+    world: Floats,
 ) -> Character:
     """Gather nodes into segments and turn everything so that Z is up."""
-    order = [segment for segment in PARENTS if segment in owner.values()]
-    weights = {s: shares[:, [n for n, o in owner.items() if o == s]].sum(1) for s in order}
-    nodes = {
-        s: next(n for n, o in owner.items() if o == s and segment_called(gltf.nodes[n].get("name", "")) == s)
-        for s in order
-    }
     back = np.asarray(GLTF_FROM_WORLD).T
     return Character(
         vertices=turned_points(back, vertices),
         faces=faces,
-        joint_centres={s: turned_points(back, world[n, :3, 3]) for s, n in nodes.items()},
-        weights=weights,
-        node_names={s: gltf.nodes[n].get("name", "") for s, n in nodes.items()},
+        joint_centres={s: turned_points(back, world[n, :3, 3]) for s, n in named.items()},
+        weights={s: shares[:, [n for n, o in owner.items() if o == s]].sum(1) for s in named},
+        node_names={s: gltf.name(n) for s, n in named.items()},
     )

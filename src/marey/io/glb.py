@@ -1,21 +1,19 @@
 """GLB: the body with its skin and its motion as one glTF 2.0 file, for Blender, game engines and the web."""
 
-import json
-import struct
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from marey.arrays import Floats
+from marey.arrays import Floats, Integers
 from marey.body.surface import Body
 from marey.errors import MareyError
 from marey.geometry import rotations
 from marey.io.atomic import replacing
 from marey.io.axes import GLTF_FROM_WORLD, turned_points, turned_rotations
+from marey.io.gltf import COMPONENT, binary_chunk, pack_glb
 from marey.motion.motion import Motion
 
-_COMPONENT = {"<f4": 5126, "u1": 5121, "<u4": 5125}
 _VERTEX_BUFFER, _INDEX_BUFFER = 34962, 34963
 _SKIN_COLOUR = [0.80, 0.66, 0.56, 1.0]
 
@@ -36,7 +34,7 @@ class _Buffer:
         self.views.append(view | ({"target": target} if target else {}))
         self.bytes += data.tobytes()
         accessor: dict[str, Any] = {
-            "bufferView": len(self.views) - 1, "componentType": _COMPONENT[kind], "count": len(data), "type": shape,
+            "bufferView": len(self.views) - 1, "componentType": COMPONENT[kind], "count": len(data), "type": shape,
         }  # fmt: skip
         if bounds:
             flat = data.reshape(len(data), -1)
@@ -82,18 +80,7 @@ def write_glb(path: Path | str, body: Body, motion: Motion | None = None) -> Non
         "bufferViews": buffer.views, "accessors": buffer.accessors, "buffers": [{"byteLength": len(buffer.bytes)}],
     }  # fmt: skip
     with replacing(path) as beside:
-        beside.write_bytes(_pack(document, bytes(buffer.bytes)))
-
-
-def _pack(document: dict[str, Any], binary: bytes) -> bytes:
-    text = json.dumps(document, separators=(",", ":")).encode()
-    text += b" " * (-len(text) % 4)
-    binary += b"\0" * (-len(binary) % 4)
-    length = 12 + 8 + len(text) + 8 + len(binary)
-    head = struct.pack("<III", 0x46546C67, 2, length)
-    return (
-        head + struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(binary), 0x004E4942) + binary
-    )
+        beside.write_bytes(pack_glb(document, [binary_chunk(bytes(buffer.bytes))]))
 
 
 def _nodes(body: Body) -> list[dict[str, Any]]:
@@ -109,9 +96,7 @@ def _nodes(body: Body) -> list[dict[str, Any]]:
 
 def _primitive(buffer: _Buffer, body: Body) -> dict[str, Any]:
     vertices = turned_points(GLTF_FROM_WORLD, body.vertices)
-    weights = body.vertex_weights.astype("<f4")
-    weights = weights / weights.sum(1, keepdims=True)
-    joints = np.where(weights > 0, body.vertex_segments, 0)
+    joints, weights = _carriers(body)
     attributes = {
         "POSITION": buffer.add(vertices, "<f4", "VEC3", target=_VERTEX_BUFFER, bounds=True),
         "NORMAL": buffer.add(_normals(vertices, body.faces), "<f4", "VEC3", target=_VERTEX_BUFFER),
@@ -120,6 +105,17 @@ def _primitive(buffer: _Buffer, body: Body) -> dict[str, Any]:
     }
     indices = buffer.add(body.faces.reshape(-1, 1), "<u4", "SCALAR", target=_INDEX_BUFFER)
     return {"attributes": attributes, "indices": indices, "material": 0}
+
+
+def _carriers(body: Body) -> tuple[Integers, Floats]:
+    """Give the segments (V, 4) that carry each vertex, none of them twice, and their shares in single precision."""
+    shares = np.zeros((len(body.vertices), len(body.skeleton.segment_names)))
+    for c in range(body.vertex_segments.shape[1]):
+        np.add.at(shares, (np.arange(len(shares)), body.vertex_segments[:, c]), body.vertex_weights[:, c])
+    joints = np.argsort(-shares, axis=1, kind="stable")[:, :4]
+    weights = np.take_along_axis(shares, joints, 1).astype("<f4")
+    weights = weights / weights.sum(1, keepdims=True)
+    return np.where(weights > 0, joints, 0), weights
 
 
 def _normals(vertices: Floats, faces: np.ndarray) -> Floats:
@@ -153,11 +149,5 @@ def _animation(buffer: _Buffer, body: Body, motion: Motion, root: int) -> dict[s
     track(root, "translation", turned_points(GLTF_FROM_WORLD, motion.segment_origin[known, root]), "VEC3")
     for k, parent in enumerate(body.skeleton.parents):
         local = turn[:, k] if parent < 0 else np.swapaxes(turn[:, parent], -1, -2) @ turn[:, k]
-        track(k, "rotation", _continuous(rotations.to_quaternion(local))[:, [1, 2, 3, 0]], "VEC4")
+        track(k, "rotation", rotations.continuous(rotations.to_quaternion(local))[:, [1, 2, 3, 0]], "VEC4")
     return {"name": "motion", "samplers": samplers, "channels": channels}
-
-
-def _continuous(quaternions: Floats) -> Floats:
-    """Choose signs so that no quaternion (F, 4) lies opposite to the one before."""
-    sign = np.where((quaternions[1:] * quaternions[:-1]).sum(1) < 0, -1.0, 1.0)
-    return quaternions * np.concatenate([[1.0], np.cumprod(sign)])[:, None]

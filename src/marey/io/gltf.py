@@ -1,0 +1,216 @@
+"""glTF 2.0: files of others, their nodes and arrays, and an animation put into a copy of one."""
+
+import base64
+import json
+import struct
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
+
+import numpy as np
+
+from marey.arrays import Floats
+from marey.errors import FileProblem
+from marey.geometry import rotations
+from marey.io.atomic import replacing
+
+COMPONENT = {"i1": 5120, "u1": 5121, "<i2": 5122, "<u2": 5123, "<u4": 5125, "<f4": 5126}
+WIDTH = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+_MAGIC, _JSON, _BIN = 0x46546C67, 0x4E4F534A, 0x004E4942
+
+
+class Gltf:
+    """A GLB or glTF file in memory: the document as it stands in the file, and its buffers.
+
+    Args:
+        path: The file.
+
+    Raises:
+        FileProblem: It is no glTF 2.0, or one of its buffers cannot be read.
+    """
+
+    def __init__(self, path: Path | str):
+        self.path = Path(path)
+        self.chunks: list[tuple[int, bytes]] | None = None
+        """Of a GLB: what follows the document, by kind; None of a glTF."""
+        try:
+            data = self.path.read_bytes()
+            text = self._unpack(data) if data[:4] == b"glTF" else data
+            self.document: dict[str, Any] = json.loads(text)
+            version = str(self.document["asset"]["version"])
+        except (OSError, ValueError, KeyError, TypeError, struct.error) as error:
+            raise FileProblem(path, f"is no GLB or glTF, version 2 ({error})", "Export glTF binary (.glb).") from error
+        if not version.startswith("2"):
+            raise FileProblem(path, f"is glTF {version}", "Export it as glTF 2.0.")
+        self.nodes: list[dict[str, Any]] = self.document.get("nodes", [])
+        self._buffers: dict[int, bytes] = {}
+
+    def _unpack(self, data: bytes) -> bytes:
+        magic, version, length = struct.unpack_from("<III", data)
+        if magic != _MAGIC or version != 2 or length > len(data):
+            raise ValueError("it is another version, or cut off")
+        at, parts = 12, []
+        while at + 8 <= length:
+            size, kind = struct.unpack_from("<II", data, at)
+            parts.append((kind, data[at + 8 : at + 8 + size]))
+            at += 8 + size
+        if not parts or parts[0][0] != _JSON:
+            raise ValueError("it does not begin as one")
+        self.chunks = parts[1:]
+        return parts[0][1]
+
+    def buffer(self, number: int) -> bytes:
+        """Give the bytes of a buffer.
+
+        Raises:
+            FileProblem: It cannot be read.
+        """
+        if number not in self._buffers:
+            self._buffers[number] = self._read_buffer(number)
+        return self._buffers[number]
+
+    def _read_buffer(self, number: int) -> bytes:
+        uri = self.document["buffers"][number].get("uri")
+        if uri is None:
+            inside = [part for kind, part in self.chunks or [] if kind == _BIN]
+            if number or not inside:
+                raise FileProblem(self.path, f"lacks the data of its buffer {number}", "Export it again.")
+            return inside[0]
+        if uri.startswith("data:"):
+            return base64.b64decode(uri.partition(",")[2])
+        beside = self.path.parent / unquote(uri)
+        try:
+            return beside.read_bytes()
+        except OSError as error:
+            raise FileProblem(self.path, f"needs {beside.name}, which cannot be read", "Put it beside.") from error
+
+    def array(self, index: int) -> np.ndarray:
+        """Read one accessor (n, width) as float64 or integers.
+
+        Raises:
+            FileProblem: It is packed in a way that is not read here.
+        """
+        accessor = self.document["accessors"][index]
+        if "bufferView" not in accessor or "sparse" in accessor:
+            raise FileProblem(self.path, "has compressed or sparse arrays", "Export it without compression.")
+        view = self.document["bufferViews"][accessor["bufferView"]]
+        kind = {number: name for name, number in COMPONENT.items()}[accessor["componentType"]]
+        width = WIDTH[accessor["type"]]
+        size = np.dtype(kind).itemsize
+        start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
+        stride = view.get("byteStride", width * size)
+        rows = np.ndarray((accessor["count"], width), kind, self.buffer(view["buffer"]), start, (stride, size))
+        scale = float(np.iinfo(kind).max) if accessor.get("normalized") else 1.0
+        return rows / scale if accessor.get("normalized") else rows.astype(float if kind == "<f4" else np.int64)
+
+    def parents(self) -> dict[int, int]:
+        """Give each node's parent."""
+        return {child: n for n, node in enumerate(self.nodes) for child in node.get("children", [])}
+
+    def world_from_nodes(self) -> Floats:
+        """Give each node's matrix (n, 4, 4) in the scene, as the file poses it."""
+        local = np.stack([local_matrix(node) for node in self.nodes])
+        world, parent = np.array(local), self.parents()
+        for n in range(len(self.nodes)):
+            up = parent.get(n)
+            while up is not None:
+                world[n] = local[up] @ world[n]
+                up = parent.get(up)
+        return world
+
+    def name(self, node: int) -> str:
+        """Give a node's name, or its number where it has none."""
+        return str(self.nodes[node].get("name", f"node {node}"))
+
+    def skinned(self) -> list[tuple[int, int]]:
+        """List the skinned meshes: mesh and skin.
+
+        Raises:
+            FileProblem: There is none.
+        """
+        found = [(node["mesh"], node["skin"]) for node in self.nodes if "mesh" in node and "skin" in node]
+        if not found:
+            raise FileProblem(self.path, "has no skinned mesh", "Export the character with its armature and skin.")
+        return found
+
+
+def local_matrix(node: Mapping[str, Any]) -> Floats:
+    """Give a node's matrix (4, 4) in its parent."""
+    if "matrix" in node:
+        return np.array(node["matrix"], float).reshape(4, 4).T
+    matrix = np.eye(4)
+    x, y, z, w = node.get("rotation", (0, 0, 0, 1))
+    matrix[:3, :3] = rotations.from_quaternion(np.array([w, x, y, z], float)) * np.array(node.get("scale", (1, 1, 1)))
+    matrix[:3, 3] = node.get("translation", (0, 0, 0))
+    return matrix
+
+
+def pack_glb(document: Mapping[str, Any], chunks: list[tuple[int, bytes]]) -> bytes:
+    """Put a document and what follows it together as a GLB."""
+    text = json.dumps(document, separators=(",", ":"), ensure_ascii=False).encode()
+    parts = [
+        (_JSON, text + b" " * (-len(text) % 4)),
+        *((kind, data + b"\0" * (-len(data) % 4)) for kind, data in chunks),
+    ]
+    body = b"".join(struct.pack("<II", len(data), kind) + data for kind, data in parts)
+    return struct.pack("<III", _MAGIC, 2, 12 + len(body)) + body
+
+
+def binary_chunk(data: bytes) -> tuple[int, bytes]:
+    """Give the chunk of a GLB that holds its first buffer."""
+    return _BIN, data
+
+
+class Additions:
+    """Arrays put behind what a file holds already; nothing else of it changes.
+
+    Args:
+        gltf: The file; its document is copied.
+    """
+
+    def __init__(self, gltf: Gltf):
+        self.gltf = gltf
+        self.document: dict[str, Any] = json.loads(json.dumps(gltf.document))
+        self.data = bytearray()
+        buffers = self.document.setdefault("buffers", [])
+        # A GLB's own buffer is the first one, and has no address; any other file gets a buffer of its own.
+        self._inside = gltf.chunks is not None and bool(buffers) and "uri" not in buffers[0]
+        if gltf.chunks is not None and not buffers:
+            self._inside = True
+            buffers.append({"byteLength": 0})
+        self._start = len(gltf.buffer(0)) if self._inside and buffers[0]["byteLength"] else 0
+        self._start += -self._start % 4
+        self.number = 0 if self._inside else len(buffers)
+
+    def add(self, array: np.ndarray, shape: str, *, bounds: bool = False) -> int:
+        """Append an array (n, width) in single precision and give the accessor's number."""
+        data = np.ascontiguousarray(array, dtype="<f4").reshape(len(array), -1)
+        views, accessors = (self.document.setdefault(key, []) for key in ("bufferViews", "accessors"))
+        views.append({"buffer": self.number, "byteOffset": self._start + len(self.data), "byteLength": data.nbytes})
+        self.data += data.tobytes()
+        accessor = {
+            "bufferView": len(views) - 1, "componentType": COMPONENT["<f4"], "count": len(data), "type": shape,
+        }  # fmt: skip
+        if bounds:
+            accessor |= {"min": data.min(0).tolist(), "max": data.max(0).tolist()}
+        accessors.append(accessor)
+        return len(accessors) - 1
+
+    def write(self, path: Path | str) -> None:
+        """Write the file in its own form, GLB or glTF."""
+        chunks, buffers = list(self.gltf.chunks or []), self.document["buffers"]
+        if self._inside:
+            old = self.gltf.buffer(0) if self._start else b""
+            whole = old + b"\0" * (self._start - len(old)) + bytes(self.data)
+            buffers[0]["byteLength"] = len(whole)
+            chunks = [binary_chunk(whole), *(c for c in chunks if c[0] != _BIN)]
+        else:
+            uri = "data:application/octet-stream;base64," + base64.b64encode(bytes(self.data)).decode()
+            buffers.append({"byteLength": len(self.data), "uri": uri})
+        if self.gltf.chunks is None:
+            written = json.dumps(self.document, ensure_ascii=False).encode()
+        else:
+            written = pack_glb(self.document, chunks)
+        with replacing(path) as beside:
+            beside.write_bytes(written)
