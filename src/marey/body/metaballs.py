@@ -8,9 +8,8 @@ import numpy as np
 
 from marey.arrays import Floats, Integers, frozen
 from marey.body import kinematics, metaball_field
-from marey.body.pose import Pose
-from marey.body.skeleton import LIMBS, Skeleton
-from marey.body.surface import PackedSkeleton
+from marey.body.pose import Pose, PosedSegments
+from marey.body.skeleton import LIMBS, PackedSkeleton, Skeleton
 
 THRESHOLD, FLATTEST = metaball_field.THRESHOLD, metaball_field.FLATTEST
 ANY_LIMB = -1
@@ -81,11 +80,10 @@ class Metaballs:
         """(M,) index in `LIMBS` of the limb to which each ball belongs."""
         return frozen(self.skeleton.segment_limb[self.segment], np.int64)
 
-    @cached_property
+    @property
     def packed(self) -> PackedSkeleton:
         """The skeleton as arrays."""
-        s = self.skeleton
-        return PackedSkeleton(s.parents, frozen(s.coordinate_segment, np.int64), frozen(s.axes))
+        return self.skeleton.packed
 
     def at_rest(self) -> "PosedMetaballs":
         """Give the balls in the rest posture."""
@@ -94,29 +92,16 @@ class Metaballs:
 
 
 @dataclass(frozen=True, eq=False)
-class PosedMetaballs:
+class PosedMetaballs(PosedSegments):
     """Metaballs in a pose: the field, how far points lie from the surface, and the derivatives of both."""
 
     balls: Metaballs
     pose: Pose
 
-    @cached_property
-    def _segments(self) -> tuple[Floats, Floats, Floats]:
-        packed, pose = self.balls.packed, self.pose
-        return kinematics.pose_segments(
-            packed.parents, packed.coordinate_segment, packed.axes, self.balls.joint_centres,
-            pose.rotation, pose.translation, pose.angles,
-        )  # fmt: skip
-
     @property
-    def segment_rotation(self) -> Floats:
-        """(S, 3, 3) world from segment."""
-        return self._segments[0]
-
-    @property
-    def segment_origin(self) -> Floats:
-        """(S, 3) the joint centre about which each segment turns [m, world]."""
-        return self._segments[1]
+    def carrier(self) -> Metaballs:
+        """The balls, whose segments are posed."""
+        return self.balls
 
     @property
     def world_axes(self) -> Floats:

@@ -1,12 +1,15 @@
 """A pose, and the body in it: where everything is and how it moves with every parameter."""
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 
 from marey.arrays import Floats, Integers, frozen
 from marey.body import kinematics
+from marey.body.skeleton import PackedSkeleton
 from marey.body.surface import Body
 from marey.geometry import rotations
 
@@ -59,19 +62,34 @@ class SurfacePoints:
         return len(self.face)
 
 
-@dataclass(frozen=True, eq=False)
-class PosedBody:
-    """A body in a pose: segments, skin, and their derivatives by pose and shape."""
+class Jointed(Protocol):
+    """What has segments that turn on each other: a body, or metaballs."""
 
-    body: Body
+    @property
+    def packed(self) -> PackedSkeleton:
+        """The skeleton as arrays."""
+
+    @property
+    def joint_centres(self) -> Floats:
+        """(S, 3) at rest [m]."""
+
+
+class PosedSegments(ABC):
+    """Segments in a pose, whatever they carry."""
+
     pose: Pose
+
+    @property
+    @abstractmethod
+    def carrier(self) -> Jointed:
+        """Whose segments are posed."""
 
     @cached_property
     def _segments(self) -> tuple[Floats, Floats, Floats]:
-        packed = self.body.packed
+        packed, pose = self.carrier.packed, self.pose
         return kinematics.pose_segments(
-            packed.parents, packed.coordinate_segment, packed.axes, self.body.joint_centres,
-            self.pose.rotation, self.pose.translation, self.pose.angles,
+            packed.parents, packed.coordinate_segment, packed.axes, self.carrier.joint_centres,
+            pose.rotation, pose.translation, pose.angles,
         )  # fmt: skip
 
     @property
@@ -88,6 +106,19 @@ class PosedBody:
     def world_axes(self) -> Floats:
         """(D - 6, 3) axes of the joint coordinates in the world."""
         return self._segments[2]
+
+
+@dataclass(frozen=True, eq=False)
+class PosedBody(PosedSegments):
+    """A body in a pose: segments, skin, and their derivatives by pose and shape."""
+
+    body: Body
+    pose: Pose
+
+    @property
+    def carrier(self) -> Body:
+        """The body, whose segments are posed."""
+        return self.body
 
     @cached_property
     def vertices(self) -> Floats:

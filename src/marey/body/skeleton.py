@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -55,6 +56,14 @@ class Coordinate:
     upper: float = np.inf
 
 
+class PackedSkeleton(NamedTuple):
+    """The skeleton as plain arrays, for the kernels."""
+
+    parents: Integers
+    coordinate_segment: Integers
+    axes: Floats
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Skeleton:
     """Segments, each turning on its parent about one centre by coordinates of one degree each.
@@ -96,6 +105,11 @@ class Skeleton:
     def axes(self) -> Floats:
         """(D - 6, 3) unit axes in the rest posture."""
         return frozen(np.array([c.axis for c in self.coordinates], dtype=float).reshape(-1, 3))
+
+    @cached_property
+    def packed(self) -> PackedSkeleton:
+        """The skeleton as arrays."""
+        return PackedSkeleton(self.parents, self.coordinate_segment, self.axes)
 
     @cached_property
     def limits(self) -> Floats:

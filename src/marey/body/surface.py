@@ -8,18 +8,10 @@ import numpy as np
 
 from marey.arrays import Floats, Integers, Mask, frozen
 from marey.body.kinematics import share_faces
-from marey.body.skeleton import JOINT_OF_SEGMENT, Skeleton
+from marey.body.skeleton import JOINT_OF_SEGMENT, PackedSkeleton, Skeleton
 
 if TYPE_CHECKING:
     from marey.body.metaball_person import MetaballSpace
-
-
-class PackedSkeleton(NamedTuple):
-    """The skeleton as plain arrays, for the kernels."""
-
-    parents: Integers
-    coordinate_segment: Integers
-    axes: Floats
 
 
 class FaceShares(NamedTuple):
@@ -166,11 +158,10 @@ class Body:
         object.__setattr__(self, "vertex_segments", frozen(self.vertex_segments, np.int64))
         object.__setattr__(self, "vertex_weights", frozen(self.vertex_weights))
 
-    @cached_property
+    @property
     def packed(self) -> PackedSkeleton:
         """The skeleton as arrays."""
-        s = self.skeleton
-        return PackedSkeleton(s.parents, frozen(s.coordinate_segment, np.int64), frozen(s.axes))
+        return self.skeleton.packed
 
     @cached_property
     def vertices(self) -> Floats:
@@ -227,7 +218,7 @@ class Body:
         """Give the body other shape numbers."""
         other = replace(self, numbers=numbers)
         # What depends on the skin's topology alone goes along.
-        for name in ("packed", "face_segment", "outline_counts", "face_shares"):
+        for name in ("face_segment", "outline_counts", "face_shares"):
             if name in self.__dict__:
                 other.__dict__[name] = self.__dict__[name]
         return other
