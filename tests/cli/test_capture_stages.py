@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from tests import worlds
 
+from marey.body.metaball_people import metaball_person
+from marey.body.metaball_person import reshaped
 from marey.body.person import person_body
 from marey.body.pose import Pose, PosedBody
 from marey.cli import capture_stages as stages
-from marey.cli.capture import coarse_twin, open_bodies, require_two_cameras
+from marey.cli.capture import Bodies, coarse_twin, open_bodies, require_two_cameras
 from marey.cli.mask_store import MaskStore
 from marey.cli.progress import Progress
 from marey.cli.settings import CaptureSettings
@@ -247,3 +249,39 @@ def test_a_body_whose_numbers_mean_something_else_is_its_own_twin():
     moved = person_body("fine")
     moved = replace(moved, space=replace(moved.space, joint_mean=moved.space.joint_mean + 0.01))
     assert coarse_twin(moved, coarse) is None
+
+
+@pytest.mark.parametrize("word", ["metaballs", "simple-metaballs"])
+def test_a_generic_body_of_metaballs_is_opened_by_its_name(word):
+    bodies = open_bodies(*given(word, preset="right_leg"))
+    assert bodies.fine.space.names == bodies.coarse.space.names
+    assert len(bodies.coarse.vertices) < 0.5 * len(bodies.fine.vertices)
+    assert len(bodies.fine.skeleton) == len(bodies.coarse.skeleton) == 15
+    np.testing.assert_array_equal(bodies.fine.joint_centres, bodies.coarse.joint_centres)
+
+
+def test_a_body_of_metaballs_from_an_earlier_take_has_a_twin_with_few_vertices(tmp_path, rng):
+    person = metaball_person("simple")
+    person = reshaped(person, 0.5 * np.linalg.cholesky(person.space.prior_covariance) @ rng.normal(size=26))
+    write_body(tmp_path / "body.npz", person, preset="full")
+    bodies = open_bodies(*given(tmp_path / "body.npz"))
+    assert len(bodies.coarse.vertices) < 0.5 * len(bodies.fine.vertices)
+    np.testing.assert_array_equal(bodies.coarse.joint_centres, person.joint_centres)
+    off = person.metaballs.balls(person.numbers).at_rest().distance(bodies.coarse.vertices)
+    assert np.quantile(np.abs(off), 0.99) < 1e-3
+
+
+def test_of_a_whole_body_the_preset_leaves_what_it_follows(tmp_path):
+    write_body(tmp_path / "body.npz", metaball_person("simple"), preset="full")
+    bodies = open_bodies(*given(tmp_path / "body.npz", preset="right_arm"))
+    assert len(bodies.fine.skeleton) == len(bodies.coarse.skeleton) == 13
+    assert not bodies.fine.followed_joints.all()
+
+
+def test_bodies_whose_sizes_are_held_have_no_numbers_to_learn():
+    bodies = Bodies(person_body("coarse", stature_m=1.8), metaball_person("simple", "coarse", stature_m=1.8))
+    held = bodies.held()
+    for one, was in ((held.fine, bodies.fine), (held.coarse, bodies.coarse)):
+        assert len(one.space) == 0
+        np.testing.assert_allclose(one.vertices, was.vertices, atol=1e-12)
+        np.testing.assert_allclose(one.joint_centres, was.joint_centres, atol=1e-12)

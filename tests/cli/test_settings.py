@@ -26,6 +26,14 @@ def test_a_named_file_that_is_not_there_is_an_error_that_names_the_option():
         CaptureSettings(body=Path("scan.glb"))
 
 
+def test_a_generic_body_is_named_by_a_word_instead_of_a_file(tmp_path):
+    assert CaptureSettings(body="metaballs").body_file is None
+    with pytest.raises(FileProblem, match=r"balls: does not exist\..*It may also be metaballs or simple-metaballs"):
+        CaptureSettings(body="balls")
+    (tmp_path / "body.npz").touch()
+    assert CaptureSettings(body=str(tmp_path / "body.npz")).body_file == tmp_path / "body.npz"
+
+
 def test_frames_may_leave_the_first_away():
     assert parse_frames(":12") == (0, 12)
     for text in ("12:", "a:b", "1:2:3", "-3:4", "", "5:5"):

@@ -38,6 +38,7 @@ class _BallModes(NamedTuple):
     """(N, M, 3)."""
 
 
+@lru_cache(maxsize=4)
 def learned_metaballs(detail: Detail = "full", *, numbers: int = 8) -> MetaballSpace:
     """Give the generic metaballs with the numbers, and what is expected of them, that the learned person has.
 

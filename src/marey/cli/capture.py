@@ -12,9 +12,9 @@ from marey.arrays import Mask
 from marey.body.family import LEVELS
 from marey.body.metaball_people import metaball_person
 from marey.body.metaball_person import metaball_body, reshaped
-from marey.body.person import person_body
+from marey.body.person import person_body, preset_body
 from marey.body.pose import Pose
-from marey.body.presets import GENERIC_BODIES
+from marey.body.presets import GENERIC_BODIES, PRESETS
 from marey.body.surface import Body
 from marey.cli import capture_stages as stages
 from marey.cli.capture_report import draw_overlays, report_capture
@@ -176,7 +176,7 @@ def open_bodies(trial: Trial, settings: CaptureSettings) -> Bodies:
 
     The start tries many postures and wants few vertices. A body of an earlier take has a twin with few vertices, the
     same shape numbers and the same joints. A scan has none and is used as it is: the start takes the longer the more
-    vertices it has; below 2000 they hardly count.
+    vertices it has; below 2000 they hardly count. Of a whole body only what the preset follows is left.
     """
     preset, stature = trial.settings.preset or "full", trial.settings.stature_m
     detail = GENERIC_BODIES.get(str(settings.body))
@@ -189,6 +189,8 @@ def open_bodies(trial: Trial, settings: CaptureSettings) -> Bodies:
     if settings.body_file is None:
         return Bodies(fine, coarse)
     given = open_body(settings.body_file, fine)
+    if preset != "full" and given.followed_joints.all():
+        given = preset_body(given, PRESETS[preset])
     return Bodies(given, coarse_twin(given, coarse) or given)
 
 
@@ -472,6 +474,8 @@ def write_capture(
             )  # fmt: skip
             more(folder)
         asked = {"preset": "full"} | trial.settings.model_dump(mode="json", exclude_none=True)
+        asked |= {"body": str(run.settings.body)} if run.settings.body else {}
+        asked |= {"fixed_sizes": True} if run.settings.fixed_sizes else {}
         show = store.known
         stills = (
             draw_overlays(trial, body, poses, motion, show, folder=folder, progress=progress)
