@@ -1,7 +1,7 @@
 """`marey shape`: from the measured surface of a trial to the person's own body of metaballs, and its motion."""
 
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,6 +13,7 @@ from marey.body.metaball_person import reshaped, vertex_limbs
 from marey.body.metaballs import PosedMetaballs
 from marey.body.pose import Pose, PosedBody
 from marey.body.segment_measures import segment_measures
+from marey.body.spline_skin import spline_body
 from marey.body.subdivision import finer
 from marey.body.surface import Body
 from marey.cli import capture_stages as stages
@@ -22,7 +23,7 @@ from marey.cli.progress import Progress
 from marey.cli.settings import CaptureSettings
 from marey.cli.surface import surface as measure_surface
 from marey.cli.surface_settings import SurfaceOptions
-from marey.errors import FileProblem
+from marey.errors import FileProblem, MareyError
 from marey.fit.person import Take
 from marey.fit.sequence import SequenceFit, refine_in_pieces
 from marey.fit.shape import (
@@ -41,6 +42,8 @@ from marey.fit.shape import (
 from marey.fit.surface_points import FramePoints, PersonPoints, spread_over
 from marey.io.body import segment_lengths
 from marey.io.csv import write_segments
+from marey.io.glb import write_glb
+from marey.io.npz import read_motion
 from marey.io.stages import Arrays
 from marey.io.surface import read_surface
 from marey.motion.from_fit import Measured, measured
@@ -206,12 +209,30 @@ def write_shape(run: Run, followed: Followed, found: Fitted, points: Mapping[int
     def more(folder: Path) -> None:
         with run.progress.stage("Segments"):
             write_table(folder, found.body)
+        with run.progress.stage("Skin"):
+            write_skin_glb(folder, found.body, run.progress.warn)
         keep(run.out, folder)
 
     write_results_of(
         run, refined, followed.outlines, followed.frames, command="shape", skin=skin,
         seen=seen_of(skin, points, run.trial.take.count, sorted(found.poses), run) if points else None, more=more,
     )  # fmt: skip
+
+
+def write_skin_glb(folder: Path, body: Body, warn: Callable[[str], None]) -> None:
+    """Write `skin.glb`: the closed skin over the person's metaballs, moving as `motion.npz` beside it says.
+
+    Args:
+        folder: Where, with the motion in it.
+        body: Over metaballs.
+        warn: Is told where the metaballs fall apart and have no such skin.
+    """
+    try:
+        skin = spline_body(body)
+    except MareyError as error:
+        warn(f"There is no skin.glb. {error}")
+        return
+    write_glb(folder / "skin.glb", skin, read_motion(folder / "motion.npz"))
 
 
 def posed_skin(body: Body, poses: Mapping[int, Pose]) -> stages.PosedSkin:
