@@ -184,9 +184,26 @@ def test_an_interrupted_run_goes_on_as_if_it_had_not_been(made, rows):
             spacing=3.0, known=known,
         )
     )  # fmt: skip
+    assert went_on[-1].started == rows[4].started
     assert [row.frame for row in went_on] == [3, 4]
     np.testing.assert_array_equal(went_on[-1].seen, rows[4].seen)
     np.testing.assert_array_equal(went_on[-1].position, rows[4].position)
+
+
+def test_points_lost_long_ago_are_forgotten_and_keep_their_numbers(made):
+    settings = FollowSettings(noise=1.0, gap=1)
+    cameras = three_cameras()
+    rows = list(
+        track(made.frames(cameras, range(5)), cameras, lambda f: made.seeds(cameras, f), settings=settings, spacing=3.0)
+    )
+    for before, row in pairwise(rows):
+        assert (np.diff(row.number) > 0).all()
+        assert row.number.max() < row.started
+        assert row.seen.min() >= before.frame
+        shared = np.isin(before.number, row.number)
+        moved = row.position[np.isin(row.number, before.number)] - before.position[shared]
+        assert np.linalg.norm(moved, axis=1).max() < 0.02
+    assert len(rows[-1]) < rows[-1].started
 
 
 def test_what_was_known_before_is_not_changed(made):

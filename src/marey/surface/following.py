@@ -346,7 +346,11 @@ def intersected(cameras: Sequence[Camera], pixels: Floats, sd: Floats, settings:
     Returns:
         The points.
     """
-    sigma = np.maximum(sd, _LEAST_SD)
+    # The views of a point count alike: what the calibration leaves between the rays must not be shared out anew in
+    # every frame.
+    views = np.maximum(np.isfinite(sd).sum(axis=1), 1)
+    usual = np.sqrt(np.nansum(sd**2, axis=1) / views)
+    sigma = np.where(np.isfinite(sd), np.maximum(usual, _LEAST_SD)[:, None], np.nan)
     found = triangulate(cameras, np.moveaxis(pixels, 1, 0), sigma_px=sigma.T)
     good = (found.views >= 2) & (found.residual_px <= settings.residual)
     return Intersected(

@@ -18,7 +18,8 @@ from marey.surface.local_motion import NEIGHBOURS, candidates, carried, misfit, 
 from marey.surface.measured import MeasuredPoints
 
 Expected = Callable[[int, Integers], Floats]
-"""Where points (n,) are expected in a frame (n, 3) [m], NaN where nobody knows: for example by a fitted body."""
+"""Where points, by their numbers (n,), are expected in a frame: (n, 3) [m], NaN where nobody knows. A fitted body knows
+it of points that its surface has carried since they were measured."""
 
 
 SPACING = 6.0
@@ -28,14 +29,18 @@ _ASTRAY = 0.25
 """How far a point found in a wide box may be from where its neighbours have gone, as a share of their distance."""
 _FAR = 3
 """By how much more neighbours, and farther ones, say where a hidden point has gone."""
-_ARRAYS = ("position", "motion", "covariance", "pixels", "seen", "template", "across")
+_ARRAYS = ("number", "position", "motion", "covariance", "pixels", "seen", "template", "across")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Tracks:
-    """What is known of all N points that were ever started, after a frame."""
+    """What is known of N points after a frame: those that are followed, and those lost not long ago."""
 
     frame: int
+    started: int
+    """How many points were ever started."""
+    number: Integers
+    """(N,) which of those each is; rising."""
     position: Floats
     """(N, 3) where they are, or are thought to be [m]."""
     motion: Floats
@@ -66,6 +71,7 @@ class Tracks:
         own = {name: getattr(self, name) for name in _ARRAYS}
         return {
             "frame": np.array(self.frame),
+            "started": np.array(self.started),
             **own,
             **{name: getattr(self.appearances, name) for name in looks.ARRAYS},
         }
@@ -75,13 +81,14 @@ def tracks_from(arrays: Mapping[str, np.ndarray]) -> Tracks:
     """Take up what `Tracks.arrays` gave."""
     appearances = Appearances(**{name: arrays[name] for name in looks.ARRAYS})
     own = {name: arrays[name] for name in _ARRAYS}
-    return Tracks(frame=int(arrays["frame"]), appearances=appearances, **own)
+    return Tracks(frame=int(arrays["frame"]), started=int(arrays["started"]), appearances=appearances, **own)
 
 
 def no_tracks(cameras: int, settings: FollowSettings, *, frame: int) -> Tracks:
     """Begin with no points."""
     return Tracks(
-        frame=frame, position=np.zeros((0, 3)), motion=np.zeros((0, 3)), covariance=np.zeros((0, 3, 3)),
+        frame=frame, started=0, number=np.zeros(0, np.int64), position=np.zeros((0, 3)),
+        motion=np.zeros((0, 3)), covariance=np.zeros((0, 3, 3)),
         pixels=np.zeros((0, cameras, 2)), seen=np.zeros(0, np.int64), template=np.zeros(0, np.int64),
         across=np.zeros((0, cameras, 2, 2)), appearances=looks.unknown(0, cameras, half=settings.half),
     )  # fmt: skip
@@ -97,6 +104,7 @@ def advance(
     motion; those without neighbours in a wide box, and what that gave must agree with the neighbours found by then.
     Last come those lost in earlier frames, where neighbours, or somebody who knows the body, expect them.
     """
+    tracks = _without(tracks, tracks.seen < tracks.frame + 1 - settings.gap)
     radius = radius_of(tracks.position[tracks.measured])
     result, position = _emptied(tracks), tracks.position + tracks.motion
     alive = np.flatnonzero(tracks.measured)
@@ -114,6 +122,12 @@ def advance(
             result = _agreeing(tracks, result, some, radius)
     result = _found_again(tracks, result, after, cameras, settings, expected, radius)
     return _shown_again(result, after, cameras, settings)
+
+
+def _without(tracks: Tracks, forgotten: Mask) -> Tracks:
+    """Forget points for good."""
+    own = {name: getattr(tracks, name)[~forgotten] for name in _ARRAYS}
+    return replace(tracks, appearances=tracks.appearances[~forgotten], **own)
 
 
 def _emptied(tracks: Tracks) -> Tracks:
@@ -189,12 +203,12 @@ def _found_again(
     expected: Expected | None, radius: float,
 ) -> Tracks:  # fmt: skip
     """Look for lost points where they are expected; carry along those that are not found."""
-    lost = np.flatnonzero((result.seen < result.frame) & (result.seen >= result.frame - settings.gap))
+    lost = np.flatnonzero(result.seen < result.frame)
     if not len(lost):
         return result
     place = _carried(tracks, result, lost, radius=_FAR * radius, count=_FAR * NEIGHBOURS)
     if expected is not None:
-        told = expected(result.frame, lost)
+        told = expected(result.frame, result.number[lost])
         place = np.where(np.isfinite(told), told, place)
     position = result.position.copy()
     known = np.isfinite(place[:, 0])
@@ -261,9 +275,10 @@ def start(
     chosen = np.sort(np.concatenate([
         _free_places(seeds, view, tracks.pixels[tracks.measured, view], spacing) for view in range(len(pictures))
     ]).astype(np.int64))  # fmt: skip
-    new = _new_points(seeds[chosen], tracks.frame, pictures, cameras, settings)
+    new = _new_points(seeds[chosen], tracks, pictures, cameras, settings)
     both = {name: np.concatenate([getattr(tracks, name), getattr(new, name)]) for name in _ARRAYS}
-    return Tracks(frame=tracks.frame, appearances=looks.joined(tracks.appearances, new.appearances), **both)
+    together = looks.joined(tracks.appearances, new.appearances)
+    return Tracks(frame=tracks.frame, started=new.started, appearances=together, **both)
 
 
 def _free_places(seeds: MeasuredPoints, view: int, taken: Floats, spacing: float) -> Integers:
@@ -283,7 +298,11 @@ def _free_places(seeds: MeasuredPoints, view: int, taken: Floats, spacing: float
 
 
 def _new_points(
-    seeds: MeasuredPoints, frame: int, pictures: Sequence[Picture], cameras: Sequence[Camera], settings: FollowSettings
+    seeds: MeasuredPoints,
+    tracks: Tracks,
+    pictures: Sequence[Picture],
+    cameras: Sequence[Camera],
+    settings: FollowSettings,
 ) -> Tracks:
     """Match seeds between the views, and start those that are confirmed."""
     template, pixels = seeds.template, np.array(seeds.pixels)
@@ -297,17 +316,20 @@ def _new_points(
             found = between(first, second, pixels[rows, origin], pixels[rows, view], across[rows, view], settings)
             pixels[rows, view], sd[rows, view] = found.pixels, found.sd
             across[rows[found.good], view] = found.maps[found.good]
-    row = np.arange(len(seeds))
-    # The template's own pixel is where the point is by definition.
-    sd[row, template] = 0.0
+    # Half of each match's error is the template's.
+    others = np.isfinite(sd).any(axis=1)
+    sd[others] *= np.sqrt(0.5)
+    sd[others, template[others]] = np.sqrt(np.nanmean(sd[others] ** 2, axis=1))
     points = intersected(cameras, pixels, sd, settings)
     kept = np.isfinite(points.position[:, 0])
     appearances = looks.unknown(int(kept.sum()), len(pictures), half=settings.half)
     pixels = points.pixels[kept]
     appearances = looks.renewed(appearances, pictures, pixels, np.isfinite(pixels[..., 0]))
+    count = len(pixels)
     return Tracks(
-        frame=frame, position=points.position[kept], motion=np.full((len(pixels), 3), np.nan),
-        covariance=points.covariance[kept], pixels=pixels, seen=np.full(len(pixels), frame),
+        frame=tracks.frame, started=tracks.started + count, number=tracks.started + np.arange(count),
+        position=points.position[kept], motion=np.full((count, 3), np.nan),
+        covariance=points.covariance[kept], pixels=pixels, seen=np.full(count, tracks.frame),
         template=template[kept], across=across[kept], appearances=appearances,
     )  # fmt: skip
 

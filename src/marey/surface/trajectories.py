@@ -91,7 +91,7 @@ class Sightings:
     count: int
     """How many points were ever started until then."""
     which: Integers
-    """(n,) those that were measured."""
+    """(n,) the numbers of those that were measured."""
     position: Floats
     """(n, 3) [m]."""
     covariance: Floats
@@ -102,10 +102,15 @@ class Sightings:
 
 def sightings_of(tracks: Tracks) -> Sightings:
     """Keep what a frame showed."""
-    which = np.flatnonzero(tracks.measured)
-    position, covariance, pixels = (getattr(tracks, name)[which] for name in ("position", "covariance", "pixels"))
+    here = tracks.measured
+    position, covariance, pixels = (getattr(tracks, name)[here] for name in ("position", "covariance", "pixels"))
     return Sightings(
-        frame=tracks.frame, count=len(tracks), which=which, position=position, covariance=covariance, pixels=pixels
+        frame=tracks.frame,
+        count=tracks.started,
+        which=tracks.number[here],
+        position=position,
+        covariance=covariance,
+        pixels=pixels,
     )
 
 

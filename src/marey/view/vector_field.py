@@ -1,0 +1,62 @@
+"""A moving surface drawn over the picture that shows it: where each followed point goes, coloured by its speed."""
+
+import cv2
+import numpy as np
+
+from marey.arrays import Floats, Image
+from marey.cameras.camera import Camera
+
+_SHIFT = 4
+"""Bits behind the point in the coordinates that OpenCV draws."""
+_FADED = 0.55
+"""How much of the picture's own brightness is left under the lines."""
+_BAR = (16, 12, 180)
+"""Left edge, height and width of the legend [px]."""
+
+
+def vector_field(image: Image, camera: Camera, position: Floats, velocity: Floats, *, seconds: float) -> Image:
+    """Draw where points go.
+
+    Args:
+        image: (H, W, 3) the camera's picture, in blue, green, red.
+        camera: That took it.
+        position: (n, 3) in the world [m]; NaN is left out.
+        velocity: (n, 3) [m/s]; points of unknown velocity are left out.
+        seconds: The lines' length in time: each ends where its point would be then.
+
+    Returns:
+        (H, W, 3) the picture, faded, with the lines; yellow ones move as fast as any, violet ones hardly at all.
+    """
+    drawn = np.asarray(image * _FADED, np.uint8)
+    speed = np.linalg.norm(velocity, axis=1)
+    start, end = camera.project(position), camera.project(position + seconds * velocity)
+    known = np.isfinite(start).all(axis=1) & np.isfinite(end).all(axis=1) & camera.sees(start)
+    if not known.any():
+        return drawn
+    fastest = max(float(np.percentile(speed[known], 99)), 1e-9)
+    colours = speed_colours(np.where(known, np.minimum(speed / fastest, 1.0), 0.0))
+    # The fast ones are drawn last, so that none hides them.
+    for i in np.flatnonzero(known)[np.argsort(speed[known])]:
+        colour = tuple(int(c) for c in colours[i])
+        first, last = (tuple(int(c) for c in np.round(place * 2**_SHIFT)) for place in (start[i], end[i]))
+        cv2.line(drawn, first, last, colour, 1, cv2.LINE_AA, _SHIFT)
+        cv2.circle(drawn, first, 20, colour, -1, cv2.LINE_AA, _SHIFT)
+    _write_legend(drawn, fastest)
+    return drawn
+
+
+def speed_colours(share: Floats) -> Image:
+    """Give the colours (n, 3) in blue, green, red of speeds (n,) between 0 and 1."""
+    grey = np.asarray(np.round(255 * np.asarray(share)), np.uint8)[:, None]
+    return np.asarray(cv2.applyColorMap(grey, cv2.COLORMAP_PLASMA), np.uint8).reshape(-1, 3)
+
+
+def _write_legend(drawn: Image, fastest: float) -> None:
+    left, high, wide = _BAR
+    top = drawn.shape[0] - 2 * high
+    wide = min(wide, drawn.shape[1] - 2 * left)
+    if wide < 20 or top < high:
+        return
+    drawn[top : top + high, left : left + wide] = speed_colours(np.linspace(0, 1, wide))[None]
+    text = f"0 to {fastest:.2f} m/s"
+    cv2.putText(drawn, text, (left, top - 6), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (255, 255, 255), 1, cv2.LINE_AA)
