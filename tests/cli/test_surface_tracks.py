@@ -7,7 +7,7 @@ from tests.moving_surface import moving, scene, three_cameras
 
 from marey.cameras.rig import Rig
 from marey.cli.progress import Progress
-from marey.cli.surface_tracks import TracksSettings, drawn, fastest_frame, follow_surface, told
+from marey.cli.surface_tracks import TracksSettings, drawn, fastest_frame, follow_surface, told, tracks_settings
 from marey.io.stages import FrameLog
 from marey.io.take import Take, open_take
 from marey.surface.following import FollowSettings
@@ -77,6 +77,12 @@ def test_a_state_of_other_settings_is_not_taken_up(take, tmp_path):
     asked = []
     run(take, tmp_path, lambda frame: asked.append(frame) or seeds(frame))
     assert asked == list(range(FRAMES))
+
+
+def test_boxes_fit_the_size_of_the_pictures():
+    small, large = (tracks_settings(Rig(tuple(c.scaled(f) for c in RIG)), noise=1.0, threads=1) for f in (1.0, 10.0))
+    assert (small.follow.box, small.spacing) == (6.0, 4.0)
+    assert (large.follow.box, large.spacing) == (1500 / 120, 1500 / 160)
 
 
 def test_where_nothing_was_measured_nothing_is_followed(take, tmp_path):

@@ -35,6 +35,22 @@ class TracksSettings:
     """Of the points [px]."""
 
 
+def tracks_settings(rig: Rig, *, noise: float, threads: int) -> TracksSettings:
+    """Choose boxes and spacing that fit the pictures' size.
+
+    Args:
+        rig: The cameras.
+        noise: Standard deviation of a pixel's noise [grey levels].
+        threads: That share the matches.
+
+    Returns:
+        The settings: in pictures 960 wide a point every six pixels, boxes of 16 and of 80.
+    """
+    width = max(camera.width for camera in rig)
+    follow = FollowSettings(noise=noise, box=max(6.0, width / 120), wide_box=max(20.0, width / 24), threads=threads)
+    return TracksSettings(follow=follow, spacing=max(4.0, width / 160))
+
+
 def follow_surface(
     take: Take, rig: Rig, seeds: Callable[[int], MeasuredPoints], log: FrameLog, state: Path, progress: Progress,
     *, settings: TracksSettings, expected: Expected | None = None,

@@ -31,8 +31,8 @@ class FilterSettings:
     """How many standard deviations of what is usual there a motion may differ from that of the surface about it."""
     least_apart: float = 0.001
     """Smaller differences are never false [m]."""
-    frames: int = 5
-    """Trajectories of fewer frames are removed; in shorter videos, those of fewer than two."""
+    frames: int = 8
+    """Trajectories of fewer frames are removed; in short videos, those of less than half the frames."""
 
     def __post_init__(self) -> None:
         given = {"speed": self.speed, "acceleration": self.acceleration, "sigmas": self.sigmas}
