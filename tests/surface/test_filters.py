@@ -59,7 +59,7 @@ def test_a_point_false_at_its_start_is_taken_out_there(rng):
 def test_slow_wandering_shows_in_the_sum(rng):
     position = moving_grid(rng)
     position[:, 33] += np.linspace(0, 1, FRAMES)[:, None] * [0.006, 0.0, 0.006]
-    done = filtered(trajectories(position), FilterSettings(least_apart=0.002)).trajectories
+    done = filtered(trajectories(position), FilterSettings(least_apart=0.002, frames=3)).trajectories
     left = done.measured[:, 33]
     assert left[:4].all()
     assert not left[12:].any()
