@@ -133,9 +133,18 @@ def surface(
             help="Correct the cameras' poses by the matches, or never. [default: where three or more plainly need it]",
         ),
     ] = None,
+    tracks: Annotated[
+        bool, typer.Option("--tracks/--no-tracks", help="Follow points from frame to frame, where there are several.")
+    ] = True,
+    max_speed: Annotated[
+        float | None, typer.Option(metavar="M/S", help="Tracks faster than this are false. [default: from the data]")
+    ] = None,
+    max_acceleration: Annotated[
+        float | None, typer.Option(metavar="M/S2", help="Tracks that change faster are false. [default: from the data]")
+    ] = None,
     quiet: Quiet = False,
 ) -> None:
-    """Measure the visible surface of what a trial shows, as 3-D points.
+    """Measure the visible surface of what a trial shows, as 3-D points, and follow it from frame to frame.
 
     TRIAL holds `cameras.toml` and `cam01.mp4`, ..., or stills `cam01_1.jpg`, ..., or `images/cam01.jpg`, ... of one
     instant; pictures of the empty room in `background/`, or known `masks/`, keep the room out. The surface needs
@@ -159,6 +168,9 @@ def surface(
         spacing=spacing,
         patch=patch,
         refine_rig=refine_rig,
+        tracks=tracks,
+        max_speed=max_speed,
+        max_acceleration=max_acceleration,
     )
     results = measure_surface(trial, options, Progress(quiet=quiet))
     typer.echo(f"Surface: {results / 'surface.npz'}")

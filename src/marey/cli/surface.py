@@ -23,6 +23,7 @@ from marey.cli.surface_stages import (
     rig_from,
     why_nothing,
 )
+from marey.cli.surface_tracks import follow_measured, told, write_tracks
 from marey.errors import MareyError
 from marey.io.calibration import read_rig, write_cameras_toml
 from marey.io.pictures import write_picture
@@ -30,6 +31,7 @@ from marey.io.seeds import read_seeds
 from marey.io.stages import FrameLog, file_fingerprint
 from marey.io.surface import write_ply, write_surface
 from marey.io.trial import Trial, read_trial
+from marey.surface.filters import Filtered
 from marey.surface.measured import MeasuredPoints
 from marey.surface.refine_rig import RigRefinement
 from marey.surface.settings import SurfaceSettings
@@ -56,6 +58,7 @@ def surface(folder: Path, options: SurfaceOptions, progress: Progress) -> Path:
         SettingProblem: A setting is impossible.
     """
     settings = SurfaceSettings(spacing=options.spacing, patch=options.patch)
+    options.filters()
     trial = read_trial(folder, **options.changes())
     require_two_cameras(trial)
     clicks = None if options.seeds is None else _clicks(options.seeds, trial)
@@ -71,7 +74,7 @@ def surface(folder: Path, options: SurfaceOptions, progress: Progress) -> Path:
             refined = _refined(run, options, cache, scope)
             rig = trial.rig if refined is None else refined.rig
             with cache.frames("surface", depends=(scope, refined is not None)) as log:
-                _measure(run, rig, log, out, options, refined)
+                _measure(run, rig, cache, log, out, options, refined, scope)
     return out
 
 
@@ -96,8 +99,9 @@ def _refined(run: Measurement, options: SurfaceOptions, cache: StageCache, scope
 
 
 def _measure(
-    run: Measurement, rig: Rig, log: FrameLog, out: Path, options: SurfaceOptions, refined: RigRefinement | None
-) -> None:
+    run: Measurement, rig: Rig, cache: StageCache, log: FrameLog, out: Path, options: SurfaceOptions,
+    refined: RigRefinement | None, scope: object,
+) -> None:  # fmt: skip
     """Measure all frames and write what was measured, also where a damaged frame ends the work."""
     parts = KeptFrames(log, rig.names)
     try:
@@ -105,11 +109,16 @@ def _measure(
     except MareyError:
         if any(len(part) for part in parts):
             run.progress.warn(f"Only the {len(parts)} frames before the damaged one were measured.")
-            write_results(run, rig, parts, out, options, refined)
+            write_results(run, rig, parts, out, options, refined, None)
         raise
     if not any(len(part) for part in parts):
         raise why_nothing(run.trial, run, run.trial.take.images(run.trial.take.first))
-    write_results(run, rig, parts, out, options, refined)
+    followed = None
+    if options.tracks and len(parts) > 1:
+        depends = (scope, refined is not None)
+        take = run.trial.take
+        followed = follow_measured(take, rig, parts, cache, run.progress, filters=options.filters(), depends=depends)
+    write_results(run, rig, parts, out, options, refined, followed)
 
 
 def write_results(
@@ -119,6 +128,7 @@ def write_results(
     out: Path,
     options: SurfaceOptions,
     refined: RigRefinement | None,
+    followed: Filtered | None,
 ) -> None:
     """Write all results at once, and say what they are."""
     trial, progress = run.trial, run.progress
@@ -133,6 +143,8 @@ def write_results(
             write_surface(folder / "surface.npz", parts, rig.names)
             _write_clouds(folder, trial, parts)
             _draw(folder, run, rig, parts)
+            if followed is not None:
+                write_tracks(folder, followed, trial.take, rig)
             if refined is not None:
                 write_cameras_toml(rig, folder / "cameras.toml")
         write_record(
@@ -141,6 +153,8 @@ def write_results(
     if refined is not None:
         progress.say(correction_text(rig, refined))
     progress.say(summary(parts))
+    if followed is not None:
+        progress.say(told(followed))
 
 
 def _named(rig: Rig, template: int, searched: Sequence[int]) -> dict[str, object]:

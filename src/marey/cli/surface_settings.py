@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from marey.errors import FileProblem
+from marey.surface.filters import FilterSettings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,9 +30,24 @@ class SurfaceOptions:
     refine_rig: bool | None = None
     """Whether the cameras are corrected by the matches; None where they plainly need it."""
 
+    tracks: bool = True
+    """Whether points are followed from frame to frame, where there are several."""
+    max_speed: float | None = None
+    """No point of the surface moves faster [m/s]; None finds a limit from the data."""
+    max_acceleration: float | None = None
+    """Likewise [m/s2]."""
+
     def __post_init__(self) -> None:
         if self.seeds is not None and not self.seeds.exists():
             raise FileProblem(self.seeds, "does not exist", "Mend --seeds.")
+
+    def filters(self) -> FilterSettings:
+        """Give the thresholds of false tracks.
+
+        Raises:
+            SettingProblem: One is impossible.
+        """
+        return FilterSettings(speed=self.max_speed, acceleration=self.max_acceleration)
 
     def changes(self) -> dict[str, object]:
         """Give what replaces the settings of trial.toml, as `marey.io.trial.read_trial` takes it."""

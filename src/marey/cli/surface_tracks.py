@@ -1,7 +1,8 @@
 """The part of `marey surface` that follows the surface through the frames: resumable, and told in a line."""
 
+import os
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import cv2
@@ -10,12 +11,17 @@ import numpy as np
 from marey.arrays import Image
 from marey.cameras.rig import Rig
 from marey.cli.progress import Progress
+from marey.cli.run_record import StageCache
+from marey.images.noise import noise_of
+from marey.io.pictures import write_picture
 from marey.io.stages import FrameLog, load_arrays, save_arrays
 from marey.io.take import Take
+from marey.io.trajectories import write_trajectories
+from marey.surface.appearances import picture_of
 from marey.surface.filters import Filtered, FilterSettings, filtered
 from marey.surface.following import FollowSettings
 from marey.surface.measured import MeasuredPoints
-from marey.surface.tracking import SPACING, Expected, Tracks, track, tracks_from
+from marey.surface.tracking import SPACING, Expected, Tracks, fitting_size, track, tracks_from
 from marey.surface.trajectories import Sightings, Trajectories, gathered, sightings_of
 from marey.view.vector_field import vector_field
 
@@ -49,6 +55,47 @@ def tracks_settings(rig: Rig, *, noise: float, threads: int) -> TracksSettings:
     width = max(camera.width for camera in rig)
     follow = FollowSettings(noise=noise, box=max(6.0, width / 120), wide_box=max(20.0, width / 24), threads=threads)
     return TracksSettings(follow=follow, spacing=max(4.0, width / 160))
+
+
+def follow_measured(
+    take: Take, rig: Rig, parts: Sequence[MeasuredPoints], cache: StageCache, progress: Progress,
+    *, filters: FilterSettings, depends: object,
+) -> Filtered:  # fmt: skip
+    """Follow what was measured, with settings that fit its pictures.
+
+    Args:
+        take: The pictures.
+        rig: The cameras with which the surface was measured.
+        parts: The measured surface, a part for each frame of the take from its first one on.
+        cache: Remembers what is done.
+        progress: Is told.
+        filters: What makes a trajectory false.
+        depends: What the measurement depends on.
+
+    Returns:
+        The trajectories.
+    """
+    best = max(range(len(parts)), key=lambda number: len(parts[number]))
+    images = [cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) for image in take.images(take.first + best)]
+    noise = float(np.median([noise_of(image) for image in images]))
+    settings = replace(tracks_settings(rig, noise=noise, threads=os.cpu_count() or 1), filters=filters)
+    pictures = [picture_of(image) for image in images]
+    size = fitting_size(parts[best], pictures, list(rig), spacing=settings.spacing, settings=settings.follow)
+    settings = replace(settings, follow=replace(settings.follow, size=size))
+    same = replace(settings, follow=replace(settings.follow, threads=1), filters=FilterSettings())
+    state = cache.folder / "tracks_state.npz"
+    with cache.frames("tracks", depends=(depends, same)) as log:
+        return follow_surface(
+            take, rig, lambda frame: parts[frame - take.first], log, state, progress, settings=settings
+        )
+
+
+def write_tracks(folder: Path, result: Filtered, take: Take, rig: Rig) -> None:
+    """Write the trajectories, and draw them."""
+    write_trajectories(folder / "trajectories.npz", result.trajectories)
+    picture = drawn(result.trajectories, take, rig)
+    if picture is not None:
+        write_picture(folder / f"tracks_{rig.names[len(rig) // 2]}.png", picture)
 
 
 def follow_surface(
@@ -135,7 +182,7 @@ def told(result: Filtered) -> str:
     return (
         f"Tracks: {len(kept)} trajectories over {long:.1f} frames on average; {removed} removed as too short; "
         f"{result.unlike} cut where they moved unlike the surface about them, "
-        f"{result.too_fast} above {result.speed:.1f} m/s or {result.acceleration:.0f} m/s2."
+        f"{result.too_fast} above {result.speed:.2g} m/s or {result.acceleration:.2g} m/s2."
     )
 
 

@@ -44,7 +44,7 @@ class FilterSettings:
         if self.frames < 1:
             faults.append(f"frames is {self.frames}; a trajectory has one at least")
         if faults:
-            raise SettingProblem(f"The filters of trajectories cannot use these settings: {'; '.join(faults)}.")
+            raise SettingProblem(f"False trajectories cannot be told by these settings: {'; '.join(faults)}.")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -42,6 +42,8 @@ class FollowSettings:
     """Least correlation of the last frame, and between the views."""
     agree: float = 0.7
     """How far apart matches over time and between the views may end [px]."""
+    certain: float = 0.15
+    """Greatest standard deviation of a match [px]: what has too little texture is not followed."""
     residual: float = 1.0
     """Largest root mean square distance of the pixels from the projections of the point they fix [px]."""
     noise: float = 1.5
@@ -51,7 +53,7 @@ class FollowSettings:
     threads: int = 1
 
     def __post_init__(self) -> None:
-        positive = ("box", "wide_box", "agree", "residual")
+        positive = ("box", "wide_box", "agree", "certain", "residual")
         faults = [
             f"{name} is {getattr(self, name):g}; it must be positive"
             for name in positive
@@ -173,12 +175,12 @@ def _over_time(
         rows, places = rows[np.isfinite(places[:, 0])], places[np.isfinite(places[:, 0])]
         found = _match_own(appearances[rows], places, picture, view, settings)
         _put(found, rows, view, pixels, maps, sd, correlation)
-        own[rows, view] = found.converged & (found.correlation >= settings.alike)
+        own[rows, view] = (found.correlation >= settings.alike) & (_sd(found) <= settings.certain)
         if before is None:
             continue
         again = ~own[rows, view]
         _match_last(rows[again], places[again], view, before, picture, settings, (pixels, maps, sd, correlation))
-    unsure = ~own & ~(correlation >= settings.matched)
+    unsure = (~own & ~(correlation >= settings.matched)) | ~(sd <= settings.certain)
     pixels[unsure] = np.nan
     if before is None:
         pixels[~own] = np.nan
@@ -309,7 +311,7 @@ def between(
     )
     apart = np.linalg.norm(found.pixels - starts, axis=1)
     least = settings.matched if least is None else least
-    good = np.asarray((found.correlation >= least) & (apart <= settings.agree))
+    good = np.asarray((found.correlation >= least) & (apart <= settings.agree) & (_sd(found) <= settings.certain))
     return Between(good, np.where(good[:, None], found.pixels, np.nan), _sd(found), found.search_from_template)
 
 

@@ -25,6 +25,8 @@ it of points that its surface has carried since they were measured."""
 SPACING = 6.0
 """Distance of new points from those that are followed [px]."""
 DEFAULT = FollowSettings()
+_SIZES, _MOST = (1.0, 1.6, 2.4), 0.7
+"""Factors by which patches are enlarged, and what share of the surface is enough."""
 _ASTRAY = 0.25
 """How far a point found in a wide box may be from where its neighbours have gone, as a share of their distance."""
 _FAR = 3
@@ -332,6 +334,33 @@ def _new_points(
         covariance=points.covariance[kept], pixels=pixels, seen=np.full(count, tracks.frame),
         template=template[kept], across=across[kept], appearances=appearances,
     )  # fmt: skip
+
+
+def fitting_size(
+    seeds: MeasuredPoints, pictures: Sequence[Picture], cameras: Sequence[Camera], *, spacing: float,
+    settings: FollowSettings,
+) -> int:  # fmt: skip
+    """Choose the smallest patches with which most of a measured surface can be followed: weak texture wants large ones.
+
+    Args:
+        seeds: The surface of one frame.
+        pictures: C of that frame.
+        cameras: C cameras.
+        spacing: Of the points [px].
+        settings: Limits; the size in them is the smallest one tried.
+
+    Returns:
+        Width and height of the patches [px], odd.
+    """
+    confirmed: dict[int, int] = {}
+    empty = no_tracks(len(cameras), settings, frame=0)
+    apart = np.concatenate([_free_places(seeds, view, np.zeros((0, 2)), spacing) for view in range(len(pictures))])
+    for factor in _SIZES:
+        size = 2 * round(factor * settings.half) + 1
+        confirmed[size] = len(_new_points(seeds[apart], empty, pictures, cameras, replace(settings, size=size)))
+        if confirmed[size] >= _MOST * len(apart):
+            return size
+    return min(size for size, count in confirmed.items() if count >= _MOST * max(confirmed.values()))
 
 
 def track(
