@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from tests import worlds
 
+from marey.body.person import person_body
 from marey.body.pose import PosedBody
 from marey.fit import sequence
 from marey.fit.banded import windows
@@ -250,3 +251,12 @@ def test_a_frame_whose_silhouettes_are_not_believed_follows_its_neighbours(motio
     assert worlds.joint_errors(PosedBody(body, fit.poses[6]), truth[6]).mean() < 0.02
     seen, unseen = (np.trace(fit.covariance[f][:3, :3]) for f in (5, 6))
     assert unseen > 2 * seen
+
+
+def test_a_round_moves_numbers_of_every_unit_by_their_own_spread():
+    """Shares of a length and numbers of unit variance are held alike; what hardly varies is not held the more."""
+    space = person_body("coarse").space
+    np.testing.assert_allclose(sequence._trusted(space), sequence.TRUST_SHAPE**2)
+    mixed = replace(space, prior_covariance=np.diag(np.where(np.arange(len(space)) < 10, 1.0, 0.01)))
+    np.testing.assert_allclose(sequence._trusted(mixed) / np.diag(mixed.prior_covariance), sequence.TRUST_SHAPE**2)
+    assert len(sequence._trusted(space.keep(range(0)))) == 0

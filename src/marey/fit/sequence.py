@@ -16,7 +16,7 @@ from marey.arrays import Floats, Integers
 from marey.body.metaball_person import reshaped
 from marey.body.pose import Pose, PosedBody
 from marey.body.skeleton import Skeleton
-from marey.body.surface import Body
+from marey.body.surface import Body, ShapeSpace
 from marey.fit.banded import System, Window, windows, with_shape_covariance
 from marey.fit.body_solver import bounded_step, dense_equations, shape_reach
 from marey.fit.levels import FrameLevels
@@ -350,9 +350,7 @@ class _Work:
             information, gradient = information + part["corner"], gradient + part["shape_gradient"]
             if part["by_shape"].shape[1]:
                 information, gradient = information - part["taken"], gradient - part["taken_gradient"]
-        if len(gradient):
-            usual = float(np.median(np.diag(body.space.prior_covariance)))
-            information = 0.5 * (information + information.T) + np.eye(len(gradient)) / (usual * TRUST_SHAPE**2)
+        information = 0.5 * (information + information.T) + np.diag(1.0 / _trusted(body.space))
         return bounded_step(information, gradient, *shape_reach(body, self.settings.clip))
 
     def pieces(self, poses: Sequence[Pose], body: Body) -> Iterator[SequenceFit]:
@@ -383,6 +381,13 @@ class _Work:
         alike = min(1.0, DISTINCT_FRAMES / len(self.free))
         stated = prior + alike * (0.5 * (information + information.T) - prior)
         return np.asarray(np.linalg.inv(stated))
+
+
+def _trusted(space: ShapeSpace) -> Floats:
+    """Give the variance (M,) within which one round may move the shape's numbers, each in its own unit."""
+    variance = np.diag(space.prior_covariance)
+    usual = np.median(variance) if len(variance) else 0.0
+    return np.asarray(TRUST_SHAPE**2 * np.maximum(variance, usual))
 
 
 def _shape_prior(body: Body, pose: Pose) -> tuple[Floats, Floats]:
