@@ -201,7 +201,8 @@ def rest_places(arms: str) -> dict[str, np.ndarray]:
 
 def write_rig(
     path: Path, text: str, segments: dict[str, str], *, arms: str = "t", unit: float = 1.0, seed: int = 1,
-    size: float = 1.0, bones: bool = True, change: object = None,
+    size: float = 1.0, bones: bool = True, turned: bool = False,
+    change: object = None,
 ) -> None:  # fmt: skip
     """Write a character as a GLB: an armature that stands its Z-up joints up and scales them, and a box at each joint.
 
@@ -214,6 +215,7 @@ def write_rig(
         seed: Of the joints' own axes.
         size: Beside the usual one.
         bones: whether joints have axes of their own.
+        turned: whether the character looks backward and aside.
         change: A function that changes the document before it is written.
     """
     rng = np.random.default_rng(seed)
@@ -226,6 +228,8 @@ def write_rig(
         below = [k for k, p in enumerate(parents) if p == n]
         if names[n] not in segments and parents[n] >= 0 and below and names[parents[n]] in segments:
             at[n] = 0.5 * (at[parents[n]] + at[below[0]])
+    if turned:
+        at = at @ rotations.about(np.array([0.0, 1.0, 0]), np.array(2.2)).T
     turn = rotations.exp(rng.normal(size=(len(names), 3)) * (1.0 if bones else 0.0))
     armature = rotations.about(np.array([1.0, 0, 0]), np.array(-np.pi / 2))
     nodes: list[dict] = [{"name": "Armature", "rotation": quaternion(armature), "scale": [unit] * 3, "children": []}]

@@ -10,6 +10,7 @@ from marey.errors import FileProblem
 from marey.io.axes import GLTF_FROM_WORLD
 from marey.io.rig import read_map, read_rig, write_retargeted
 from marey.io.rig_names import name_joints
+from marey.motion.retarget import NEEDED
 
 BONES = [("thigh", "shank"), ("shank", "foot"), ("upperarm", "forearm"), ("forearm", "hand")]
 POSTURES = {
@@ -237,13 +238,52 @@ def test_joints_are_named_by_a_map(tmp_path, motion):
 
     path = tmp_path / "character.glb"
     rigs.write_rig(path, rigs.SMPL, segments(rigs.SMPL), change=renamed)
-    with pytest.raises(FileProblem, match=r"left_shank; known are pelvis = Pelvis.*left are .*Gonk.*--map"):
-        read_rig(path)
+    assert read_rig(path)[1].guessed == ("left_shank",)
     (tmp_path / "map.toml").write_text('[joints]\nleft_knee = "Gonk"\n')
     gltf, rig = read_rig(path, read_map(tmp_path / "map.toml"))
     assert gltf.name(rig.nodes["left_shank"]) == "Gonk"
+    assert rig.guessed == ()
     with pytest.raises(FileProblem, match=r"no joint named 'Gonkk', given for left_shank. It has .*Gonk,"):
         read_rig(path, {"left_shank": "Gonkk"})
+
+
+def test_joints_that_neither_names_nor_places_tell_are_listed(tmp_path):
+    text = rigs.SMPL.replace("   {U}_Ankle\n    {U}_Foot\n", "").replace("{U}_Wrist", "{U}_Gonk")
+    rigs.write_rig(tmp_path / "character.glb", text, segments(text))
+    with pytest.raises(
+        FileProblem, match=r"left_foot.* right_foot.*known are pelvis = Pelvis.*left are .*L_Gonk.*--map"
+    ):
+        read_rig(tmp_path / "character.glb")
+
+
+def nameless(document):
+    for n, node in enumerate(document["nodes"]):
+        node["name"] = f"bone{n}"
+
+
+@pytest.mark.parametrize("rig", ["mixamo", "unreal", "smpl", "vroid", "cmu"])
+@pytest.mark.parametrize("turned", [False, True])
+def test_joints_without_names_are_guessed_by_where_they_stand(tmp_path, rig, turned):
+    text, (arms, unit) = rigs.RIGS[rig], POSTURES[rig]
+    path = tmp_path / "character.glb"
+    rigs.write_rig(path, text, segments(text), arms=arms, unit=unit, turned=turned, change=nameless)
+    _, found = read_rig(path)
+    names, _ = rigs.tree(text)
+    expected = segments(text)
+    assert {names[n - 1]: s for s, n in found.nodes.items() if s in NEEDED} == {
+        n: s for n, s in expected.items() if s in NEEDED
+    }
+    assert all(
+        expected.get(names[n - 1], s) == s for s, n in found.nodes.items() if "neck" not in s and "head" not in s
+    )
+    assert set(NEEDED) <= set(found.guessed)
+
+
+def test_what_has_no_shape_of_a_person_is_not_guessed(tmp_path):
+    text = "a\n b\n  c\n   d\n  e\n   f\n"
+    rigs.write_rig(tmp_path / "character.glb", text, {})
+    with pytest.raises(FileProblem, match="known are none; left are"):
+        read_rig(tmp_path / "character.glb")
 
 
 @pytest.mark.parametrize(

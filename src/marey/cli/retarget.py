@@ -40,6 +40,9 @@ def retarget(
     path.parent.mkdir(parents=True, exist_ok=True)
     moved = write_retargeted(path, gltf, rig, moving, floor=_floor(source.parent / "body.npz"), grounded=grounded)
     notes = ["Joints: " + ", ".join(f"{segment} = {gltf.name(node)}" for segment, node in rig.nodes.items())]
+    if rig.guessed:
+        listed = ", ".join(f"{segment} = {gltf.name(rig.nodes[segment])}" for segment in rig.guessed)
+        notes.append(f"Guessed from where they stand: {listed}. If that is wrong, name them with --map.")
     if moved.gaps:
         spans = ", ".join(f"{a:.2f}-{b:.2f} s" for a, b in moved.gaps)
         notes.append(f"Nothing was measured at {spans}: there are no keys there, a viewer turns evenly across.")

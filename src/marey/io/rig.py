@@ -14,6 +14,7 @@ from marey.geometry import rotations
 from marey.io.axes import GLTF_FROM_WORLD
 from marey.io.character import named_joints, posed_skin, skin_joints
 from marey.io.gltf import Additions, Gltf, local_matrix
+from marey.io.rig_shape import place_joints
 from marey.motion.motion import Motion
 from marey.motion.retarget import NEEDED, Rig, RigMotion, retarget
 
@@ -55,20 +56,33 @@ def read_rig(path: Path | str, named: Mapping[str, str] | None = None) -> tuple[
         named: By segment: what the file calls its joint, where the name does not tell.
 
     Raises:
-        FileProblem: It is no such file, or joints are missing whose names nobody can guess.
+        FileProblem: It is no such file, or joints are missing that neither names nor places tell.
     """
     gltf = Gltf(path)
     try:
-        found = named_joints(gltf, _known(gltf, named or {}))
+        known = _known(gltf, named or {})
+        by_name = named_joints(gltf, known)
+        found = by_name if all(segment in by_name for segment in NEEDED) else _guessed(gltf, known, by_name)
         missing = [segment for segment in NEEDED if segment not in found]
         if missing:
             raise FileProblem(path, _what_is_missing(gltf, found, missing), _HOW_TO_NAME)
-        return gltf, _rig(gltf, found)
+        return gltf, _rig(gltf, found, tuple(segment for segment in found if segment not in by_name))
     except (KeyError, IndexError, ValueError, TypeError, AttributeError) as error:
         raise FileProblem(path, f"is damaged ({error!r})", "Export it again.") from error
 
 
-def _rig(gltf: Gltf, found: Mapping[str, int]) -> Rig:
+def _guessed(gltf: Gltf, known: Mapping[str, int], by_name: dict[str, int]) -> dict[str, int]:
+    """Add the joints that their places tell, where those agree with all that have telling names."""
+    world = gltf.world_from_nodes()
+    joints = sorted({node for _, skin in gltf.skinned() for node in gltf.document["skins"][skin]["joints"]})
+    guess = place_joints({node: world[node, :3, 3] for node in joints}, gltf.parents(), by_name)
+    if not guess or any(guess.get(segment, node) != node for segment, node in by_name.items() if segment in NEEDED):
+        return by_name
+    taken = set(by_name.values())
+    return named_joints(gltf, dict(known) | by_name | {s: n for s, n in guess.items() if n not in taken})
+
+
+def _rig(gltf: Gltf, found: Mapping[str, int], guessed: tuple[str, ...]) -> Rig:
     parents, count = gltf.parents(), len(gltf.nodes)
     parts = [_parted(gltf, node) for node in range(count)]
     return Rig(
@@ -79,6 +93,7 @@ def _rig(gltf: Gltf, found: Mapping[str, int]) -> Rig:
         nodes=found,
         scene_from_world=np.asarray(GLTF_FROM_WORLD),
         skin=_skin_at_rest(gltf),
+        guessed=guessed,
     )
 
 
@@ -102,7 +117,7 @@ def _what_is_missing(gltf: Gltf, found: Mapping[str, int], missing: list[str]) -
     taken = set(found.values())
     left = [node for node in skin_joints(gltf, gltf.skinned()) if node not in taken]
     return (
-        f"has no joint whose name tells that it is {', '.join(missing)}; known are {known}; "
+        f"has no joint whose name or place tells that it is {', '.join(missing)}; known are {known}; "
         f"left are {_listed(gltf, left)}"
     )
 

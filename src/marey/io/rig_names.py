@@ -9,7 +9,7 @@ _SIDES = {"left": "left", "l": "left", "lft": "left", "right": "right", "r": "ri
 _PREFIXES = frozenset(
     {
         "mixamorig", "def", "org", "j", "bip", "biped", "valvebiped", "valve", "c", "cc", "base", "bone", "joint",
-        "jnt", "bn", "b", "sk", "skel", "character", "rig",
+        "jnt", "bn", "b", "sk", "skel", "skeleton", "character", "rig",
     }
 )  # fmt: skip
 _LIMB_WORDS: dict[str, tuple[tuple[str, ...], ...]] = {

@@ -47,6 +47,8 @@ class Rig:
     """(3, 3) the scene's axes, in which the motion shall be seen."""
     skin: Floats | None = None
     """(V, 3) at rest in the scene; None where nobody knows."""
+    guessed: tuple[str, ...] = ()
+    """Segments whose joints were guessed by their places, not named."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "parents", frozen(self.parents, np.int64))
