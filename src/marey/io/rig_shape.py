@@ -121,10 +121,8 @@ def _first_is_right(limbs: list[dict[str, int]], places: Mapping[int, Floats], k
     left = [places[a] - places[b] for a, b in pairs if b is not None and a in places and b in places]
     if left:
         return bool(np.sum(left, axis=0) @ across < 0)
-    ahead = np.sum(
-        [places[limb["toes"]] - places[limb["foot"]] for limb in limbs if "toes" in limb] or [[0, 0, 1.0]], 0
-    )
-    forward = ahead if np.linalg.norm(ahead * [1, 0, 1]) > 1e-9 else np.array([0, 0, 1.0])
+    toes = [places[limb["toes"]] - places[limb["foot"]] for limb in limbs if "toes" in limb]
+    forward = np.sum(toes, axis=0) if toes else np.array([0.0, 0.0, 1.0])
     return bool(np.cross(np.array([0.0, 1.0, 0.0]), forward) @ across < 0)
 
 
