@@ -1,10 +1,11 @@
 """Least-squares matching on the real, speckled cylinder, beside an independent correlation program's matches.
 
-    python bench/cylinder.py SHARED
+    python bench/cylinder.py SHARED [OUT]
 
 From `left_1` into `left_5` and `right_1`, for patches of several sizes, the points that the other program calls good.
 The smallest patch starts up to a pixel from its matches, a larger one with the affine map of the smaller. `held` stays
-on the epipolar lines of the given cameras.
+on the epipolar lines of the given cameras. With OUT, `marey surface` measures all five positions, and a cylinder is
+fitted to the points between the other program's outermost ones, leaving out what lies over 0.5 mm beside it.
 """
 
 import sys
@@ -12,17 +13,55 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from scipy.optimize import least_squares
 
 from marey.cameras.epipolar import epipolar_lines
+from marey.cli.progress import Progress
+from marey.cli.surface import surface
+from marey.cli.surface_settings import SurfaceOptions
 from marey.images.matching import MatchSettings, match
 from marey.images.splines import SplinePicture, spline_of
 from marey.io.calibration import read_rig
+from marey.io.surface import read_surface
 
 GOOD = 0.05
 
 
 def load(folder: Path, name: str) -> SplinePicture:
     return spline_of(cv2.imread(str(folder / f"{name}.jpg"), cv2.IMREAD_GRAYSCALE))
+
+
+def fitted_cylinder(points: np.ndarray, start: np.ndarray) -> tuple[float, np.ndarray]:
+    """Fit a cylinder to points (n, 3) [m] from (point and direction of its axis, radius); radius and distances (n,)."""
+
+    def distances(numbers: np.ndarray) -> np.ndarray:
+        axis = numbers[3:6] / np.linalg.norm(numbers[3:6])
+        return np.linalg.norm(np.cross(points - numbers[:3], axis), axis=1) - numbers[6]
+
+    found = least_squares(distances, start, loss="soft_l1", f_scale=1e-4, x_scale=[0.01] * 3 + [0.1] * 3 + [0.01])
+    return float(found.x[6]), distances(found.x)
+
+
+def dense(folder: Path, out: Path, reference: np.lib.npyio.NpzFile) -> None:
+    hull = cv2.convexHull(reference["points_left"][0].astype(np.float32))
+    for size, spacing in ((13, 6), (21, 8)):
+        surface(folder, SurfaceOptions(out=out, patch=size, spacing=spacing), Progress(quiet=True))
+        measured = read_surface(out / "surface.npz")
+        for position in range(5):
+            points = measured.of_frame(position)
+            pixels = points.pixels[:, 0].astype(np.float32)
+            inside = np.array([cv2.pointPolygonTest(hull, tuple(map(float, p)), True) > 20 for p in pixels])
+            own = points.points[inside]
+            near = reference["axis_point_m"][position], reference["axis_direction"][position]
+            start = np.concatenate([*near, [0.057]])
+            close = np.abs(fitted_cylinder(own, start)[1]) < 5e-4
+            radius, beside = fitted_cylinder(own[close], start)
+            cell = len(own) * spacing**2 / cv2.contourArea(hull)
+            sys.stdout.write(
+                f"position {position + 1}, {size}x{size}: {len(own)} points ({100 * cell:.0f} % of the speckle), "
+                f"radius {1e3 * radius:.3f} mm, residual {1e3 * np.sqrt(np.mean(beside**2)):.3f} mm rms, "
+                f"{100 * np.mean(~close):.2f} % left out\n"
+            )
 
 
 def main() -> None:
@@ -60,6 +99,9 @@ def main() -> None:
             f"held, {size}x{size}: free matches lie {np.sqrt(np.mean(across**2)):.3f} px rms beside the lines; "
             f"along them both differ by {np.median(forth):.4f} px (median; stated sd {np.median(sd):.4f})\n"
         )
+
+    if len(sys.argv) > 2:
+        dense(folder, Path(sys.argv[2]), reference)
 
 
 if __name__ == "__main__":

@@ -14,12 +14,15 @@ from marey.surface.measured import MeasuredPoints
 from marey.surface.settings import SurfaceSettings
 from marey.surface.views import View
 
-FLOOR_PX = 0.02
-"""What a match does not know of its own error: interpolation, and the lens between neighbouring pixels [px]."""
+FLOOR_PX = 0.04
+"""What a match does not know of its own error: that the surface is curved under its patch, and interpolation [px]."""
 _USUAL = 4.0
 """A residual is usual up to so many times the median, and ..."""
 _LEAST = 0.15
 """... always up to here [px]."""
+_UNMET = 0.75
+"""Where the median residual is more than this share of the greatest one, rays do not meet at all: these are outlines of
+bodies without texture, which every camera sees elsewhere, or cameras that are not calibrated."""
 _MEDIAN_OF_CHI2 = {1: 0.4549, 3: 2.3660, 5: 4.3515, 7: 6.3458}
 
 
@@ -43,6 +46,8 @@ def intersect(views: Sequence[View], tuples: Tuples, settings: SurfaceSettings, 
     kept &= solved.views >= 2
     most = kept & (solved.views == solved.views.max(initial=0))
     kept &= solved.residual_px <= _limit(solved.residual_px[most], settings.residual_px)
+    if most.any() and np.median(solved.residual_px[most]) > _UNMET * settings.residual_px:
+        kept[:] = False
     two = np.flatnonzero(kept & (solved.views == 2))
     kept[two] = _borne_out(views, tuples, pixels, two)
     whole = np.zeros(len(tuples.grid), bool)

@@ -41,6 +41,8 @@ _NOISE_SHARE = 1.0
 itself has 0.2."""
 _LEAST_NOISE = 1.0
 """Compression hides noise: no camera is believed to have less [grey levels]."""
+_CELL = 16
+"""Corners come from cells at least so wide: matches grow from one to the next anyway [px]."""
 _EDGE = 8
 """Pixels along the picture's border in which no corner is sought."""
 
@@ -96,7 +98,7 @@ def corners(view: View, *, most: int) -> Floats:
     if view.mask is not None:
         strength[~view.mask] = 0
     height, width = strength.shape
-    cell = max(8, int(np.ceil(np.sqrt(height * width / most))))
+    cell = max(_CELL, int(np.ceil(np.sqrt(height * width / most))))
     rows, columns = -(-height // cell), -(-width // cell)
     padded = np.zeros((rows * cell, columns * cell), np.float32)
     padded[:height, :width] = strength

@@ -42,7 +42,7 @@ class SurfaceSettings:
     epipolar_px: float = 2.0
     """Greatest distance of a match from the epipolar line [px]; less where the seeds show that the cameras are better
     than that."""
-    residual_px: float = 1.5
+    residual_px: float = 1.0
     """Greatest root mean square residual of the forward intersection [px]; less where most points are better."""
     angle: float = 0.7
     """Cameras whose views of the scene differ by more are not matched with each other [rad]."""

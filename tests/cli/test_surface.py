@@ -1,0 +1,138 @@
+import json
+
+import cv2
+import numpy as np
+import pytest
+from tests import scenes
+from tests.scenes import beside_ball
+
+from marey.cli.main import WRONG_INPUT, run
+from marey.io.calibration import read_rig, write_cameras_toml
+from marey.io.surface import read_surface
+
+RIG = scenes.rig(-10, 0, 10)
+OPTIONS = ["--spacing", "6", "--quiet"]
+
+
+def write_trial(folder, frames, rig=RIG):
+    """Stills of instants, each a list of pictures."""
+    folder.mkdir(parents=True, exist_ok=True)
+    write_cameras_toml(rig, folder / "cameras.toml")
+    for number, images in enumerate(frames, start=1):
+        for camera, image in zip(rig, images, strict=True):
+            cv2.imwrite(str(folder / f"{camera.name}_{number}.png"), image)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def instants():
+    rng = np.random.default_rng(11)
+    return [scenes.films(RIG, rng) for _ in range(2)]
+
+
+@pytest.fixture(scope="module")
+def results(instants, tmp_path_factory):
+    folder = write_trial(tmp_path_factory.mktemp("trial"), instants)
+    assert run(["surface", str(folder), *OPTIONS]) == 0
+    return folder / "marey"
+
+
+def test_all_frames_are_measured_and_every_file_is_there(results):
+    points = read_surface(results / "surface.npz")
+    assert points.frames.tolist() == [0, 1]
+    assert points.camera_names == RIG.names
+    assert np.median(np.abs(beside_ball(points.points))) < 0.6e-3
+    names = {str(path.relative_to(results)) for path in results.rglob("*") if path.is_file()}
+    clouds = {"surface.ply", "surface/frame_00000.ply", "surface/frame_00001.ply"}
+    assert names == {"surface.npz", "surface_middle.png", "run.json", *clouds}
+
+
+def test_the_record_names_templates_and_settings(results):
+    record = json.loads((results / "run.json").read_text())
+    assert record["command"] == "surface"
+    assert record["settings"]["compared"] == [{"template": "middle", "searched": ["left", "right"]}]
+    assert record["settings"]["rig_correction"] is None
+
+
+def test_another_commands_results_stay(results):
+    record = json.loads((results / "run.json").read_text())
+    (results / "motion.npz").write_bytes(b"captured")
+    kept = {"command": "capture", "files": ["motion.npz", "run.json"]}
+    (results / "run.json").write_text(json.dumps(kept | {"earlier": {"surface": record}}))
+    assert run(["surface", str(results.parent), *OPTIONS, "--frames", "1:2"]) == 0
+    assert (results / "motion.npz").exists()
+    assert not (results / "surface" / "frame_00000.ply").exists()
+    assert json.loads((results / "run.json").read_text())["earlier"]["capture"] == kept
+
+
+def test_cameras_that_nod_are_corrected_and_it_is_said(instants, tmp_path, capsys):
+    from tests.surface.test_refine_rig import turned
+
+    wrong = type(RIG)((*RIG.cameras[:2], turned(RIG.cameras[2], 0.12)))
+    folder = write_trial(tmp_path / "trial", instants[:1], wrong)
+    assert run(["surface", str(folder), "--spacing", "6"]) == 0
+    assert "The cameras were corrected by" in capsys.readouterr().err
+    assert read_rig(folder / "marey" / "cameras.toml").names == RIG.names
+    found = json.loads((folder / "marey" / "run.json").read_text())["settings"]["rig_correction"]
+    residual = found["median_residual_px"]
+    assert residual["corrected"] < 0.6 * residual["as_calibrated"]
+    assert 0.05 < found["cameras"]["right"]["turned_deg"] < 0.2
+
+
+def test_an_interrupted_run_goes_on(instants, tmp_path, monkeypatch):
+    from marey.cli import surface_stages
+
+    folder = write_trial(tmp_path / "trial", instants)
+    whole, calls = surface_stages.intersect, []
+
+    def interrupted(*arguments, **more):
+        calls.append(more["frame"])
+        if calls == [0, 1]:
+            raise KeyboardInterrupt
+        return whole(*arguments, **more)
+
+    monkeypatch.setattr(surface_stages, "intersect", interrupted)
+    command = ["surface", str(folder), *OPTIONS, "--keep-rig"]
+    assert run(command) == 130
+    assert run(command) == 0
+    assert calls == [0, 1, 1]
+    assert read_surface(folder / "marey" / "surface.npz").frames.tolist() == [0, 1]
+
+
+def test_what_was_measured_before_a_damaged_picture_is_kept(instants, tmp_path, capsys):
+    folder = write_trial(tmp_path / "trial", instants)
+    (folder / "right_2.png").write_bytes(b"no picture")
+    assert run(["surface", str(folder), *OPTIONS, "--keep-rig"]) == WRONG_INPUT
+    assert "right_2.png" in capsys.readouterr().err
+    assert read_surface(folder / "marey" / "surface.npz").frames.tolist() == [0]
+
+
+@pytest.mark.parametrize("kind", ["other balls", "flat", "far apart"])
+def test_without_a_common_surface_there_is_a_reason_and_no_file(tmp_path, rng, capsys, kind):
+    rig = scenes.rig(0, 90, 180) if kind == "far apart" else scenes.rig(-5, 5)
+    ball = scenes.Ball.draw(rng)
+    balls = [ball if kind == "far apart" else scenes.Ball.draw(rng) for _ in rig]
+    images = [(each.flat() if kind == "flat" else each).filmed(c, rng) for each, c in zip(balls, rig, strict=True)]
+    if kind == "flat":
+        images = [np.full_like(image, 90) for image in images]
+    folder = write_trial(tmp_path / "trial", [images], rig)
+    assert run(["surface", str(folder), *OPTIONS]) == WRONG_INPUT
+    said = capsys.readouterr().err
+    assert {"other balls": "no surface that", "flat": "no texture", "far apart": "differ by less"}[kind] in said
+    assert not (folder / "marey" / "surface.npz").exists()
+
+
+def test_a_seed_outside_of_its_picture_names_file_and_row(instants, tmp_path, capsys):
+    folder = write_trial(tmp_path / "trial", instants[:1])
+    (tmp_path / "clicked.csv").write_text("100,100,100,100,100,100\n100,100,900,100,100,100\n")
+    assert run(["surface", str(folder), *OPTIONS, "--seeds", str(tmp_path / "clicked.csv")]) == WRONG_INPUT
+    said = capsys.readouterr().err
+    assert "clicked.csv" in said
+    assert "row 2" in said
+
+
+def test_impossible_settings_are_told(tmp_path, capsys):
+    folder = tmp_path / "trial"
+    folder.mkdir()
+    assert run(["surface", str(folder), "--patch", "12"]) == WRONG_INPUT
+    assert "patch is 12" in capsys.readouterr().err
