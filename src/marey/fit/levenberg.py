@@ -1,13 +1,14 @@
 """Levenberg-Marquardt for poses and the one shape they share, from points on a surface ([Plaenkers1999] section 4)."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 import scipy.linalg
 
 from marey.arrays import Floats, Mask
+from marey.body.metaballs import THRESHOLD
 from marey.body.pose import Pose, PosedBody
 from marey.body.surface import Body
 from marey.fit.body_solver import bounded_step, shape_reach
@@ -15,7 +16,7 @@ from marey.fit.point_equations import distances_of, point_equations
 from marey.fit.pose_solver import add_dense
 from marey.fit.pose_steps import LONGEST_TURN
 from marey.fit.side_by_side import side_by_side
-from marey.fit.surface_points import PersonPoints
+from marey.fit.surface_points import PersonPoints, spread_over
 from marey.observations.metaball_points import PointsOnMetaballs
 from marey.observations.observation import Observation
 from marey.observations.prior import Habit, JointLimits, ShapePrior
@@ -31,6 +32,10 @@ class LevenbergSettings:
     order: Order = "together"
     """Whether sizes across and skeleton are solved together, or in turn as in the paper, which found that to converge
     better; here together does (docs/accuracy.md)."""
+    few: int = 6000
+    """Of more points in a frame, first so many are fitted, spread over all: they bring it nearly there."""
+    last: int = 6
+    """Iterations with all points after that."""
     segment_every: int = 3
     """After so many iterations points are assigned to limbs anew."""
     damping: float = 1e-3
@@ -39,6 +44,9 @@ class LevenbergSettings:
     """A smaller relative fall of the cost ends the search, once no point changes its limb."""
     habit: float = 0.1
     """How many observations the joints' habits are worth."""
+    residual: Literal["distance", "potential"] = "distance"
+    """What is minimised: the distance from the surface, or the paper's F - 1/2 ([Plaenkers1999] eq. (14)), weighed as
+    if the field fell everywhere by `FIELD_PER_METRE`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,20 +93,27 @@ def fit_points(
         done: told of every iteration.
     """
     settings = settings or LevenbergSettings()
+    if any(len(of_frame) > settings.few for of_frame in points.by_frame.values()):
+        few = {f: spread_over(of_frame, settings.few) for f, of_frame in points.by_frame.items()}
+        first = fit_points(
+            replace(points, by_frame=few), body, poses, settings=settings, others=others, done=done
+        )  # fmt: skip
+        body, poses, points = first.body, first.poses, points.narrowed(0.0)
+        settings = replace(settings, iterations=settings.last)
     known = (JointLimits(), Habit(share=settings.habit), *others)
     bodies = {f: PosedBody(body, pose) for f, pose in poses.items()}
     damping, costs, stopped = settings.damping, [], "all iterations were made"
     turns = _turns(body, settings.order)
     observed = {f: points.observed(f, posed) for f, posed in bodies.items()}
-    system = _assemble(points, bodies, observed, known)
+    system = _assemble(points, bodies, observed, known, settings)
     for iteration in range(settings.iterations):
         if iteration and iteration % settings.segment_every == 0:
             points = points.narrowed(0.5)
             observed = {f: points.observed(f, posed) for f, posed in bodies.items()}
-            system = _assemble(points, bodies, observed, known)
+            system = _assemble(points, bodies, observed, known, settings)
         for _ in range(_TRIALS):
             moved = _moved(bodies, system, damping, turns[iteration % len(turns)])
-            cost = _cost(points, moved, observed, known)
+            cost = _cost(points, moved, observed, known, settings)
             if cost < system.cost:
                 break
             damping = 10.0 * max(damping, LEAST_DAMPING)
@@ -108,7 +123,7 @@ def fit_points(
         damping = max(damping / 10.0, LEAST_DAMPING)
         fall = (system.cost - cost) / system.cost
         bodies = moved
-        system = _assemble(points, bodies, observed, known)
+        system = _assemble(points, bodies, observed, known, settings)
         costs.append(system.cost)
         done()
         if fall < settings.stop and (iteration + 1) % len(turns) == 0:
@@ -140,7 +155,7 @@ def _turns(body: Body, order: Order) -> list[Mask]:
 
 def _assemble(
     points: PersonPoints, bodies: Mapping[int, PosedBody], observed: Mapping[int, PointsOnMetaballs | None],
-    known: Sequence[Observation],
+    known: Sequence[Observation], settings: LevenbergSettings,
 ) -> _System:  # fmt: skip
     def of_frame(item: tuple[int, PosedBody]) -> tuple[Floats, Floats, float]:
         frame, posed = item
@@ -150,9 +165,10 @@ def _assemble(
         cost = 0.0
         seen = observed[frame]
         if seen is not None:
-            found = point_equations(posed, seen, scale=points.scale_m)
-            hessian, gradient = found.hessian, found.gradient
-            cost = _robust(found.residual, seen, points.scale_m)
+            unit, distance = _unit(settings), settings.residual == "distance"
+            found = point_equations(posed, seen, scale=unit * points.scale_m, as_distance=distance)
+            hessian, gradient = found.hessian / unit**2, found.gradient / unit**2
+            cost = _robust(found.residual / unit, seen, points.scale_m)
         cost += add_dense(posed, known, hessian, gradient, shape=True)
         return hessian, gradient, cost
 
@@ -165,6 +181,21 @@ def _assemble(
     return _System([part[:2] for part in parts], shape, own + sum(part[2] for part in parts))
 
 
+FIELD_PER_METRE = 17.0
+"""How fast the field falls at the surface of a limb four centimetres thick [1/m]: ln F by 1.4 over its radius."""
+
+
+def _unit(settings: LevenbergSettings) -> float:
+    return 1.0 if settings.residual == "distance" else FIELD_PER_METRE
+
+
+def _off(posed: PosedBody, seen: PointsOnMetaballs, settings: LevenbergSettings) -> Floats:
+    """Give the residuals (n,), those of the field as if they were metres."""
+    if settings.residual == "distance":
+        return distances_of(posed, seen)
+    return (seen.surface(posed).field(seen.points, seen.limb) - THRESHOLD) / FIELD_PER_METRE
+
+
 def _robust(residual: Floats, seen: PointsOnMetaballs, scale: float) -> float:
     """Give the cost whose slope the weights of `robust.geman_mcclure` have."""
     squared = residual**2
@@ -173,12 +204,12 @@ def _robust(residual: Floats, seen: PointsOnMetaballs, scale: float) -> float:
 
 def _cost(
     points: PersonPoints, bodies: Mapping[int, PosedBody], observed: Mapping[int, PointsOnMetaballs | None],
-    known: Sequence[Observation],
+    known: Sequence[Observation], settings: LevenbergSettings,
 ) -> float:  # fmt: skip
     def of_frame(item: tuple[int, PosedBody]) -> float:
         frame, posed = item
         seen = observed[frame]
-        cost = 0.0 if seen is None else _robust(distances_of(posed, seen), seen, points.scale_m)
+        cost = 0.0 if seen is None else _robust(_off(posed, seen, settings), seen, points.scale_m)
         for observation in known:
             white = observation.whiten(posed)
             cost += float(white.residual @ white.residual)

@@ -66,7 +66,7 @@ class PersonPoints:
     """Over how many metres such a departure is the same."""
     scale_m: float = np.inf
     """Distance at which a point counts a quarter [m]."""
-    _counts: dict[int, Floats] = field(default_factory=dict, repr=False)
+    _counts: dict[int, Floats] = field(default_factory=dict, init=False, repr=False)
 
     def observed(self, frame: int, posed: PosedBody) -> PointsOnMetaballs | None:
         """Segment the points of a frame by the limbs of the body as it stands; None where there are none."""
