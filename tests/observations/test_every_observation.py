@@ -17,6 +17,7 @@ from marey.body.pose import PosedBody
 from marey.cameras.camera import Camera
 from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
+from marey.observations.carried_points import CarriedPoints
 from marey.observations.joint_point import JointPoints
 from marey.observations.metaball_points import PointsOnMetaballs, assign
 from marey.observations.observation import Observation
@@ -93,6 +94,12 @@ CATALOGUE: dict[type[Observation], Make] = {
     Habit: lambda rng, posed: Habit(share=0.7),
     NearPose: near_pose,
     PointsOnMetaballs: points_on_metaballs,
+    CarriedPoints: lambda rng, posed: CarriedPoints(
+        segments=rng.integers(0, len(posed.segment_origin), POINTS),
+        places=rng.normal(size=(POINTS, 3)) * 0.1,
+        points=rng.normal(size=(POINTS, 3)),
+        sigma_m=0.003,
+    ),
     ShapePrior: lambda rng, posed: ShapePrior(share=0.5),
 }
 """One line a kind: how to make one of any numbers."""

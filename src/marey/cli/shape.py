@@ -17,13 +17,27 @@ from marey.body.spline_skin import spline_body
 from marey.body.subdivision import finer
 from marey.body.surface import Body
 from marey.cli import capture_stages as stages
-from marey.cli.capture import Bodies, Followed, Logs, Refined, Run, follow_person, opened, refined_person, rounds_of
+from marey.cli.capture import (
+    Bodies,
+    Followed,
+    Logs,
+    Refined,
+    Run,
+    Tracked,
+    follow_person,
+    opened,
+    refined_person,
+    rounds_of,
+)
 from marey.cli.capture import write_capture as write_results_of
+from marey.cli.mask_store import MaskStore
 from marey.cli.progress import Progress
 from marey.cli.settings import CaptureSettings
 from marey.cli.surface import surface as measure_surface
 from marey.cli.surface_settings import SurfaceOptions
 from marey.errors import FileProblem, MareyError
+from marey.fit.carry import CarrySettings, follow_points, settled
+from marey.fit.levenberg import fit_points
 from marey.fit.person import Take
 from marey.fit.sequence import SequenceFit, refine_in_pieces
 from marey.fit.shape import (
@@ -39,14 +53,18 @@ from marey.fit.shape import (
     refine_shape,
     with_coordinates,
 )
+from marey.fit.start_joints import start_from_joints
 from marey.fit.surface_points import FramePoints, PersonPoints, spread_over
 from marey.io.body import segment_lengths
 from marey.io.csv import write_segments
 from marey.io.glb import write_glb
 from marey.io.npz import read_motion
 from marey.io.stages import Arrays
+from marey.io.start_joints import read_start_joints
 from marey.io.surface import read_surface
+from marey.io.trajectories import read_trajectories
 from marey.motion.from_fit import Measured, measured
+from marey.surface.trajectories import Trajectories
 
 SURFACE = ("surface.npz", "trajectories.npz")
 """What `marey surface` measured, and the fit reads."""
@@ -81,7 +99,8 @@ def shape(folder: Path, settings: CaptureSettings, progress: Progress) -> Path:
     measured_files = [out / name for name in SURFACE if (out / name).is_file()]
     with opened(folder, settings, progress, more=measured_files) as (run, bodies, logs):
         points = points_of(run, out / SURFACE[0])
-        followed, begun = begin(run, bodies, logs)
+        tracks = read_trajectories(out / SURFACE[1]) if (out / SURFACE[1]).is_file() else None
+        followed, begun = begin(run, bodies, logs, points, tracks)
         shaped = fitted(run, followed, begun, points)
         write_shape(run, followed, shaped, points)
     return out
@@ -111,8 +130,17 @@ def points_of(run: Run, path: Path) -> dict[int, FramePoints]:
     return found
 
 
-def begin(run: Run, bodies: Bodies, logs: Logs) -> tuple[Followed, Shaped]:
-    """Capture the person as `marey capture` does, and give the metaballs the shape that it finds."""
+def begin(
+    run: Run, bodies: Bodies, logs: Logs, points: Mapping[int, FramePoints], tracks: Trajectories | None
+) -> tuple[Followed, Shaped]:
+    """Find the person's motion, and a first shape.
+
+    With silhouettes as `marey capture` does; without a background, but with clicked joints, from those, the points and
+    their trajectories ([Plaenkers1999] section 4.2).
+    """
+    trial = run.trial
+    if trial.start is not None and points and not trial.masks and not trial.background:
+        return begin_by_points(run, bodies, logs, points, tracks)
     followed = follow_person(run, bodies, logs)
     refined = refined_person(run, followed, bodies)
     whole = freed(refined.body)
@@ -120,6 +148,71 @@ def begin(run: Run, bodies: Bodies, logs: Logs) -> tuple[Followed, Shaped]:
     settings = ShapeSettings()
     body = metaballs_like(whole)
     return followed, Shaped(body, poses, settings.begin_model_sd_m, settings.sequence.sigma_px)
+
+
+def begin_by_points(
+    run: Run, bodies: Bodies, logs: Logs, points: Mapping[int, FramePoints], tracks: Trajectories | None
+) -> tuple[Followed, Shaped]:
+    """Start from clicked joints and follow the trajectories; simplified limbs first ([Plaenkers1999] section 4.4).
+
+    Raises:
+        FileProblem: There are several frames, and no trajectories.
+    """
+    trial, settings = run.trial, ShapeSettings()
+    wanted = "Run `marey surface` first, into the same folder; it follows the points, too."
+    if tracks is None and len(points) > 1:
+        raise FileProblem(run.out / SURFACE[1], "is not there, and there are no silhouettes", wanted)
+    outlines = no_outlines(run, logs)
+    joints = read_start_joints(trial.start, trial.rig, count=trial.take.count)  # type: ignore[arg-type]
+    if joints.frame not in points:
+        remedy = "Click joints in a frame of which the surface was measured."
+        raise FileProblem(trial.start or trial.folder, f"names frame {joints.frame}, which has no points", remedy)
+    take = Take(tuple(trial.rig), outlines, tuple(points), trial.take.rate)
+    with run.progress.stage("Start"):
+        _, found = start_from_joints(
+            take, joints.frame, joints.joint_names, joints.pixels, bodies.fine, run.person
+        )  # fmt: skip
+        whole = freed(found.posed.body)
+        pose = with_coordinates(found.posed.pose, found.posed.body, whole)
+        few = {f: spread_over(given, settings.points_a_frame) for f, given in points.items()}
+        given = PersonPoints(by_frame=few, scale_m=FIRST_SCALE_M)
+        one = PersonPoints(by_frame={joints.frame: few[joints.frame]}, scale_m=FIRST_SCALE_M)
+        first = fit_points(one, metaballs_like(whole, "simple"), {joints.frame: pose})
+    poses = first.poses
+    if tracks is not None:
+        poses = followed_by_tracks(run, first.body, (joints.frame, poses[joints.frame]), tracks, given)
+    known = {f: p for f, p in poses.items() if f in points}
+    tracked = Tracked(first.body, known, dict.fromkeys(known, 1.0))
+    shaped = Shaped(first.body, known, settings.begin_model_sd_m, settings.sequence.sigma_px)
+    return Followed(tracked, {}, outlines, tuple(points)), shaped
+
+
+FIRST_SCALE_M = 0.05
+"""Distance at which a point counts a quarter while the pose comes from clicked joints [m]."""
+
+
+def no_outlines(run: Run, logs: Logs) -> MaskStore:
+    """Give silhouettes that show nobody, for every frame."""
+    cameras = list(run.trial.rig)
+    store = MaskStore(logs.outlines, run.trial.take.first, cameras)
+    empty = [np.zeros((camera.height, camera.width), bool) for camera in cameras]
+    for _ in range(len(store.frames), run.trial.take.end - run.trial.take.first):
+        store.append(empty)
+    return store
+
+
+def followed_by_tracks(
+    run: Run, body: Body, start: tuple[int, Pose], tracks: Trajectories, points: PersonPoints
+) -> dict[int, Pose]:
+    """Follow a body by trajectories, brought onto the measured points every some frames."""
+    carry = CarrySettings()
+    position = np.where(tracks.removed[None, :, None], np.nan, tracks.position).astype(float)
+    inside = [row for row, f in enumerate(tracks.frames) if run.trial.take.first <= f < run.trial.take.end]
+    with run.progress.stage("Motion by trajectories", len(inside)) as step:
+        return follow_points(
+            body, start, [int(f) for f in tracks.frames[inside]], position[inside], settings=carry,
+            anchor=lambda frame, pose: settled(PosedBody(body, pose), points, frame, carry), done=lambda frame: step(),
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +234,9 @@ def fitted(run: Run, followed: Followed, begun: Shaped, points: Mapping[int, Fra
         tuple(run.trial.rig), followed.outlines, tuple(begun.poses), run.trial.take.rate, followed.outlines.edges
     )
     levels = take.levels(run.person.fine_height)
-    for i, detail in enumerate(DETAILS_IN_TURN[1:]):
+    # Simplified limbs only where they are what the start came from: learned numbers are nearer (docs/accuracy.md).
+    simple = any(name.endswith("_width") for name in begun.body.space.names)
+    for i, detail in enumerate(DETAILS_IN_TURN if simple else DETAILS_IN_TURN[1:]):
         now = replace(begun, body=more_detailed(begun.body, detail))
         scale = settings.begin_scale_m if i == 0 else np.inf
 

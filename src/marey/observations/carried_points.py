@@ -1,0 +1,50 @@
+"""Points that segments carry along: followed on the surface, they say how each segment moved."""
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from marey.arrays import Floats, Integers
+from marey.body.pose import PosedBody
+from marey.observations.observation import Linearization, Observation
+
+
+@final
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CarriedPoints(Observation):
+    """Points fastened to segments lie where they were measured ([Plaenkers1999] section 4.2).
+
+    Unlike a point of the surface alone, one that was followed also tells of motion along the surface, a limb's turn
+    about itself among it.
+    """
+
+    segments: Integers
+    """(n,) the segment that carries each point."""
+    places: Floats
+    """(n, 3) in the segment, from the joint centre about which it turns [m]."""
+    points: Floats
+    """(n, 3) where they were measured, in the world [m]."""
+    sigma_m: float
+    """Standard deviation of a coordinate: skin slides over bones [m]."""
+
+    @property
+    def sigma(self) -> float:
+        """Standard deviation of a residual [m]."""
+        return self.sigma_m
+
+    def linearize(self, posed: PosedBody, *, shape: bool = False) -> Linearization:
+        """Carry the points along with their segments."""
+        turned = np.einsum("nab,nb->na", posed.segment_rotation[self.segments], self.places)
+        part = np.concatenate([self.places, np.ones((len(self.places), 1))], 1)[:, None]
+        moved = posed.pose_jacobian(self.segments[:, None], part)
+        if shape:
+            moved = np.concatenate([moved, posed.origin_shape_jacobian()[self.segments]], 2)
+        residual = posed.segment_origin[self.segments] + turned - self.points
+        return Linearization(residual.ravel(), moved.reshape(-1, moved.shape[2]))
+
+
+def fasten(posed: PosedBody, segments: Integers, points: Floats) -> Floats:
+    """Give the places (n, 3) in their segments of points (n, 3) of the world, in the pose in which they are seen."""
+    away = points - posed.segment_origin[segments]
+    return np.einsum("nba,nb->na", posed.segment_rotation[segments], away)
