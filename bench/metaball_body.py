@@ -49,7 +49,7 @@ def main() -> None:
             out = asked.out / f"{take}_{name.replace(', ', '_').replace(' ', '_')}"
             capture(trial, out, *options, *asked.options)
             numbers = judged(asked.shared, trial, out)
-            row = {key: numbers[key] for key in KEPT if key in numbers}
+            row = {key: numbers[key] for key in KEPT if np.isfinite(numbers.get(key, np.nan))}
             agreement = float(np.mean(numbers["agreement"]))
             print(json.dumps({"take": take, "body": name, **row, "agreement": round(agreement, 3)}), flush=True)
 

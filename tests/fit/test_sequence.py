@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from tests import worlds
 
+from marey.body.metaball_people import metaball_person
+from marey.body.metaball_person import reshaped
 from marey.body.person import person_body
 from marey.body.pose import PosedBody
 from marey.fit import sequence
@@ -94,6 +96,30 @@ def test_shape_and_motion_are_found_together():
     seen = np.linalg.inv(fit.covariance[3][degrees:, degrees:]) - prior
     stated = np.linalg.inv(prior + DISTINCT_FRAMES / 5 * seen)
     np.testing.assert_allclose(fit.body.numbers_covariance, stated, rtol=1e-5)
+
+
+def test_sizes_of_metaballs_are_found_and_an_interruption_changes_nothing():
+    """The skin is made anew for the sizes of every round, the same way whether the run went through or went on."""
+    rng = np.random.default_rng(3)
+    mean = metaball_person("simple", "coarse")
+    numbers = 0.7 * np.linalg.cholesky(mean.space.prior_covariance) @ rng.normal(size=len(mean.space))
+    person = reshaped(mean, numbers)
+    truth = [PosedBody(person, pose) for pose in worlds.swing(person, 6)]
+    levels = worlds.levels(truth, worlds.ring())
+    asked = {"rate": 30, "rounds": 5, "shape_frames": range(0, 6, 2)}
+    memory = RefineMemory()
+    fit = refine_sequence(range(6), [t.pose for t in truth], mean, levels, memory=memory, **asked)
+    lying = np.abs(mean.metaballs.balls(fit.body.numbers).at_rest().distance(fit.body.vertices))
+    assert np.quantile(lying, 0.95) < 1e-6
+    scale = np.sqrt(np.diag(mean.space.prior_covariance))
+    assert np.linalg.norm((fit.body.numbers - numbers) / scale) < 0.5 * np.linalg.norm(numbers / scale)
+    before, after = (
+        np.mean([worlds.joint_errors(PosedBody(body, true.pose), true) for true in truth]) for body in (mean, fit.body)
+    )
+    assert after < 0.4 * before
+    again = RefineMemory(rounds={k: v for k, v in memory.rounds.items() if k < 2})
+    went_on = refine_sequence(range(6), [t.pose for t in truth], mean, levels, memory=again, **asked)
+    np.testing.assert_array_equal(went_on.body.vertices, fit.body.vertices)
 
 
 def test_the_shape_stays_within_three_spreads_of_other_people():
