@@ -1,0 +1,99 @@
+"""What `marey shape` reads and leaves beside what a capture does."""
+
+import csv
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from marey.body import segment_measures
+from marey.body.metaball_people import metaball_person
+from marey.body.metaballs import PosedMetaballs
+from marey.body.pose import Pose
+from marey.cli.shape import keep, points_of, posed_skin, seen_of, write_table
+from marey.fit.surface_points import FramePoints
+from marey.io.surface import write_surface
+from marey.surface.measured import MeasuredPoints
+
+
+@pytest.fixture(scope="module")
+def body():
+    return metaball_person("simple", "coarse", preset="right_arm")
+
+
+@pytest.fixture(scope="module")
+def pose(body):
+    angles = np.zeros(len(body.skeleton) - 6)
+    angles[[c.name for c in body.skeleton.coordinates].index("right_elbow_flexion")] = 0.6
+    return Pose(np.array([1.0, 2.0, 3.0]), np.eye(3), angles)
+
+
+def run_of(first, end):
+    take = SimpleNamespace(first=first, end=end, count=end)
+    return SimpleNamespace(trial=SimpleNamespace(take=take, rig=()), out=None)
+
+
+def test_the_skin_is_the_metaballs_own_in_every_pose(body, pose):
+    skin = posed_skin(body, {4: pose})
+    used = np.unique(skin.faces)
+    vertices = skin.vertices_of(4)
+    assert len(skin.faces) == 4 * len(body.faces)
+    on = PosedMetaballs(body.metaballs.balls(body.numbers), pose)
+    away = np.abs(on.distance(vertices[used]))
+    # In a crease, where two limbs meet, the blended skin stays.
+    assert np.mean(away < 1e-4) > 0.9
+
+
+def test_what_lies_near_points_was_seen(body, pose):
+    skin = posed_skin(body, {1: pose})
+    vertices = skin.vertices_of(1)
+    some = np.unique(skin.faces)[::9]
+    points = {1: FramePoints(vertices[some] + 0.002, np.zeros((len(some), 3, 3)))}
+    seen = list(seen_of(skin, points, 2, [1], run_of(0, 2)))
+    assert seen[1][some].all()
+    assert not seen[0].any()
+    far = np.linalg.norm(vertices[:, None] - points[1].points[None], axis=2).min(1) > 0.0101
+    assert not seen[1][far].any()
+
+
+def test_points_of_other_frames_are_left_out(tmp_path):
+    count = 6
+    points = MeasuredPoints(
+        frame=np.array([0, 0, 1, 2, 2, 2]), points=np.arange(18.0).reshape(6, 3),
+        covariance=np.broadcast_to(np.eye(3) * 1e-6, (6, 3, 3)), camera_names=("a", "b"),
+        pixels=np.zeros((count, 2, 2)), correlation=np.ones((count, 2)), residual_px=np.zeros(count),
+        colour=np.zeros((count, 3), np.uint8),
+    )  # fmt: skip
+    write_surface(tmp_path / "surface.npz", [points], ("a", "b"))
+    found = points_of(run_of(1, 3), tmp_path / "surface.npz")
+    assert {frame: len(own) for frame, own in found.items()} == {1: 1, 2: 3}
+    assert points_of(run_of(0, 3), tmp_path / "none.npz") == {}
+
+
+def test_the_measured_surface_stays_among_the_results(tmp_path):
+    out, folder = tmp_path / "out", tmp_path / "new"
+    (out / "surface").mkdir(parents=True)
+    (out / "surface_masks").mkdir()
+    folder.mkdir()
+    for name in ("surface.npz", "surface_cam01.png", "surface/frame_00001.ply", "surface_masks/cam01.npz", "body.npz"):
+        (out / name).write_text(name)
+    keep(out, folder)
+    kept = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
+    assert kept == ["surface.npz", "surface/frame_00001.ply", "surface_cam01.png"]
+
+
+def test_the_table_has_a_row_for_each_segment_that_is_followed(tmp_path, body, monkeypatch):
+    monkeypatch.setattr(segment_measures, "SAMPLES", 4)
+    known = replace(body, numbers_covariance=1e-4 * np.eye(len(body.space)))
+    write_table(tmp_path, known)
+    with (tmp_path / "segments.csv").open(newline="") as file:
+        rows = {row["segment"]: row for row in csv.DictReader(file)}
+    assert "right_forearm" in rows
+    assert "left_forearm" not in rows
+    forearm = {name: float(value) for name, value in rows["right_forearm"].items() if name != "segment" and value}
+    assert 0.15 < forearm["length_m"] < 0.35
+    assert 0.4 < forearm["volume_l"] < 1.5
+    assert forearm["mass_kg"] == pytest.approx(1.13 * forearm["volume_l"], rel=1e-4)
+    assert all(forearm[name] > 0 for name in forearm if "_sd_" in name)
+    assert rows["right_hand"]["girth_middle_m"] == ""

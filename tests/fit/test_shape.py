@@ -1,0 +1,148 @@
+"""The recipe: a person's metaballs from measured points and silhouettes together."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests import worlds
+from tests.fit import metaball_worlds as world
+
+from marey.body.metaball_person import metaball_body, metaball_space, single_radii
+from marey.body.person import family_body, person_body
+from marey.body.pose import Pose, PosedBody
+from marey.errors import SettingProblem
+from marey.fit.levels import FrameLevels
+from marey.fit.shape import (
+    Shaped,
+    ShapeSettings,
+    evenly,
+    freed,
+    metaballs_like,
+    more_detailed,
+    refine_shape,
+    with_coordinates,
+)
+from marey.fit.surface_points import PersonPoints
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return person_body("fine", preset="right_arm")
+
+
+def test_the_trunk_of_an_arms_preset_may_turn(arm):
+    whole = freed(arm)
+    names = {c.name for c in whole.skeleton.coordinates}
+    assert {c.name for c in arm.skeleton.coordinates} < names
+    assert "lumbar_flexion" in names
+    assert "left_elbow_flexion" not in names
+    pose = Pose(np.zeros(3), np.eye(3), np.arange(len(arm.skeleton) - 6) * 0.05)
+    moved = with_coordinates(pose, arm, whole)
+    np.testing.assert_allclose(PosedBody(whole, moved).vertices, PosedBody(arm, pose).vertices, atol=1e-12)
+
+
+def test_metaballs_take_over_a_learned_persons_numbers_and_preset(arm, rng):
+    body = freed(arm.with_numbers(0.5 * rng.normal(size=len(arm.space)) * np.sqrt(np.diag(arm.space.prior_covariance))))
+    balls = metaballs_like(body)
+    np.testing.assert_array_equal(balls.numbers, body.numbers)
+    np.testing.assert_allclose(balls.joint_centres, body.joint_centres, atol=1e-9)
+    np.testing.assert_array_equal(balls.faces, body.faces)
+    np.testing.assert_array_equal(balls.followed, body.followed)
+    used = np.unique(body.faces)
+    away = np.linalg.norm((balls.vertices - body.vertices)[used], axis=1)
+    assert np.median(away) < 0.005
+    assert metaballs_like(balls) is balls
+
+
+def test_simple_metaballs_come_as_near_as_lengths_and_widths_can(arm):
+    body = freed(arm)
+    balls = metaballs_like(body, "simple")
+    assert "upperarm_width" in balls.space.names
+    for name in ("right_forearm", "right_hand"):
+        k = body.skeleton.segment(name)
+        assert np.linalg.norm(balls.joint_centres[k] - body.joint_centres[k]) < 0.03
+
+
+def test_a_scan_has_no_numbers_to_share():
+    with pytest.raises(SettingProblem, match="without --body"):
+        metaballs_like(family_body("coarse"))
+
+
+def test_details_come_in_turn_and_change_nothing_by_themselves(arm):
+    simple = metaballs_like(freed(arm), "simple")
+    full = more_detailed(simple, "full")
+    assert len(full.metaballs.mean) > len(simple.metaballs.mean)
+    used = np.unique(arm.faces)
+    assert np.median(np.linalg.norm((full.vertices - simple.vertices)[used], axis=1)) < 0.012
+    single = more_detailed(full, "single")
+    assert len(single.space) > 3 * len(full.space)
+    np.testing.assert_allclose(single.vertices, full.vertices, atol=1e-4)
+    assert not any("thigh_ball" in name for name in single.space.names)
+    assert more_detailed(single, "single") is single
+    with pytest.raises(ValueError, match="no metaballs"):
+        more_detailed(arm, "full")
+
+
+def test_single_radii_move_one_ball_on_both_sides():
+    space = single_radii(metaball_space("simple"), ["forearm"], sd=0.1)
+    at = space.names.index("forearm_ball_2_depth")
+    moved = np.argwhere(space.radii_modes[at])
+    assert len(moved) == 2
+    sides = {space.mean.skeleton.segment_names[space.mean.segment[ball]] for ball, _ in moved}
+    assert sides == {"left_forearm", "right_forearm"}
+    assert set(moved[:, 1]) == {1}
+    assert space.prior_covariance[at, at] == pytest.approx(0.01)
+    numbers = np.zeros(len(space))
+    numbers[at] = 0.1
+    np.testing.assert_allclose(
+        space.balls(numbers).radii[moved[:, 0], 1], 1.1 * space.mean.radii[moved[:, 0], 1], rtol=1e-12
+    )
+
+
+def test_frames_are_chosen_evenly():
+    assert evenly([3, 4, 5, 6, 7], 3) == [3, 5, 7]
+    assert evenly([3], 60) == [3]
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """An arm of other sizes over five frames, points from one side, and a start beside."""
+    rng = np.random.default_rng(31)
+    space = world.arm_space()
+    truth = np.zeros(len(space))
+    truth[[space.names.index(f"{name}") for name in ("upperarm_length", "forearm_width")]] = 0.05, 0.08
+    body = world.person(space, truth)
+    first = world.arm_poses(rng, 1)[0]
+    change = np.concatenate([np.zeros(6), np.deg2rad([1, 2, 1, 6, 2, 0])])
+    poses = {f: first.step(f * change) for f in range(5)}
+    points = {f: world.measured(body, p, 1200, 5e-4, rng, side=np.array([0, -1.0, 0])) for f, p in poses.items()}
+    start = {f: p.step(rng.normal(size=len(body.skeleton)) * 0.015) for f, p in poses.items()}
+    return space, truth, body, poses, points, start
+
+
+@pytest.mark.parametrize("outlines", [False, True], ids=["points", "points and silhouettes"])
+def test_shape_and_motion_are_found_again(scene, outlines):
+    space, truth, body, poses, points, start = scene
+    cameras = worlds.ring(3)
+    posed = [PosedBody(body, pose) for pose in poses.values()]
+    seen = worlds.levels(posed, cameras, noise=0.5, rng=np.random.default_rng(3))
+    blank = FrameLevels(cameras, lambda f: [np.zeros((240, 200), bool) for _ in cameras], 1.0)
+    generic = replace(metaball_body(space), skeleton=space.mean.skeleton)
+    found = refine_shape(
+        Shaped(generic, start, 0.004, 3.2), seen if outlines else blank, PersonPoints(by_frame=points), rate=30.0,
+        repeats=3, settings=ShapeSettings(), scale_m=0.02,
+    )  # fmt: skip
+    numbers, covariance = found.body.numbers, found.body.numbers_covariance
+    for name in ("upperarm_length", "forearm_width"):
+        at = space.names.index(name)
+        assert abs(numbers[at] - truth[at]) < 4 * np.sqrt(covariance[at, at])
+        assert abs(numbers[at] - truth[at]) < 0.4 * abs(truth[at])
+    # Half a millimetre of noise is known; what is left is the model's, and there is nearly none.
+    assert found.model_sd_m < 0.0015
+    for joint, most in (("right_forearm", 0.006), ("right_hand", 0.008)):
+        k = body.skeleton.segment(joint)
+        away = [
+            PosedBody(found.body, found.poses[f]).segment_origin[k] - PosedBody(body, p).segment_origin[k]
+            for f, p in poses.items()
+        ]
+        assert np.mean(np.linalg.norm(away, axis=1)) < most
