@@ -15,6 +15,7 @@ from marey.errors import FileProblem
 from marey.geometry.rigid import RigidTransform
 from marey.images.background import Background
 from marey.images.silhouettes import segment
+from marey.images.unexplained import unexplained_texture
 from marey.io.stages import Arrays, FrameLog
 from marey.io.trial import Trial
 from marey.surface.clicked import clicked_seeds
@@ -61,7 +62,7 @@ class Measurement:
         if self.trial.masks:
             return [next(iter(self.trial.masks[name].masks([frame]))) for name in self.trial.rig.names]
         if self.backgrounds:
-            return [segment(image, empty).mask for image, empty in zip(images, self.backgrounds, strict=True)]
+            return [before_the_room(image, empty) for image, empty in zip(images, self.backgrounds, strict=True)]
         return None
 
     def tuples(self, views: Sequence[View], frame: int) -> list[Tuples]:
@@ -96,6 +97,11 @@ def measurement(trial: Trial, settings: SurfaceSettings, clicks: Floats | None, 
         remedy = "Patches do not look alike from so far apart; a surface needs cameras 10 to 25 degrees apart."
         raise FileProblem(trial.calibration, wrong, remedy)
     return run
+
+
+def before_the_room(image: Image, empty: Background) -> Mask:
+    """Tell where somebody stands before the empty room, by the silhouette or by texture that is not the room's."""
+    return segment(image, empty).mask | unexplained_texture(image, empty.mean)
 
 
 def sample_frames(trial: Trial) -> list[int]:
