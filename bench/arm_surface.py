@@ -57,7 +57,8 @@ def main() -> None:
         started = time.perf_counter()
         surface(folder, SurfaceOptions(out=out / name, spacing=spacing), Progress(quiet=True))
         seconds = time.perf_counter() - started
-        command = [sys.executable, shared / "score" / "surface.py", out / name / "surface.npz", trial / "truth" / "truth.npz"]
+        score, truth = shared / "score" / "surface.py", trial / "truth" / "truth.npz"
+        command = [sys.executable, score, out / name / "surface.npz", truth]
         found = subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
         sys.stdout.write(f"{name}, every {spacing} px, {seconds:.0f} s: {found}\n")
 

@@ -23,6 +23,7 @@ from marey.arrays import Floats, Image, Mask
 from marey.body.person import family_body
 from marey.body.pose import Pose, PosedBody, SurfacePoints
 from marey.cameras.camera import Camera
+from marey.cli.bench_surface import SIDE, SPACING, SURFACE_LIMIT_S, surface_seconds
 from marey.cli.progress import Progress
 from marey.cli.settings import CaptureSettings
 from marey.fit.moments import Moments, gather_moments
@@ -71,7 +72,7 @@ def bench(trial: Path | None, *, example: Path | None = None) -> list[Speed]:
     with threadpool_limits(1):
         speeds = [*solve_speeds(), drawing_speed()]
         if example is not None:
-            speeds += silhouette_speeds(example)
+            speeds += [*silhouette_speeds(example), surface_speed()]
     if trial is not None:
         speeds += capture_speeds(trial)
     title = f"marey bench on {machine()}; times of one core"
@@ -222,6 +223,13 @@ def silhouette_speeds(example: Path) -> list[Speed]:
     beside = f"{peer_ms / own_ms:.0f} times ours"
     remark = "morphological_chan_vese, 10 iterations from the same start, grey, no background"
     return [own, Speed(what="the same by scikit-image", measured=f"{peer_ms:.0f} ms", beside=beside, remark=remark)]
+
+
+def surface_speed() -> Speed:
+    """Time the dense measurement of a surface."""
+    seconds, count = surface_seconds()
+    return Speed(what=f"surface, {SIDE}x{SIDE} triplet every {SPACING} px", measured=f"{seconds:.1f} s",
+                 beside=f"limit {SURFACE_LIMIT_S:g} s", remark=f"{count} points, all cores")  # fmt: skip
 
 
 def _peer_level_set(picture: Image, start: Mask) -> Callable[[], object] | None:
