@@ -17,11 +17,9 @@ from marey.surface.following import Followed, FollowSettings, between, follow, i
 from marey.surface.local_motion import NEIGHBOURS, candidates, carried, misfit, radius_of
 from marey.surface.measured import MeasuredPoints
 
-Expected = Callable[[int, Integers], Floats]
-"""Where points, by their numbers (n,), are expected in a frame: (n, 3) [m], NaN where nobody knows. A fitted body knows
-it of points that its surface has carried since they were measured."""
-
-
+Expected = Callable[[int, Floats, Integers], Floats]
+"""Where points are expected in a frame (n, 3) [m], from where they were measured last (n, 3) [m] and in which frames
+(n,); NaN where nobody knows. See `marey.fit.lost_points`."""
 SPACING = 6.0
 """Distance of new points from those that are followed [px]."""
 DEFAULT = FollowSettings()
@@ -31,7 +29,7 @@ _ASTRAY = 0.25
 """How far a point found in a wide box may be from where its neighbours have gone, as a share of their distance."""
 _FAR = 3
 """By how much more neighbours, and farther ones, say where a hidden point has gone."""
-_ARRAYS = ("number", "position", "motion", "covariance", "pixels", "seen", "template", "across")
+_ARRAYS = ("number", "position", "last", "motion", "covariance", "pixels", "seen", "template", "across")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -45,6 +43,8 @@ class Tracks:
     """(N,) which of those each is; rising."""
     position: Floats
     """(N, 3) where they are, or are thought to be [m]."""
+    last: Floats
+    """(N, 3) where they were measured last [m]."""
     motion: Floats
     """(N, 3) over the last frame [m]; NaN where not known."""
     covariance: Floats
@@ -90,7 +90,7 @@ def no_tracks(cameras: int, settings: FollowSettings, *, frame: int) -> Tracks:
     """Begin with no points."""
     return Tracks(
         frame=frame, started=0, number=np.zeros(0, np.int64), position=np.zeros((0, 3)),
-        motion=np.zeros((0, 3)), covariance=np.zeros((0, 3, 3)),
+        last=np.zeros((0, 3)), motion=np.zeros((0, 3)), covariance=np.zeros((0, 3, 3)),
         pixels=np.zeros((0, cameras, 2)), seen=np.zeros(0, np.int64), template=np.zeros(0, np.int64),
         across=np.zeros((0, cameras, 2, 2)), appearances=looks.unknown(0, cameras, half=settings.half),
     )  # fmt: skip
@@ -155,9 +155,11 @@ def _agreeing(tracks: Tracks, result: Tracks, which: Integers, radius: float) ->
     false = which[apart > _ASTRAY * radius]
     position, motion, seen = result.position.copy(), result.motion.copy(), result.seen.copy()
     covariance, pixels = result.covariance.copy(), result.pixels.copy()
+    last = result.last.copy()
     position[false], motion[false], seen[false] = tracks.position[false], np.nan, tracks.seen[false]
+    last[false] = tracks.last[false]
     covariance[false], pixels[false] = np.nan, np.nan
-    return replace(result, position=position, motion=motion, covariance=covariance, pixels=pixels, seen=seen)
+    return replace(result, position=position, last=last, motion=motion, covariance=covariance, pixels=pixels, seen=seen)
 
 
 def _followed(
@@ -185,6 +187,8 @@ def _written(
     rows = which[found]
     position, motion, covariance = result.position.copy(), result.motion.copy(), result.covariance.copy()
     pixels, seen, template, across = (getattr(result, name).copy() for name in ("pixels", "seen", "template", "across"))
+    last = result.last.copy()
+    last[rows] = followed.position[found]
     position[rows], motion[rows] = followed.position[found], followed.position[found] - origin[found]
     covariance[rows], pixels[rows], seen[rows] = followed.covariance[found], followed.pixels[found], result.frame
     template[rows], across[rows] = followed.template[found], followed.across[found]
@@ -195,8 +199,8 @@ def _written(
     renew[rows] = followed.renew[found]
     appearances = looks.renewed(appearances, pictures, pixels, renew)
     return replace(
-        result, position=position, motion=motion, covariance=covariance, pixels=pixels, seen=seen, template=template,
-        across=across, appearances=appearances,
+        result, position=position, last=last, motion=motion, covariance=covariance, pixels=pixels, seen=seen,
+        template=template, across=across, appearances=appearances,
     )  # fmt: skip
 
 
@@ -210,7 +214,7 @@ def _found_again(
         return result
     place = _carried(tracks, result, lost, radius=_FAR * radius, count=_FAR * NEIGHBOURS)
     if expected is not None:
-        told = expected(result.frame, result.number[lost])
+        told = expected(result.frame, result.last[lost], result.seen[lost])
         place = np.where(np.isfinite(told), told, place)
     position = result.position.copy()
     known = np.isfinite(place[:, 0])
@@ -330,7 +334,7 @@ def _new_points(
     count = len(pixels)
     return Tracks(
         frame=tracks.frame, started=tracks.started + count, number=tracks.started + np.arange(count),
-        position=points.position[kept], motion=np.full((count, 3), np.nan),
+        position=points.position[kept], last=points.position[kept], motion=np.full((count, 3), np.nan),
         covariance=points.covariance[kept], pixels=pixels, seen=np.full(count, tracks.frame),
         template=template[kept], across=across[kept], appearances=appearances,
     )  # fmt: skip
