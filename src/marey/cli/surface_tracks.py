@@ -27,7 +27,7 @@ from marey.view.vector_field import vector_field
 
 _KEPT_EVERY = 10
 """Frames after which all is written down from which an interrupted run goes on."""
-_FIELD_S = 0.1
+_FIELD_S = 0.05
 """Length of the vectors in the picture of the moving surface [s]."""
 
 
