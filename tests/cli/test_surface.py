@@ -9,6 +9,7 @@ from tests.scenes import beside_ball
 from marey.cli.main import WRONG_INPUT, run
 from marey.io.calibration import read_rig, write_cameras_toml
 from marey.io.surface import read_surface
+from marey.io.trajectories import read_trajectories
 
 RIG = scenes.rig(-10, 0, 10)
 OPTIONS = ["--spacing", "6", "--quiet"]
@@ -44,7 +45,32 @@ def test_all_frames_are_measured_and_every_file_is_there(results):
     assert np.median(np.abs(beside_ball(points.points))) < 0.6e-3
     names = {str(path.relative_to(results)) for path in results.rglob("*") if path.is_file()}
     clouds = {"surface.ply", "surface/frame_00000.ply", "surface/frame_00001.ply"}
-    assert names == {"surface.npz", "surface_middle.png", "run.json", *clouds}
+    # The two instants show different balls: hardly anything is followed, and perhaps nothing is drawn.
+    names -= {"tracks_middle.png"}
+    assert names == {"surface.npz", "surface_middle.png", "run.json", "trajectories.npz", *clouds}
+
+
+def test_points_are_followed_from_frame_to_frame(tmp_path, rng):
+    ball = scenes.Ball.draw(rng)
+    instants = [[ball.filmed(camera, rng) for camera in RIG] for _ in range(2)]
+    folder = write_trial(tmp_path / "trial", instants)
+    assert run(["surface", str(folder), *OPTIONS, "--keep-rig"]) == 0
+    found = read_trajectories(folder / "marey" / "trajectories.npz")
+    assert found.camera_names == RIG.names
+    assert (folder / "marey" / "tracks_middle.png").exists()
+    position = np.asarray(found.position[:, found.kept], float)
+    both = np.isfinite(position[..., 0]).all(axis=0)
+    assert both.sum() > 500
+    # The ball does not move.
+    assert np.median(np.linalg.norm(position[1, both] - position[0, both], axis=1)) < 0.6e-3
+
+
+def test_a_single_instant_has_no_tracks_and_nor_has_who_wants_none(instants, tmp_path):
+    folder = write_trial(tmp_path / "trial", instants)
+    for more in (["--no-tracks"], ["--frames", "0:1"]):
+        assert run(["surface", str(folder), *OPTIONS, "--keep-rig", *more]) == 0
+        assert not (folder / "marey" / "trajectories.npz").exists()
+    assert run(["surface", str(folder), *OPTIONS, "--max-speed", "-1"]) == WRONG_INPUT
 
 
 def test_the_record_names_templates_and_settings(results):
