@@ -42,9 +42,12 @@ def intersect(views: Sequence[View], tuples: Tuples, settings: SurfaceSettings, 
     pixels, kept = np.array(tuples.pixels), np.ones(len(tuples), bool)
     sigma = np.hypot(tuples.sd, FLOOR_PX)
     pixels[_off_their_lines(views, tuples, settings)] = np.nan
-    solved = triangulate(cameras, pixels.swapaxes(0, 1), sigma_px=sigma.T)
+    # Of many cameras all around, a template is compared with a few.
+    used = np.flatnonzero(np.isfinite(pixels[..., 0]).any(axis=0))
+    own, there, spread = [cameras[i] for i in used], pixels[:, used], sigma[:, used]
+    solved = triangulate(own, there.swapaxes(0, 1), sigma_px=spread.T) if len(used) else _nothing()
     kept &= solved.views >= 2
-    most = kept & (solved.views == solved.views.max(initial=0))
+    most = kept & (solved.views >= min(3, solved.views.max(initial=0)))
     kept &= solved.residual_px <= _limit(solved.residual_px[most], settings.residual_px)
     if most.any() and np.median(solved.residual_px[most]) > _UNMET * settings.residual_px:
         kept[:] = False
@@ -53,12 +56,20 @@ def intersect(views: Sequence[View], tuples: Tuples, settings: SurfaceSettings, 
     whole = np.zeros(len(tuples.grid), bool)
     whole[tuples.nodes[kept]] = True
     kept &= in_large_pieces(whole, tuples.grid)[tuples.nodes]
-    factor = variance_factor(cameras, solved, pixels, sigma, kept)
+    factor = variance_factor(own, solved, there, spread, kept)
     return MeasuredPoints(
         frame=np.full(kept.sum(), frame), points=solved.points[kept], covariance=factor * solved.covariance[kept],
         camera_names=tuple(camera.name for camera in cameras), pixels=pixels[kept],
         correlation=np.where(np.isfinite(pixels[kept, :, 0]), tuples.correlation[kept], np.nan),
         residual_px=solved.residual_px[kept], colour=tuples.colour[kept],
+    )  # fmt: skip
+
+
+def _nothing() -> TriangulatedPoints:
+    """Give the intersection of no rays."""
+    none = np.zeros(0)
+    return TriangulatedPoints(
+        points=np.zeros((0, 3)), covariance=np.zeros((0, 3, 3)), residual_px=none, views=np.zeros(0, np.int64)
     )  # fmt: skip
 
 
