@@ -20,6 +20,7 @@ from marey.fit.shape import (
     metaballs_like,
     more_detailed,
     refine_shape,
+    simplified,
     with_coordinates,
 )
 from marey.fit.surface_points import PersonPoints
@@ -74,6 +75,9 @@ def test_details_come_in_turn_and_change_nothing_by_themselves(arm):
     assert len(full.metaballs.mean) > len(simple.metaballs.mean)
     used = np.unique(arm.faces)
     assert np.median(np.linalg.norm((full.vertices - simple.vertices)[used], axis=1)) < 0.012
+    assert simplified(simple)
+    assert not simplified(full)
+    assert more_detailed(full, "full") is full
     single = more_detailed(full, "single")
     assert len(single.space) > 3 * len(full.space)
     np.testing.assert_allclose(single.vertices, full.vertices, atol=1e-4)

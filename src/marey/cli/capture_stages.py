@@ -414,14 +414,18 @@ def vertices_in(skin: PosedSkin, frames: Iterable[int]) -> int:
 
 def seen_vertices(skin: PosedSkin, frames: Sequence[int], cameras: Sequence[Camera], count: int) -> Iterator[Mask]:
     """Tell for every frame which vertices (V,) lie on the rim of the surface in some camera, where outlines speak."""
-    vertices = vertices_in(skin, frames)
+    nothing = np.zeros(vertices_in(skin, frames), bool)
     for frame in range(count):
-        seen = np.zeros(vertices, bool)
-        if frame in frames:
-            for camera in cameras:
-                rim = skin.seen_by(camera, frame).rim(skin.faces)
-                seen[skin.faces[rim.face]] = True
-        yield seen
+        yield on_rim(skin, frame, cameras) if frame in frames else nothing
+
+
+def on_rim(skin: PosedSkin, frame: int, cameras: Sequence[Camera]) -> Mask:
+    """Tell which vertices (V,) lie on the rim of the surface in some camera."""
+    seen = np.zeros(len(skin.vertices_of(frame)), bool)
+    for camera in cameras:
+        rim = skin.seen_by(camera, frame).rim(skin.faces)
+        seen[skin.faces[rim.face]] = True
+    return seen
 
 
 LEAST_UPRIGHT = 0.5

@@ -3,6 +3,7 @@
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -51,6 +52,7 @@ from marey.fit.shape import (
     metaballs_like,
     more_detailed,
     refine_shape,
+    simplified,
     with_coordinates,
 )
 from marey.fit.start_joints import start_from_joints
@@ -235,8 +237,7 @@ def fitted(run: Run, followed: Followed, begun: Shaped, points: Mapping[int, Fra
     )
     levels = take.levels(run.person.fine_height)
     # Simplified limbs only where they are what the start came from: learned numbers are nearer (docs/accuracy.md).
-    simple = any(name.endswith("_width") for name in begun.body.space.names)
-    for i, detail in enumerate(DETAILS_IN_TURN if simple else DETAILS_IN_TURN[1:]):
+    for i, detail in enumerate(DETAILS_IN_TURN if simplified(begun.body) else DETAILS_IN_TURN[1:]):
         now = replace(begun, body=more_detailed(begun.body, detail))
         scale = settings.begin_scale_m if i == 0 else np.inf
 
@@ -337,7 +338,9 @@ def posed_skin(body: Body, poses: Mapping[int, Pose]) -> stages.PosedSkin:
         raise ValueError("the body has no metaballs")
     balls, limb = space.balls(body.numbers), vertex_limbs(fine)
 
+    @lru_cache(maxsize=2)
     def vertices(frame: int) -> Floats:
+        """Every camera asks for the same frame."""
         blended = PosedBody(fine, poses[frame]).vertices
         there = PosedMetaballs(balls, poses[frame]).skin(blended, limb)
         near = np.linalg.norm(there - blended, axis=1) < OFF_M
@@ -350,13 +353,15 @@ def seen_of(
     skin: stages.PosedSkin, points: Mapping[int, FramePoints], count: int, frames: Sequence[int], run: Run
 ) -> Iterator[Mask]:
     """Tell for every frame what of the skin lies near measured points; without any, what lies on its rim."""
-    outlines = stages.seen_vertices(skin, frames, list(run.trial.rig), count)
-    for frame, rim in enumerate(outlines):
-        if frame in frames and frame in points and len(points[frame]):
+    nothing = np.zeros(stages.vertices_in(skin, frames), bool)
+    for frame in range(count):
+        if frame not in frames:
+            yield nothing
+        elif frame in points and len(points[frame]):
             away, _ = cKDTree(points[frame].points).query(skin.vertices_of(frame), distance_upper_bound=SEEN_M)
             yield away <= SEEN_M
         else:
-            yield rim
+            yield stages.on_rim(skin, frame, list(run.trial.rig))
 
 
 def write_table(folder: Path, body: Body) -> None:

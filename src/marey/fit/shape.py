@@ -112,7 +112,7 @@ def more_detailed(body: Body, detail: str) -> Body:
         detail: one of `DETAILS_IN_TURN`; the body itself where it is as detailed already.
     """
     space = _known(body)
-    if detail == "full" and any(name.endswith("_width") for name in space.names):
+    if detail == "full" and simplified(body):
         general = learned_metaballs()
         whole = replace(general, mean=replace(general.mean, skeleton=space.mean.skeleton))
         return _remade(whole, numbers_like(whole, body), body)
@@ -121,6 +121,11 @@ def more_detailed(body: Body, detail: str) -> Body:
         single = single_radii(space, [name.rpartition("_")[2] for name in names])
         return _remade(single, np.concatenate([body.numbers, np.zeros(len(single) - len(space))]), body)
     return body
+
+
+def simplified(body: Body) -> bool:
+    """Tell whether a body has simplified limbs, each with a width."""
+    return "upperarm_width" in body.space.names
 
 
 def _known(body: Body) -> MetaballSpace:
