@@ -55,7 +55,7 @@ def main() -> None:
     for name in sys.argv[3:] or WAYS:
         folder, spacing = WAYS[name](trial, out)
         started = time.perf_counter()
-        surface(folder, SurfaceOptions(out=out / name, spacing=spacing), Progress(quiet=True))
+        surface(folder, SurfaceOptions(out=out / name, spacing=spacing, tracks=False), Progress(quiet=True))
         seconds = time.perf_counter() - started
         score, truth = shared / "score" / "surface.py", trial / "truth" / "truth.npz"
         command = [sys.executable, score, out / name / "surface.npz", truth]

@@ -45,7 +45,7 @@ def fitted_cylinder(points: np.ndarray, start: np.ndarray) -> tuple[float, np.nd
 def dense(folder: Path, out: Path, reference: np.lib.npyio.NpzFile) -> None:
     hull = cv2.convexHull(reference["points_left"][0].astype(np.float32))
     for size, spacing in ((13, 6), (21, 8)):
-        surface(folder, SurfaceOptions(out=out, patch=size, spacing=spacing), Progress(quiet=True))
+        surface(folder, SurfaceOptions(out=out, patch=size, spacing=spacing, tracks=False), Progress(quiet=True))
         measured = read_surface(out / "surface.npz")
         for position in range(5):
             points = measured.of_frame(position)

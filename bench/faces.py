@@ -42,9 +42,11 @@ def main() -> None:
 
 def runs(out: Path, spacing: int) -> Iterator[tuple[str, SurfaceOptions, list[int]]]:
     shutil.rmtree(out, ignore_errors=True)
-    yield "together", SurfaceOptions(out=out / "together", frames=(1, 5), spacing=spacing), [2, 3, 4, 5]
-    for k in (2, 3, 4, 5):
-        yield f"alone_{k}", SurfaceOptions(out=out / f"alone_{k}", frames=(k - 1, k), spacing=spacing), [k]
+    for name, frames, instants in (
+        ("together", (1, 5), [2, 3, 4, 5]),
+        *((f"alone_{k}", (k - 1, k), [k]) for k in (2, 3, 4, 5)),
+    ):
+        yield name, SurfaceOptions(out=out / name, frames=frames, spacing=spacing, tracks=False), instants
 
 
 def report(
