@@ -128,7 +128,7 @@ def test_an_interrupted_run_goes_on(instants, tmp_path, monkeypatch):
 def test_what_was_measured_before_a_damaged_picture_is_kept(instants, tmp_path, capsys):
     folder = write_trial(tmp_path / "trial", instants)
     (folder / "right_2.png").write_bytes(b"no picture")
-    assert run(["surface", str(folder), *OPTIONS, "--keep-rig"]) == WRONG_INPUT
+    assert run(["surface", str(folder), *OPTIONS]) == WRONG_INPUT
     assert "right_2.png" in capsys.readouterr().err
     assert read_surface(folder / "marey" / "surface.npz").frames.tolist() == [0]
 

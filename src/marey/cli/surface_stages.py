@@ -115,7 +115,12 @@ def checked_rig(run: Measurement) -> RigRefinement | None:
     trial, wanted = run.trial, sample_frames(run.trial)
     sightings: dict[int, list[Sighting]] = {}
     with run.progress.stage("Cameras", len(wanted)) as step:
-        for frame, images in trial.take.at(wanted):
+        for frame in wanted:
+            try:
+                images = trial.take.images(frame)
+            except FileProblem:
+                # It is told when the frames before it have been measured.
+                continue
             found = run.tuples(run.views(trial.rig, frame, images), frame)
             run.remembered[frame] = found
             for number, tuples in enumerate(found):
