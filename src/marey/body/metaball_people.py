@@ -8,7 +8,7 @@ import numpy as np
 
 from marey.arrays import Floats, frozen
 from marey.body.anthropometry import condition, measures
-from marey.body.departures import JOINT_SD, SEGMENT_OF_JOINT
+from marey.body.departures import vertex_normals
 from marey.body.family import Level, load_family
 from marey.body.metaball_person import (
     Detail,
@@ -19,12 +19,14 @@ from marey.body.metaball_person import (
     vertex_limbs,
 )
 from marey.body.metaballs import PosedMetaballs
-from marey.body.person import CONSTANT, STATURE_SD, VARYING, family_body, person_body, preset_body, preset_named
+from marey.body.person import CONSTANT, STATURE_SD, VARYING, joint_offsets, person_body, preset_body, preset_named
 from marey.body.surface import Body, ShapeSpace
 
 SKIN_SD, PLACE_SD, SIZE_SD = 0.001, 0.01, 0.1
 """How near the balls shall bring the surface to the skin [m], and how far, for that, each may depart from the motion
 [m] and the stretch (relative) of the skin about it, by unit of a number."""
+ASTRAY_SD = 0.1
+"""How well each vertex is known [m] where sizes are sought that suit a skin: most go astray together."""
 _SLACK = 0.02
 """Share of a ball's own spread of skin below which its stretch is not believed."""
 
@@ -153,19 +155,20 @@ def _as_tall(body: Body, space: MetaballSpace, level: Level, stature_m: float) -
 
 @lru_cache(maxsize=1)
 def joint_spread() -> tuple[Floats, Floats]:
-    """Give how far (S,) joint centres lie from where simple metaballs that fit the skin put them, by axis [m].
+    """Give how far (S,) joint centres lie from where simple metaballs that fit a person's skin put them, by axis [m].
+
+    Outlines see skin along its normals only: among all people that the learned person may be, the sizes are those that
+    bring the metaballs' skin nearest to theirs along the normals, as far as such sizes are expected.
 
     Returns:
-        What they do so among the learned family's people, and what people's joints do beside those of the family.
+        What joints do so, and what people's joints do beside those of the family.
     """
-    family, balls = family_body("fine"), metaball_body(metaball_space("simple")).space
-    own_skin, their_skin = (space.vertex_modes.reshape(len(space), -1).T for space in (balls, family.space))
-    numbers = np.linalg.lstsq(own_skin, their_skin, rcond=None)[0]
-    missed = family.space.joint_modes - np.tensordot(numbers.T, balls.joint_modes, 1)
-    own = family.joint_sd / VARYING if family.joint_sd is not None else 0.0
-    beneath = np.hypot(np.sqrt(np.sum(missed**2, axis=(0, 2)) / 3.0), own)
-    beside = np.zeros(len(beneath))
-    for joint, spreads in JOINT_SD.items():
-        of_joint = [name.endswith(SEGMENT_OF_JOINT[joint]) for name in family.skeleton.segment_names]
-        beside[of_joint] = np.sqrt(np.mean(np.square(spreads)))
-    return frozen(beneath), frozen(beside)
+    people, body = person_body("fine", numbers=16), metaball_body(metaball_space("simple"))
+    normals, space = vertex_normals(body.vertices, body.faces), people.space
+    root = np.linalg.cholesky(space.prior_covariance).T
+    skin, own = (np.einsum("iva,va->iv", modes, normals) for modes in (space.vertex_modes, body.space.vertex_modes))
+    information = own @ own.T / ASTRAY_SD**2 + np.linalg.inv(body.space.prior_covariance)
+    numbers = np.linalg.solve(information, own @ (root @ skin).T / ASTRAY_SD**2)
+    missed = np.tensordot(root, space.joint_modes, 1) - np.tensordot(numbers.T, body.space.joint_modes, 1)
+    known = 0.0 if people.joint_sd is None else people.joint_sd / VARYING
+    return frozen(np.hypot(np.sqrt(np.sum(missed**2, axis=(0, 2)) / 3.0), known)), joint_offsets(people.skeleton)
