@@ -1,6 +1,7 @@
 """The skin over metaballs: closed, outward, on the surface; and the body it makes."""
 
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -106,6 +107,13 @@ def test_both_sides_of_a_symmetric_person_are_alike():
     assert away.max() < 1e-4
 
 
+@pytest.fixture(scope="module")
+def dressed():
+    """The generic body, and the same in its skin of patches."""
+    body = metaball_person("simple", "coarse")
+    return body, spline_body(body, 2)
+
+
 def test_a_body_keeps_its_person_and_gets_the_skin(rng):
     body = metaball_person("simple", "coarse")
     body = body.with_numbers(0.3 * np.linalg.cholesky(body.space.prior_covariance) @ rng.normal(size=len(body.space)))
@@ -120,9 +128,8 @@ def test_a_body_keeps_its_person_and_gets_the_skin(rng):
     np.testing.assert_array_equal(made.faces, skin.faces)
 
 
-def test_the_skin_moves_with_the_numbers_as_the_metaballs_do(rng):
-    body = metaball_person("simple", "coarse")
-    made = spline_body(body, 1)
+def test_the_skin_moves_with_the_numbers_as_the_metaballs_do(dressed, rng):
+    body, made = dressed
     step = 0.005 * rng.normal(size=len(body.numbers))
     good = np.abs(body.metaballs.balls(made.numbers).at_rest().distance(made.vertices)) < 1e-4
     moved = made.with_numbers(made.numbers + step)
@@ -131,8 +138,8 @@ def test_the_skin_moves_with_the_numbers_as_the_metaballs_do(rng):
     assert np.median(np.linalg.norm(moved.vertices - made.vertices, axis=1)) > 1e-3
 
 
-def test_a_bent_knee_moves_the_shank_and_not_the_head():
-    made = spline_body(metaball_person("simple", "coarse"), 2)
+def test_a_bent_knee_moves_the_shank_and_not_the_head(dressed):
+    _, made = dressed
     angles = np.zeros(len(made.skeleton.coordinates))
     angles[[c.name for c in made.skeleton.coordinates].index("left_knee_flexion")] = 1.0
     moved = np.linalg.norm(
@@ -158,3 +165,16 @@ def test_a_mesh_without_metaballs_has_no_cross_sections(rng):
 
     with pytest.raises(ValueError, match="metaballs"):
         spline_body(people.stick_person(rng))
+
+
+def test_bones_that_lie_beside_the_balls_do_no_harm():
+    """The balls of the trunk moved forward until the spine stands out of the back, those of a forearm aside."""
+    balls = person("simple", None)
+    names = np.array(balls.skeleton.segment_names)[balls.segment]
+    off = np.where(np.isin(names, ["pelvis", "abdomen", "thorax"])[:, None], [0, -0.09, 0], 0.0)
+    off = off + np.where((names == "left_forearm")[:, None], [0, 0.035, 0], 0.0)
+    moved = replace(balls, centre=balls.centre + off)
+    spine = np.array([[0.0, y, z] for y, z in [(0.038, 0.15), (0.037, 0.3)]])
+    assert moved.at_rest().field(spine).min() < 0.5, "the case is none"
+    found = Counter(edges(spline_skin(moved, 1).faces))
+    assert all((b, a) in found for a, b in found)

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from marey.arrays import Floats
-from marey.body.metaballs import ANY_LIMB, PosedMetaballs
+from marey.body.metaballs import ANY_LIMB, THRESHOLD, PosedMetaballs
 from marey.body.ray_casting import exits
 from marey.body.skeleton import LIMBS
 from marey.errors import MareyError
@@ -22,6 +22,7 @@ FINE = 48
 """Rays by which the length of a cross-section's outline is measured before samples are spread evenly on it."""
 _TRUNK_LENGTH = 0.54
 """Pelvis to neck of the generic person [m]; distances below are this person's, and grow with the trunk."""
+_WELL_INSIDE = 1.2 * THRESHOLD
 DOWN, BACK = np.array([0.0, 0.0, -1.0]), np.array([0.0, 1.0, 0.0])
 
 Ring = Callable[[Floats], Floats]
@@ -59,6 +60,16 @@ class Caster:
         """Give the point (3,) of greatest field on a line through a point, as far as some way off to either side."""
         tried = point + np.linspace(-reach, reach, 101)[:, None] * self.size * way
         return tried[np.argmax(self.posed.field(tried, LIMBS.index(limb)))]
+
+    def innermost(self, point: Floats, plane: Floats, limb: str, *, reach: float = 0.04) -> Floats:
+        """Give a point (3,) well inside, near a point in a plane (2, 3): the point itself, unless it lies outside."""
+        of = LIMBS.index(limb)
+        if self.posed.field(point[None], of)[0] > _WELL_INSIDE:
+            return point
+        turn, far = np.meshgrid(np.linspace(0, 2 * np.pi, 17)[:-1], np.linspace(0, reach * self.size, 9))
+        flat = far.reshape(-1, 1) * np.stack([np.cos(turn).ravel(), np.sin(turn).ravel()], -1)
+        tried = point + flat @ plane
+        return np.asarray(tried[np.argmax(self.posed.field(tried, of))])
 
 
 def even_arc(ring: Ring, first: float, last: float, count: int) -> Floats:

@@ -55,6 +55,7 @@ class Limb:
         def ring(angles: Floats) -> Floats:
             return self.cast(centre, np.stack([np.cos(angles), np.sin(angles)], -1) @ plane)
 
+        centre = self.caster.innermost(centre, plane, self.name)
         for _ in range(2):
             centre = ring(np.linspace(0.0, 2 * np.pi, FINE // 3 + 1)[:-1]).mean(0)
         return self._spread(ring)

@@ -20,6 +20,9 @@ from marey.body.cross_sections import (
 from marey.body.ray_casting import exits
 from marey.body.skeleton import LIMBS
 
+_DEEP = 0.12
+"""How far before or behind the spine the middle of the trunk may lie [m]."""
+
 
 class TrunkSections:
     """The trunk's centre line, its level sections, and where the arms open it."""
@@ -40,8 +43,12 @@ class TrunkSections:
         """Give the middle (n, 3) between front and back of the trunk at heights (n,)."""
         spine = self.spine[np.argsort(self.spine[:, 2])]
         x, y = (np.interp(height, spine[:, 2], spine[:, a]) for a in (0, 1))
-        on_spine = np.stack([x, y, height], -1)
-        faces = [self.caster.cast("trunk", on_spine, way * BACK, reach=0.45) for way in (-1, 1)]
+        tried = y[:, None] + np.linspace(-_DEEP, _DEEP, 33) * self.caster.size
+        lines = np.stack(np.broadcast_arrays(x[:, None], tried, np.asarray(height)[:, None]), -1)
+        field = self.caster.posed.field(lines.reshape(-1, 3)).reshape(tried.shape)
+        # The bones of the back may lie beside the balls of a slender person.
+        inside = lines[np.arange(len(lines)), np.argmax(field, axis=1)]
+        faces = [self.caster.cast("trunk", inside, way * BACK, reach=0.45) for way in (-1, 1)]
         return np.stack([x, 0.5 * (faces[0][:, 1] + faces[1][:, 1]), height], -1)
 
     def at(self, angles: Floats, heights: Floats) -> Floats:
