@@ -18,11 +18,11 @@ _JUMP = 8.0
 
 
 def depth_picture(points: MeasuredPoints, camera: Camera, number: int, image: Image) -> Image:
-    """Draw points over a camera's picture, near ones red and far ones blue.
+    """Draw a template's points over its picture, near ones red and far ones blue.
 
     Args:
         points: Of one frame.
-        camera: The camera.
+        camera: A camera whose picture was a template.
         number: Which one it is.
         image: (H, W, 3) its picture.
 
@@ -30,7 +30,7 @@ def depth_picture(points: MeasuredPoints, camera: Camera, number: int, image: Im
         (H, W, 3) blue, green, red.
     """
     drawn = np.asarray(image * _DIM, np.uint8)
-    shown = np.isfinite(points.pixels[:, number, 0])
+    shown = points.template == number
     if not shown.any():
         return drawn
     depth = camera.depths(points.points[shown])
