@@ -30,9 +30,9 @@ def points(triplet):
 
 def test_points_lie_on_the_surface_and_cover_it(triplet, points):
     beside = np.abs(beside_ball(points.points))
-    # A fifth of a millimetre is a twelfth of a pixel.
-    assert np.median(beside) < 0.2e-3
-    assert np.percentile(beside, 95) < 1.5e-3
+    # Half a millimetre is a fifth of a pixel.
+    assert np.median(beside) < 0.5e-3
+    assert np.percentile(beside, 95) < 2e-3
     assert beside.max() < 10e-3
     visible = np.pi * (scenes.FOCAL * scenes.RADIUS / np.sqrt(scenes.DISTANCE**2 - scenes.RADIUS**2)) ** 2
     assert len(points) * SETTINGS.spacing**2 > 0.55 * visible
@@ -46,8 +46,7 @@ def test_the_covariance_is_that_of_the_errors(triplet, points):
     # Where the surface faces the cameras; at the rim its curvature draws matches aside.
     facing = outward @ (triplet[0].cameras[1].centre / np.linalg.norm(triplet[0].cameras[1].centre)) > 0.85
     ratio = np.median((beside_ball(points.points) ** 2 / variance)[facing]) / 0.455
-    # Such clean pictures are better than what a match is always said not to know.
-    assert 0.1 < ratio < 2
+    assert 0.3 < ratio < 3, ratio
 
 
 def test_the_template_is_the_middle_and_its_patches_lie_on_the_grid(points):

@@ -9,7 +9,6 @@ import numpy as np
 from marey.arrays import Floats, Image, Integers, frozen
 from marey.cameras.epipolar import epipolar_lines
 from marey.surface.acceptance import beside_lines
-from marey.surface.bend import unbent
 from marey.surface.field import Field, Grid
 from marey.surface.growth import grow
 from marey.surface.seeds import Seeds, find_seeds
@@ -88,7 +87,7 @@ def match_tuples(
 
     def work(search: View, start: Seeds) -> Field:
         limit = _epipolar_limit(template, search, start, settings)
-        return unbent(grow(template, search, grid, start, settings, epipolar_px=limit), grid)
+        return grow(template, search, grid, start, settings, epipolar_px=limit)
 
     with ThreadPoolExecutor(max(1, min(threads, len(searched)))) as pool:
         fields = list(pool.map(work, searched, seeds))

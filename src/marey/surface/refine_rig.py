@@ -30,7 +30,7 @@ _ROUNDS = 12
 _CAUTION = 2.4
 """Cauchy's scale: residuals of so many standard deviations count half."""
 _LEAST_TUPLES = 100
-_SIGNIFICANT_PX = 0.03
+_SIGNIFICANT_PX = 0.05
 _SIGNIFICANT_SHARE = 0.92
 """A correction counts as significant that takes the median residual down by so much, and to this share or less."""
 
