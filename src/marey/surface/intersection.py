@@ -14,7 +14,7 @@ from marey.surface.measured import MeasuredPoints
 from marey.surface.settings import SurfaceSettings
 from marey.surface.views import View
 
-FLOOR_PX = 0.04
+FLOOR_PX = 0.06
 """What a match does not know of its own error: that the surface is curved under its patch, and interpolation [px]."""
 _USUAL = 4.0
 """A residual is usual up to so many times the median, and ..."""
