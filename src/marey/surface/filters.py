@@ -31,7 +31,7 @@ class FilterSettings:
     """How many standard deviations of what is usual there a motion may differ from that of the surface about it."""
     least_apart: float = 0.001
     """Smaller differences are never false [m]."""
-    frames: int = 8
+    frames: int = 10
     """Trajectories of fewer frames are removed; in short videos, those of less than half the frames."""
 
     def __post_init__(self) -> None:
