@@ -285,3 +285,16 @@ def test_bodies_whose_sizes_are_held_have_no_numbers_to_learn():
         assert len(one.space) == 0
         np.testing.assert_allclose(one.vertices, was.vertices, atol=1e-12)
         np.testing.assert_allclose(one.joint_centres, was.joint_centres, atol=1e-12)
+
+
+def test_what_an_earlier_take_knows_of_a_body_is_expected_of_it(tmp_path, rng):
+    for person in (person_body("coarse"), metaball_person("simple", "coarse")):
+        numbers = 0.5 * np.sqrt(np.diag(person.space.prior_covariance))
+        known = replace(reshaped(person, numbers), numbers_covariance=0.01 * person.space.prior_covariance)
+        write_body(tmp_path / "body.npz", known, preset="full")
+        for body in vars(open_bodies(*given(tmp_path / "body.npz"))).values():
+            np.testing.assert_array_equal(body.space.prior_mean, numbers)
+            np.testing.assert_array_equal(body.space.prior_covariance, known.numbers_covariance)
+        write_body(tmp_path / "body.npz", replace(known, numbers_covariance=None), preset="full")
+        unknown = open_bodies(*given(tmp_path / "body.npz")).fine
+        np.testing.assert_array_equal(unknown.space.prior_covariance, person.space.prior_covariance)

@@ -188,10 +188,22 @@ def open_bodies(trial: Trial, settings: CaptureSettings) -> Bodies:
     )
     if settings.body_file is None:
         return Bodies(fine, coarse)
-    given = open_body(settings.body_file, fine)
+    given = as_known(open_body(settings.body_file, fine))
     if preset != "full" and given.followed_joints.all():
         given = preset_body(given, PRESETS[preset])
     return Bodies(given, coarse_twin(given, coarse) or given)
+
+
+def as_known(body: Body) -> Body:
+    """Expect of a body what an earlier fit knows of its numbers, instead of what is expected of people."""
+    covariance = body.numbers_covariance
+    if covariance is None or not len(body.numbers):
+        return body
+    space = replace(body.space, prior_mean=body.numbers, prior_covariance=covariance)
+    balls = body.metaballs
+    if balls is not None:
+        balls = replace(balls, prior_mean=body.numbers, prior_covariance=covariance)
+    return replace(body, space=space, metaballs=balls)
 
 
 def coarse_twin(given: Body, coarse: Body) -> Body | None:
