@@ -11,7 +11,9 @@ from marey.body import segment_measures
 from marey.body.metaball_people import metaball_person
 from marey.body.metaballs import PosedMetaballs
 from marey.body.pose import Pose
-from marey.cli.shape import keep, points_of, posed_skin, seen_of, write_table
+from marey.cli import shape
+from marey.cli.shape import Fitted, find_lost_points, keep, points_of, posed_skin, seen_of, write_table
+from marey.fit.shape import Shaped
 from marey.fit.surface_points import FramePoints
 from marey.io.surface import write_surface
 from marey.surface.measured import MeasuredPoints
@@ -97,3 +99,44 @@ def test_the_table_has_a_row_for_each_segment_that_is_followed(tmp_path, body, m
     assert forearm["mass_kg"] == pytest.approx(1.13 * forearm["volume_l"], rel=1e-4)
     assert all(forearm[name] > 0 for name in forearm if "_sd_" in name)
     assert rows["right_hand"]["girth_middle_m"] == ""
+
+
+def followed_with(monkeypatch, tmp_path, body, poses, *, names):
+    """Let lost points be looked for without pictures; give what would be expected of them, and what is warned of."""
+    asked, warned = {}, []
+    monkeypatch.setattr(shape, "follow_measured", lambda *given, **named: asked.update(named, parts=given[2]))
+    monkeypatch.setattr(shape, "write_tracks", lambda *given: None)
+    monkeypatch.setattr(shape, "told", lambda result: "")
+    none = MeasuredPoints(
+        frame=np.zeros(1, int), points=np.zeros((1, 3)), covariance=np.eye(3)[None] * 1e-6, camera_names=("a", "b"),
+        pixels=np.zeros((1, 2, 2)), correlation=np.ones((1, 2)), residual_px=np.zeros(1),
+        colour=np.zeros((1, 3), np.uint8),
+    )  # fmt: skip
+    write_surface(tmp_path / "surface.npz", [none], ("a", "b"))
+    run = SimpleNamespace(
+        trial=SimpleNamespace(take=SimpleNamespace(first=0, end=3), rig=SimpleNamespace(names=names)), scope=None,
+        progress=SimpleNamespace(warn=warned.append, say=lambda text: None), cache=None,
+    )  # fmt: skip
+    skin = posed_skin(body, poses)
+    find_lost_points(run, tmp_path, skin, Fitted(body, poses, [], Shaped(body, poses, 0.001, 1.0)))
+    return asked, warned, skin
+
+
+def test_a_lost_point_is_expected_where_the_fitted_body_carries_it(monkeypatch, tmp_path, body, pose):
+    bent = np.array(pose.angles)
+    bent[[c.name for c in body.skeleton.coordinates].index("right_elbow_flexion")] = 1.2
+    poses = {0: pose, 2: Pose(pose.translation, pose.rotation, bent)}
+    asked, warned, skin = followed_with(monkeypatch, tmp_path, body, poses, names=("a", "b"))
+    some = skin.faces[:: len(skin.faces) // 50]
+    then, now = (np.array(skin.vertices_of(frame)[some]).mean(1) for frame in (0, 2))
+    found = asked["expected"](2, then, np.zeros(len(then), int))
+    assert np.median(np.linalg.norm(found - now, axis=1)) < 1e-6
+    assert np.isnan(asked["expected"](1, then, np.zeros(len(then), int))).all()
+    assert [len(part) for part in asked["parts"]] == [1, 0, 0]
+    assert not warned
+
+
+def test_points_of_other_cameras_are_not_followed_again(monkeypatch, tmp_path, body, pose):
+    asked, warned, _ = followed_with(monkeypatch, tmp_path, body, {0: pose}, names=("a", "c"))
+    assert not asked
+    assert "other cameras" in warned[0]

@@ -36,9 +36,11 @@ from marey.cli.progress import Progress
 from marey.cli.settings import CaptureSettings
 from marey.cli.surface import surface as measure_surface
 from marey.cli.surface_settings import SurfaceOptions
+from marey.cli.surface_tracks import follow_measured, told, write_tracks
 from marey.errors import FileProblem, MareyError
 from marey.fit.carry import CarrySettings, follow_points, settled
 from marey.fit.levenberg import fit_points
+from marey.fit.lost_points import expected_by_skin
 from marey.fit.person import Take
 from marey.fit.sequence import SequenceFit, refine_in_pieces
 from marey.fit.shape import (
@@ -58,6 +60,7 @@ from marey.fit.shape import (
 from marey.fit.start_joints import start_from_joints
 from marey.fit.surface_points import FramePoints, PersonPoints, spread_over
 from marey.io.body import segment_lengths
+from marey.io.calibration import read_rig
 from marey.io.csv import write_segments
 from marey.io.glb import write_glb
 from marey.io.npz import read_motion
@@ -66,11 +69,12 @@ from marey.io.start_joints import read_start_joints
 from marey.io.surface import read_surface
 from marey.io.trajectories import read_trajectories
 from marey.motion.from_fit import Measured, measured
+from marey.surface.filters import FilterSettings
 from marey.surface.trajectories import Trajectories
 
 SURFACE = ("surface.npz", "trajectories.npz")
 """What `marey surface` measured, and the fit reads."""
-KEPT = (*SURFACE, "surface.ply", "cameras.toml", "surface_*.png", "surface/*.ply")
+KEPT = (*SURFACE, "surface.ply", "cameras.toml", "surface_*.png", "tracks_*.png", "surface/*.ply")
 """What else it leaves; all of it stays."""
 SPACING_PX = 6
 """From point to point, where the surface is measured for the fit alone: neighbours say nearly the same."""
@@ -308,11 +312,41 @@ def write_shape(run: Run, followed: Followed, found: Fitted, points: Mapping[int
         with run.progress.stage("Skin"):
             write_skin_glb(folder, found.body, run.progress.warn)
         keep(run.out, folder)
+        if (folder / SURFACE[1]).is_file():
+            find_lost_points(run, folder, skin, found)
 
     write_results_of(
         run, refined, followed.outlines, followed.frames, command="shape", skin=skin,
         seen=seen_of(skin, points, run.trial.take.count, sorted(found.poses), run) if points else None, more=more,
     )  # fmt: skip
+
+
+def find_lost_points(run: Run, folder: Path, skin: stages.PosedSkin, found: Fitted) -> None:
+    """Follow the measured surface again, now that the body tells where lost points are, and write its trajectories.
+
+    Args:
+        run: What is run.
+        folder: With the measured surface and its trajectories.
+        skin: Of the fitted body, in every frame.
+        found: The fitted body, in which the trajectories' cache is keyed.
+    """
+    trial, surface = run.trial, read_surface(folder / SURFACE[0])
+    corrected = folder / "cameras.toml"
+    rig = read_rig(corrected) if corrected.is_file() else trial.rig
+    if surface.camera_names != rig.names:
+        run.progress.warn("The surface was measured by other cameras; its trajectories stay as they are.")
+        return
+    parts = [surface.of_frame(frame) for frame in range(trial.take.first, trial.take.end)]
+    expected = expected_by_skin(
+        lambda frame: skin.vertices_of(frame) if frame in found.poses else None, skin.faces
+    )  # fmt: skip
+    arrays = _packed(found.shaped)
+    followed = follow_measured(
+        trial.take, rig, parts, run.cache, run.progress, filters=FilterSettings(), depends=(run.scope, arrays),
+        expected=expected,
+    )  # fmt: skip
+    write_tracks(folder, followed, trial.take, rig)
+    run.progress.say(told(followed))
 
 
 def write_skin_glb(folder: Path, body: Body, warn: Callable[[str], None]) -> None:

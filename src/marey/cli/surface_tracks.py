@@ -59,7 +59,7 @@ def tracks_settings(rig: Rig, *, noise: float, threads: int) -> TracksSettings:
 
 def follow_measured(
     take: Take, rig: Rig, parts: Sequence[MeasuredPoints], cache: StageCache, progress: Progress,
-    *, filters: FilterSettings, depends: object,
+    *, filters: FilterSettings, depends: object, expected: Expected | None = None,
 ) -> Filtered:  # fmt: skip
     """Follow what was measured, with settings that fit its pictures.
 
@@ -70,7 +70,8 @@ def follow_measured(
         cache: Remembers what is done.
         progress: Is told.
         filters: What makes a trajectory false.
-        depends: What the measurement depends on.
+        depends: What the measurement depends on, and what is expected.
+        expected: Where lost points may be.
 
     Returns:
         The trajectories.
@@ -86,8 +87,9 @@ def follow_measured(
     state = cache.folder / "tracks_state.npz"
     with cache.frames("tracks", depends=(depends, same)) as log:
         return follow_surface(
-            take, rig, lambda frame: parts[frame - take.first], log, state, progress, settings=settings
-        )
+            take, rig, lambda frame: parts[frame - take.first], log, state, progress, settings=settings,
+            expected=expected,
+        )  # fmt: skip
 
 
 def write_tracks(folder: Path, result: Filtered, take: Take, rig: Rig) -> None:

@@ -212,26 +212,38 @@ def _found_again(
     lost = np.flatnonzero(result.seen < result.frame)
     if not len(lost):
         return result
-    place = _carried(tracks, result, lost, radius=_FAR * radius, count=_FAR * NEIGHBOURS)
+    carried = _carried(tracks, result, lost, radius=_FAR * radius, count=_FAR * NEIGHBOURS)
+    guesses = [carried]
     if expected is not None:
         told = expected(result.frame, result.last[lost], result.seen[lost])
-        place = np.where(np.isfinite(told), told, place)
+        guesses = [np.where(np.isfinite(carried), carried, told), told]
     position = result.position.copy()
-    known = np.isfinite(place[:, 0])
-    position[lost[known]] = place[known]
+    known = np.isfinite(guesses[0][:, 0])
+    position[lost[known]] = guesses[0][known]
     result = replace(result, position=position)
     # Those lost in this very frame were looked for already.
-    older = known & (tracks.seen[lost] < tracks.frame)
-    lost, place = lost[older], place[older]
+    older = tracks.seen[lost] < tracks.frame
+    for guess in guesses:
+        still = older & np.isfinite(guess[:, 0]) & (result.seen[lost] < result.frame)
+        result = _looked_for(result, lost[still], guess[still], after, cameras, settings)
+    motion = result.motion.copy()
+    motion[lost[older]] = np.nan
+    return replace(result, motion=motion)
+
+
+def _looked_for(
+    result: Tracks, lost: Integers, place: Floats, after: Sequence[Picture], cameras: Sequence[Camera],
+    settings: FollowSettings,
+) -> Tracks:  # fmt: skip
+    """Look for lost points about places (n, 3) in every view."""
+    if not len(lost):
+        return result
     shown = np.stack([camera.project(place) for camera in cameras], axis=1)
     followed = follow(
         result.appearances[lost], shown, None, after, cameras, template=result.template[lost],
         across=result.across[lost], reach=settings.box, settings=settings,
     )  # fmt: skip
-    result = _written(result, lost, followed, place, after)
-    motion = result.motion.copy()
-    motion[lost] = np.nan
-    return replace(result, motion=motion)
+    return _written(result, lost, followed, place, after)
 
 
 def _shown_again(
