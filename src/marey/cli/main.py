@@ -99,16 +99,9 @@ def capture(
     * `marey capture walk01 --cameras cam01,cam02,cam04 --preset upper --no-overlay`
     """
     settings = CaptureSettings(
-        out=out,
-        cameras=None if cameras is None else parse_names(cameras),
-        frames=None if frames is None else parse_frames(frames),
-        preset=preset,
-        stature_m=stature,
-        start=start,
-        body=body,
-        fixed_sizes=fixed_sizes,
-        overlay=not no_overlay,
-    )
+        out=out, cameras=_names(cameras), frames=_range(frames), preset=preset, stature_m=stature, start=start,
+        body=body, fixed_sizes=fixed_sizes, overlay=not no_overlay,
+    )  # fmt: skip
     _capture(trial, settings, quiet=quiet)
 
 
@@ -162,8 +155,8 @@ def surface(
     _require_folder(trial)
     options = SurfaceOptions(
         out=out,
-        cameras=None if cameras is None else parse_names(cameras),
-        frames=None if frames is None else parse_frames(frames),
+        cameras=_names(cameras),
+        frames=_range(frames),
         seeds=seeds,
         spacing=spacing,
         patch=patch,
@@ -199,15 +192,9 @@ def shape(
     * `marey shape walk01 --stature 1.80 --out results/walk01`
     """
     settings = CaptureSettings(
-        out=out,
-        cameras=None if cameras is None else parse_names(cameras),
-        frames=None if frames is None else parse_frames(frames),
-        preset=preset,
-        stature_m=stature,
-        start=start,
-        body=body,
-        overlay=not no_overlay,
-    )
+        out=out, cameras=_names(cameras), frames=_range(frames), preset=preset, stature_m=stature, start=start,
+        body=body, overlay=not no_overlay,
+    )  # fmt: skip
     _require_folder(trial)
     from marey.cli.progress import Progress
     from marey.cli.shape import shape as shape_trial
@@ -300,6 +287,14 @@ def _capture(trial: Path, settings: CaptureSettings, *, quiet: bool) -> None:
     _require_folder(trial)
     results = capture_trial(trial, settings, Progress(quiet=quiet))
     typer.echo(f"Report: {results / 'report.html'}")
+
+
+def _names(text: str | None) -> tuple[str, ...] | None:
+    return None if text is None else parse_names(text)
+
+
+def _range(text: str | None) -> tuple[int, int] | None:
+    return None if text is None else parse_frames(text)
 
 
 def _require_folder(trial: Path) -> None:
