@@ -14,7 +14,7 @@ from marey.body.metaball_person import reshaped
 from marey.body.person import person_body
 from marey.body.pose import Pose, PosedBody
 from marey.cli import capture_stages as stages
-from marey.cli.capture import Bodies, coarse_twin, open_bodies, require_two_cameras
+from marey.cli.capture_run import Bodies, coarse_twin, open_bodies, require_two_cameras
 from marey.cli.mask_store import MaskStore
 from marey.cli.progress import Progress
 from marey.cli.settings import CaptureSettings

@@ -18,19 +18,9 @@ from marey.body.spline_skin import spline_body
 from marey.body.subdivision import finer
 from marey.body.surface import Body
 from marey.cli import capture_stages as stages
-from marey.cli.capture import (
-    Bodies,
-    Followed,
-    Logs,
-    Refined,
-    Run,
-    Tracked,
-    follow_person,
-    opened,
-    refined_person,
-    rounds_of,
-)
+from marey.cli.capture import Followed, Refined, Tracked, follow_person, refined_person, rounds_of
 from marey.cli.capture import write_capture as write_results_of
+from marey.cli.capture_run import Bodies, Logs, Run, opened
 from marey.cli.mask_store import MaskStore
 from marey.cli.progress import Progress
 from marey.cli.settings import CaptureSettings

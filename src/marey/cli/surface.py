@@ -9,7 +9,7 @@ from threadpoolctl import threadpool_limits
 from marey.arrays import Floats
 from marey.cameras.rig import Rig
 from marey.cli import capture_stages as stages
-from marey.cli.capture import require_two_cameras
+from marey.cli.capture_run import require_two_cameras
 from marey.cli.progress import Progress
 from marey.cli.run_record import StageCache, finished_together, write_record
 from marey.cli.surface_settings import SurfaceOptions
