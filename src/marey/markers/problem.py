@@ -1,0 +1,31 @@
+"""What every method of the room is given: a trial's markers, its clusters, and where the bones were once."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from marey.markers.bone_motion import BoneMotion
+from marey.markers.clusters import AnatomicalCalibration, Cluster
+from marey.markers.trajectories import MarkerTrajectories
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MarkerProblem:
+    """The markers of one trial and what is known of the bones beneath them."""
+
+    trajectories: MarkerTrajectories
+    """All markers of the trial."""
+    clusters: tuple[Cluster, ...]
+    """One a segment; only segments that the calibration knows."""
+    calibration: AnatomicalCalibration
+    """The bones' poses in one frame of the trial, or in several."""
+    joints: tuple[tuple[str, str], ...] = ()
+    """Pairs (parent, child) of segments that a joint ties together."""
+    noise_m: float = 5e-4
+    """Standard deviation of a marker's measured coordinate [m]."""
+
+
+class Method(Protocol):
+    """One way from markers to bones."""
+
+    def __call__(self, problem: MarkerProblem) -> BoneMotion:
+        """Estimate every cluster's bone in every frame; NaN where the frame has no answer."""
