@@ -22,9 +22,12 @@ class BoneMotion:
     covariance: Floats
     """(F, S, 6, 6) of the turn about the bone's axes, exp(turn) to the right of the rotation [rad], and of the origin
     in the laboratory [m]; NaN where it is not known."""
+    notes: tuple[str, ...] = ()
+    """What the method has to say about its answer, a sentence each: what it passed over, what it cannot see."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "segments", tuple(self.segments))
+        object.__setattr__(self, "notes", tuple(self.notes))
         for name in ("rotation", "origin", "covariance"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
         shape = (len(self.rotation), len(self.segments))
@@ -69,4 +72,5 @@ def side_by_side(motions: Sequence[BoneMotion]) -> BoneMotion:
         rotation=np.concatenate([m.rotation for m in motions], 1),
         origin=np.concatenate([m.origin for m in motions], 1),
         covariance=np.concatenate([m.covariance for m in motions], 1),
+        notes=tuple(dict.fromkeys(note for motion in motions for note in motion.notes)),
     )

@@ -22,6 +22,8 @@ class MarkerProblem:
     """Pairs (parent, child) of segments that a joint ties together."""
     noise_m: float = 5e-4
     """Standard deviation of a marker's measured coordinate [m]."""
+    exercise: "MarkerProblem | None" = None
+    """A second trial of the same markers in which their motion over the bones is learned, where there is one."""
 
 
 class Method(Protocol):

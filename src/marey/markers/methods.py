@@ -1,0 +1,67 @@
+"""The methods from markers to bones by name: what each does in a line, and what it needs."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from importlib import import_module
+from typing import cast
+
+from marey.errors import SettingProblem
+from marey.markers.problem import MarkerProblem, Method
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MethodEntry:
+    """One method, loaded when it is asked for."""
+
+    name: str
+    """As `--method` takes it."""
+    function: str
+    """`module:function` within this room."""
+    summary: str
+    """What it does, in a line."""
+    postures: int = 1
+    """In how many postures the anatomical calibration must be known."""
+    joints: bool = False
+    """True for one that needs a joint between two segments."""
+    exercise: bool = False
+    """True for one that needs a second trial to learn from."""
+
+    def load(self) -> Method:
+        """Import the method."""
+        module, function = self.function.split(":")
+        return cast(Method, getattr(import_module(f"marey.markers.{module}"), function))
+
+    def lacks(self, problem: MarkerProblem) -> str:
+        """Say what this method needs and the problem does not have; nothing where it has all."""
+        if problem.calibration.postures < self.postures:
+            return f"needs an anatomical calibration in {self.postures} postures"
+        if self.joints and not problem.joints:
+            return "needs a joint between two segments"
+        if self.exercise and problem.exercise is None:
+            return "needs an exercise trial"
+        return ""
+
+
+METHODS: dict[str, MethodEntry] = {
+    entry.name: entry
+    for entry in (
+        MethodEntry(
+            name="rigid", function="rigid_fit:rigid",
+            summary="each cluster as a rigid body, least squares (Spoor and Veldpaus 1980)",
+        ),
+    )
+}  # fmt: skip
+
+
+def choose_methods(names: Iterable[str]) -> tuple[MethodEntry, ...]:
+    """Give the methods of these names, `all` being every one.
+
+    Raises:
+        SettingProblem: A name is unknown.
+    """
+    names = list(names)
+    unknown = [name for name in names if name not in METHODS and name != "all"]
+    if unknown:
+        raise SettingProblem(f"There is no method {', '.join(unknown)}. There are: {', '.join(METHODS)}, all.")
+    chosen = METHODS if "all" in names else dict.fromkeys(names)
+    return tuple(METHODS[name] for name in chosen)
