@@ -53,7 +53,7 @@ def fit_rigid(shape: Floats, points: Floats, sd: Floats | float, *, own_form: bo
         own_form: Use the eigenvalues' form.
     """
     shape = np.broadcast_to(shape, points.shape)
-    used = np.isfinite(points).all(-1) & np.isfinite(shape).all(-1)
+    used: Mask = np.asarray(np.isfinite(points).all(-1) & np.isfinite(shape).all(-1))
     sd = np.broadcast_to(np.asarray(sd, float), used.shape)
     weight = np.where(used, 1 / sd**2, 0.0)
     to, from_ = _centred(points, weight), _centred(shape, weight)
