@@ -15,7 +15,8 @@ from marey.io.trc import PointPaths
 _INTEL = 84
 _MOST_FRAMES = 65535
 _BYTES_OF_A_ROTATION = 17 * 4
-_METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
+METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
+"""Units of length that files may have, in metres."""
 
 
 def write_c3d(
@@ -88,6 +89,46 @@ def _is_cut_off(path: Path) -> bool:
     return len(data) < end
 
 
+def open_c3d(path: Path | str) -> ezc3d.c3d:
+    """Open a C3D after looking whether it is whole.
+
+    Args:
+        path: The file.
+
+    Raises:
+        FileProblem: It is missing, no C3D, or ends before its data do.
+    """
+    if not Path(path).is_file():
+        raise FileProblem(path, "is not there", "Give a C3D file.")
+    try:
+        if _is_cut_off(Path(path)):
+            raise FileProblem(path, "ends before its data do", "Copy or export it again.")
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # ezc3d warns of parameters that do not matter for points
+            return ezc3d.c3d(str(path))
+    except (OSError, RuntimeError, ValueError, IndexError, struct.error) as error:
+        raise FileProblem(path, f"cannot be read as C3D ({error})", "Export it again.") from error
+
+
+def point_unit(path: Path | str, c3d: ezc3d.c3d) -> str:
+    """Give the unit of a C3D's points: mm, cm or m.
+
+    Raises:
+        FileProblem: It is none of these.
+    """
+    unit = (c3d["parameters"]["POINT"]["UNITS"]["value"] or [""])[0].strip()
+    if unit.lower() not in METRES:
+        raise FileProblem(path, f"has the unit {unit!r}", f"POINT:UNITS should be one of {', '.join(METRES)}.")
+    return str(unit.lower())
+
+
+def point_labels(c3d: ezc3d.c3d) -> tuple[str, ...]:
+    """List the labels of a C3D's points, those beyond the 255th too, in the order of the points."""
+    point = c3d["parameters"]["POINT"]
+    labels = [label for key in point if key.startswith("LABELS") for label in (point[key]["value"] or [])]
+    return tuple(labels[: c3d["data"]["points"].shape[1]])
+
+
 def read_c3d(path: Path | str) -> PointPaths:
     """Read a C3D's points into metres; its axes are taken as they are.
 
@@ -97,22 +138,8 @@ def read_c3d(path: Path | str) -> PointPaths:
     Raises:
         FileProblem: It is no C3D, or its unit is unknown.
     """
-    if not Path(path).is_file():
-        raise FileProblem(path, "is not there", "Give a C3D file.")
-    try:
-        if _is_cut_off(Path(path)):
-            raise FileProblem(path, "ends before its data do", "Copy or export it again.")
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # ezc3d warns of parameters that do not matter for points
-            c3d = ezc3d.c3d(str(path))
-    except (OSError, RuntimeError, ValueError, IndexError, struct.error) as error:
-        raise FileProblem(path, f"cannot be read as C3D ({error})", "Export it again.") from error
-    point = c3d["parameters"]["POINT"]
-    unit = (point["UNITS"]["value"] or [""])[0].strip()
-    if unit not in _METRES:
-        raise FileProblem(path, f"has the unit {unit!r}", f"POINT:UNITS should be one of {', '.join(_METRES)}.")
-    points = np.transpose(c3d["data"]["points"][:3], (2, 1, 0)) * _METRES[unit]
-    labels = [label for key in point if key.startswith("LABELS") for label in (point[key]["value"] or [])]
-    rate = float(point["RATE"]["value"][0])
+    c3d = open_c3d(path)
+    points = np.transpose(c3d["data"]["points"][:3], (2, 1, 0)) * METRES[point_unit(path, c3d)]
+    rate = float(c3d["parameters"]["POINT"]["RATE"]["value"][0])
     time = (c3d["header"]["points"]["first_frame"] + np.arange(len(points))) / rate
-    return PointPaths(names=tuple(labels[: points.shape[1]]), time=time, rate=rate, points=points)
+    return PointPaths(names=point_labels(c3d), time=time, rate=rate, points=points)

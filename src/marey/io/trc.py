@@ -58,11 +58,12 @@ def write_trc(path: Path | str, paths: PointPaths) -> None:
         beside.write_text("\n".join(lines) + "\n")
 
 
-def read_trc(path: Path | str) -> PointPaths:
+def read_trc(path: Path | str, *, file_from_world: Floats = OPENSIM_FROM_WORLD) -> PointPaths:
     """Read paths in OpenSim's axes (Y up) into the world's.
 
     Args:
         path: The file.
+        file_from_world: (3, 3) what the file calls x, y and z; the identity leaves its axes as they are.
 
     Raises:
         FileProblem: The file is no TRC, or damaged.
@@ -86,4 +87,4 @@ def read_trc(path: Path | str) -> PointPaths:
     except (ValueError, KeyError) as error:
         raise FileProblem(path, f"holds something that is no number ({error})", "Mend or export it again.") from error
     points = data[:, 2:].reshape(len(data), len(names), 3) * _METRES[unit]
-    return PointPaths(names=names, time=data[:, 1], rate=rate, points=points @ OPENSIM_FROM_WORLD)
+    return PointPaths(names=names, time=data[:, 1], rate=rate, points=points @ file_from_world)

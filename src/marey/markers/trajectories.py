@@ -25,6 +25,8 @@ class MarkerTrajectories:
     """(F, M) true where a point was not measured but filled."""
     residuals: Floats
     """(F, M) the measuring system's own residual [m]; NaN where it tells none."""
+    notes: tuple[str, ...] = ()
+    """What the reading passed over or had to decide, a plain sentence each."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "labels", tuple(str(label) for label in self.labels))

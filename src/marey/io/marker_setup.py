@@ -1,0 +1,157 @@
+"""The markers' TOML, and the reference file that says where the bones were."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from marey.arrays import Floats
+from marey.errors import FileProblem
+from marey.io.calibration_toml import read_tables
+from marey.io.npz import read_arrays
+from marey.markers.clusters import AnatomicalCalibration
+from marey.markers.setup import MarkerJoint, MarkerSetup
+
+_KNOWN = (
+    'Known are [segments] NAME = ["label", ...], [landmarks] NAME = "label" or ["label", ...], '
+    "[joints.NAME] parent, child, degrees_of_freedom (1 to 6), and [noise] mm."
+)
+_ROTATION_TOLERANCE = 1e-3
+Labels = Annotated[tuple[str, ...], Field(min_length=1)]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class _Joint(_Table):
+    parent: str
+    child: str
+    degrees_of_freedom: Annotated[int, Field(ge=1, le=6)] = 6
+
+
+class _Noise(_Table):
+    mm: Annotated[float, Field(gt=0, lt=100)]
+
+
+class _Setup(_Table):
+    segments: dict[str, Labels] = {}
+    landmarks: dict[str, str | Labels] = {}
+    joints: dict[str, _Joint] = {}
+    noise: _Noise | None = None
+
+
+def read_marker_setup(path: Path | str) -> MarkerSetup:
+    """Read the markers' TOML: `[segments]`, `[landmarks]`, `[joints]` and `[noise]`, each of which may be missing.
+
+    Args:
+        path: The file.
+
+    Raises:
+        FileProblem: It is not TOML, has an unknown key, a value that cannot be used, or a joint of a segment that
+            `[segments]` does not name; the message lists all of it and the known keys.
+    """
+    path = Path(path)
+    try:
+        said = _Setup.model_validate(read_tables(path))
+    except ValidationError as error:
+        raise FileProblem(path, _faults(error), _KNOWN) from error
+    ends = {end for joint in said.joints.values() for end in (joint.parent, joint.child)}
+    unknown = sorted(ends - set(said.segments)) if said.segments else []
+    if unknown:
+        there = f"[segments] has {', '.join(said.segments)}."
+        raise FileProblem(path, f"has joints of the unknown segments {', '.join(unknown)}", there)
+    return MarkerSetup(
+        segments=said.segments,
+        landmarks={name: (at,) if isinstance(at, str) else at for name, at in said.landmarks.items()},
+        joints=tuple(MarkerJoint(name=name, **joint.model_dump()) for name, joint in said.joints.items()),
+        noise_m=None if said.noise is None else said.noise.mm * 1e-3,
+    )
+
+
+def _faults(error: ValidationError) -> str:
+    """Say in one line what is wrong with the TOML."""
+    clauses: dict[str, None] = {}
+    for fault in error.errors():
+        key = ".".join(str(part) for part in fault["loc"] if isinstance(part, str) and "[" not in part)
+        if fault["type"] == "extra_forbidden":
+            clauses[f"has the unknown key '{key}'"] = None
+        else:
+            clauses[f"has {key} = {fault['input']!r}, which cannot be used ({fault['msg'].lower()})"] = None
+    return "; ".join(clauses)
+
+
+def read_reference(
+    path: Path | str, segments: tuple[str, ...], *, frames: int
+) -> tuple[AnatomicalCalibration, tuple[str, ...]]:
+    """Read where the bones were in one frame of the trial, or in several.
+
+    Args:
+        path: NPZ with `frame`, counted from 0, and for each segment NAME_rotation (3, 3), laboratory from bone, and
+            NAME_origin (3,) in millimetres; or with K postures (K,), (K, 3, 3), (K, 3).
+        segments: Those that have markers.
+        frames: How many frames the trial has.
+
+    Returns:
+        The calibration of the segments that have both, in the order of `segments`, and what was passed over, a
+        plain sentence each.
+
+    Raises:
+        FileProblem: A key is missing or has another shape, a frame lies outside of the trial, a matrix is no rotation,
+            or no segment has markers.
+    """
+    path = Path(path)
+    arrays = read_arrays(path, ("frame",))
+    named = sorted(key.removesuffix("_rotation") for key in arrays if key.endswith("_rotation"))
+    kept = tuple(name for name in segments if name in named)
+    notes = [f"{path.name} has {name}, which has no markers in the trial; passed over." for name in named]
+    notes = [note for note, name in zip(notes, named, strict=True) if name not in segments]
+    notes += [f"{path.name} does not say where {x} was; passed over." for x in segments if x not in named]
+    if not kept:
+        have = f"It has {', '.join(named) or 'none'}; the markers ride on {', '.join(segments) or 'none'}."
+        raise FileProblem(path, "has no segment that the trial's markers ride on", have)
+    at = _frames(path, np.atleast_1d(arrays["frame"]), frames)
+    rotation, origin = (
+        np.stack([_rows(path, arrays, f"{name}_{what}", len(at), shape) for name in kept], 1)
+        for what, shape in (("rotation", (3, 3)), ("origin", (3,)))
+    )
+    _require_rotations(path, kept, rotation)
+    return AnatomicalCalibration(segments=kept, frames=at, rotation=rotation, origin=origin * 1e-3), tuple(notes)
+
+
+def _frames(path: Path, at: np.ndarray, frames: int) -> np.ndarray:
+    """Check the frames of a reference."""
+    if at.ndim != 1 or not np.issubdtype(at.dtype, np.number) or not np.all(at == np.round(at)):
+        raise FileProblem(path, "has a frame that is no whole number", "Give frame, or K of them, counted from 0.")
+    outside = [int(f) for f in at if not 0 <= f < frames]
+    if outside:
+        raise FileProblem(path, f"has the frame {outside[0]}", f"The trial has the frames 0 to {frames - 1}.")
+    twice = sorted({int(f) for f in at if (at == f).sum() > 1})
+    if twice:
+        raise FileProblem(path, f"has the frame {twice[0]} twice", "Give each posture once.")
+    return np.asarray(at, np.int64)
+
+
+def _rows(path: Path, arrays: Mapping[str, np.ndarray], key: str, count: int, shape: tuple[int, ...]) -> Floats:
+    """Give one array of a reference, a row a posture."""
+    if key not in arrays:
+        raise FileProblem(path, f"lacks {key}", "Each segment has NAME_rotation and NAME_origin.")
+    values = np.asarray(arrays[key], float)
+    if values.shape == shape and count == 1:
+        return values[None]
+    if values.shape != (count, *shape):
+        right = f"{shape}" if count == 1 else f"{(count, *shape)}"
+        raise FileProblem(path, f"has {key} of the shape {values.shape}", f"For {count} frames it should be {right}.")
+    return values
+
+
+def _require_rotations(path: Path, names: tuple[str, ...], rotation: Floats) -> None:
+    """Check that matrices (K, S, 3, 3) are rotations."""
+    off = np.abs(rotation @ np.swapaxes(rotation, -1, -2) - np.eye(3)).max((-1, -2))
+    good = (off <= _ROTATION_TOLERANCE) & (np.linalg.det(np.nan_to_num(rotation)) > 0)
+    if not good.all():
+        k, s = np.argwhere(~good)[0]
+        wrong = f"has a {names[s]}_rotation that is no rotation (posture {k})"
+        raise FileProblem(path, wrong, "Its columns are the bone's axes in the laboratory: unit, at right angles.")

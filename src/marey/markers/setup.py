@@ -1,0 +1,28 @@
+"""What a user says of the markers: which ride on which segment, where landmarks are, which joints there are."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MarkerJoint:
+    """A joint between two segments."""
+
+    name: str
+    parent: str
+    child: str
+    degrees_of_freedom: int = 6
+    """1 a hinge, 3 a ball joint, 6 a joint that holds nothing."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MarkerSetup:
+    """What the markers' TOML says; everything may be left out."""
+
+    segments: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """Segment to the labels of its markers (or patterns such as `LF*`); empty: found from the labels."""
+    landmarks: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """Anatomical landmark (`left_LE`) to the marker that was put on it, or to several whose middle it is."""
+    joints: tuple[MarkerJoint, ...] = ()
+    noise_m: float | None = None
+    """Standard deviation of a marker's measured coordinate [m]; None: not said."""
