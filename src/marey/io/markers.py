@@ -43,6 +43,7 @@ def read_markers(path: Path | str, *, unit: str | None = None) -> MarkerTrajecto
         raise MareyError(f"The unit {unit!r} is not known. Known are {', '.join(METRES)}.")
     labels, points, residuals, rate, start_s, unit, said = readers[path.suffix.lower()](path, unit)
     points = np.where((points == 0).all(-1, keepdims=True), np.nan, points)
+    residuals = np.where(np.isfinite(points).all(-1), residuals, np.nan)
     if not len(points) or not len(labels):
         raise FileProblem(path, "holds no markers" if len(points) else "holds no frames", "Export the trial again.")
     if not np.isfinite(points).all(-1).any():
@@ -74,7 +75,7 @@ def _from_c3d(path: Path, unit: str | None) -> Raw:
     residuals = np.transpose(c3d["data"]["meta_points"]["residuals"][0][kept]) * METRES[unit]
     points = np.where((residuals < 0)[..., None] | ~np.isfinite(points).all(-1, keepdims=True), np.nan, points)
     # A residual of zero is how programs write that they have none.
-    residuals = np.where((residuals > 0) & np.isfinite(points).all(-1), residuals, np.nan)
+    residuals = np.where(residuals > 0, residuals, np.nan)
     rate = float((point["RATE"]["value"] or [0])[0])
     start = _first_frame(c3d) / rate if rate > 0 else 0.0
     notes = [f"Points that are no places (angles, forces, moments, powers): {len(computed)}."] if computed else []
