@@ -49,6 +49,10 @@ METHODS: dict[str, MethodEntry] = {
             name="rigid", function="rigid_fit:rigid",
             summary="each cluster as a rigid body, least squares (Spoor and Veldpaus 1980)",
         ),
+        MethodEntry(
+            name="calibration", function="multiple_calibration:multiple_calibration", postures=2,
+            summary="markers' places interpolated between known postures by the joint's turn (Cappello 1997)",
+        ),
     )
 }  # fmt: skip
 
