@@ -100,9 +100,7 @@ def test_covariance_goes_through_products_and_inverses_as_differences_say(rng):
     expected = by_first @ first.covariance @ by_first.T + by_second @ second.covariance @ by_second.T
     np.testing.assert_allclose((first @ second).covariance, expected, rtol=1e-6, atol=1e-14)
     by_own = numeric(lambda t: t.inverse(), first)
-    np.testing.assert_allclose(
-        first.inverse().covariance, by_own @ first.covariance @ by_own.T, rtol=1e-6, atol=1e-14
-    )
+    np.testing.assert_allclose(first.inverse().covariance, by_own @ first.covariance @ by_own.T, rtol=1e-6, atol=1e-14)
 
 
 def test_what_is_known_exactly_adds_no_uncertainty(rng):
