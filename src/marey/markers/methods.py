@@ -50,6 +50,14 @@ METHODS: dict[str, MethodEntry] = {
             summary="each cluster as a rigid body, least squares (Spoor and Veldpaus 1980)",
         ),
         MethodEntry(
+            name="pct", function="point_cluster:point_cluster",
+            summary="centre of mass and principal axes of each cluster, unit masses (Andriacchi 1998)",
+        ),
+        MethodEntry(
+            name="pct_masses", function="point_cluster:point_cluster_masses",
+            summary="the same, masses chosen so that the eigenvalues of inertia stay constant (Andriacchi 1998)",
+        ),
+        MethodEntry(
             name="calibration", function="multiple_calibration:multiple_calibration", postures=2,
             summary="markers' places interpolated between known postures by the joint's turn (Cappello 1997)",
         ),
