@@ -1,0 +1,383 @@
+"""What lies between two recordings of one motion: a shift of their clocks, and a rigid offset of their laboratories."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from marey.arrays import Floats, Mask, frozen
+from marey.geometry import rotations
+from marey.geometry.rigid import RigidTransform
+from marey.motion.filters import low_pass
+from marey.motion.recording import Recording, continuous_angles, interpolated
+
+SEARCH_HZ = 50.0
+"""The shift is looked for on a grid of this rate, and made finer afterwards [Hz]."""
+LEAST_OVERLAP = 0.5
+"""Share of the shorter recording that both must cover."""
+SMOOTH_HZ = 10.0
+"""Rates of change are read from paths that are smoothed to this frequency, so that noise does not pass for motion [Hz]."""
+RIVAL = 1.3
+"""A second shift is told of where its mean squared difference is at most this many times the best one's."""
+_APART_S = 0.15
+_STEPS = 12
+_DONE_S = 1e-7
+_FLAT = 1e-3
+_LEAST_FRAMES = 4
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Alignment:
+    """The second recording's clock and laboratory, seen from the first's."""
+
+    shift_s: float
+    """What the first recording shows at t, the second shows at t + shift [s]."""
+    shift_sd_s: float
+    """NaN where the shift was given or could not be found."""
+    rival_s: float
+    """Another shift that fits nearly as well, as where a motion repeats itself; NaN where there is none."""
+    first_from_second: RigidTransform
+    """Carries the second laboratory into the first."""
+    covariance: Floats
+    """(6, 6) of the small turn about the first laboratory's axes [rad] and of the translation [m]; NaN where the offset
+    was given or could not be found; of the turn alone where nothing but orientations is in common."""
+    residual_m: float
+    """Root mean square distance of the points that are in common, after alignment; NaN without points."""
+    notes: tuple[str, ...] = ()
+    """What could not be found, as sentences."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "covariance", frozen(self.covariance))
+
+    @property
+    def turn_sd(self) -> Floats:
+        """(3,) [rad]."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)[:3]))
+
+    @property
+    def translation_sd(self) -> Floats:
+        """(3,) [m]."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)[3:]))
+
+
+@dataclass(frozen=True, eq=False)
+class _Pair:
+    """Two recordings as two sets of columns: scalars with a constant between them, and vectors in two laboratories."""
+
+    time: tuple[Floats, Floats]
+    scalars: tuple[Floats, Floats]
+    """(F, K)."""
+    vectors: tuple[Floats, Floats]
+    """(F, P, 3)."""
+    places: bool
+    """Whether the vectors are places, between which a translation lies, or velocities of turns."""
+
+    @property
+    def spans(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        return tuple((float(t[0]), float(t[-1])) for t in self.time)  # type: ignore[return-value]
+
+
+def align(
+    first: Recording, second: Recording, *, shift_s: float | None = None, same_laboratory: bool = False
+) -> Alignment:
+    """Find the time shift and the rigid offset of the laboratories, from what both recordings name alike.
+
+    The shift is first looked for over all that leaves half of the shorter recording in common, then estimated together
+    with the offset by least squares: angles may differ by a constant each, points in common are carried from one
+    laboratory to the other, and every angle and point weighs by how well it agrees. Where only orientations are in
+    common, the turning velocities stand for points: they do not depend on how a segment's frame is defined. Standard
+    deviations allow for differences that last over frames ([NeweyWest1987] eq. (5)).
+
+    Args:
+        first: A recording.
+        second: Another one with the same names.
+        shift_s: The shift where it is known.
+        same_laboratory: whether both are in one laboratory already.
+    """
+    notes: list[str] = []
+    pair = _pair(first, second)
+    searched = (0.0, np.nan) if shift_s is not None else _search(pair)
+    if searched is None:
+        notes.append("No time shift could be found: the motions have too little in common.")
+    shift, rival = searched or (0.0, np.nan)
+    shift = shift if shift_s is None else shift_s
+    offset = RigidTransform.identity() if same_laboratory else _offset(pair, shift)
+    if offset is None:
+        notes.append("The offset of the laboratories cannot be found: no three points off a line are in common.")
+    free_shift = shift_s is None and searched is not None
+    free_offset = not same_laboratory and offset is not None
+    start = Alignment(
+        shift_s=shift, shift_sd_s=np.nan, rival_s=rival, first_from_second=offset or RigidTransform.identity(),
+        covariance=np.full((6, 6), np.nan), residual_m=np.nan, notes=tuple(notes),
+    )  # fmt: skip
+    result = _refined(pair, start, free_shift=free_shift, free_offset=free_offset)
+    span = min(b - a for a, b in pair.spans)
+    if free_shift and not result.shift_sd_s < 0.25 * span:
+        note = "No time shift could be found: nothing moves that both motions show."
+        start = replace(start, shift_s=0.0, rival_s=np.nan, notes=(*notes, note))
+        result = _refined(pair, start, free_shift=False, free_offset=free_offset)
+    return result
+
+
+def _pair(first: Recording, second: Recording) -> _Pair:
+    scalars = (continuous_angles(first.angles), continuous_angles(second.angles))
+    if first.point_names or not first.segment_names:
+        return _Pair((first.time, second.time), scalars, (first.points, second.points), True)
+    return _Pair((first.time, second.time), scalars, (_turning(first), _turning(second)), False)
+
+
+def _turning(recording: Recording) -> Floats:
+    """Give the segments' turning velocities in the laboratory (F, S, 3) [rad/s], smoothed."""
+    step = max(1, round(0.02 * recording.rate))
+    turn = recording.rotation
+    velocity = np.full((*turn.shape[:2], 3), np.nan)
+    if len(turn) > 2 * step:
+        between = turn[2 * step :] @ np.swapaxes(turn[: -2 * step], -1, -2)
+        spans = recording.time[2 * step :] - recording.time[: -2 * step]
+        velocity[step:-step] = rotations.log(between) / spans[:, None, None]
+    return _smooth(velocity, recording.rate)
+
+
+def _smooth(values: Floats, rate: float) -> Floats:
+    return low_pass(values, rate=rate, cutoff_hz=SMOOTH_HZ) if rate > 2.2 * SMOOTH_HZ else values
+
+
+def _search(pair: _Pair) -> tuple[float, float] | None:
+    """Look for the shift [s] on a grid, and for one that is nearly as good; None where nothing is in common."""
+    step = 1 / min(SEARCH_HZ, *(1 / float(np.median(np.diff(t))) for t in pair.time if len(t) > 1))
+    grids = [np.arange(a, b + 0.5 * step, step) for a, b in pair.spans]
+    scalars = [interpolated(t, v, g) for t, v, g in zip(pair.time, pair.scalars, grids, strict=True)]
+    vectors = [interpolated(t, v, g) for t, v, g in zip(pair.time, pair.vectors, grids, strict=True)]
+    n, m = (len(g) for g in grids)
+    least = max(_LEAST_FRAMES, int(LEAST_OVERLAP * min(n, m)))
+    lags = np.arange(least - n, m - least + 1)
+    costs = np.full(len(lags), np.inf)
+    for k, lag in enumerate(lags):
+        own, other = slice(max(0, -lag), min(n, m - lag)), slice(max(0, lag), min(m, n + lag))
+        costs[k] = _disagreement(
+            scalars[0][own], scalars[1][other], vectors[0][own], vectors[1][other], pair.places, least
+        )
+    if not np.isfinite(costs).any():
+        return None
+    best = int(np.argmin(costs))
+    zero = pair.spans[1][0] - pair.spans[0][0]
+    low = (costs <= np.roll(costs, 1)) & (costs <= np.roll(costs, -1)) & (np.abs(lags - lags[best]) * step > _APART_S)
+    near = np.flatnonzero(low & (costs < costs[best] + np.log(RIVAL)))
+    rival = zero + lags[near[np.argmin(costs[near])]] * step if len(near) else np.nan
+    return float(zero + lags[best] * step), float(rival)
+
+
+def _disagreement(a: Floats, b: Floats, p: Floats, q: Floats, places: bool, least: int) -> float:
+    """Measure how badly two recordings agree at one shift: the mean logarithm of what is left of the variance.
+
+    Dividing by the variance keeps two spans in which nothing moves from passing for a good fit.
+    """
+    logs, weights = [], []
+    for left, right in zip(a.T, b.T, strict=True):
+        both = np.isfinite(left) & np.isfinite(right)
+        if both.sum() >= least:
+            spread = left[both].var() + right[both].var()
+            if spread > 0:
+                logs.append(np.log((left[both] - right[both]).var() / spread + 1e-9))
+                weights.append(both.sum())
+    both = np.isfinite(p).all(-1) & np.isfinite(q).all(-1)
+    if both.sum() >= least:
+        moved = _moved(p, both)
+        spread = moved + _moved(q, both)
+        offset = _kabsch(p[both], q[both], places)
+        if spread > 0 and offset is not None:
+            left_over = np.mean(np.sum((p[both] - offset.apply(q[both])) ** 2, -1))
+            logs.append(np.log(left_over / spread + 1e-9))
+            weights.append(both.sum())
+    return float(np.average(logs, weights=weights)) if logs else np.inf
+
+
+def _moved(points: Floats, known: Mask) -> float:
+    """Give how far points (F, P, 3) scatter about their own mean places [m2]."""
+    kept = np.where(known[..., None], points, np.nan)
+    seen = known.any(0)
+    kept = kept[:, seen]
+    return float(np.nansum((kept - np.nanmean(kept, 0)) ** 2) / max(known.sum(), 1))
+
+
+def _kabsch(p: Floats, q: Floats, places: bool) -> RigidTransform | None:
+    """Carry vectors q (n, 3) onto p (n, 3) by a rotation, and a translation where they are places."""
+    mean_p, mean_q = (p.mean(0), q.mean(0)) if places else (np.zeros(3), np.zeros(3))
+    cross = (p - mean_p).T @ (q - mean_q)
+    sizes = np.linalg.svd(cross, compute_uv=False)
+    if not sizes[1] > _FLAT * sizes[0]:
+        return None
+    turn = rotations.nearest(cross)
+    return RigidTransform(turn, mean_p - turn @ mean_q)
+
+
+def _offset(pair: _Pair, shift: float) -> RigidTransform | None:
+    time = _common_time(pair, shift)
+    p = interpolated(pair.time[0], pair.vectors[0], time)
+    q = interpolated(pair.time[1], pair.vectors[1], time + shift)
+    both = np.isfinite(p).all(-1) & np.isfinite(q).all(-1)
+    return _kabsch(p[both], q[both], pair.places) if both.sum() >= _LEAST_FRAMES else None
+
+
+def _common_time(pair: _Pair, shift: float) -> Floats:
+    return common_time(*pair.time, shift)
+
+
+def common_time(first: Floats, second: Floats, shift_s: float) -> Floats:
+    """Give the times of the slower recording that both cover, on the first one's clock (N,) [s]."""
+    moved = second - shift_s
+    steps = [np.median(np.diff(t)) if len(t) > 1 else np.inf for t in (first, second)]
+    time = first if steps[0] >= steps[1] else moved
+    return np.asarray(time[(time >= max(first[0], moved[0]) - 1e-9) & (time <= min(first[-1], moved[-1]) + 1e-9)])
+
+
+def _refined(pair: _Pair, start: Alignment, *, free_shift: bool, free_offset: bool) -> Alignment:
+    """Estimate shift and offset together by Gauss and Newton, with the covariance of what was free."""
+    shift, offset = start.shift_s, start.first_from_second
+    smooth = _rates_of_change(pair)
+    free = np.array([free_shift] + [free_offset] * 3 + [free_offset and pair.places] * 3)
+    before = np.inf
+    for _ in range(_STEPS):
+        system = _system(pair, smooth, shift, offset)
+        if system is None:
+            return start
+        step = np.zeros(7)
+        if free.any():
+            step[free] = np.linalg.lstsq(system.information[np.ix_(free, free)], system.gradient[free], rcond=1e-12)[0]
+        if not free.any() or system.cost > before * (1 + 1e-6):
+            break
+        before = system.cost
+        shift += step[0]
+        turn = rotations.exp(step[1:4])
+        # The turn acts about the middle of the points, so that it hardly moves them.
+        moved = turn @ (offset.translation - system.middle) + system.middle + step[4:]
+        offset = RigidTransform(rotations.nearest(turn @ offset.rotation), moved)
+        if abs(step[0]) < _DONE_S and np.abs(step[1:]).max() < 1e-9:
+            break
+    final = _system(pair, smooth, shift, offset)
+    return start if final is None else _with_spread(start, final, shift, offset, free, places=pair.places)
+
+
+def _rates_of_change(pair: _Pair) -> tuple[Floats, Floats]:
+    """Give the second recording's scalars and vectors, smoothed, whose splines are differentiated."""
+    rate = 1 / float(np.median(np.diff(pair.time[1]))) if len(pair.time[1]) > 1 else 0.0
+    return _smooth(pair.scalars[1], rate), _smooth(pair.vectors[1], rate)
+
+
+@dataclass(frozen=True, eq=False)
+class _System:
+    """Normal equations of shift, turn and translation, frame by frame."""
+
+    information: Floats
+    gradient: Floats
+    scores: Floats
+    """(N, 7) the gradient's share of each frame."""
+    lasting: int
+    """Frames over which differences last."""
+    middle: Floats
+    """(3,) of the points in the first laboratory."""
+    cost: float
+    distance: float
+    """Root mean square of the vectors' differences."""
+
+
+def _system(pair: _Pair, smooth: tuple[Floats, Floats], shift: float, offset: RigidTransform) -> _System | None:
+    time = _common_time(pair, shift)
+    if len(time) < _LEAST_FRAMES:
+        return None
+    then = time + shift
+    a, b = interpolated(pair.time[0], pair.scalars[0], time), interpolated(pair.time[1], pair.scalars[1], then)
+    p = interpolated(pair.time[0], pair.vectors[0], time)
+    q = offset.apply(interpolated(pair.time[1], pair.vectors[1], then))
+    slope = interpolated(pair.time[1], smooth[0], then, derivative=1)
+    speed = interpolated(pair.time[1], smooth[1], then, derivative=1) @ offset.rotation.T
+    parts = [_scalar_rows(a - b, slope)]
+    known = np.isfinite(p).all(-1) & np.isfinite(q).all(-1) & np.isfinite(speed).all(-1)
+    middle = q[known].mean(0) if pair.places and known.any() else np.zeros(3)
+    parts += [_vector_rows(p - q, q - middle, speed, known)]
+    columns = np.concatenate([rows for rows, _, _ in parts], 1)
+    residuals = np.concatenate([r for _, r, _ in parts], 1)
+    sigma = np.concatenate([s for _, _, s in parts])
+    whitened, wrt = residuals / sigma, columns / sigma[:, None]
+    scores = np.einsum("nrk,nr->nk", wrt, whitened)
+    distance = float(np.sqrt(np.mean(np.sum((p - q)[known] ** 2, -1)))) if known.any() else np.nan
+    used = max(np.count_nonzero(residuals), 1)
+    return _System(
+        information=np.einsum("nrk,nrl->kl", wrt, wrt), gradient=scores.sum(0), scores=scores,
+        lasting=_lasting(whitened), middle=middle, distance=distance,
+        cost=float(np.exp(np.sum((residuals != 0) * np.log(sigma)) / used)),
+    )  # fmt: skip
+
+
+def _scalar_rows(difference: Floats, slope: Floats) -> tuple[Floats, Floats, Floats]:
+    """Give derivatives (N, K, 7), residuals (N, K) and their spread (K,); a constant of each column is taken out."""
+    known = np.isfinite(difference) & np.isfinite(slope)
+    counts = np.maximum(known.sum(0), 1)
+    residual = np.where(known, difference, 0.0)
+    residual = np.where(known, residual - residual.sum(0) / counts, 0.0)
+    change = np.where(known, slope, 0.0)
+    change = np.where(known, change - change.sum(0) / counts, 0.0)
+    rows = np.zeros((*residual.shape, 7))
+    rows[..., 0] = change
+    return rows, residual, _spread(np.sqrt((residual**2).sum(0) / counts))
+
+
+def _vector_rows(difference: Floats, arm: Floats, speed: Floats, known: Mask) -> tuple[Floats, Floats, Floats]:
+    """Give derivatives (N, 3 P, 7), residuals (N, 3 P) and their spread (3 P,)."""
+    frames, count = known.shape
+    rows = np.zeros((frames, count, 3, 7))
+    rows[..., 0] = np.where(known[..., None], speed, 0.0)
+    rows[..., 1:4] = np.where(known[..., None, None], -rotations.hat(np.where(known[..., None], arm, 0.0)), 0.0)
+    rows[..., 4:] = known[..., None, None] * np.eye(3)
+    residual = np.where(known[..., None], difference, 0.0)
+    each = np.sqrt((residual**2).sum((0, 2)) / np.maximum(3 * known.sum(0), 1))
+    return rows.reshape(frames, -1, 7), residual.reshape(frames, -1), _spread(np.repeat(each, 3))
+
+
+def _spread(values: Floats) -> Floats:
+    """Keep standard deviations above zero, so that two equal motions do not divide by it."""
+    return np.asarray(np.maximum(values, 1e-9))
+
+
+def _lasting(residuals: Floats) -> int:
+    """Find over how many frames differences (N, K) last: twice the lag at which they are no longer alike."""
+    frames = len(residuals)
+    power = float((residuals**2).sum())
+    if power == 0:
+        return 0
+    for lag in range(1, frames // 3):
+        if float((residuals[lag:] * residuals[:-lag]).sum()) < 0.05 * power:
+            return min(2 * lag, frames // 3)
+    return frames // 3
+
+
+def long_run_variance(scores: Floats, lasting: int) -> Floats:
+    """Sum the products (K, K) of scores (N, K) within some frames of each other, fading ([NeweyWest1987] eq. (5))."""
+    total = scores.T @ scores
+    for lag in range(1, lasting + 1):
+        product = scores[lag:].T @ scores[:-lag]
+        total = total + (1 - lag / (lasting + 1)) * (product + product.T)
+    return np.asarray(total)
+
+
+def _with_spread(
+    start: Alignment, system: _System, shift: float, offset: RigidTransform, free: Mask, *, places: bool
+) -> Alignment:
+    covariance = np.full((7, 7), np.nan)
+    if free.any():
+        at = np.ix_(free, free)
+        information = system.information[at]
+        scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
+        if np.linalg.cond(information / np.outer(scale, scale)) < 1e12 and (np.diag(information) > 1e-12).all():
+            inverse = np.linalg.inv(information)
+            covariance[at] = inverse @ long_run_variance(system.scores[:, free], system.lasting) @ inverse
+    # From a translation of the points' middle to one of the laboratory's origin.
+    wrt = np.eye(6)
+    wrt[3:, :3] = rotations.hat(system.middle - offset.translation)
+    moved = covariance[1:, 1:]
+    known = np.isfinite(np.diag(moved))
+    if known.all():
+        moved = wrt @ moved @ wrt.T
+    return replace(
+        start, shift_s=shift, shift_sd_s=float(np.sqrt(covariance[0, 0])), first_from_second=offset,
+        covariance=moved, residual_m=system.distance if places else np.nan,
+    )  # fmt: skip

@@ -1,0 +1,209 @@
+"""Two motions side by side: how far angles, points and orientations agree, and within which limits."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from marey.arrays import Floats, frozen
+from marey.errors import MareyError
+from marey.geometry import rotations
+from marey.motion.alignment import Alignment, align, common_time
+from marey.motion.recording import Recording
+
+_WITHIN = 1.96
+_LEAST_FOR_A_CORRELATION = 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Agreement:
+    """How one quantity of two motions agrees; differences are the first less the second. NaN where there is none."""
+
+    name: str
+    """The quantity: an angle, a point's coordinate, a segment's turn."""
+    kind: str
+    """`angle` [rad], `place` [m], `distance` [m] or `turn` [rad]."""
+    frames: int
+    """In how many frames both know it."""
+    rms: float
+    """Root mean square difference."""
+    bias: float
+    """Mean difference."""
+    sd: float
+    """Standard deviation of the differences about the bias."""
+    correlation: float
+    """Of Pearson."""
+    within_stated: float = np.nan
+    """Share of the differences that 1.96 of the stated standard deviations of both hold."""
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """The limits of agreement: 95 % of differences lie between, were they normal ([BlandAltman1986])."""
+        return self.bias - _WITHIN * self.sd, self.bias + _WITHIN * self.sd
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Comparison:
+    """Two motions over one time, in one laboratory, and how they agree."""
+
+    alignment: Alignment
+    time: Floats
+    """(N,) on the first motion's clock [s]."""
+    first: Recording
+    """What both have, at these times."""
+    second: Recording
+    """The same, carried into the first one's clock and laboratory."""
+    agreements: tuple[Agreement, ...]
+    only_first: tuple[str, ...] = ()
+    """What the second lacks."""
+    only_second: tuple[str, ...] = ()
+    segment_offset: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+    """(S, 3) the constant turn from the first's to the second's frame of each segment, as a rotation vector [rad]."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "time", frozen(self.time))
+        object.__setattr__(self, "segment_offset", frozen(self.segment_offset))
+
+
+def compare(
+    first: Recording, second: Recording, *, shift_s: float | None = None, same_laboratory: bool = False
+) -> Comparison:
+    """Compare what two recordings name alike.
+
+    The shift of the clocks and the rigid offset of the laboratories are taken out first, as section 3 of
+    [Rosenhahn2006] does. The slower recording's frames are compared; the other one is read between its own.
+
+    Args:
+        first: A motion.
+        second: Another one; quantities with the same name are the same.
+        shift_s: The shift of the second clock where it is known [s].
+        same_laboratory: whether no offset of the laboratories is to be taken out.
+
+    Raises:
+        MareyError: They have no quantity or no time in common.
+    """
+    names = _common_names(first, second)
+    if not any(names.values()):
+        raise MareyError("The two motions have no angle, point or segment of the same name.")
+    own, other = first.chosen(**names), second.chosen(**names)
+    alignment = align(own, other, shift_s=shift_s, same_laboratory=same_laboratory)
+    time = common_time(own.time, other.time, alignment.shift_s)
+    if not len(time):
+        raise MareyError(f"The two motions have no time in common at a shift of {alignment.shift_s:.3f} s.")
+    a = own.at(time)
+    b = _carried(other.at(time + alignment.shift_s), time, a, alignment)
+    turns, offsets = _turns(a, b)
+    agreements = [*_angles(a, b), *_points(a, b), *turns]
+    if not any(row.frames for row in agreements):
+        raise MareyError("The two motions have no frame in common in which both have an answer.")
+    return Comparison(
+        alignment=alignment, time=time, first=a, second=b, agreements=tuple(agreements),
+        only_first=_left_over(first, own), only_second=_left_over(second, other), segment_offset=offsets,
+    )  # fmt: skip
+
+
+def _common_names(first: Recording, second: Recording) -> dict[str, tuple[str, ...]]:
+    kinds = ("angle", "point", "segment")
+    lists = {f"{kind}s": (getattr(first, f"{kind}_names"), getattr(second, f"{kind}_names")) for kind in kinds}
+    return {key: tuple(name for name in a if name in b) for key, (a, b) in lists.items()}
+
+
+def _left_over(whole: Recording, used: Recording) -> tuple[str, ...]:
+    kinds = ("angle_names", "point_names", "segment_names")
+    left = [name for kind in kinds for name in getattr(whole, kind) if name not in getattr(used, kind)]
+    return tuple(dict.fromkeys(left))
+
+
+def _carried(second: Recording, time: Floats, first: Recording, alignment: Alignment) -> Recording:
+    """Bring the second recording into the first one's laboratory, and its angles into the same whole turn."""
+    to_first = alignment.first_from_second
+    return Recording(
+        time=time,
+        angle_names=second.angle_names, angles=_same_turn(second.angles, first.angles), angles_sd=second.angles_sd,
+        point_names=second.point_names, points=to_first.apply(second.points),
+        segment_names=second.segment_names, rotation=to_first.rotation @ second.rotation,
+    )  # fmt: skip
+
+
+def _same_turn(angles: Floats, like: Floats) -> Floats:
+    """Add whole turns to each angle so that it lies nearest to another one on average."""
+    difference = np.where(np.isfinite(angles - like), angles - like, 0.0)
+    counts = np.maximum(np.isfinite(angles - like).sum(0), 1)
+    return np.asarray(angles - 2 * np.pi * np.round(difference.sum(0) / counts / (2 * np.pi)))
+
+
+def agreement(name: str, kind: str, first: Floats, second: Floats, sd: Floats | None = None) -> Agreement:
+    """Compare one quantity (N,) of two motions.
+
+    Args:
+        name: What it is called.
+        kind: What it is.
+        first: NaN where unknown.
+        second: NaN where unknown.
+        sd: (N,) stated standard deviation of the difference, NaN where none is stated.
+    """
+    known = np.isfinite(first) & np.isfinite(second)
+    a, b = first[known], second[known]
+    if not len(a):
+        return Agreement(name=name, kind=kind, frames=0, rms=np.nan, bias=np.nan, sd=np.nan, correlation=np.nan)
+    difference = a - b
+    stated = np.full(len(a), np.nan) if sd is None else sd[known]
+    told = np.isfinite(stated)
+    return Agreement(
+        name=name, kind=kind, frames=len(a),
+        rms=float(np.sqrt(np.mean(difference**2))), bias=float(difference.mean()),
+        sd=float(difference.std(ddof=1)) if len(a) > 1 else np.nan, correlation=_correlation(a, b),
+        within_stated=float(np.mean(np.abs(difference[told]) <= _WITHIN * stated[told])) if told.any() else np.nan,
+    )  # fmt: skip
+
+
+def _correlation(a: Floats, b: Floats) -> float:
+    if len(a) < _LEAST_FOR_A_CORRELATION or a.std() < 1e-9 or b.std() < 1e-9:
+        return np.nan
+    return float(np.corrcoef(a, b)[0, 1])
+
+
+def _angles(a: Recording, b: Recording) -> list[Agreement]:
+    variance = np.where(np.isfinite(a.angles_sd), a.angles_sd**2, 0) + np.where(
+        np.isfinite(b.angles_sd), b.angles_sd**2, 0
+    )
+    sd = np.where(np.isfinite(a.angles_sd) | np.isfinite(b.angles_sd), np.sqrt(variance), np.nan)
+    return [
+        agreement(name, "angle", a.angles[:, k], b.angles[:, k], sd[:, k]) for k, name in enumerate(a.angle_names)
+    ]  # fmt: skip
+
+
+def _points(a: Recording, b: Recording) -> list[Agreement]:
+    rows = []
+    for k, name in enumerate(a.point_names):
+        p, q = a.points[:, k], b.points[:, k]
+        apart = np.linalg.norm(p - q, axis=-1)
+        row = agreement(f"{name} distance", "distance", apart, np.zeros(len(apart)))
+        rows.append(row)
+        rows += [agreement(f"{name} {axis}", "place", p[:, i], q[:, i]) for i, axis in enumerate("xyz")]
+    return rows
+
+
+def _turns(a: Recording, b: Recording) -> tuple[list[Agreement], Floats]:
+    """Compare orientations: the angle between them as they are, and after the constant turn of a segment's frames."""
+    rows, offsets = [], []
+    for k, name in enumerate(a.segment_names):
+        between = np.swapaxes(a.rotation[:, k], -1, -2) @ b.rotation[:, k]
+        known = np.isfinite(between).all((-1, -2))
+        angle, steady = np.full(len(known), np.nan), np.full(len(known), np.nan)
+        offset = np.full(3, np.nan)
+        if known.any():
+            constant = rotations.mean(between[known])
+            offset = rotations.log(constant)
+            angle[known] = np.linalg.norm(rotations.log(between[known]), axis=-1)
+            steady[known] = np.linalg.norm(rotations.log(constant.T @ between[known]), axis=-1)
+        rows.append(agreement(f"{name} turn", "turn", angle, np.zeros(len(angle))))
+        rows.append(agreement(f"{name} turn less constant", "turn", steady, np.zeros(len(angle))))
+        offsets.append(offset)
+    return rows, np.array(offsets).reshape(-1, 3)
+
+
+def worst(agreements: Sequence[Agreement], kind: str) -> Agreement | None:
+    """Give the quantity of a kind that agrees least, None where there is none."""
+    known = [row for row in agreements if row.kind == kind and np.isfinite(row.rms)]
+    return max(known, key=lambda row: row.rms) if known else None

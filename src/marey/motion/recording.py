@@ -1,0 +1,163 @@
+"""What two motions may have in common: angles, points and orientations over one time, wherever they came from."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from marey.arrays import Floats, Mask, frozen
+from marey.errors import MareyError
+from marey.geometry import rotations
+from marey.motion.filters import known_runs
+
+_LEAST_FOR_A_CUBIC = 4
+_SAME_TIME = 1e-6  # s; times in files have six decimals
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Recording:
+    """A motion as another program may have written it; NaN where there is no answer."""
+
+    time: Floats
+    """(F,) rising [s]."""
+    angle_names: tuple[str, ...] = ()
+    """A names."""
+    angles: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+    """(F, A) [rad]."""
+    angles_sd: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+    """(F, A) [rad]; NaN where not known."""
+    point_names: tuple[str, ...] = ()
+    """P names: joint centres, markers, bones' origins."""
+    points: Floats = field(default_factory=lambda: np.zeros((0, 0, 3)))
+    """(F, P, 3) [m]."""
+    segment_names: tuple[str, ...] = ()
+    """S names."""
+    rotation: Floats = field(default_factory=lambda: np.zeros((0, 0, 3, 3)))
+    """(F, S, 3, 3) laboratory from segment."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "time", frozen(self.time))
+        frames = len(self.time)
+        if frames > 1 and not (np.diff(self.time) > 0).all():
+            raise MareyError("The times of a motion do not rise.")
+        shapes = {
+            "angles": (frames, len(self.angle_names)), "angles_sd": (frames, len(self.angle_names)),
+            "points": (frames, len(self.point_names), 3), "rotation": (frames, len(self.segment_names), 3, 3),
+        }  # fmt: skip
+        for name, shape in shapes.items():
+            values = np.asarray(getattr(self, name), float)
+            # What was not given is empty, or unknown.
+            values = np.full(shape, np.nan) if values.size == 0 else values
+            if values.shape != shape:
+                raise MareyError(f"The {name} of a motion are {values.shape} and should be {shape}.")
+            object.__setattr__(self, name, frozen(values))
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    @property
+    def rate(self) -> float:
+        """Frames a second [Hz], by the median step of time."""
+        return float(1 / np.median(np.diff(self.time))) if len(self) > 1 else np.nan
+
+    def chosen(self, *, angles: Sequence[str], points: Sequence[str], segments: Sequence[str]) -> "Recording":
+        """Give some of the angles, points and segments, in the order asked for."""
+        a = [self.angle_names.index(name) for name in angles]
+        p = [self.point_names.index(name) for name in points]
+        s = [self.segment_names.index(name) for name in segments]
+        return replace(
+            self, angle_names=tuple(angles), angles=self.angles[:, a], angles_sd=self.angles_sd[:, a],
+            point_names=tuple(points), points=self.points[:, p], segment_names=tuple(segments),
+            rotation=self.rotation[:, s],
+        )  # fmt: skip
+
+    def at(self, time: Floats) -> "Recording":
+        """Give the motion at other times (N,) [s]: cubic between its frames, nothing across gaps or beyond its ends."""
+        return Recording(
+            time=time,
+            angle_names=self.angle_names,
+            angles=interpolated(self.time, continuous_angles(self.angles), time),
+            angles_sd=interpolated(self.time, self.angles_sd, time, cubic=False),
+            point_names=self.point_names,
+            points=interpolated(self.time, self.points, time),
+            segment_names=self.segment_names,
+            rotation=_turned_between(self.time, self.rotation, time),
+        )
+
+
+def interpolated(time: Floats, values: Floats, at: Floats, *, cubic: bool = True, derivative: int = 0) -> Floats:
+    """Read values between their frames.
+
+    Each run of known values is a cubic spline of its own (a straight line where it has less than four frames);
+    between runs, and beyond the ends, there is no answer.
+
+    Args:
+        time: (F,) [s].
+        values: (F, ...); NaN where unknown.
+        at: (N,) [s].
+        cubic: False for straight lines, which never overshoot.
+        derivative: 1 for the rate of change.
+
+    Returns:
+        (N, ...).
+    """
+    columns = np.asarray(values, float).reshape(len(time), -1)
+    result = np.full((len(at), columns.shape[1]), np.nan)
+    known = np.isfinite(columns)
+    # Columns with the same gaps are splined together.
+    patterns, group = np.unique(known, axis=1, return_inverse=True)
+    for g in range(patterns.shape[1]):
+        members = np.flatnonzero(group.ravel() == g)
+        for start, end in known_runs(np.where(patterns[:, g], 0.0, np.nan)):
+            inside = (at >= time[start] - _SAME_TIME) & (at <= time[end - 1] + _SAME_TIME)
+            if inside.any():
+                run = slice(start, end)
+                read = _reader(time[run], columns[run][:, members], cubic=cubic, derivative=derivative)
+                result[np.ix_(inside, members)] = read(np.clip(at[inside], time[start], time[end - 1]))
+    return result.reshape(len(at), *np.shape(values)[1:])
+
+
+def _reader(time: Floats, values: Floats, *, cubic: bool, derivative: int) -> Callable[[Floats], Floats]:
+    if cubic and len(time) >= _LEAST_FOR_A_CUBIC:
+        spline = CubicSpline(time, values)
+        return lambda at: np.asarray(spline(at, derivative))
+    if len(time) == 1:
+        return lambda at: np.repeat(values if derivative == 0 else np.full_like(values, np.nan), len(at), 0)
+    slope = np.diff(values, axis=0) / np.diff(time)[:, None]
+
+    def straight(at: Floats) -> Floats:
+        piece = np.clip(np.searchsorted(time, at, side="right") - 1, 0, len(slope) - 1)
+        if derivative:
+            return np.asarray(slope[piece])
+        return np.asarray(values[piece] + slope[piece] * (at - time[piece])[:, None])
+
+    return straight
+
+
+def continuous_angles(angles: Floats) -> Floats:
+    """Undo jumps by whole turns between known frames of angles (F, A) [rad]."""
+    result = np.array(angles, float)
+    for column in range(result.shape[1]):
+        known = np.isfinite(result[:, column])
+        result[known, column] = np.unwrap(result[known, column])
+    return result
+
+
+def _turned_between(time: Floats, rotation: Floats, at: Floats) -> Floats:
+    """Read rotations (F, S, 3, 3) between their frames through splines of their quaternions."""
+    quaternions = rotations.to_quaternion(rotation)
+    for s in range(quaternions.shape[1]):
+        known = np.isfinite(quaternions[:, s]).all(-1)
+        if known.any():
+            quaternions[known, s] = rotations.continuous(quaternions[known, s])
+    read = interpolated(time, quaternions, at)
+    known = np.isfinite(read).all(-1)
+    result = np.full((*read.shape[:2], 3, 3), np.nan)
+    result[known] = rotations.from_quaternion(read[known])
+    return result
+
+
+def answered(values: Floats) -> Mask:
+    """Tell which rows (F,) of values (F, ...) are known whole."""
+    return np.asarray(np.isfinite(values).reshape(len(values), -1).all(1))
