@@ -248,6 +248,44 @@ def retarget(
 
 
 @app.command()
+def compare(
+    first: Annotated[Path, typer.Argument(metavar="A", help="A folder of results, or a MOT, TRC, STO, C3D or NPZ.")],
+    second: Annotated[Path, typer.Argument(metavar="B", help="Another one; differences are A less B.")],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", metavar="DIR", help="Where the results go. [default: A_compared_with_B]"),
+    ] = None,
+    named: Annotated[
+        Path | None,
+        typer.Option("--map", metavar="FILE", help='A TOML with \\[angles] "name in A" = "name in B".'),
+    ] = None,
+    shift: Annotated[
+        float | None, typer.Option(metavar="S", help="The second clock less the first, in seconds, where it is known.")
+    ] = None,
+    same_laboratory: Annotated[
+        bool, typer.Option("--same-laboratory", help="Both are in one laboratory: take out no rigid offset.")
+    ] = False,
+    quiet: Quiet = False,
+) -> None:
+    """Compare two motions: RMS, bias, limits of agreement and correlation of every angle and point.
+
+    The shift of the clocks and the rigid offset of the laboratories are estimated first. What the motions call alike
+    is compared; names of OpenSim's models and of Plug-in Gait are known, others are given with `--map`.
+
+    Examples:
+    * `marey compare walk01/marey walk01_ik.mot`
+    * `marey compare walk01_marey walk02_marey --same-laboratory --shift 0`
+    """
+    from marey.cli.compare import CompareOptions
+    from marey.cli.compare import compare as compare_files
+    from marey.cli.progress import Progress
+
+    options = CompareOptions(out=out, named=named, shift_s=shift, same_laboratory=same_laboratory)
+    results, _ = compare_files(first, second, options, Progress(quiet=quiet))
+    typer.echo(f"Report: {results / 'report.html'}")
+
+
+@app.command()
 def view(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="A folder of results.")],
     no_browser: Annotated[bool, typer.Option("--no-browser", help="Only print where the report is.")] = False,

@@ -122,6 +122,16 @@ def _continuous(quaternions: Floats) -> Floats:
     return result
 
 
+def is_of_quaternions(path: Path | str) -> bool:
+    """Tell whether a STO holds orientations, by what its header says.
+
+    Raises:
+        FileProblem: It is no such table.
+    """
+    head, _, _ = _split(path)
+    return any(line.replace(" ", "").lower() == "datatype=quaternion" for line in head)
+
+
 def read_orientations(path: Path | str) -> Orientations:
     """Read a quaternion table in OpenSim's axes.
 

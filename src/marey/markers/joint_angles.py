@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
@@ -110,7 +111,7 @@ def joint_kinematics(motion: BoneMotion, joints: Sequence[BoneJoint]) -> JointKi
     """
     values, spreads = [], []
     for joint in joints:
-        six, sd = _with_sd(motion, joint, lambda *bones, joint=joint: clinical(*bones, joint))
+        six, sd = _with_sd(motion, joint, partial(clinical, joint))
         values.append(six)
         spreads.append(sd)
     names = [name for joint in joints for name, _ in joint.angles]
@@ -128,16 +129,16 @@ def joint_kinematics(motion: BoneMotion, joints: Sequence[BoneJoint]) -> JointKi
 
 
 def clinical(
-    parent_rotation: Floats, parent_origin: Floats, child_rotation: Floats, child_origin: Floats, joint: BoneJoint
+    joint: BoneJoint, parent_rotation: Floats, parent_origin: Floats, child_rotation: Floats, child_origin: Floats
 ) -> Floats:
     """Give a joint's three angles [rad] and three translations [m] ([Grood1983]).
 
     Args:
+        joint: Signs and side.
         parent_rotation: (..., 3, 3) laboratory from parent.
         parent_origin: (..., 3) [m].
         child_rotation: (..., 3, 3) laboratory from child.
         child_origin: (..., 3) [m].
-        joint: Signs and side.
 
     Returns:
         (..., 6).

@@ -15,7 +15,7 @@ SEARCH_HZ = 50.0
 LEAST_OVERLAP = 0.5
 """Share of the shorter recording that both must cover."""
 SMOOTH_HZ = 10.0
-"""Rates of change are read from paths that are smoothed to this frequency, so that noise does not pass for motion [Hz]."""
+"""Rates of change are read from paths that are smoothed to this frequency: noise is no motion [Hz]."""
 RIVAL = 1.3
 """A second shift is told of where its mean squared difference is at most this many times the best one's."""
 _APART_S = 0.15
@@ -101,7 +101,7 @@ def align(
     shift, rival = searched or (0.0, np.nan)
     shift = shift if shift_s is None else shift_s
     offset = RigidTransform.identity() if same_laboratory else _offset(pair, shift)
-    if offset is None:
+    if offset is None and any(v.shape[1] for v in pair.vectors):
         notes.append("The offset of the laboratories cannot be found: no three points off a line are in common.")
     free_shift = shift_s is None and searched is not None
     free_offset = not same_laboratory and offset is not None
@@ -179,7 +179,7 @@ def _disagreement(a: Floats, b: Floats, p: Floats, q: Floats, places: bool, leas
             if spread > 0:
                 logs.append(np.log((left[both] - right[both]).var() / spread + 1e-9))
                 weights.append(both.sum())
-    both = np.isfinite(p).all(-1) & np.isfinite(q).all(-1)
+    both = _both(p, q)
     if both.sum() >= least:
         moved = _moved(p, both)
         spread = moved + _moved(q, both)
@@ -189,6 +189,11 @@ def _disagreement(a: Floats, b: Floats, p: Floats, q: Floats, places: bool, leas
             logs.append(np.log(left_over / spread + 1e-9))
             weights.append(both.sum())
     return float(np.average(logs, weights=weights)) if logs else np.inf
+
+
+def _both(p: Floats, q: Floats) -> Mask:
+    """Tell where vectors (..., 3) are known on both sides."""
+    return np.asarray(np.isfinite(p + q).all(-1))
 
 
 def _moved(points: Floats, known: Mask) -> float:
@@ -214,7 +219,7 @@ def _offset(pair: _Pair, shift: float) -> RigidTransform | None:
     time = _common_time(pair, shift)
     p = interpolated(pair.time[0], pair.vectors[0], time)
     q = interpolated(pair.time[1], pair.vectors[1], time + shift)
-    both = np.isfinite(p).all(-1) & np.isfinite(q).all(-1)
+    both = _both(p, q)
     return _kabsch(p[both], q[both], pair.places) if both.sum() >= _LEAST_FRAMES else None
 
 
@@ -291,7 +296,7 @@ def _system(pair: _Pair, smooth: tuple[Floats, Floats], shift: float, offset: Ri
     slope = interpolated(pair.time[1], smooth[0], then, derivative=1)
     speed = interpolated(pair.time[1], smooth[1], then, derivative=1) @ offset.rotation.T
     parts = [_scalar_rows(a - b, slope)]
-    known = np.isfinite(p).all(-1) & np.isfinite(q).all(-1) & np.isfinite(speed).all(-1)
+    known = _both(p, q + speed)
     middle = q[known].mean(0) if pair.places and known.any() else np.zeros(3)
     parts += [_vector_rows(p - q, q - middle, speed, known)]
     columns = np.concatenate([rows for rows, _, _ in parts], 1)
@@ -378,6 +383,6 @@ def _with_spread(
     if known.all():
         moved = wrt @ moved @ wrt.T
     return replace(
-        start, shift_s=shift, shift_sd_s=float(np.sqrt(covariance[0, 0])), first_from_second=offset,
+        start, shift_s=float(shift), shift_sd_s=float(np.sqrt(covariance[0, 0])), first_from_second=offset,
         covariance=moved, residual_m=system.distance if places else np.nan,
     )  # fmt: skip

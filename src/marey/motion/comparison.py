@@ -189,7 +189,7 @@ def _turns(a: Recording, b: Recording) -> tuple[list[Agreement], Floats]:
     rows, offsets = [], []
     for k, name in enumerate(a.segment_names):
         between = np.swapaxes(a.rotation[:, k], -1, -2) @ b.rotation[:, k]
-        known = np.isfinite(between).all((-1, -2))
+        known = np.asarray(np.isfinite(between).all((-1, -2)))
         angle, steady = np.full(len(known), np.nan), np.full(len(known), np.nan)
         offset = np.full(3, np.nan)
         if known.any():

@@ -17,8 +17,8 @@ _OPENSIM_ANGLES = {
     "arm_rot": ("shoulder_rotation", 1.0), "elbow_flex": ("elbow_flexion", 1.0),
     "pro_sup": ("forearm_pronation", 1.0), "wrist_flex": ("wrist_flexion", 1.0),
 }  # fmt: skip
-"""Coordinates of OpenSim's gait models: the anatomical angle and its sign. A subtalar angle is none of ours: its axis is
-oblique. (A knee's sign differs from model to model; `one_sign` decides it by the knee's own motion.)"""
+"""Coordinates of OpenSim's gait models: the anatomical angle and its sign. A subtalar angle is none of ours: its axis
+is oblique. (A knee's sign differs from model to model; `one_sign` decides it by the knee's own motion.)"""
 _ONE_WAY = ("knee_flexion", "elbow_flexion")
 _JOINT_WORDS = {
     "hjc": "hip", "kjc": "knee", "ajc": "ankle", "sjc": "shoulder", "ejc": "elbow", "wjc": "wrist", "hip": "hip",

@@ -85,10 +85,10 @@ def report_html(content: ReportContent) -> str:
         content=content,
         version=marey.__version__,
         tiles=_tiles(content),
-        data=_embedded(_data(content)),
-        settings=[(readable(k), _text(v)) for k, v in content.settings.items() if v is not None],
+        data=embedded(_data(content)),
+        settings=[(readable(k), setting_text(v)) for k, v in content.settings.items() if v is not None],
         stills=[(still.caption, _jpeg(still.image)) for still in content.stills],
-        timings=_shares(content.timings),
+        timings=shares(content.timings),
         sizes=_sizes(content.sizes),
         joints=[readable(name) for name in content.motion.joint_names],
     )
@@ -132,12 +132,14 @@ def _sizes(sizes: Sequence[Size]) -> list[tuple[str, tuple[Size | None, Size | N
     return [(name, (left, right)) for name, (left, right) in rows.items()]
 
 
-def _shares(timings: Mapping[str, float]) -> list[tuple[str, float, float]]:
+def shares(timings: Mapping[str, float]) -> list[tuple[str, float, float]]:
+    """List stages with their seconds and their share of all."""
     total = sum(timings.values())
     return [(name, seconds, seconds / total if total else 0.0) for name, seconds in timings.items()]
 
 
-def _text(value: object) -> str:
+def setting_text(value: object) -> str:
+    """Write a setting as people read it."""
     if isinstance(value, list | tuple):
         return ", ".join(map(str, value))
     return {True: "yes", False: "no"}.get(value, str(value)) if isinstance(value, bool) else str(value)
@@ -153,12 +155,13 @@ def _jpeg(image: Image) -> str:
     return "data:image/jpeg;base64," + base64.b64encode(coded.tobytes()).decode()
 
 
-def _embedded(data: Mapping[str, object]) -> str:
+def embedded(data: Mapping[str, object]) -> str:
     """Write data as JSON that may stand inside a script element."""
     return json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
 
 
-def _packed(array: np.ndarray, dtype: str) -> str:
+def packed(array: np.ndarray, dtype: str) -> str:
+    """Write an array as text that the page's scripts unpack."""
     return base64.b64encode(np.ascontiguousarray(array, dtype=np.dtype(dtype).newbyteorder("<")).tobytes()).decode()
 
 
@@ -170,11 +173,11 @@ def _data(content: ReportContent) -> dict[str, object]:
         "frames": len(shown),
         "stride": stride,
         "rate": motion.rate,
-        "time": _packed(shown.time, "f4"),
-        "state": _packed(shown.state, "u1"),
+        "time": packed(shown.time, "f4"),
+        "state": packed(shown.state, "u1"),
         "angles": _angles(shown),
         "joints": _joints(shown),
-        "cameras": {"names": list(shown.camera_names), "agreement": _packed(shown.agreement, "f4")},
+        "cameras": {"names": list(shown.camera_names), "agreement": packed(shown.agreement, "f4")},
         "replay": _replay(shown, content.body, content.rig),
     }
 
@@ -192,8 +195,8 @@ def _angles(motion: Motion) -> dict[str, object]:
     )
     return {
         "count": len(motion.angle_names),
-        "values": _packed(motion.angles_deg, "f4"),
-        "sd": _packed(motion.angles_deg_sd, "f4"),
+        "values": packed(motion.angles_deg, "f4"),
+        "sd": packed(motion.angles_deg_sd, "f4"),
         "plots": ranked,
     }
 
@@ -213,8 +216,8 @@ def _joints(motion: Motion) -> dict[str, object]:
         "names": [readable(name) for name in motion.joint_names],
         "colours": [side_colour(name) for name in motion.joint_names],
         "bones": bone_pairs(motion.joint_names).tolist(),
-        "centres": _packed(motion.joint_centres, "f4"),
-        "sd": _packed(motion.joint_centres_sd, "f4"),
+        "centres": packed(motion.joint_centres, "f4"),
+        "sd": packed(motion.joint_centres_sd, "f4"),
     }
 
 
@@ -225,16 +228,16 @@ def _replay(motion: Motion, body: Body, rig: Rig) -> dict[str, object]:
     order = [motion.segment_names.index(name) for name in body.skeleton.segment_names]
     return {
         "segments": len(order),
-        "rest": _packed(body.vertices, "f4"),
-        "normals": _packed(np.round(127 * _normals(body)), "i1"),
-        "faces": _packed(body.faces, "u4"),
-        "vertexSegments": _packed(body.vertex_segments, "u1"),
-        "vertexWeights": _packed(np.round(255 * body.vertex_weights), "u1"),
+        "rest": packed(body.vertices, "f4"),
+        "normals": packed(np.round(127 * _normals(body)), "i1"),
+        "faces": packed(body.faces, "u4"),
+        "vertexSegments": packed(body.vertex_segments, "u1"),
+        "vertexWeights": packed(np.round(255 * body.vertex_weights), "u1"),
         "colours": colours,
-        "owner": _packed(owner, "u1"),
-        "restJoints": _packed(body.joint_centres, "f4"),
-        "rotation": _packed(motion.segment_rotation[:, order], "f4"),
-        "origin": _packed(motion.segment_origin[:, order], "f4"),
+        "owner": packed(owner, "u1"),
+        "restJoints": packed(body.joint_centres, "f4"),
+        "rotation": packed(motion.segment_rotation[:, order], "f4"),
+        "origin": packed(motion.segment_origin[:, order], "f4"),
         "cameras": [
             {
                 "name": camera.name,

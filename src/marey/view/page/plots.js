@@ -12,8 +12,8 @@ const plots = [];
 let current = 0;
 
 // One curve: every `step`-th value from `start` on, with standard deviations where there are any.
-function curve(values, sd, count, index, label, colour) {
-  const n = time.length, y = new Float32Array(n), half = new Float32Array(n);
+function curve(values, sd, count, index, label, colour, n = time.length) {
+  const y = new Float32Array(n), half = new Float32Array(n);
   for (let i = 0; i < n; i++) {
     y[i] = values[i * count + index];
     half[i] = sd ? 1.96 * sd[i * count + index] : 0;
@@ -47,6 +47,8 @@ function valueRange(curves, least) {
 class Plot {
   constructor(parent, title, curves, options) {
     this.curves = curves; this.options = Object.assign({ least: 14, digits: 1, unit: "°" }, options);
+    // A plot over something else than the take's frames, such as a cycle, brings its own axis and cursor.
+    this.time = this.options.time || time; this.state = this.options.time ? [] : state; this.own = this.options.time ? 0 : null;
     this.figure = document.createElement("figure"); this.figure.className = "plot";
     this.figure.innerHTML = "<figcaption><span></span><span class='read'></span></figcaption><canvas></canvas><div class='cursor'></div>";
     this.figure.querySelector("span").textContent = title;
@@ -54,15 +56,19 @@ class Plot {
     this.line = this.figure.querySelector(".cursor");
     parent.appendChild(this.figure);
     this.range = this.options.range || valueRange(curves, this.options.least);
-    const go = event => { if (event.type === "click" || event.buttons === 0) showFrame(this.frameAt(event.offsetX), event.type === "click"); };
+    const go = event => {
+      if (event.type !== "click" && event.buttons !== 0) return;
+      const frame = this.frameAt(event.offsetX);
+      if (this.own === null) showFrame(frame, event.type === "click"); else { this.own = frame; this.update(); }
+    };
     this.canvas.addEventListener("mousemove", go); this.canvas.addEventListener("click", go);
     plots.push(this);
   }
-  x(i) { return MARGIN.left + (this.width - MARGIN.left - MARGIN.right) * (time.length > 1 ? i / (time.length - 1) : 0.5); }
+  x(i) { return MARGIN.left + (this.width - MARGIN.left - MARGIN.right) * (this.time.length > 1 ? i / (this.time.length - 1) : 0.5); }
   y(v) { const [a, b] = this.range; return this.height - MARGIN.bottom - (this.height - MARGIN.top - MARGIN.bottom) * (v - a) / (b - a); }
   frameAt(x) {
     const share = (x - MARGIN.left) / (this.width - MARGIN.left - MARGIN.right);
-    return Math.round(Math.min(1, Math.max(0, share)) * (time.length - 1));
+    return Math.round(Math.min(1, Math.max(0, share)) * (this.time.length - 1));
   }
   draw() {
     const ratio = window.devicePixelRatio || 1;
@@ -80,9 +86,9 @@ class Plot {
   }
   drawStates(g) {
     const half = (this.x(1) - this.x(0)) / 2 || 2, bottom = this.height - MARGIN.top - MARGIN.bottom;
-    for (let i = 0; i < state.length;) {
-      let j = i; while (j < state.length && state[j] === state[i]) j++;
-      const colour = STATE_COLOURS[state[i]];
+    for (let i = 0; i < this.state.length;) {
+      let j = i; while (j < this.state.length && this.state[j] === this.state[i]) j++;
+      const colour = STATE_COLOURS[this.state[i]];
       if (colour) {
         const a = Math.max(MARGIN.left, this.x(i) - half), b = Math.min(this.width - MARGIN.right, this.x(j - 1) + half);
         g.fillStyle = colour; g.fillRect(a, MARGIN.top, b - a, bottom);
@@ -100,10 +106,10 @@ class Plot {
       g.beginPath(); g.moveTo(MARGIN.left, y); g.lineTo(this.width - MARGIN.right, y); g.stroke();
       g.fillText(readable(v, digits), MARGIN.left - 6, y);
     }
-    const first = time[0], span = time[time.length - 1] - first || 1, stride = niceStep(span, this.width / 80);
+    const first = this.time[0], span = this.time[this.time.length - 1] - first || 1, stride = niceStep(span, this.width / 80);
     g.textAlign = "center"; g.textBaseline = "top";
     for (let t = Math.ceil(first / stride) * stride; t <= first + span + 1e-9; t += stride) {
-      const x = this.x((t - first) / span * (time.length - 1));
+      const x = this.x((t - first) / span * (this.time.length - 1));
       g.fillText(+t.toFixed(3), Math.min(x, this.width - 12), this.height - MARGIN.bottom + 5);
     }
   }
@@ -136,14 +142,15 @@ class Plot {
   }
   update() {
     if (!this.width) return;
-    this.line.style.left = this.x(current) + "px";
+    const at = this.own === null ? current : this.own;
+    this.line.style.left = this.x(at) + "px";
     this.read.textContent = "";
     for (const c of this.curves) {
-      const v = c.y[current];
+      const v = c.y[at];
       if (v !== v) continue;
       const part = document.createElement("span");
       part.style.color = c.colour;
-      const half = c.half[current];
+      const half = c.half[at];
       part.textContent = "  " + readable(v, this.options.digits) + (half > 0 ? " ± " + half.toFixed(this.options.digits) : "") + this.options.unit;
       this.read.appendChild(part);
     }
