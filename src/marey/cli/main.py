@@ -248,6 +248,55 @@ def retarget(
 
 
 @app.command()
+def markers(
+    trial: Annotated[Path, typer.Argument(metavar="TRIAL", help="A C3D, TRC or CSV with the paths of skin markers.")],
+    reference: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="NPZ: where the bones were in a frame of the trial, or in several."),
+    ] = None,
+    clusters: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="TOML: which markers ride on which segment, landmarks, joints, noise."),
+    ] = None,
+    method: Annotated[
+        str | None,
+        typer.Option(metavar="NAME,...", help="Methods set apart by commas, or `all`; the files hold the first one."),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", metavar="DIR", help="Where the results go. [default: TRIAL_marey]"),
+    ] = None,
+    frames: Frames = None,
+    unit: Annotated[str | None, typer.Option(metavar="UNIT", help="mm, cm or m, where the file says it wrong.")] = None,
+    side: Annotated[
+        str | None, typer.Option(metavar="SIDE", help="left or right, where the segments' names do not tell.")
+    ] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Estimate the motion of bones from the skin markers on them.
+
+    Markers called `thigh_01`, `thigh_02`, ... ride on the segment `thigh`; otherwise a TOML says which ride where.
+    Leaves the bones' poses, joint angles and translations with standard deviations, each marker's motion over its
+    bone, and a report with the curves of all methods that were asked for.
+
+    Examples:
+    * `marey markers walk.c3d --reference walk_frame0.npz`
+    * `marey markers walk.c3d --reference walk_frame0.npz --method all --out results/walk`
+    * `marey markers walk.trc --clusters segments.toml`
+    """
+    from marey.cli.markers import markers as follow_markers
+    from marey.cli.markers_settings import MarkersOptions
+    from marey.cli.progress import Progress
+
+    options = MarkersOptions(
+        out=out, reference=reference, setup=clusters, methods=_method_names(method), frames=_range(frames), unit=unit,
+        side=side,
+    )  # fmt: skip
+    results = follow_markers(trial, options, Progress(quiet=quiet))
+    typer.echo(f"Report: {results / 'report.html'}")
+
+
+@app.command()
 def compare(
     first: Annotated[Path, typer.Argument(metavar="A", help="A folder of results, or a MOT, TRC, STO, C3D or NPZ.")],
     second: Annotated[Path, typer.Argument(metavar="B", help="Another one; differences are A less B.")],
@@ -325,6 +374,10 @@ def _capture(trial: Path, settings: CaptureSettings, *, quiet: bool) -> None:
     _require_folder(trial)
     results = capture_trial(trial, settings, Progress(quiet=quiet))
     typer.echo(f"Report: {results / 'report.html'}")
+
+
+def _method_names(text: str | None) -> tuple[str, ...] | None:
+    return None if text is None else parse_names(text, option="--method", example="rigid,interval")
 
 
 def _names(text: str | None) -> tuple[str, ...] | None:

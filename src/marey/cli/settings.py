@@ -70,13 +70,18 @@ def parse_frames(text: str) -> tuple[int, int]:
     return int(match[1] or 0), int(match[2])
 
 
-def parse_names(text: str) -> tuple[str, ...]:
+def parse_names(text: str, *, option: str = "--cameras", example: str = "cam01,cam02") -> tuple[str, ...]:
     """Read names set apart by commas.
+
+    Args:
+        text: As it was typed.
+        option: After which it was typed.
+        example: What would be right.
 
     Raises:
         SettingProblem: There is none.
     """
     names = tuple(name.strip() for name in text.split(",") if name.strip())
     if not names:
-        raise SettingProblem(f"--cameras is '{text}'; it should be names set apart by commas, for example cam01,cam02.")
+        raise SettingProblem(f"{option} is '{text}'; it should be names set apart by commas, for example {example}.")
     return names

@@ -58,17 +58,29 @@ def write_c3d(
         c3d.add_parameter("TRIAL", "ACTUAL_START_FIELD", [1, 0])
         c3d.add_parameter("TRIAL", "ACTUAL_END_FIELD", [low - 65536 if low > 32767 else low, high])
     if segment_rotation is not None and segment_origin is not None:
-        matrices = np.zeros((4, 4, len(segment_names), frames))
-        matrices[:3, :3] = np.transpose(segment_rotation, (2, 3, 1, 0))
-        matrices[:3, 3] = np.transpose(segment_origin, (2, 1, 0)) * 1e3
-        matrices[3, 3] = 1
-        c3d.add_parameter("ROTATION", "USED", [len(segment_names)])
-        c3d.add_parameter("ROTATION", "RATE", [paths.rate])
-        c3d.add_parameter("ROTATION", "RATIO", [1])
-        c3d.add_parameter("ROTATION", "LABELS", [f"{name}_4X4" for name in segment_names])
-        c3d["data"]["rotations"] = matrices
+        add_rotations(c3d, segment_names, segment_rotation, segment_origin * 1e3)
     with replacing(path) as beside:
         c3d.write(str(beside))
+
+
+def add_rotations(c3d: ezc3d.c3d, names: tuple[str, ...], rotation: Floats, origin: Floats) -> None:
+    """Put poses into a C3D as 4x4 matrices, world from segment, in the group ROTATION under `<segment>_4X4`.
+
+    Args:
+        c3d: To be written; poses that it has already are replaced.
+        names: S names.
+        rotation: (F, S, 3, 3).
+        origin: (F, S, 3) in the unit of its points.
+    """
+    matrices = np.zeros((4, 4, len(names), len(rotation)))
+    matrices[:3, :3] = np.transpose(rotation, (2, 3, 1, 0))
+    matrices[:3, 3] = np.transpose(origin, (2, 1, 0))
+    matrices[3, 3] = 1
+    c3d.add_parameter("ROTATION", "USED", [len(names)])
+    c3d.add_parameter("ROTATION", "RATE", [float(c3d["parameters"]["POINT"]["RATE"]["value"][0])])
+    c3d.add_parameter("ROTATION", "RATIO", [1])
+    c3d.add_parameter("ROTATION", "LABELS", [f"{name}_4X4" for name in names])
+    c3d["data"]["rotations"] = matrices
 
 
 def _is_cut_off(path: Path) -> bool:

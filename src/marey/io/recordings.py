@@ -17,7 +17,7 @@ from marey.io.trc import read_trc
 from marey.markers.joint_angles import joint_kinematics, joint_of, usual_joints
 from marey.motion.recording import Recording
 
-_TRANSLATIONS = ("_tx", "_ty", "_tz")
+_NO_ANGLES = ("_tx", "_ty", "_tz", "_mm")
 _IN_FOLDERS = ("motion.npz", "bones.npz", "marey/motion.npz", "marey/bones.npz")
 _PLUG_IN_GAIT = {
     "HipAngles": ("hip_flexion", "hip_adduction", "hip_rotation"),
@@ -75,13 +75,16 @@ def motion_in(path: Path) -> Path:
 
 
 def _from_table(path: Path) -> Recording:
-    """Read angles; columns that end in _tx, _ty, _tz are places and are left out."""
+    """Read angles and, as `NAME_sd`, their deviations; what ends in _tx, _ty, _tz or _mm is a place and is left out."""
     table = read_table(path)
-    kept = [k for k, name in enumerate(table.columns) if not name.endswith(_TRANSLATIONS)]
-    angles = table.values[:, kept]
+    values = np.radians(table.values) if table.in_degrees else table.values
+    spread = {name.removesuffix("_sd"): k for k, name in enumerate(table.columns) if name.endswith("_sd")}
+    names = [name for name in table.columns if not name.endswith((*_NO_ANGLES, "_sd"))]
+    unknown = np.full(len(values), np.nan)
+    sds = [values[:, spread[name]] if name in spread else unknown for name in names]
     return Recording(
-        time=table.time, angle_names=tuple(table.columns[k] for k in kept),
-        angles=np.radians(angles) if table.in_degrees else angles,
+        time=table.time, angle_names=tuple(names), angles=values[:, [table.columns.index(name) for name in names]],
+        angles_sd=np.stack(sds, 1) if sds else np.zeros((len(values), 0)),
     )  # fmt: skip
 
 

@@ -64,6 +64,9 @@ METHODS: dict[str, MethodEntry] = {
     )
 }  # fmt: skip
 
+DEFAULT = "rigid"
+"""The method that is taken where nobody asks for another one."""
+
 
 def choose_methods(names: Iterable[str]) -> tuple[MethodEntry, ...]:
     """Give the methods of these names, `all` being every one.

@@ -131,7 +131,7 @@ def carried_calibration(
 def _common(cluster: Cluster, known: BonesAndMarkers) -> tuple[str, ...]:
     if cluster.segment not in known.segments:
         return ()
-    there = np.isfinite(known.points).all(-1)
+    there = np.asarray(np.isfinite(known.points).all(-1))
     seen = {label for label, is_there in zip(known.labels, there, strict=True) if is_there}
     return tuple(label for label in cluster.labels if label in seen)
 

@@ -1,0 +1,183 @@
+"""`marey markers`: from the skin markers of a trial to the motion of bones."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from marey.cli.markers_results import write_results
+from marey.cli.markers_settings import MarkersOptions
+from marey.cli.markers_trial import MarkersTrial, read_trial
+from marey.cli.progress import Progress
+from marey.cli.run_record import StageCache
+from marey.errors import FileProblem, MareyError, SettingProblem
+from marey.io.stages import Arrays, file_fingerprint
+from marey.markers.bone_motion import BoneMotion
+from marey.markers.joint_angles import JointKinematics, joint_kinematics, joint_of, turns_since
+from marey.markers.marker_motion import MarkerMotion, marker_motion
+from marey.markers.methods import DEFAULT, METHODS, MethodEntry, choose_methods
+from marey.markers.problem import MarkerProblem
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MethodRun:
+    """What one method made of the trial."""
+
+    name: str
+    summary: str
+    motion: BoneMotion
+    joints: JointKinematics
+    markers: MarkerMotion
+    seconds: float
+    """How long it took; of the run in which it was computed."""
+
+    @property
+    def answered(self) -> float:
+        """Share of frames and bones with an answer."""
+        return float(self.motion.answered.mean()) if self.motion.answered.size else 0.0
+
+
+def markers(path: Path, options: MarkersOptions, progress: Progress) -> Path:
+    """Estimate the motion of the bones beneath the markers of a trial, and write it.
+
+    Args:
+        path: A C3D, TRC or CSV.
+        options: What is asked for.
+        progress: Is told, and keeps timings and warnings.
+
+    Returns:
+        The folder with the results.
+
+    Raises:
+        FileProblem: A file cannot be used.
+        SettingProblem: A setting is impossible.
+    """
+    if not path.is_file():
+        raise FileProblem(path, "is a folder" if path.is_dir() else "does not exist", "Give a C3D, TRC or CSV.")
+    entries = choose_methods(options.methods or (DEFAULT,))
+    out = options.out or path.with_name(f"{path.stem}_marey")
+    named = [path, *options.files]
+    with threadpool_limits(1), StageCache(out, [file_fingerprint(each) for each in named]) as cache:
+        with progress.stage("Reading"):
+            trial = read_trial(path, options)
+        for note in trial.notes:
+            progress.warn(note)
+        runs = run_methods(trial, entries, progress, cache, many=options.methods == ("all",))
+        write_results(trial, runs, options, out, progress)
+    for line in told(trial, runs):
+        progress.say(line)
+    return out
+
+
+def run_methods(
+    trial: MarkersTrial, entries: Sequence[MethodEntry], progress: Progress, cache: StageCache, *, many: bool
+) -> list[MethodRun]:
+    """Run methods on a trial, the default one first where it is among them.
+
+    Of `all`, those that the trial lacks something for are passed over, and said.
+
+    Raises:
+        SettingProblem: A method that was asked for by name needs what the trial does not give.
+        MareyError: No method could be run.
+    """
+    runs, problem = [], trial.problem
+    for entry in sorted(entries, key=lambda e: e.name != DEFAULT):
+        lacking = entry.lacks(problem)
+        if lacking:
+            if not many:
+                raise SettingProblem(f"--method {entry.name} {lacking}. {_remedy(lacking)}")
+            progress.warn(f"Method {entry.name}: {lacking}; passed over.")
+            continue
+        try:
+            runs.append(_run(entry, trial, problem, progress, cache))
+        except MareyError as fault:
+            if not many:
+                raise
+            progress.warn(f"Method {entry.name}: {fault}")
+    if not runs:
+        raise MareyError("No method could be run on this trial.")
+    return runs
+
+
+def _remedy(lacking: str) -> str:
+    if "posture" in lacking:
+        return "Give a --reference with several postures."
+    if "exercise" in lacking:
+        return "Give one with --exercise."
+    return "Name it in [joints] of the TOML given with --clusters."
+
+
+def _run(
+    entry: MethodEntry, trial: MarkersTrial, problem: MarkerProblem, progress: Progress, cache: StageCache
+) -> MethodRun:
+    """Run one method, or find what an interrupted run left of it."""
+
+    def compute() -> dict[str, np.ndarray]:
+        began = time.perf_counter()
+        motion = entry.load()(problem)
+        return _packed(motion, time.perf_counter() - began)
+
+    with progress.stage(f"Method {entry.name}"):
+        motion, seconds = _unpacked(cache.arrays(f"method-{entry.name}", compute, depends=(trial.key, entry.function)))
+    for note in motion.notes:
+        progress.warn(f"Method {entry.name}: {note}")
+    return finished_run(entry.name, entry.summary, trial, motion, seconds)
+
+
+def finished_run(name: str, summary: str, trial: MarkersTrial, motion: BoneMotion, seconds: float) -> MethodRun:
+    """Add to a motion of bones the joints between them and the markers' motion over them."""
+    motion = _only_asked(motion, trial)
+    if trial.anatomical:
+        joints = joint_kinematics(motion, [joint_of(*pair, side=trial.side) for pair in trial.problem.joints])
+    else:
+        joints = turns_since(motion, trial.problem.joints, int(trial.problem.calibration.frames[0]))
+    return MethodRun(
+        name=name, summary=summary, motion=motion, joints=joints, seconds=seconds,
+        markers=marker_motion(trial.used, trial.problem.clusters, motion),
+    )  # fmt: skip
+
+
+def _only_asked(motion: BoneMotion, trial: MarkersTrial) -> BoneMotion:
+    """Leave nothing in frames that were not asked for, whatever a method knows of them."""
+    out = ~trial.asked
+    if not out.any():
+        return motion
+    rotation, origin, covariance = (np.array(x) for x in (motion.rotation, motion.origin, motion.covariance))
+    rotation[out], origin[out], covariance[out] = np.nan, np.nan, np.nan
+    return replace(motion, rotation=rotation, origin=origin, covariance=covariance)
+
+
+def _packed(motion: BoneMotion, seconds: float) -> dict[str, np.ndarray]:
+    return {
+        "segments": np.array(motion.segments, np.str_), "notes": np.array(motion.notes, np.str_),
+        "rotation": motion.rotation, "origin": motion.origin, "covariance": motion.covariance,
+        "seconds": np.array(seconds),
+    }  # fmt: skip
+
+
+def _unpacked(arrays: Arrays) -> tuple[BoneMotion, float]:
+    motion = BoneMotion(
+        segments=tuple(map(str, arrays["segments"])), notes=tuple(map(str, arrays["notes"])),
+        rotation=arrays["rotation"], origin=arrays["origin"], covariance=arrays["covariance"],
+    )  # fmt: skip
+    return motion, float(arrays["seconds"])
+
+
+def told(trial: MarkersTrial, runs: Sequence[MethodRun]) -> list[str]:
+    """Say in a few lines what was found."""
+    first = runs[0]
+    lines = []
+    for s, name in enumerate(first.motion.segments):
+        known = int(first.motion.answered[:, s].sum())
+        moved = first.markers.rms[[segment == name for segment in first.markers.segments]]
+        skin = f", its markers move {1e3 * np.sqrt(np.nanmean(moved**2)):.1f} mm over it (RMS)" if len(moved) else ""
+        lines.append(f"{name}: {known} of {int(trial.asked.sum())} frames{skin}.")
+    if len(runs) > 1:
+        lines.append(f"Methods: {', '.join(run.name for run in runs)}; the files hold {first.name}.")
+    return lines
+
+
+__all__ = ["METHODS", "MethodRun", "finished_run", "markers", "run_methods", "told"]

@@ -1,0 +1,173 @@
+"""What a run on markers works with: the trial's trajectories, its clusters, and where the bones were."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from marey.arrays import Mask
+from marey.cli.markers_settings import MarkersOptions
+from marey.errors import FileProblem, MareyError, SettingProblem
+from marey.io.marker_setup import read_marker_setup, read_reference
+from marey.io.markers import read_markers
+from marey.io.npz import read_arrays
+from marey.markers.clusters import AnatomicalCalibration, Cluster
+from marey.markers.joint_angles import usual_joints
+from marey.markers.labels import FoundClusters, clusters_named, find_clusters
+from marey.markers.own_frames import own_calibration
+from marey.markers.problem import MarkerProblem
+from marey.markers.setup import MarkerSetup
+from marey.markers.trajectories import MarkerTrajectories
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MarkersTrial:
+    """One trial, ready for the methods."""
+
+    path: Path
+    measured: MarkerTrajectories
+    """As the file has them."""
+    used: MarkerTrajectories
+    """With what was filled, without frames that were not asked for."""
+    asked: Mask
+    """(F,) the frames that are estimated."""
+    problem: MarkerProblem
+    anatomical: bool
+    """Whether the bones' frames are anatomical ones, or the clusters' own."""
+    side: str | None
+    """`left` or `right` where it is known and the segments' names do not tell."""
+    notes: tuple[str, ...]
+
+    @property
+    def key(self) -> object:
+        """On what a method's result depends, besides the files."""
+        problem = self.problem
+        return (
+            [(c.segment, c.labels) for c in problem.clusters], problem.calibration, list(problem.joints),
+            problem.noise_m, self.asked, self.used.points,
+        )  # fmt: skip
+
+
+def read_trial(path: Path, options: MarkersOptions) -> MarkersTrial:
+    """Read a trial and all that was said of it.
+
+    Raises:
+        FileProblem: A file cannot be used.
+        SettingProblem: A setting does not fit the trial.
+    """
+    measured = read_markers(path, unit=options.unit)
+    setup = MarkerSetup() if options.setup is None else read_marker_setup(options.setup)
+    found = found_clusters(path, measured, setup, options)
+    asked = _asked(len(measured), options.frames)
+    used, filling = _filled(_cut(measured, asked), found.clusters, options)
+    notes = [*measured.notes, *found.notes, *filling]
+    calibration, anatomical, said = _calibration(path, measured, used, found.clusters, options)
+    notes += said
+    clusters = tuple(cluster for cluster in found.clusters if cluster.segment in calibration.segments)
+    side, said = _side(calibration.segments, options)
+    problem = MarkerProblem(
+        trajectories=used, clusters=clusters, calibration=calibration,
+        joints=_joints(setup, calibration.segments),
+    )  # fmt: skip
+    if setup.noise_m is not None:
+        problem = replace(problem, noise_m=setup.noise_m)
+    notes += said if anatomical and problem.joints else []
+    if not problem.joints:
+        notes.append("No joint is known between the segments, so there are no joint angles: see [joints] of the TOML.")
+    return MarkersTrial(
+        path=path, measured=measured, used=used, asked=asked, problem=problem, anatomical=anatomical, side=side,
+        notes=tuple(notes),
+    )  # fmt: skip
+
+
+def found_clusters(
+    path: Path, trajectories: MarkerTrajectories, setup: MarkerSetup, options: MarkersOptions
+) -> FoundClusters:
+    """Find the clusters that the TOML names, or that the labels tell.
+
+    Raises:
+        FileProblem: There is none, or one that is named has too few markers.
+    """
+    if setup.segments:
+        try:
+            return clusters_named(setup.segments, trajectories.labels)
+        except MareyError as problem:
+            assert options.setup is not None
+            raise FileProblem(options.setup, f"does not fit {path.name} ({str(problem).rstrip('.')})") from problem
+    found = find_clusters(trajectories.labels)
+    if not found.clusters:
+        some = ", ".join(trajectories.labels[:12]) + (", ..." if len(trajectories.labels) > 12 else "")
+        raise FileProblem(
+            path, f"has no three labels that differ by a number only, so no segment can be told; it has {some}",
+            'Name the segments in a TOML: [segments] thigh = ["label", ...], and give it with --clusters.',
+        )  # fmt: skip
+    return found
+
+
+def _asked(count: int, frames: tuple[int, int] | None) -> Mask:
+    asked = np.ones(count, bool)
+    if frames is not None:
+        first, end = frames
+        if first >= count:
+            raise SettingProblem(f"--frames begins at {first}; the trial has the frames 0 to {count - 1}.")
+        asked[:first] = False
+        asked[end:] = False
+    return asked
+
+
+def _cut(trajectories: MarkerTrajectories, asked: Mask) -> MarkerTrajectories:
+    """Take away what was measured in frames that were not asked for."""
+    if asked.all():
+        return trajectories
+    points = np.array(trajectories.points)
+    points[~asked] = np.nan
+    return replace(trajectories, points=points)
+
+
+def _filled(
+    trajectories: MarkerTrajectories, clusters: Sequence[Cluster], options: MarkersOptions
+) -> tuple[MarkerTrajectories, tuple[str, ...]]:
+    """Fill gaps where that was asked for."""
+    return trajectories, ()
+
+
+def _calibration(
+    path: Path, measured: MarkerTrajectories, used: MarkerTrajectories, clusters: Sequence[Cluster],
+    options: MarkersOptions,
+) -> tuple[AnatomicalCalibration, bool, list[str]]:  # fmt: skip
+    """Find where the bones are: as a file says, as a static trial says, or by the clusters' own axes."""
+    segments = tuple(cluster.segment for cluster in clusters)
+    if options.reference is not None:
+        calibration, notes = read_reference(options.reference, segments, frames=len(measured))
+        return calibration, True, list(notes)
+    try:
+        own = own_calibration(used, clusters)
+    except MareyError as problem:
+        raise FileProblem(path, str(problem).rstrip("."), "Give a --reference, or name other segments.") from problem
+    note = (
+        f"Nothing tells how the bones lie beneath the markers. Each segment has its cluster's own axes as they lie in "
+        f"frame {int(own.frames[0])}, and joints tell how far they turned since then, not how far they are bent. For "
+        "anatomical angles give --reference, or --static with landmarks."
+    )
+    return own, False, [note]
+
+
+def _joints(setup: MarkerSetup, segments: Sequence[str]) -> tuple[tuple[str, str], ...]:
+    """Take the TOML's joints, or those that the segments' names tell."""
+    if setup.joints:
+        return tuple((j.parent, j.child) for j in setup.joints if j.parent in segments and j.child in segments)
+    return usual_joints(segments)
+
+
+def _side(segments: Sequence[str], options: MarkersOptions) -> tuple[str | None, list[str]]:
+    """Find the side of segments that do not name theirs: typed, or told by the reference."""
+    if all(name.startswith(("left_", "right_")) or name in ("pelvis", "thorax", "head") for name in segments):
+        return None, []
+    if options.side is not None:
+        return options.side, []
+    if options.reference is not None:
+        told = str(read_arrays(options.reference).get("side", ""))
+        if told in ("left", "right"):
+            return told, []
+    return None, ["Which side the segments are of is not said: signs are a right side's. Give --side."]

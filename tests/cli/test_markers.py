@@ -1,0 +1,189 @@
+"""`marey markers` end to end: the files of a trial, what is passed over, and what is said of wrong input."""
+
+import csv
+import json
+from pathlib import Path
+
+import ezc3d
+import numpy as np
+import pytest
+
+from marey.cli import markers as command
+from marey.cli.main import run
+from marey.io.bones import read_bones
+from marey.io.mot_sto import read_orientations, read_table
+from marey.io.npz import write_arrays
+from marey.io.trc import PointPaths, write_trc
+from tests.trials import FRAMES, RATE, marker_points, true_bones, write_reference, write_trial
+
+FILES = ["angles.csv", "angles.mot", "bones.npz", "marker_motion.csv", "motion.c3d", "orientations.sto",
+         "report.html", "run.json"]  # fmt: skip
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    write_trial(tmp_path / "walk.c3d", marker_points(), force=True)
+    write_reference(tmp_path / "frame0.npz")
+    return tmp_path
+
+
+def said(capsys) -> str:
+    """The one line of complaint."""
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("marey:")]
+    assert len(lines) == 1
+    return lines[0]
+
+
+def test_rigid_data_give_the_true_bones_and_all_files(folder, capsys):
+    assert run(["markers", "walk.c3d", "--reference", "frame0.npz", "--method", "rigid"]) == 0
+    assert capsys.readouterr().out == "Report: walk_marey/report.html\n"
+    out = folder / "walk_marey"
+    assert sorted(path.name for path in out.iterdir()) == FILES
+    found = read_bones(out / "bones.npz")
+    assert found.side == "right"
+    for name, (rotation, origin) in true_bones().items():
+        # A C3D keeps single precision: 0.1 micrometres at a metre, over markers some centimetres apart.
+        np.testing.assert_allclose(found.motion.bone(name)[0], rotation, atol=1e-5)
+        np.testing.assert_allclose(found.motion.bone(name)[1], origin, atol=1e-5)
+    assert np.isfinite(found.motion.rotation_sd).all()
+
+
+def test_angles_stand_in_degrees_beside_their_deviations(folder):
+    run(["markers", "walk.c3d", "--reference", "frame0.npz", "--method", "rigid", "-q"])
+    table = read_table(folder / "walk_marey" / "angles.mot")
+    flexion = table.values[:, table.columns.index("knee_flexion")]
+    time = np.arange(FRAMES) / RATE
+    np.testing.assert_allclose(flexion, np.degrees(0.6 - 0.5 * np.cos(5 * time)), atol=1e-3)
+    assert {"knee_flexion_sd", "knee_distraction_mm", "knee_distraction_sd_mm"} <= set(table.columns)
+    with (folder / "walk_marey" / "angles.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert float(rows[5]["knee_flexion_deg"]) == pytest.approx(flexion[5], abs=1e-4)
+    assert float(rows[5]["knee_flexion_sd_deg"]) > 0
+    assert float(rows[0]["knee_distraction_mm"]) == pytest.approx(420, abs=10)
+
+
+def test_the_c3d_keeps_force_and_points_and_brings_the_bones(folder):
+    run(["markers", "walk.c3d", "--reference", "frame0.npz", "--method", "rigid", "-q"])
+    before, after = (ezc3d.c3d(str(path)) for path in (folder / "walk.c3d", folder / "walk_marey" / "motion.c3d"))
+    for kind in ("points", "analogs"):
+        np.testing.assert_array_equal(after["data"][kind], before["data"][kind])
+    assert after["parameters"]["ROTATION"]["LABELS"]["value"] == ["thigh_4X4", "shank_4X4"]
+    rotation, origin = true_bones()["shank"]
+    np.testing.assert_allclose(after["data"]["rotations"][:3, :3, 1, 7], rotation[7], atol=1e-5)
+    np.testing.assert_allclose(after["data"]["rotations"][:3, 3, 1, 7], 1e3 * origin[7], atol=1e-2)
+
+
+def test_orientations_are_the_bones_axes_in_opensims_ground(folder):
+    run(["markers", "walk.c3d", "--reference", "frame0.npz", "--method", "rigid", "-q"])
+    lines = (folder / "walk_marey" / "orientations.sto").read_text().splitlines()
+    first = [float(v) for v in lines[lines.index("endheader") + 2].split("\t")[1].split(",")]
+    # At the start the thigh hangs upright, its X along the laboratory's x, which is OpenSim's z.
+    assert read_orientations(folder / "walk_marey" / "orientations.sto").names == ("thigh", "shank")
+    np.testing.assert_allclose(np.abs(first), [np.sqrt(0.5), 0, np.sqrt(0.5), 0], atol=1e-5)
+
+
+def test_all_methods_stand_side_by_side(folder, capsys):
+    write_reference(folder / "two.npz", [0, 60])
+    assert run(["markers", "walk.c3d", "--reference", "two.npz", "--method", "all", "--out", "all"]) == 0
+    told = capsys.readouterr().err
+    record = json.loads((folder / "all" / "run.json").read_text())
+    names = record["settings"]["methods"]
+    assert names[0] == command.DEFAULT
+    assert {"rigid", "pct", "calibration"} <= set(names)
+    assert f"the files hold {names[0]}" in told
+    page = (folder / "all" / "report.html").read_text()
+    for name in names:
+        assert name in page
+        if name != names[0]:
+            assert (folder / "all" / f"bones_{name}.npz").is_file()
+
+
+def test_frames_with_fewer_than_three_markers_and_frames_not_asked_for_stay_empty(folder):
+    points = marker_points()
+    for label in ("thigh_01", "thigh_02", "thigh_03"):
+        points[label][40:50] = np.nan
+    write_trial(folder / "gaps.c3d", points)
+    assert run(["markers", "gaps.c3d", "--reference", "frame0.npz", "--method", "rigid", "--frames", ":90", "-q"]) == 0
+    answered = read_bones(folder / "gaps_marey" / "bones.npz").motion.answered
+    assert len(answered) == FRAMES
+    expected = np.ones((FRAMES, 2), bool)
+    expected[40:50, 0] = False
+    expected[90:] = False
+    np.testing.assert_array_equal(answered, expected)
+    with (folder / "gaps_marey" / "angles.csv").open() as file:
+        assert list(csv.DictReader(file))[45]["knee_flexion_deg"] == ""
+
+
+def test_without_a_calibration_turns_since_the_reference_frame_are_given_and_said(folder, capsys):
+    assert run(["markers", "walk.c3d", "--method", "rigid"]) == 0
+    assert "Nothing tells how the bones lie" in capsys.readouterr().err
+    table = read_table(folder / "walk_marey" / "angles.mot")
+    assert table.columns == ("knee_turn", "knee_turn_sd")
+    assert table.values[0, 0] == pytest.approx(0, abs=1e-3)
+
+
+def test_a_trc_and_a_toml_do_as_well(folder):
+    points = marker_points()
+    names = {label: f"M{k}" for k, label in enumerate(points)}
+    paths = PointPaths(names=tuple(names.values()), time=np.arange(FRAMES) / RATE, rate=RATE,
+                       points=np.stack(list(points.values()), 1))  # fmt: skip
+    write_trc(folder / "walk.trc", paths)
+    rows = {s: ", ".join(f'"{n}"' for k, n in names.items() if k.startswith(s)) for s in ("thigh", "shank")}
+    (folder / "who.toml").write_text(
+        "[segments]\n" + "".join(f"right_{s} = [{r}]\n" for s, r in rows.items()) + "[noise]\nmm = 0.3\n"
+    )
+    assert run(["markers", "walk.trc", "--clusters", "who.toml", "--method", "rigid", "-q"]) == 0
+    assert read_table(folder / "walk_marey" / "angles.mot").columns[0] == "right_knee_turn"
+
+
+def test_a_segment_of_the_reference_without_markers_is_passed_over_and_said(folder, capsys):
+    with np.load(folder / "frame0.npz") as file:
+        arrays = dict(file)
+    write_arrays(folder / "more.npz", {**arrays, "pelvis_rotation": np.eye(3), "pelvis_origin": np.zeros(3)})
+    assert run(["markers", "walk.c3d", "--reference", "more.npz", "--method", "rigid"]) == 0
+    assert "pelvis, which has no markers in the trial; passed over" in capsys.readouterr().err
+    assert read_bones(folder / "walk_marey" / "bones.npz").motion.segments == ("thigh", "shank")
+
+
+def test_an_interrupted_run_leaves_no_results_and_goes_on(folder, monkeypatch, capsys):
+    def interrupted(*args, **kwargs):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(command, "write_results", interrupted)
+        assert run(["markers", "walk.c3d", "--reference", "frame0.npz", "--method", "rigid", "-q"]) == 130
+    assert [path.name for path in (folder / "walk_marey").iterdir()] == [".work"]
+    assert run(["markers", "walk.c3d", "--reference", "frame0.npz", "--method", "rigid", "-q"]) == 0
+    assert sorted(path.name for path in (folder / "walk_marey").iterdir()) == FILES
+
+
+@pytest.mark.parametrize(
+    ("arguments", "wrong"),
+    [
+        (["nothing.c3d"], "nothing.c3d: does not exist"),
+        (["walk.c3d", "--method", "magic"], "There is no method magic"),
+        (["walk.c3d", "--method", "calibration"], "needs an anatomical calibration in 2 postures"),
+        (["walk.c3d", "--reference", "nothing.npz"], "nothing.npz: does not exist. Mend --reference."),
+        (["walk.c3d", "--side", "up"], "--side is 'up'"),
+        (["walk.c3d", "--unit", "inch"], "The unit 'inch' is not known"),
+        (["walk.c3d", "--unit", "m"], "but then its markers spread over"),
+        (["walk.c3d", "--frames", "500:600"], "--frames begins at 500"),
+        (["walk.c3d", "--clusters", "who.toml"], "has the unknown key 'segment'"),
+        (["walk.c3d", "--clusters", "missing.toml"], "The segment foot has 0 markers"),
+        (["loose.c3d"], "no three labels that differ by a number only"),
+        (["empty.c3d"], "holds no measured point"),
+        (["walk.c3d", "--reference", "feet.npz"], "has no segment that the trial's markers ride on"),
+        (["notes.txt"], "is no file of markers that is read here"),
+    ],
+)
+def test_wrong_input_is_one_clear_line_and_leaves_nothing(folder, capsys, arguments, wrong):
+    (folder / "who.toml").write_text('[segment]\nthigh = ["thigh_01"]\n')
+    (folder / "missing.toml").write_text('[segments]\nfoot = ["foot_1", "foot_2", "foot_3"]\n')
+    (folder / "notes.txt").write_text("x")
+    write_trial(folder / "loose.c3d", dict(zip("ABC", marker_points().values(), strict=False)))
+    write_trial(folder / "empty.c3d", {label: np.full((4, 3), np.nan) for label in marker_points()})
+    write_arrays(folder / "feet.npz", {"frame": 0, "foot_rotation": np.eye(3), "foot_origin": np.zeros(3)})
+    assert run(["markers", *arguments]) == 2
+    assert wrong in said(capsys)
+    assert not list(folder.glob("*_marey"))
