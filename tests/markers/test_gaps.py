@@ -13,7 +13,7 @@ CLUSTER = (Cluster(segment="thigh", labels=tuple("abcdef")),)
 
 @pytest.fixture
 def whole(rng) -> np.ndarray:
-    points, _, _ = moving_cluster(rng, noise_m=1e-4)
+    points, _, _ = moving_cluster(rng, skin_m=0.002, noise_m=1e-4)
     return points
 
 

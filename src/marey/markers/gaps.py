@@ -1,7 +1,8 @@
 """Filling gaps in marker trajectories: by a spline over time or from the cluster's other markers, flagged."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -16,7 +17,10 @@ from marey.motion.filters import known_runs
 MEASURED, SPLINE, FROM_CLUSTER, STILL_MISSING = 0, 1, 2, 3
 _RANKS = (0, 1, 2, 4, 6, 8)
 _LENGTHS = (1, 2, 4, 8, 16, 32, 64, 128, 256)  # frames
-_CUTS = 40  # artificial gaps of each length
+_CUTS = 40  # artificial gaps of each length, at most at a time
+_CUTS_ENOUGH = 8
+_CUT_SHARE = 0.1  # of what was measured, at a time
+_ROUNDS = 4
 _DRAWS = 20  # for each of them
 _LARGEST_SHARE = 0.35  # of the trial
 
@@ -206,23 +210,29 @@ def held_out(points: Floats, group: str, rng: np.random.Generator) -> HeldOut:
         group: The segment's name.
         rng: Draws the places of the gaps.
     """
-    gaps = _gaps(points)
-    longest = max((end - start for _, start, end in gaps), default=1)
-    lengths = [n for n in _LENGTHS if n <= _LARGEST_SHARE * len(points) and (n == 1 or n < 4 * longest)]
-    lengths = lengths or [1]
-    cuts = {n: _cut(points, n, rng) for n in lengths}
-    spline_rms = [_rms(spline(_without(points, cuts[n])), points, cuts[n]) for n in lengths]
+    longest = max((end - start for _, start, end in _gaps(points)), default=1)
+    lengths = [n for n in _LENGTHS if n <= _LARGEST_SHARE * len(points) and (n == 1 or n < 4 * longest)] or [1]
+    cuts = {n: _cuts(points, n, rng) for n in lengths}
+    spline_rms = [_rms(spline, points, cuts[n]) for n in lengths]
     cluster_rms, rank = [np.nan] * len(lengths), 0
     if group and points.shape[1] > NEEDED:
-        middle = cuts[lengths[len(lengths) // 2]]
-        cut, ranks = _without(points, middle), [r for r in _RANKS if r <= min(len(points) // 4, points.shape[1])]
-        errors = [_rms(from_cluster(cut, r), points, middle) for r in ranks]
+        ranks = [r for r in _RANKS if r <= min(len(points) // 4, points.shape[1])]
+        middle = cuts[lengths[len(lengths) // 2]][:1]
+        errors = [_rms(partial(from_cluster, rank=r), points, middle) for r in ranks]
         rank = ranks[int(np.nanargmin(errors))] if np.isfinite(errors).any() else 0
-        cluster_rms = [_rms(from_cluster(_without(points, cuts[n]), rank), points, cuts[n]) for n in lengths]
+        cluster_rms = [_rms(partial(from_cluster, rank=rank), points, cuts[n]) for n in lengths]
     return HeldOut(
         group=group, rank=rank, lengths=np.array(lengths), spline_rms=np.array(spline_rms),
         cluster_rms=np.array(cluster_rms),
     )  # fmt: skip
+
+
+def _cuts(points: Floats, length: int, rng: np.random.Generator) -> list[Mask]:
+    """Choose gaps (F, M) of one length, in as many rounds as it takes to have enough of them."""
+    rounds = [_cut(points, length, rng)]
+    while len(rounds) < _ROUNDS and rounds[0].any() and sum(cut.sum() for cut in rounds) < _CUTS_ENOUGH * length:
+        rounds.append(_cut(points, length, rng))
+    return rounds
 
 
 def _cut(points: Floats, length: int, rng: np.random.Generator) -> Mask:
@@ -230,7 +240,7 @@ def _cut(points: Floats, length: int, rng: np.random.Generator) -> Mask:
     known = np.isfinite(points).all(-1)
     frames, count = known.shape
     cut = np.zeros(known.shape, bool)
-    made = 0
+    made, most = 0, min(_CUTS, max(1, int(_CUT_SHARE * known.sum() / length)))
     for draw in range(_DRAWS * _CUTS):
         m, start = draw % count, int(rng.integers(1, max(frames - length, 2)))
         window = slice(start - 1, start + length + 1)
@@ -238,17 +248,14 @@ def _cut(points: Floats, length: int, rng: np.random.Generator) -> Mask:
         if start + length < frames and (known & ~cut)[window, m].all() and spared:
             cut[start : start + length, m] = True
             made += 1
-        if made == _CUTS:
+        if made == most:
             break
     return cut
 
 
-def _without(points: Floats, cut: Mask) -> Floats:
-    return np.where(cut[..., None], np.nan, points)
-
-
-def _rms(filled: Floats, points: Floats, cut: Mask) -> float:
+def _rms(fill: Callable[[Floats], Floats], points: Floats, cuts: Sequence[Mask]) -> float:
     """Give the RMS distance of filled points from the measured ones; NaN where nothing was filled."""
-    squared = ((filled - points)[cut] ** 2).sum(-1)
+    off = [(fill(np.where(cut[..., None], np.nan, points)) - points)[cut] for cut in cuts]
+    squared = (np.concatenate(off) ** 2).sum(-1)
     known = np.isfinite(squared)
     return float(np.sqrt(squared[known].mean())) if known.any() else float("nan")
