@@ -3,6 +3,7 @@
 import numpy as np
 
 from marey.arrays import Floats
+from marey.geometry import rotations
 from marey.markers.rigid_fit import fit_rigid
 
 _SD = 1e-3  # m; all markers count alike, so it only says what is too near to a line to tell a turn
@@ -38,7 +39,7 @@ def _mean(local: Floats) -> Floats:
     return np.where(count > 0, np.where(known, local, 0).sum(0) / np.maximum(count, 1), np.nan)
 
 
-def complete(values: Floats, rank: int) -> Floats:
+def complete(values: Floats, rank: int, free: Floats | None = None) -> Floats:
     """Describe rows with gaps by their mean and a few modes, found from what is known.
 
     Alternating least squares over the modes and each row's part of them; a part is held to the spread that the parts
@@ -47,6 +48,7 @@ def complete(values: Floats, rank: int) -> Floats:
     Args:
         values: (F, C); NaN where missing. A column that is never known stays NaN.
         rank: How many modes; 0 leaves the mean.
+        free: (C, G) further directions of which every row may have as much as it likes.
 
     Returns:
         (F, C) the description, of every entry.
@@ -54,43 +56,47 @@ def complete(values: Floats, rank: int) -> Floats:
     known = np.isfinite(values)
     held = np.where(known, values, 0.0)
     mean = np.where(known.any(0), held.sum(0) / np.maximum(known.sum(0), 1), np.nan)
-    if rank == 0 or not known.any():
-        return np.broadcast_to(mean, values.shape).copy()
+    free = np.zeros((values.shape[1], 0)) if free is None else np.nan_to_num(free)
     start = np.where(known, values - mean, 0.0)
     _, size, modes = np.linalg.svd(np.nan_to_num(start), full_matrices=False)
-    modes = np.column_stack([(modes[:rank] * size[:rank, None] / np.sqrt(len(values))).T, np.nan_to_num(mean)])
+    modes = (modes[:rank] * size[:rank, None] / np.sqrt(len(values))).T
     noise = float(((start**2).sum() - (size[:rank] ** 2).sum()) / max(known.sum(), 1))
-    for _ in range(_ALTERNATIONS):
-        parts = _parts(held, known, modes, max(noise, 1e-14))
-        modes = _modes(held, known, parts)
-        noise = float(((held - parts @ modes.T)[known] ** 2).mean())
-    return np.where(known.any(0), parts @ modes.T, np.nan)
+    centre = np.nan_to_num(mean)
+    for _ in range(_ALTERNATIONS if rank else 1):
+        parts = _parts(held - centre, known, np.column_stack([modes, free]), rank, max(noise, 1e-14))
+        freed = parts[:, rank:] @ free.T
+        if rank:
+            modes, centre = _modes(np.where(known, held - freed, 0.0), known, parts[:, :rank])
+        described = parts[:, :rank] @ modes.T + centre + freed
+        noise = float(((held - described)[known] ** 2).mean()) if known.any() else 0.0
+    return np.where(known.any(0), described, np.nan)
 
 
-def _parts(held: Floats, known: np.ndarray, modes: Floats, noise: float) -> Floats:
-    """Find each row's part of the modes (F, K + 1); the last one, the mean's, is 1."""
-    v, mean = modes[:, :-1], modes[:, -1]
-    rank = v.shape[1]
-    normal = (known @ (v[:, :, None] * v[:, None]).reshape(len(v), -1)).reshape(-1, rank, rank) + noise * np.eye(rank)
-    right = (np.where(known, held - mean, 0.0)) @ v
-    return np.column_stack([np.linalg.solve(normal, right[..., None])[..., 0], np.ones(len(held))])
+def _parts(off: Floats, known: np.ndarray, directions: Floats, rank: int, noise: float) -> Floats:
+    """Find each row's part (F, K + G) of the modes, which are held to variance one, and of the free directions."""
+    width = directions.shape[1]
+    ridge = np.where(np.arange(width) < rank, noise, 1e-9 * noise + 1e-15)
+    normal = (known @ (directions[:, :, None] * directions[:, None]).reshape(len(directions), -1)).reshape(
+        -1, width, width
+    ) + np.diag(ridge)
+    return np.asarray(np.linalg.solve(normal, (np.where(known, off, 0.0) @ directions)[..., None])[..., 0])
 
 
-def _modes(held: Floats, known: np.ndarray, parts: Floats) -> Floats:
-    """Find the modes and the mean (C, K + 1) from the rows' parts, scaled so that the parts have variance one."""
+def _modes(held: Floats, known: np.ndarray, parts: Floats) -> tuple[Floats, Floats]:
+    """Find the modes (C, K), scaled so that their parts have variance one, and the mean (C,), from the rows' parts."""
+    parts = np.column_stack([parts, np.ones(len(held))])
     width = parts.shape[1]
     normal = (known.T @ (parts[:, :, None] * parts[:, None]).reshape(len(parts), -1)).reshape(-1, width, width)
     normal += 1e-9 * max(len(parts), 1) * np.eye(width)
     modes = np.linalg.solve(normal, (held.T @ parts)[..., None])[..., 0]
-    modes[:, :-1] *= np.sqrt((parts[:, :-1] ** 2).mean(0))
-    return modes
+    return modes[:, :-1] * np.sqrt((parts[:, :-1] ** 2).mean(0)), modes[:, -1]
 
 
 def predict(points: Floats, rank: int) -> Floats:
     """Say where the markers of a cluster should be, by its mean shape, a few modes of its change, and its pose.
 
-    A frame is fitted by the markers that it has; then it is fitted again with the missing ones at their predicted
-    places, so that a frame with a gap has the same pose that it would have without.
+    The pose of a frame is estimated together with its parts of the modes, from the markers that it has: a pose fitted
+    to fewer markers would lie elsewhere, and the missing marker with it.
 
     Args:
         points: (F, M, 3) in the laboratory [m]; NaN where missing.
@@ -104,7 +110,9 @@ def predict(points: Floats, rank: int) -> Floats:
     for _ in range(_REALIGNMENTS):
         local, rotation, translation = in_cluster(whole)
         local = np.where(np.isfinite(points), local, np.nan)
-        described = complete(local.reshape(frames, -1), rank).reshape(frames, count, 3)
+        shape = _mean(local)
+        moved = np.concatenate([-rotations.hat(shape), np.broadcast_to(np.eye(3), (count, 3, 3))], -1).reshape(-1, 6)
+        described = complete(local.reshape(frames, -1), rank, moved).reshape(frames, count, 3)
         predicted = np.einsum("fij,fmj->fmi", rotation, described) + translation[:, None]
         whole = np.where(np.isfinite(points), points, predicted)
     return np.asarray(predicted)
