@@ -41,14 +41,14 @@ class HeldOut:
     cluster_rms: Floats
     """(L,) [m]; NaN where the cluster cannot fill."""
 
-    def best(self, length: int) -> tuple[int, float]:
+    def best(self, length: int, ways: Sequence[int]) -> tuple[int, float]:
         """Say what fills a gap of some frames best, and the RMS distance to expect [m]; NaN where nothing is known.
 
         Between the lengths that were tried the distance is interpolated over the logarithm of the length; a longer gap
         than any of them is not answered for.
         """
         options = {SPLINE: self.spline_rms, FROM_CLUSTER: self.cluster_rms}
-        rms = {way: _at(self.lengths, values, length) for way, values in options.items()}
+        rms = {way: _at(self.lengths, options[way], length) for way in ways}
         way = min(rms, key=lambda way: (np.isnan(rms[way]), rms[way]))
         return way, rms[way]
 
@@ -98,6 +98,7 @@ def fill_gaps(
     trajectories: MarkerTrajectories,
     clusters: Sequence[Cluster] = (),
     *,
+    ways: Sequence[int] = (SPLINE, FROM_CLUSTER),
     largest_error_m: float = 0.01,
     seed: int = 0,
 ) -> FilledGaps:
@@ -111,6 +112,7 @@ def fill_gaps(
     Args:
         trajectories: With gaps.
         clusters: Whose markers move together; markers of none are filled by a spline.
+        ways: SPLINE, FROM_CLUSTER, or both to choose from.
         largest_error_m: A gap stays empty if held-out ones of its length were farther off than this (RMS distance).
         seed: Of the places of held-out gaps; the same seed gives the same result.
     """
@@ -123,7 +125,7 @@ def fill_gaps(
             continue
         table = held_out(points[:, columns], name, np.random.default_rng(seed))
         tables.append(table)
-        filled = _fill_group(points[:, columns], table, largest_error_m)
+        filled = _fill_group(points[:, columns], table, ways, largest_error_m)
         points[:, columns], way[:, columns], sd[:, columns] = filled
     was = trajectories.filled | ((way == SPLINE) | (way == FROM_CLUSTER))
     filled_trajectories = replace(trajectories, points=points, filled=was)
@@ -144,7 +146,9 @@ def _gaps(points: Floats) -> list[tuple[int, int, int]]:
     return [(m, *run) for m in range(points.shape[1]) for run in known_runs(missing[:, m])]
 
 
-def _fill_group(points: Floats, table: HeldOut, largest_error_m: float) -> tuple[Floats, np.ndarray, Floats]:
+def _fill_group(
+    points: Floats, table: HeldOut, ways: Sequence[int], largest_error_m: float
+) -> tuple[Floats, np.ndarray, Floats]:
     """Fill the gaps of one group (F, M, 3) and say how and how well."""
     filled, present = points.copy(), np.isfinite(points).all(-1)
     way, sd = np.where(present, MEASURED, STILL_MISSING), np.full(present.shape, np.nan)
@@ -154,10 +158,9 @@ def _fill_group(points: Floats, table: HeldOut, largest_error_m: float) -> tuple
     for marker, start, end in _gaps(points):
         at_end = start == 0 or end == len(points)
         # At an end of the trial there is a measured point on one side only: as far from it as the middle of twice it.
-        best, rms = table.best(2 * (end - start) if at_end else end - start)
-        if at_end and best == SPLINE:
-            best, rms = FROM_CLUSTER, _at(table.lengths, table.cluster_rms, 2 * (end - start))
-        if not rms <= largest_error_m or best not in candidates:
+        able = [way for way in ways if way in candidates and not (at_end and way == SPLINE)]
+        best, rms = table.best(2 * (end - start) if at_end else end - start, able) if able else (STILL_MISSING, np.inf)
+        if not rms <= largest_error_m:
             continue
         put = candidates[best][start:end, marker]
         done = np.isfinite(put).all(-1)

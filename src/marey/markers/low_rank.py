@@ -75,6 +75,8 @@ def complete(values: Floats, rank: int, free: Floats | None = None) -> Floats:
 def _parts(off: Floats, known: np.ndarray, directions: Floats, rank: int, noise: float) -> Floats:
     """Find each row's part (F, K + G) of the modes, which are held to variance one, and of the free directions."""
     width = directions.shape[1]
+    if not width:
+        return np.zeros((len(off), 0))
     ridge = np.where(np.arange(width) < rank, noise, 1e-9 * noise + 1e-15)
     normal = (known @ (directions[:, :, None] * directions[:, None]).reshape(len(directions), -1)).reshape(
         -1, width, width
