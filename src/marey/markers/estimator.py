@@ -1,0 +1,219 @@
+"""The method of choice: rigid clusters, soft joints and a statistical model of the skin's motion, together."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from marey.arrays import Floats
+from marey.geometry import rotations
+from marey.markers.bone_motion import BoneMotion, side_by_side
+from marey.markers.cluster_data import ClusterData, cluster_data, counted
+from marey.markers.joint_constraints import Bed, KnownJoint, better_centres, first_centres, is_anatomical, joint_rows
+from marey.markers.joint_laxity import laxity
+from marey.markers.joint_turn import joint_turn, segment_turn
+from marey.markers.kriging import krige
+from marey.markers.problem import MarkerProblem
+from marey.markers.rigid_fit import FEWEST, RigidFit, fit_rigid, one_bone, rigid_bone
+from marey.markers.skin_motion import SkinMotion, filled_postures, learn_skin, settle_sizes, without_gaps
+
+_ROUNDS = 4
+_STEPS = 4
+_CHUNK = 256
+_COMMON_TURN = 0.9
+_COMMON_SHIFT = 1.8
+_FLOOR = 1e-12  # variance that keeps a row finite where both joint and skin are known exactly
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Leg:
+    """One segment's cluster with what was learned of its skin, and its pose as fitted last."""
+
+    data: ClusterData
+    skin: SkinMotion
+    fit: RigidFit
+    bed: Bed
+
+
+def skin_and_joints(problem: MarkerProblem) -> BoneMotion:
+    """Estimate the bones as the most probable ones under what is believed of skin, joints and noise, with covariance.
+
+    Ours: a cluster shows how far its skin moves unlike a rigid body ([Alexander2003] section 2.6 takes that part to be
+    of low rank); the part that is common to all its markers looks like a motion of the bone and cannot be seen. Its
+    standard deviation is taken from the visible part. Each cluster's places on the bone are interpolated between the
+    known postures by kriging in the joint's turn, the modes' courses and time; what remains unknown is shared between
+    the bones of a joint by what the joint is known to give.
+
+    Raises:
+        MareyError: The calibration does not fit the trial.
+    """
+    clusters = [cluster_data(problem, cluster) for cluster in problem.clusters]
+    motion = side_by_side([rigid_bone(data, problem.noise_m) for data in clusters])
+    skins: tuple[SkinMotion, ...] = ()
+    for _ in range(_ROUNDS):
+        skins = _skins(problem, clusters, motion, skins)
+        legs = [_leg(data, skin, problem.noise_m) for data, skin in zip(clusters, skins, strict=True)]
+        joints = [_joint(problem, motion, pair) for pair in _usable_joints(problem)]
+        steps, covariance = _settle([leg.bed for leg in legs], joints)
+        motion = _motion(legs, steps, covariance)
+    return replace(motion, notes=(*motion.notes, *_notes(skins), *_doubts(problem, joints)))
+
+
+def _usable_joints(problem: MarkerProblem) -> list[tuple[str, str]]:
+    there = {cluster.segment for cluster in problem.clusters}
+    return [pair for pair in problem.joints if set(pair) <= there]
+
+
+def _skins(
+    problem: MarkerProblem, clusters: list[ClusterData], motion: BoneMotion, before: tuple[SkinMotion, ...]
+) -> tuple[SkinMotion, ...]:
+    """Learn the skins' motions once, and let them follow the joints' turns as these become known better."""
+    held = replace(problem, joints=tuple(_usable_joints(problem)))
+    turns = []
+    for data in clusters:
+        found = segment_turn(held, motion, data.segment)
+        turn = np.zeros(len(motion)) if found is None else without_gaps(found.turn)
+        if found is not None:
+            turn[data.frames] = found.at_postures
+        turns.append(turn)
+    if before:
+        return tuple(replace(skin, turn=turn) for skin, turn in zip(before, turns, strict=True))
+    time = problem.trajectories.time
+    pairs = zip(clusters, turns, strict=True)
+    return settle_sizes([learn_skin(data, turn, time, problem.noise_m) for data, turn in pairs])
+
+
+def _leg(data: ClusterData, skin: SkinMotion, noise_m: float) -> _Leg:
+    """Fit a cluster's shape, interpolated between the known postures, and say how far it may lie off the bone."""
+    frames = np.arange(len(data.points))
+    weights, variance = krige(skin.semivariance(frames, data.frames), skin.semivariance(data.frames, data.frames))
+    places = np.einsum("fk,kmi->fmi", weights, filled_postures(data))
+    fit = fit_rigid(places, data.points, noise_m * np.sqrt(2) * skin.looseness)
+    reference = places[data.frames[0]]
+    return _Leg(data=data, skin=skin, fit=fit, bed=Bed(
+        rotation=fit.rotation, origin=fit.translation, centre=_centre(reference, skin.looseness),
+        prior=_common_motion(reference, skin.size) * variance[:, None, None],
+    ))  # fmt: skip
+
+
+def _centre(places: Floats, looseness: Floats) -> Floats:
+    weight = 1 / looseness**2
+    return np.asarray(weight @ places / weight.sum())
+
+
+def _common_motion(places: Floats, size: float) -> Floats:
+    """Give the covariance (6, 6) of the skin's common turn [rad] and shift [m] over a bone.
+
+    A common shift is as large as the visible motion by a factor; a common turn moves the markers so far, about each
+    axis by their distance from it, so that a thin cluster turns farther.
+    """
+    about = places - places.mean(0)
+    inertia = ((about**2).sum() * np.eye(3) - about.T @ about) / len(places)
+    covariance = np.zeros((6, 6))
+    covariance[:3, :3] = (_COMMON_TURN * size) ** 2 * np.linalg.inv(inertia)
+    covariance[3:, 3:] = (_COMMON_SHIFT * size) ** 2 / 3 * np.eye(3)
+    return covariance
+
+
+def _joint(problem: MarkerProblem, motion: BoneMotion, pair: tuple[str, str]) -> KnownJoint:
+    calibration, names = problem.calibration, [cluster.segment for cluster in problem.clusters]
+    poses = []
+    for segment in pair:
+        index = calibration.segments.index(segment)
+        poses.append((calibration.rotation[:, index], calibration.origin[:, index]))
+    found = joint_turn(problem, motion, *pair)
+    turn = without_gaps(found.turn)
+    turn[calibration.frames] = found.at_postures
+    parent, child = motion.bone(pair[0])[0], motion.bone(pair[1])[0]
+    return KnownJoint(
+        parent=names.index(pair[0]), child=names.index(pair[1]), laxity=laxity(*pair), frames=calibration.frames,
+        parent_pose=poses[0], child_pose=poses[1], turn=turn, time=problem.trajectories.time,
+        anatomical=is_anatomical(np.swapaxes(parent, 1, 2) @ child),
+    )  # fmt: skip
+
+
+def _settle(beds: list[Bed], joints: list[KnownJoint]) -> tuple[Floats, Floats]:
+    """Find the clusters' common motions (F, S, 6) by Gauss-Newton, and their covariance (F, S, 6, 6)."""
+    frames = len(beds[0].origin)
+    steps = np.zeros((frames, len(beds), 6))
+    covariance = np.stack([bed.prior for bed in beds], 1)
+    guesses = [first_centres(joint, beds) for joint in joints]
+    centres = list(guesses)
+    for _ in range(_STEPS if joints else 0):
+        rows = []
+        for k, joint in enumerate(joints):
+            centres[k] = better_centres(joint, beds, steps, centres[k], guesses[k][0])
+            rows.append(joint_rows(joint, beds, steps, centres[k]))
+        wrt, value, variance = _stacked(joints, rows, steps)
+        for start in range(0, frames, _CHUNK):
+            part = slice(start, start + _CHUNK)
+            prior = np.stack([bed.prior[part] for bed in beds], 1)
+            steps[part], covariance[part] = _update(prior, wrt[part], value[part], variance[part])
+    return steps, covariance
+
+
+def _stacked(joints: list[KnownJoint], rows: list, steps: Floats) -> tuple[Floats, Floats, Floats]:
+    """Put all joints' rows (F, R, S, 6), values (F, R) at the motions' zero and variances (F, R) together."""
+    frames, count = steps.shape[:2]
+    wrts, values = [], []
+    for joint, row in zip(joints, rows, strict=True):
+        wrt = np.zeros((frames, row.wrt.shape[1], count, 6))
+        wrt[:, :, joint.parent], wrt[:, :, joint.child] = row.wrt[..., :6], row.wrt[..., 6:]
+        wrts.append(wrt)
+        values.append(row.residual + np.einsum("frsk,fsk->fr", wrt, steps))
+    variance = np.concatenate([row.sd**2 for row in rows], 1) + _FLOOR
+    return np.concatenate(wrts, 1), np.concatenate(values, 1), variance
+
+
+def _update(prior: Floats, wrt: Floats, value: Floats, variance: Floats) -> tuple[Floats, Floats]:
+    """Take rows (n, R, S, 6) into account of independent priors (n, S, 6, 6): means and marginal covariances."""
+    count, rows, segments = wrt.shape[:3]
+    gathered = np.einsum("nskl,nrsl->nskr", prior, wrt)
+    scatter = np.einsum("nrsk,nskq->nrq", wrt, gathered)
+    scatter[:, np.arange(rows), np.arange(rows)] += variance
+    flat = gathered.reshape(count, segments * 6, rows)
+    gain = np.swapaxes(np.linalg.solve(scatter, np.swapaxes(flat, 1, 2)), 1, 2).reshape(count, segments, 6, rows)
+    return np.einsum("nskr,nr->nsk", gain, value), prior - np.einsum("nskr,nslr->nskl", gain, gathered)
+
+
+def _motion(legs: list[_Leg], steps: Floats, covariance: Floats) -> BoneMotion:
+    """Take the common motions away, and state what is not known of them beside the noise."""
+    bones = []
+    for index, leg in enumerate(legs):
+        rotation, origin = leg.bed.moved(steps[:, index])
+        wrt = np.zeros((len(rotation), 6, 6))
+        wrt[:, :3, :3] = np.eye(3)
+        wrt[:, 3:, :3] = rotation @ rotations.hat(leg.bed.centre)
+        wrt[:, 3:, 3:] = rotation
+        skin = wrt @ covariance[:, index] @ np.swapaxes(wrt, 1, 2)
+        notes = (
+            *leg.data.notes,
+            *counted(leg.data.segment, leg.fit.few, f"have fewer than {FEWEST} markers and no answer"),
+            *counted(leg.data.segment, leg.fit.collinear, "have their markers in a line and no answer"),
+        )
+        bones.append(one_bone(leg.data.segment, rotation, origin, skin + leg.fit.noise_covariance, notes))
+    return side_by_side(bones)
+
+
+def _notes(skins: tuple[SkinMotion, ...]) -> tuple[str, ...]:
+    """Say of each cluster how far its skin was taken to move, and what it was found to follow."""
+    notes = []
+    for skin in skins:
+        if skin.size == 0:
+            notes.append(f"{skin.segment}: the cluster stays rigid within its noise; no skin motion is assumed.")
+            continue
+        form = skin.form
+        shares = (
+            f"{form.turn:.0%} with the joint's turn, {form.modes:.0%} with {form.rank} modes, {form.wobble:.0%} neither"
+        )
+        notes.append(f"{skin.segment}: the skin moves by about {1000 * skin.size:.1f} mm; it goes {shares}.")
+    return tuple(notes)
+
+
+def _doubts(problem: MarkerProblem, joints: list[KnownJoint]) -> tuple[str, ...]:
+    names = [cluster.segment for cluster in problem.clusters]
+    return tuple(
+        f"{names[joint.parent]} and {names[joint.child]}: the joint does not turn about the bones' Z axes; "
+        "its angles are left free."
+        for joint in joints
+        if not joint.anatomical and (joint.laxity.adduction or joint.laxity.rotation)
+    )
