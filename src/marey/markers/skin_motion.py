@@ -65,7 +65,7 @@ class SkinMotion:
     """(M,) each marker's own standard deviation as a multiple of the cluster's."""
     form: SkinForm
     log_likelihood: tuple[float, ...] = ()
-    """Of each of FORMS on the markers left out, a coordinate; empty where too few markers are there to leave one out."""
+    """Of each of FORMS on markers left out, a coordinate; empty where too few markers are there to leave one out."""
     first: int
     """The frame of the first known posture."""
     time: Floats
