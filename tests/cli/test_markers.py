@@ -7,6 +7,7 @@ from pathlib import Path
 import ezc3d
 import numpy as np
 import pytest
+from tests.trials import FRAMES, RATE, marker_points, true_bones, write_reference, write_trial
 
 from marey.cli import markers as command
 from marey.cli.main import run
@@ -14,7 +15,6 @@ from marey.io.bones import read_bones
 from marey.io.mot_sto import read_orientations, read_table
 from marey.io.npz import write_arrays
 from marey.io.trc import PointPaths, write_trc
-from tests.trials import FRAMES, RATE, marker_points, true_bones, write_reference, write_trial
 
 FILES = ["angles.csv", "angles.mot", "bones.npz", "marker_motion.csv", "motion.c3d", "orientations.sto",
          "report.html", "run.json"]  # fmt: skip

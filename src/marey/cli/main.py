@@ -262,6 +262,13 @@ def markers(
         str | None,
         typer.Option(metavar="NAME,...", help="Methods set apart by commas, or `all`; the files hold the first one."),
     ] = None,
+    model: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="An OpenSim model: all its bodies follow the markers at once."),
+    ] = None,
+    weights: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="XML: the model's tasks and weights. [default: all alike]")
+    ] = None,
     out: Annotated[
         Path | None,
         typer.Option("--out", "-o", metavar="DIR", help="Where the results go. [default: TRIAL_marey]"),
@@ -283,14 +290,15 @@ def markers(
     * `marey markers walk.c3d --reference walk_frame0.npz`
     * `marey markers walk.c3d --reference walk_frame0.npz --method all --out results/walk`
     * `marey markers walk.trc --clusters segments.toml`
+    * `marey markers walk.trc --model scaled.osim --weights tasks.xml`
     """
     from marey.cli.markers import markers as follow_markers
     from marey.cli.markers_settings import MarkersOptions
     from marey.cli.progress import Progress
 
     options = MarkersOptions(
-        out=out, reference=reference, setup=clusters, methods=_method_names(method), frames=_range(frames), unit=unit,
-        side=side,
+        out=out, reference=reference, setup=clusters, methods=_method_names(method), model=model, weights=weights,
+        frames=_range(frames), unit=unit, side=side,
     )  # fmt: skip
     results = follow_markers(trial, options, Progress(quiet=quiet))
     typer.echo(f"Report: {results / 'report.html'}")

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from marey.cli.markers_results import write_results
+from marey.cli.markers_model import read_model_trial
+from marey.cli.markers_results import MarkersResults, write_results
 from marey.cli.markers_settings import MarkersOptions
 from marey.cli.markers_trial import MarkersTrial, read_trial
 from marey.cli.progress import Progress
@@ -18,7 +19,7 @@ from marey.io.stages import Arrays, file_fingerprint
 from marey.markers.bone_motion import BoneMotion
 from marey.markers.joint_angles import JointKinematics, joint_kinematics, joint_of, turns_since
 from marey.markers.marker_motion import MarkerMotion, marker_motion
-from marey.markers.methods import DEFAULT, METHODS, MethodEntry, choose_methods
+from marey.markers.methods import DEFAULT, MethodEntry, choose_methods
 from marey.markers.problem import MarkerProblem
 
 
@@ -57,6 +58,8 @@ def markers(path: Path, options: MarkersOptions, progress: Progress) -> Path:
     """
     if not path.is_file():
         raise FileProblem(path, "is a folder" if path.is_dir() else "does not exist", "Give a C3D, TRC or CSV.")
+    if options.model is not None:
+        return follow_model(path, options, progress)
     entries = choose_methods(options.methods or (DEFAULT,))
     out = options.out or path.with_name(f"{path.stem}_marey")
     named = [path, *options.files]
@@ -66,8 +69,12 @@ def markers(path: Path, options: MarkersOptions, progress: Progress) -> Path:
         for note in trial.notes:
             progress.warn(note)
         runs = run_methods(trial, entries, progress, cache, many=options.methods == ("all",))
-        write_results(trial, runs, options, out, progress)
-    for line in told(trial, runs):
+        results = MarkersResults(
+            path=path, measured=trial.measured, used=trial.used, asked=trial.asked, runs=runs,
+            anatomical=trial.anatomical, side=trial.side,
+        )  # fmt: skip
+        write_results(results, options, out, progress)
+    for line in told(results):
         progress.say(line)
     return out
 
@@ -166,18 +173,45 @@ def _unpacked(arrays: Arrays) -> tuple[BoneMotion, float]:
     return motion, float(arrays["seconds"])
 
 
-def told(trial: MarkersTrial, runs: Sequence[MethodRun]) -> list[str]:
+def follow_model(path: Path, options: MarkersOptions, progress: Progress) -> Path:
+    """Follow the markers with an OpenSim model, all its bodies at once, and write its coordinates and bodies.
+
+    Raises:
+        FileProblem: A file cannot be used, or model, tasks and trial have no marker in common.
+    """
+    out = options.out or path.with_name(f"{path.stem}_marey")
+    with threadpool_limits(1), StageCache(out, [file_fingerprint(each) for each in (path, *options.files)]):
+        with progress.stage("Reading"):
+            ready = read_model_trial(path, options)
+        for note in ready.notes:
+            progress.warn(note)
+        with progress.stage("Following the model"):
+            began = time.perf_counter()
+            found = ready.follow()
+            seconds = time.perf_counter() - began
+        for note in found.notes:
+            progress.warn(note)
+        run = MethodRun(
+            name="model", summary=f"the OpenSim model {options.model.name if options.model else ''}", seconds=seconds,
+            motion=found.bones, joints=found.coordinates, markers=marker_motion(ready.used, ready.clusters, found.bones),
+        )  # fmt: skip
+        results = MarkersResults(
+            path=path, measured=ready.measured, used=ready.used, asked=ready.asked, runs=[run], coordinates=found.table
+        )
+        write_results(results, options, out, progress)
+    progress.say(found.told)
+    return out
+
+
+def told(results: MarkersResults) -> list[str]:
     """Say in a few lines what was found."""
-    first = runs[0]
+    runs, first = results.runs, results.runs[0]
     lines = []
     for s, name in enumerate(first.motion.segments):
         known = int(first.motion.answered[:, s].sum())
         moved = first.markers.rms[[segment == name for segment in first.markers.segments]]
         skin = f", its markers move {1e3 * np.sqrt(np.nanmean(moved**2)):.1f} mm over it (RMS)" if len(moved) else ""
-        lines.append(f"{name}: {known} of {int(trial.asked.sum())} frames{skin}.")
+        lines.append(f"{name}: {known} of {int(results.asked.sum())} frames{skin}.")
     if len(runs) > 1:
         lines.append(f"Methods: {', '.join(run.name for run in runs)}; the files hold {first.name}.")
     return lines
-
-
-__all__ = ["METHODS", "MethodRun", "finished_run", "markers", "run_methods", "told"]

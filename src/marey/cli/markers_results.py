@@ -1,13 +1,12 @@
 """The files of a run on markers."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
+from marey.arrays import Mask
 from marey.cli.markers_settings import MarkersOptions
-from marey.cli.markers_trial import MarkersTrial
 from marey.cli.progress import Progress
 from marey.cli.run_record import finished_together, write_record
 from marey.io.bones import BoneFile, write_bones
@@ -19,47 +18,71 @@ from marey.io.marker_results import (
     write_marker_motion,
     write_motion_c3d,
 )
+from marey.io.mot_sto import Table, write_table
+from marey.markers.trajectories import MarkerTrajectories
 from marey.view.markers import MethodView, write_markers_report
 
 if TYPE_CHECKING:
     from marey.cli.markers import MethodRun
 
 
-def write_results(
-    trial: MarkersTrial, runs: Sequence["MethodRun"], options: MarkersOptions, out: Path, progress: Progress
-) -> None:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MarkersResults:
+    """What a run on markers found."""
+
+    path: Path
+    """The trial."""
+    measured: MarkerTrajectories
+    """As the file has them."""
+    used: MarkerTrajectories
+    """With what was filled."""
+    asked: Mask
+    """(F,) the frames that were estimated."""
+    runs: Sequence["MethodRun"]
+    """The first one's results are the run's."""
+    anatomical: bool = True
+    """Whether the bones' frames are anatomical ones."""
+    side: str | None = None
+    """`left` or `right` where it is known and the segments' names do not tell."""
+    coordinates: Table | None = None
+    """Coordinates of a model, for angles.mot instead of the joints between bones."""
+
+
+def write_results(results: MarkersResults, options: MarkersOptions, out: Path, progress: Progress) -> None:
     """Write all results at once: those of the first method, and the bones of every other one beside them.
 
     Args:
-        trial: What was measured.
-        runs: The first one's results are the run's.
+        results: What was found.
         options: As asked.
         out: Where.
         progress: Knows timings and warnings.
     """
-    first, measured = runs[0], trial.measured
-    time, rate = measured.time, measured.rate
+    runs, first = results.runs, results.runs[0]
+    time, rate = results.measured.time, results.measured.rate
     asked = {**{k: v for k, v in vars(options).items() if v not in (None, ())}, "methods": [run.name for run in runs]}
     with finished_together(out) as folder:
         with progress.stage("Results"):
             for run in runs:
                 name = "bones.npz" if run is first else f"bones_{run.name}.npz"
-                write_bones(folder / name, BoneFile(motion=run.motion, time=time, side=trial.side))
-            if first.joints.angle_names:
+                write_bones(folder / name, BoneFile(motion=run.motion, time=time, side=results.side))
+            if results.coordinates is not None:
+                write_table(folder / "angles.mot", results.coordinates)
+            elif first.joints.angle_names:
                 write_joint_table(folder / "angles.mot", time, first.joints)
+            if first.joints.angle_names:
                 write_joint_csv(folder / "angles.csv", time, first.joints)
             write_marker_motion(folder / "marker_motion.csv", time, first.markers)
-            write_motion_c3d(folder / "motion.c3d", trial.path, trial.used, first.motion)
+            write_motion_c3d(folder / "motion.c3d", results.path, results.used, first.motion)
             write_bone_orientations(
-                folder / "orientations.sto", time, rate, first.motion, y_up=is_y_up(trial.path)
+                folder / "orientations.sto", time, rate, first.motion, y_up=is_y_up(results.path)
             )  # fmt: skip
             write_markers_report(
-                folder / "report.html", title=trial.path.stem, time=time, asked=trial.asked,
-                methods=[_view(run) for run in runs], anatomical=trial.anatomical, notes=progress.warnings,
-                filled=int(trial.used.filled.sum()), timings=progress.timings, settings=asked,
+                folder / "report.html", title=results.path.stem, time=time, asked=results.asked,
+                methods=[_view(run) for run in runs], anatomical=results.anatomical, notes=progress.warnings,
+                filled=int(results.used.filled.sum()), timings=progress.timings, settings=asked,
             )  # fmt: skip
         write_record(
-            folder, command="markers", settings=asked, inputs=[trial.path, *options.files], root=trial.path.parent,
+            folder, command="markers", settings=asked, inputs=[results.path, *options.files], root=results.path.parent,
             progress=progress,
         )  # fmt: skip
 
@@ -69,8 +92,3 @@ def _view(run: "MethodRun") -> MethodView:
         name=run.name, summary=run.summary, motion=run.motion, joints=run.joints, markers=run.markers,
         seconds=run.seconds,
     )  # fmt: skip
-
-
-def share_text(values: np.ndarray) -> str:
-    """Write a share as percent."""
-    return f"{100 * float(np.mean(values)):.1f} %" if np.size(values) else "none"

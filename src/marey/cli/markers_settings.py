@@ -60,6 +60,8 @@ class MarkersOptions:
             raise SettingProblem(f"--side is '{self.side}'; it should be left or right.")
         if self.weights is not None and self.model is None:
             raise SettingProblem("--weights belongs to --model: name the OpenSim model, too.")
+        if self.model is not None and (self.methods or self.reference or self.static or self.setup):
+            raise SettingProblem("--model brings its own segments and method: give it without the options of clusters.")
         if self.reference is not None and self.static is not None:
             raise SettingProblem("--reference and --static both say how the bones lie: give one of them.")
 

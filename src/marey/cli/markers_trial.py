@@ -59,8 +59,8 @@ def read_trial(path: Path, options: MarkersOptions) -> MarkersTrial:
     measured = read_markers(path, unit=options.unit)
     setup = MarkerSetup() if options.setup is None else read_marker_setup(options.setup)
     found = found_clusters(path, measured, setup, options)
-    asked = _asked(len(measured), options.frames)
-    used, filling = _filled(_cut(measured, asked), found.clusters, options)
+    asked = asked_frames(len(measured), options.frames)
+    used, filling = _filled(cut(measured, asked), found.clusters, options)
     notes = [*measured.notes, *found.notes, *filling]
     calibration, anatomical, said = _calibration(path, measured, used, found.clusters, options)
     notes += said
@@ -105,7 +105,12 @@ def found_clusters(
     return found
 
 
-def _asked(count: int, frames: tuple[int, int] | None) -> Mask:
+def asked_frames(count: int, frames: tuple[int, int] | None) -> Mask:
+    """Tell which of so many frames (F,) are asked for.
+
+    Raises:
+        SettingProblem: None of them.
+    """
     asked = np.ones(count, bool)
     if frames is not None:
         first, end = frames
@@ -116,7 +121,7 @@ def _asked(count: int, frames: tuple[int, int] | None) -> Mask:
     return asked
 
 
-def _cut(trajectories: MarkerTrajectories, asked: Mask) -> MarkerTrajectories:
+def cut(trajectories: MarkerTrajectories, asked: Mask) -> MarkerTrajectories:
     """Take away what was measured in frames that were not asked for."""
     if asked.all():
         return trajectories
