@@ -274,6 +274,12 @@ def markers(
         typer.Option("--out", "-o", metavar="DIR", help="Where the results go. [default: TRIAL_marey]"),
     ] = None,
     frames: Frames = None,
+    fill: Annotated[
+        str,
+        typer.Option(
+            metavar="WAY", help="Fill gaps: spline (over time), cluster (from the segment's other markers), best, none."
+        ),
+    ] = "none",
     unit: Annotated[str | None, typer.Option(metavar="UNIT", help="mm, cm or m, where the file says it wrong.")] = None,
     side: Annotated[
         str | None, typer.Option(metavar="SIDE", help="left or right, where the segments' names do not tell.")
@@ -298,7 +304,7 @@ def markers(
 
     options = MarkersOptions(
         out=out, reference=reference, setup=clusters, methods=_method_names(method), model=model, weights=weights,
-        frames=_range(frames), unit=unit, side=side,
+        frames=_range(frames), fill=fill, unit=unit, side=side,
     )  # fmt: skip
     results = follow_markers(trial, options, Progress(quiet=quiet))
     typer.echo(f"Report: {results / 'report.html'}")

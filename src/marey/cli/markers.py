@@ -70,7 +70,7 @@ def markers(path: Path, options: MarkersOptions, progress: Progress) -> Path:
             progress.warn(note)
         runs = run_methods(trial, entries, progress, cache, many=options.methods == ("all",))
         results = MarkersResults(
-            path=path, measured=trial.measured, used=trial.used, asked=trial.asked, runs=runs,
+            path=path, measured=trial.measured, used=trial.used, filling=trial.filling, asked=trial.asked, runs=runs,
             anatomical=trial.anatomical, side=trial.side,
         )  # fmt: skip
         write_results(results, options, out, progress)
@@ -130,7 +130,9 @@ def _run(
     with progress.stage(f"Method {entry.name}"):
         motion, seconds = _unpacked(cache.arrays(f"method-{entry.name}", compute, depends=(trial.key, entry.function)))
     for note in motion.notes:
-        progress.warn(f"Method {entry.name}: {note}")
+        # What several methods have to say alike is said once.
+        if not any(warning.endswith(f": {note}") for warning in progress.warnings):
+            progress.warn(f"Method {entry.name}: {note}")
     return finished_run(entry.name, entry.summary, trial, motion, seconds)
 
 
@@ -193,11 +195,13 @@ def follow_model(path: Path, options: MarkersOptions, progress: Progress) -> Pat
             progress.warn(note)
         run = MethodRun(
             name="model", summary=f"the OpenSim model {options.model.name if options.model else ''}", seconds=seconds,
-            motion=found.bones, joints=found.coordinates, markers=marker_motion(ready.used, ready.clusters, found.bones),
+            motion=found.bones, joints=found.coordinates,
+            markers=marker_motion(ready.used, ready.clusters, found.bones),
         )  # fmt: skip
         results = MarkersResults(
-            path=path, measured=ready.measured, used=ready.used, asked=ready.asked, runs=[run], coordinates=found.table
-        )
+            path=path, measured=ready.measured, used=ready.used, filling=ready.filling, asked=ready.asked, runs=[run],
+            coordinates=found.table,
+        )  # fmt: skip
         write_results(results, options, out, progress)
     progress.say(found.told)
     return out

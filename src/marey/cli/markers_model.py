@@ -8,7 +8,7 @@ import numpy as np
 from marey.arrays import Floats, Mask
 from marey.body.jointed_body import JointedBody
 from marey.cli.markers_settings import MarkersOptions
-from marey.cli.markers_trial import asked_frames, cut
+from marey.cli.markers_trial import asked_frames, cut, filled
 from marey.errors import FileProblem, MareyError
 from marey.io.axes import OPENSIM_FROM_WORLD
 from marey.io.marker_results import is_y_up
@@ -18,6 +18,7 @@ from marey.io.osim_model import read_osim_model
 from marey.io.osim_tasks import read_tasks
 from marey.markers.bone_motion import BoneMotion
 from marey.markers.clusters import Cluster
+from marey.markers.gaps import FilledGaps
 from marey.markers.inverse_kinematics import InverseKinematics, inverse_kinematics
 from marey.markers.joint_angles import JointKinematics
 from marey.markers.tasks import TaskSet
@@ -46,7 +47,9 @@ class ModelTrial:
     path: Path
     measured: MarkerTrajectories
     used: MarkerTrajectories
-    """Without frames that were not asked for."""
+    """With what was filled, without frames that were not asked for."""
+    filling: FilledGaps | None
+    """How gaps were filled, where that was asked for."""
     asked: Mask
     model: JointedBody
     model_path: Path
@@ -101,11 +104,15 @@ def read_model_trial(path: Path, options: MarkersOptions) -> ModelTrial:
     for marker in model.markers:
         if marker.body is not None and marker.label in measured.labels:
             riding.setdefault(marker.body, []).append(marker.label)
+    clusters = tuple(Cluster(segment=body, labels=tuple(labels)) for body, labels in riding.items())
+    used = cut(measured, asked)
+    filling = filled(used, clusters, options)
+    used = used if filling is None else cut(filling.trajectories, asked)
     turned = "" if y_up else f"{path.name} has Z up; it was turned into the ground of OpenSim, Y up."
     return ModelTrial(
-        path=path, measured=measured, used=cut(measured, asked), asked=asked, model=model, model_path=options.model,
-        tasks=tasks, clusters=tuple(Cluster(segment=body, labels=tuple(labels)) for body, labels in riding.items()),
-        notes=(*measured.notes, *([turned] if turned else [])),
+        path=path, measured=measured, used=used, filling=filling, asked=asked, model=model, model_path=options.model,
+        tasks=tasks, clusters=clusters,
+        notes=(*measured.notes, *(() if filling is None else filling.notes), *([turned] if turned else [])),
         ground_from_file=np.eye(3) if y_up else OPENSIM_FROM_WORLD,
     )  # fmt: skip
 

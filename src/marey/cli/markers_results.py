@@ -13,12 +13,14 @@ from marey.io.bones import BoneFile, write_bones
 from marey.io.marker_results import (
     is_y_up,
     write_bone_orientations,
+    write_filled,
     write_joint_csv,
     write_joint_table,
     write_marker_motion,
     write_motion_c3d,
 )
 from marey.io.mot_sto import Table, write_table
+from marey.markers.gaps import FilledGaps
 from marey.markers.trajectories import MarkerTrajectories
 from marey.view.markers import MethodView, write_markers_report
 
@@ -36,6 +38,8 @@ class MarkersResults:
     """As the file has them."""
     used: MarkerTrajectories
     """With what was filled."""
+    filling: FilledGaps | None = None
+    """How, where gaps were to be filled."""
     asked: Mask
     """(F,) the frames that were estimated."""
     runs: Sequence["MethodRun"]
@@ -72,6 +76,8 @@ def write_results(results: MarkersResults, options: MarkersOptions, out: Path, p
             if first.joints.angle_names:
                 write_joint_csv(folder / "angles.csv", time, first.joints)
             write_marker_motion(folder / "marker_motion.csv", time, first.markers)
+            if results.filling is not None:
+                write_filled(folder / "filled.csv", results.filling)
             write_motion_c3d(folder / "motion.c3d", results.path, results.used, first.motion)
             write_bone_orientations(
                 folder / "orientations.sto", time, rate, first.motion, y_up=is_y_up(results.path)

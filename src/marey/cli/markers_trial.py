@@ -13,6 +13,7 @@ from marey.io.marker_setup import read_marker_setup, read_reference
 from marey.io.markers import read_markers
 from marey.io.npz import read_arrays
 from marey.markers.clusters import AnatomicalCalibration, Cluster
+from marey.markers.gaps import FROM_CLUSTER, SPLINE, FilledGaps, fill_gaps
 from marey.markers.joint_angles import usual_joints
 from marey.markers.labels import FoundClusters, clusters_named, find_clusters
 from marey.markers.own_frames import own_calibration
@@ -30,6 +31,8 @@ class MarkersTrial:
     """As the file has them."""
     used: MarkerTrajectories
     """With what was filled, without frames that were not asked for."""
+    filling: FilledGaps | None
+    """How gaps were filled, where that was asked for."""
     asked: Mask
     """(F,) the frames that are estimated."""
     problem: MarkerProblem
@@ -60,8 +63,10 @@ def read_trial(path: Path, options: MarkersOptions) -> MarkersTrial:
     setup = MarkerSetup() if options.setup is None else read_marker_setup(options.setup)
     found = found_clusters(path, measured, setup, options)
     asked = asked_frames(len(measured), options.frames)
-    used, filling = _filled(cut(measured, asked), found.clusters, options)
-    notes = [*measured.notes, *found.notes, *filling]
+    used = cut(measured, asked)
+    filling = filled(used, found.clusters, options)
+    used = used if filling is None else cut(filling.trajectories, asked)
+    notes = [*measured.notes, *found.notes, *(() if filling is None else filling.notes)]
     calibration, anatomical, said = _calibration(path, measured, used, found.clusters, options)
     notes += said
     clusters = tuple(cluster for cluster in found.clusters if cluster.segment in calibration.segments)
@@ -76,8 +81,8 @@ def read_trial(path: Path, options: MarkersOptions) -> MarkersTrial:
     if not problem.joints:
         notes.append("No joint is known between the segments, so there are no joint angles: see [joints] of the TOML.")
     return MarkersTrial(
-        path=path, measured=measured, used=used, asked=asked, problem=problem, anatomical=anatomical, side=side,
-        notes=tuple(notes),
+        path=path, measured=measured, used=used, filling=filling, asked=asked, problem=problem,
+        anatomical=anatomical, side=side, notes=tuple(notes),
     )  # fmt: skip
 
 
@@ -130,11 +135,10 @@ def cut(trajectories: MarkerTrajectories, asked: Mask) -> MarkerTrajectories:
     return replace(trajectories, points=points)
 
 
-def _filled(
-    trajectories: MarkerTrajectories, clusters: Sequence[Cluster], options: MarkersOptions
-) -> tuple[MarkerTrajectories, tuple[str, ...]]:
-    """Fill gaps where that was asked for."""
-    return trajectories, ()
+def filled(trajectories: MarkerTrajectories, clusters: Sequence[Cluster], options: MarkersOptions) -> FilledGaps | None:
+    """Fill gaps where that was asked for: as the way that is named does, or by the better one of each gap."""
+    ways = {"spline": (SPLINE,), "cluster": (FROM_CLUSTER,), "best": (SPLINE, FROM_CLUSTER)}
+    return fill_gaps(trajectories, clusters, ways=ways[options.fill]) if options.fill in ways else None
 
 
 def _calibration(

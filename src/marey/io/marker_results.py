@@ -2,6 +2,7 @@
 
 import csv
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from marey.io.c3d import METRES, add_rotations, open_c3d, point_labels, point_un
 from marey.io.mot_sto import Orientations, Table, write_orientations, write_table
 from marey.io.trc import PointPaths
 from marey.markers.bone_motion import BoneMotion
+from marey.markers.gaps import FROM_CLUSTER, SPLINE, STILL_MISSING, FilledGaps
 from marey.markers.joint_angles import JointKinematics
 from marey.markers.marker_motion import MarkerMotion
 from marey.markers.trajectories import MarkerTrajectories
@@ -86,6 +88,27 @@ def write_marker_motion(path: Path | str, time: Floats, motion: MarkerMotion) ->
         for axis in "xyz"
     ]
     _write_rows(path, head, time, motion.places.reshape(len(time), -1) * _MM)
+
+
+def write_filled(path: Path | str, filling: FilledGaps) -> None:
+    """Write `filled.csv`: a row a gap with its marker, first and last frame, how it was filled, and how well.
+
+    Args:
+        path: The file.
+        filling: What was filled and what was not.
+    """
+    words = {SPLINE: "spline", FROM_CLUSTER: "cluster", STILL_MISSING: "empty"}
+    with replacing(path) as beside, beside.open("w", newline="") as file:
+        rows = csv.writer(file, lineterminator="\n")
+        rows.writerow(["marker", "first_frame", "last_frame", "filled_by", "sd_mm"])
+        for m, label in enumerate(filling.trajectories.labels):
+            way = filling.way[:, m]
+            edges = np.flatnonzero(np.diff(way)) + 1
+            for start, end in pairwise([0, *map(int, edges), len(way)]):
+                if int(way[start]) in words:
+                    sd = filling.sd[start:end, m]
+                    spread = f"{_MM * float(np.nanmax(sd)):.3f}" if np.isfinite(sd).any() else ""
+                    rows.writerow([label, start, end - 1, words[int(way[start])], spread])
 
 
 def write_cycle_csv(path: Path | str, curves: Mapping[str, Floats], spreads: Mapping[str, Floats]) -> None:

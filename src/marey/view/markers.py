@@ -19,6 +19,7 @@ FILES = {
     "angles.mot, angles.csv": "joint angles and translations with standard deviations",
     "cycles.csv": "angles over the cycle, where there are events",
     "marker_motion.csv": "where each marker lies in its bone's frame",
+    "filled.csv": "which gaps were filled, how, and how well",
     "motion.c3d": "the trial as it was, and the bones as 4x4 ROTATION",
     "orientations.sto": "orientations of the bones, for OpenSense",
     "run.json": "version, settings, inputs, timings",
@@ -134,7 +135,7 @@ def _tiles(
         text = f"most: {first.markers.labels[last]}, {1e3 * first.markers.rms[last]:.1f} mm"
         tiles.append(("markers move", f"{1e3 * np.sqrt(np.mean(rms**2)):.1f} mm", f"over their bones, RMS; {text}"))
     if filled:
-        tiles.append(("points filled", f"{filled}", "flagged in the methods' input"))
+        tiles.append(("points filled", f"{filled}", "listed in filled.csv"))
     return tiles
 
 
