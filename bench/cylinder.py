@@ -23,6 +23,7 @@ from marey.images.matching import MatchSettings, match
 from marey.images.splines import SplinePicture, spline_of
 from marey.io.calibration import read_rig
 from marey.io.surface import read_surface
+from marey.surface.measured import MeasuredPoints
 
 GOOD = 0.05
 
@@ -56,12 +57,23 @@ def dense(folder: Path, out: Path, reference: np.lib.npyio.NpzFile) -> None:
             start = np.concatenate([*near, [0.057]])
             close = np.abs(fitted_cylinder(own, start)[1]) < 5e-4
             radius, beside = fitted_cylinder(own[close], start)
+            told = stated(measured.of_frame(position)[inside][close], start, beside)
             cell = len(own) * spacing**2 / cv2.contourArea(hull)
             sys.stdout.write(
                 f"position {position + 1}, {size}x{size}: {len(own)} points ({100 * cell:.0f} % of the speckle), "
                 f"radius {1e3 * radius:.3f} mm, residual {1e3 * np.sqrt(np.mean(beside**2)):.3f} mm rms, "
-                f"{100 * np.mean(~close):.2f} % left out\n"
+                f"{100 * np.mean(~close):.2f} % left out; {told}\n"
             )
+
+
+def stated(points: MeasuredPoints, start: np.ndarray, beside: np.ndarray) -> str:
+    """Compare distances from the cylinder with the standard deviations stated for that direction."""
+    axis = start[3:6] / np.linalg.norm(start[3:6])
+    outward = points.points - start[:3]
+    outward -= np.outer(outward @ axis, axis)
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    ratio = np.abs(beside) / np.sqrt(np.einsum("ni,nij,nj->n", outward, points.covariance, outward))
+    return f"{np.median(ratio) / 0.6745:.2f} times the stated sd, {100 * np.mean(ratio < 1.96):.0f} % within 1.96"
 
 
 def main() -> None:

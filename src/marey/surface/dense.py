@@ -9,6 +9,7 @@ import numpy as np
 from marey.arrays import Floats, Image, Integers, frozen
 from marey.cameras.epipolar import epipolar_lines
 from marey.surface.acceptance import beside_lines
+from marey.surface.bend import bends
 from marey.surface.field import Field, Grid
 from marey.surface.growth import grow
 from marey.surface.seeds import Seeds, find_seeds
@@ -37,6 +38,8 @@ class Tuples:
     """(n, C, 2) [px]; NaN without a match."""
     sd: Floats
     """(n, C) standard deviation of the match, along the epipolar line [px]; 0 in the template."""
+    bend: Floats
+    """(n, C, 2) by how much the surface's bend may draw the match aside [px]; 0 in the template."""
     correlation: Floats
     """(n, C), 1 in the template."""
     maps: Floats
@@ -47,7 +50,7 @@ class Tuples:
     """(n, 3) red, green, blue of the template."""
 
     def __post_init__(self) -> None:
-        for name in ("pixels", "sd", "correlation", "maps"):
+        for name in ("pixels", "sd", "bend", "correlation", "maps"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
         for name in ("nodes", "size"):
             object.__setattr__(self, name, frozen(getattr(self, name), np.int64))
@@ -117,19 +120,21 @@ def merged(views: Sequence[View], compared: Comparison, grid: Grid, fields: Sequ
     nodes = np.flatnonzero(np.any([field.found for field in fields], axis=0))
     count, cameras, here = len(nodes), len(views), compared.template
     pixels, sd = np.full((count, cameras, 2), np.nan), np.full((count, cameras), np.nan)
+    bend = np.full((count, cameras, 2), np.nan)
     correlation, maps = np.full((count, cameras), np.nan), np.full((count, cameras, 2, 2), np.nan)
     size = np.zeros((count, cameras), np.int64)
+    bend[:, here] = 0
     pixels[:, here], sd[:, here], correlation[:, here], maps[:, here] = grid.pixels[nodes], 0, 1, np.eye(2)
     for other, field in zip(compared.searched, fields, strict=True):
         pixels[:, other], maps[:, other] = field.there[nodes], field.maps[nodes]
         # Exactly 1 is the template's alone.
         correlation[:, other] = np.minimum(field.correlation[nodes], 1 - 1e-6)
-        size[:, other] = field.size[nodes]
+        size[:, other], bend[:, other] = field.size[nodes], bends(field, grid)[nodes]
         sd[:, other] = _along_lines(views[here], views[other], grid.pixels[nodes], field, nodes)
     column, row = grid.pixels[nodes].astype(int).T
     return Tuples(
-        template=here, grid=grid, nodes=nodes, pixels=pixels, sd=sd, correlation=correlation, maps=maps, size=size,
-        colour=views[here].image[row, column, ::-1],
+        template=here, grid=grid, nodes=nodes, pixels=pixels, sd=sd, bend=bend, correlation=correlation, maps=maps,
+        size=size, colour=views[here].image[row, column, ::-1],
     )  # fmt: skip
 
 

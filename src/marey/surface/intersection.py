@@ -15,7 +15,9 @@ from marey.surface.settings import SurfaceSettings
 from marey.surface.views import View
 
 FLOOR_PX = 0.06
-"""What a match does not know of its own error: that the surface is curved under its patch, and interpolation [px]."""
+"""What a match does not know of its own error: interpolation, and light and compression that differ by view [px]."""
+UNSURE_BEND = 0.5
+"""By what share of it the bend's effect differs from patch to patch: it depends on where in the patch texture lies."""
 _USUAL = 4.0
 """A residual is usual up to so many times the median, and ..."""
 _LEAST = 0.15
@@ -36,11 +38,11 @@ def intersect(views: Sequence[View], tuples: Tuples, settings: SurfaceSettings, 
         frame: The number that the points shall carry.
 
     Returns:
-        The points, with a covariance that holds what their own residuals show.
+        The points, with a covariance that holds what their own residuals show, and what the surface's bend does.
     """
     cameras = [view.camera for view in views]
     pixels, kept = np.array(tuples.pixels), np.ones(len(tuples), bool)
-    sigma = np.hypot(tuples.sd, FLOOR_PX)
+    sigma = match_sigma(tuples)
     pixels[_off_their_lines(views, tuples, settings)] = np.nan
     # Of many cameras all around, a template is compared with a few.
     used = np.flatnonzero(np.isfinite(pixels[..., 0]).any(axis=0))
@@ -57,12 +59,42 @@ def intersect(views: Sequence[View], tuples: Tuples, settings: SurfaceSettings, 
     whole[tuples.nodes[kept]] = True
     kept &= in_large_pieces(whole, tuples.grid)[tuples.nodes]
     factor = variance_factor(own, solved, there, spread, kept)
+    bend = np.where(np.isfinite(there), tuples.bend[:, used], np.nan)[kept]
+    aside = drawn_aside(own, solved.points[kept], bend, spread[kept])
+    covariance = factor * solved.covariance[kept] + aside[:, :, None] * aside[:, None, :]
     return MeasuredPoints(
-        frame=np.full(kept.sum(), frame), points=solved.points[kept], covariance=factor * solved.covariance[kept],
+        frame=np.full(kept.sum(), frame), points=solved.points[kept], covariance=covariance,
         camera_names=tuple(camera.name for camera in cameras), pixels=pixels[kept],
         correlation=np.where(np.isfinite(pixels[kept, :, 0]), tuples.correlation[kept], np.nan),
         residual_px=solved.residual_px[kept], colour=tuples.colour[kept],
     )  # fmt: skip
+
+
+def match_sigma(tuples: Tuples) -> Floats:
+    """Give the standard deviations (n, C) of matches by which each view differs from the others [px]."""
+    unsure = UNSURE_BEND * np.linalg.norm(tuples.bend, axis=-1)
+    return np.asarray(np.sqrt(tuples.sd**2 + FLOOR_PX**2 + unsure**2))
+
+
+def drawn_aside(cameras: Sequence[Camera], points: Floats, bend: Floats, sigma: Floats) -> Floats:
+    """Say how far points (n, 3) move when their pixels move by the bend (n, C, 2) of the surface, all at once [m].
+
+    The views see one and the same surface: their bends act together, and what comes of it no residual shows.
+
+    Args:
+        cameras: C cameras.
+        points: (n, 3) as they were intersected [m].
+        bend: (n, C, 2) [px]; NaN in views that did not take part.
+        sigma: (n, C) standard deviations with which the views were weighed [px].
+    """
+    normal, right = np.zeros((len(points), 3, 3)), np.zeros((len(points), 3))
+    for i, camera in enumerate(cameras):
+        used = np.isfinite(bend[:, i, 0])
+        weight = np.where(used, 1 / np.where(used, sigma[:, i], 1.0) ** 2, 0.0)
+        slope = np.where(used[:, None, None], camera.project_with_derivative(points)[1], 0.0)
+        normal += np.einsum("n,nij,nik->njk", weight, slope, slope)
+        right += np.einsum("n,nij,ni->nj", weight, slope, np.nan_to_num(bend[:, i]))
+    return np.asarray(np.linalg.solve(normal, right[..., None])[..., 0])
 
 
 def _nothing() -> TriangulatedPoints:
