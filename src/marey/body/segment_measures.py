@@ -12,12 +12,12 @@ from marey.body.metaballs import Metaballs, PosedMetaballs
 from marey.body.skeleton import LIMBS
 
 DENSITY = {
-    "head": 1110.0, "neck": 1110.0, "thorax": 920.0, "abdomen": 1010.0, "pelvis": 1010.0, "clavicle": 1040.0,
+    "head": 1110.0, "neck": 1110.0, "thorax": 920.0, "abdomen": 1010.0, "pelvis": 1010.0, "clavicle": np.nan,
     "upperarm": 1070.0, "forearm": 1130.0, "hand": 1160.0, "thigh": 1050.0, "shank": 1090.0, "foot": 1100.0,
     "toes": 1100.0,
 }  # fmt: skip
-"""Mass of a segment by its volume [kg/m3] ([Dempster1955], as tabled in [Winter2009] table 4.1); a clavicle's is the
-shoulder's, abdomen and pelvis share one."""
+"""Mass of a segment by its volume [kg/m3] ([Dempster1955], as tabled in [Winter2009] table 4.1); abdomen and
+pelvis share one, and clavicles are no volume of their own."""
 DENSITY_SD = 0.02
 """Spread of the densities among people, as a share. Ours: the source gives none."""
 STATIONS = (0.25, 0.5, 0.75)
@@ -27,6 +27,7 @@ STEP = 0.015
 SAMPLES = 32
 """Bodies drawn from the numbers' covariance; a standard deviation from so many is good to an eighth of itself."""
 _NEAR, _RAYS, _CASTS = 0.03, 36, 25
+_ARMS = (LIMBS.index("left_arm"), LIMBS.index("right_arm"))
 _BEYOND = {
     "pelvis": "abdomen", "abdomen": "thorax", "thorax": "neck", "neck": "head", "upperarm": "forearm",
     "forearm": "hand", "thigh": "shank", "shank": "foot", "foot": "toes",
@@ -42,7 +43,8 @@ class SegmentMeasures:
     """(n, 3) round the segment at `STATIONS` of its length [m]; NaN at an end of the body."""
     girth_sd: Floats
     volume: Floats
-    """(n,) [m3]; a limb ends where its part of the field does, its segments at planes through the joints."""
+    """(n,) [m3]; a limb ends where its part of the field does, an arm at the shoulder's plane besides, its segments at
+    planes through the joints. NaN for clavicles: what lies about them belongs to the thorax, as in [deLeva1996]."""
     volume_sd: Floats
     mass: Floats
     """(n,) [kg]."""
@@ -128,12 +130,13 @@ def _measured(balls: Metaballs, wanted: Integers, density: Floats, grid: Floats)
     posed = balls.at_rest()
     sums = np.zeros((len(balls.joint_centres), 10))
     group, normal = _cuts(balls)
+    ball_group = np.maximum(group[balls.segment], 0)
     add_volume(
-        grid, STEP, len(LIMBS), balls.limb, posed.place, posed.axes, balls.radii, balls.weight, group[balls.segment],
-        group, balls.joint_centres, normal, sums,
+        grid, STEP, len(LIMBS), balls.limb, posed.place, posed.axes, balls.radii, balls.weight, ball_group, group,
+        balls.joint_centres, normal, sums,
     )  # fmt: skip
     of = sums[wanted]
-    volume = np.maximum(of[:, 0], 1e-12)
+    volume = np.where(group[wanted] < 0, np.nan, np.maximum(of[:, 0], 1e-12))
     middle = of[:, 1:4] / volume[:, None]
     second = np.empty((len(wanted), 3, 3))
     for i, (a, b) in enumerate(((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))):
@@ -151,17 +154,16 @@ def _cuts(balls: Metaballs) -> tuple[Integers, Floats]:
     """Say how a body is cut into segments.
 
     Returns:
-        (S,) the group of segments, a chain: each limb, the trunk, each clavicle; and normals (S, 3), along the chain,
-        of the planes through the joints at which a segment begins, half way between its bone and its parent's.
+        (S,) the group of segments, a chain: the trunk, and each limb; -1 for clavicles, which belong to the thorax; and
+        normals (S, 3), along the chain, of the planes through the joints at which a segment begins, half way between
+        its bone and its parent's.
     """
     skeleton, joints = balls.skeleton, balls.joint_centres
     group = np.array(skeleton.segment_limb)
-    for k, name in enumerate(skeleton.segment_names):
-        if name.endswith("clavicle"):
-            group[k] = len(LIMBS) + int(name.startswith("right"))
+    group[[name.endswith("clavicle") for name in skeleton.segment_names]] = -1
     bone = np.zeros_like(joints)
     for k, parent in enumerate(skeleton.parents):
-        chained = np.flatnonzero((skeleton.parents == k) & (group == group[k]))
+        chained = np.flatnonzero((skeleton.parents == k) & ((group == group[k]) | (group[k] < 0)))
         last = bone[parent] if parent >= 0 else np.zeros(3)
         along = joints[chained[0]] - joints[k] if len(chained) else last
         bone[k] = along / max(float(np.linalg.norm(along)), 1e-9)
@@ -195,13 +197,34 @@ def _girths(posed: PosedMetaballs, segment: int) -> Floats:
 
 
 @numba.njit(cache=True, nogil=True)
+def _last_beyond(x, y, z, own, group, joints, normal):
+    """Find the last segment of a group beyond whose plane a point lies; none (-1) where there is none."""
+    found = -1
+    for j in range(group.shape[0]):
+        if group[j] == own:
+            beyond = normal[j, 0] * (x - joints[j, 0]) + normal[j, 1] * (y - joints[j, 1])
+            if beyond + normal[j, 2] * (z - joints[j, 2]) > 0.0:
+                found = j
+    return found
+
+
+@numba.njit(cache=True, nogil=True)
+def _first_of(own, group):
+    for j in range(group.shape[0]):
+        if group[j] == own:
+            return j
+    return -1
+
+
+@numba.njit(cache=True, nogil=True)
 def add_volume(
     points, step, limb_count, ball_limb, place, axes, radii, weight, ball_group, group, joints, normal, sums
 ):  # fmt: skip
     """Add up what cells about points (n, 3) hold of each segment (S, 10): volume, its first and its second moments.
 
     A cell counts by how far the surface cuts it. It belongs to the group of segments with most of its field, and there
-    to the last one whose plane it lies beyond.
+    to the last one whose plane it lies beyond. What an arm's field holds on this side of the shoulder belongs to the
+    trunk.
     """
     local, share = np.empty((radii.shape[0], 3)), np.empty(radii.shape[0])
     top, total, slope = np.empty(limb_count), np.empty(limb_count), np.empty(3)
@@ -216,13 +239,14 @@ def add_volume(
         held[:] = 0.0
         for m in range(radii.shape[0]):
             held[ball_group[m]] += share[m]
-        own, k = np.argmax(held), -1
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        for j in range(group.shape[0]):
-            if group[j] == own:
-                beyond = normal[j, 0] * (x - joints[j, 0]) + normal[j, 1] * (y - joints[j, 1])
-                if k < 0 or beyond + normal[j, 2] * (z - joints[j, 2]) > 0.0:
-                    k = j
+        own = np.argmax(held)
+        k = _last_beyond(x, y, z, own, group, joints, normal)
+        if k < 0 and (own == _ARMS[0] or own == _ARMS[1]):
+            own = 0
+            k = _last_beyond(x, y, z, own, group, joints, normal)
+        if k < 0:
+            k = _first_of(own, group)
         row = sums[k]
         row[0] += inside
         row[1] += inside * x
