@@ -240,7 +240,7 @@ def add_volume(
         for m in range(radii.shape[0]):
             held[ball_group[m]] += share[m]
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        own = np.argmax(held)
+        own = int(np.argmax(held))
         k = _last_beyond(x, y, z, own, group, joints, normal)
         if k < 0 and (own == _ARMS[0] or own == _ARMS[1]):
             own = 0
