@@ -1,0 +1,183 @@
+"""Exchanged labels: two markers that carry each other's name, told by the distances to the rest of their clusters."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from marey.arrays import Floats, Mask
+from marey.markers.clusters import Cluster
+from marey.markers.trajectories import MarkerTrajectories
+
+_BETTER = 0.5  # exchanged, the distances must come out wrong by less than this share of what they are
+_CLEAR_M = 0.008  # and by this much less, RMS: skin moves distances by a few millimetres
+_MOVES_WITH = 0.5  # a marker belongs elsewhere when its distances vary there by less than this share
+_OWN_SD_M = 0.005  # and in its own cluster by more than this
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Exchange:
+    """Two labels that stand for each other in some frames."""
+
+    labels: tuple[str, str]
+    frames: Mask
+    """(F,) true where they look exchanged."""
+
+    @property
+    def note(self) -> str:
+        """A plain sentence."""
+        where = "in every frame" if self.frames.all() else f"in the frames {ranges(self.frames)}"
+        return f"{self.labels[0]} and {self.labels[1]} look exchanged {where}."
+
+
+def ranges(frames: Mask, most: int = 6) -> str:
+    """Write frames (F,) as ranges: `3-10, 50`; the rest is counted after `most` of them."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], frames.astype(int), [0]])))
+    runs = [(int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    text = ", ".join(f"{a}-{b}" if b > a else f"{a}" for a, b in runs[:most])
+    return text + (f" and {len(runs) - most} further ranges" if len(runs) > most else "")
+
+
+def find_exchanges(
+    trajectories: MarkerTrajectories, clusters: Sequence[Cluster], known: Floats | None = None
+) -> tuple[Exchange, ...]:
+    """Find pairs of labels that are exchanged in some frames, or all along.
+
+    In a cluster, distances between markers change by what the skin does. Two labels are taken for exchanged in the
+    frames in which all distances from them to the rest of their clusters come out much nearer to the usual ones with
+    the two exchanged. The usual ones are the median over the trial, and those of `known`. Labels of two clusters that
+    are exchanged all along show in that each moves with the other's cluster.
+
+    Args:
+        trajectories: Of the trial.
+        clusters: Of its markers.
+        known: (M, 3) where all markers of `trajectories` are in a posture whose labels are right (a static trial)
+            [m]; NaN where not known. With it, two labels of one cluster that are exchanged all along are found, too.
+
+    Returns:
+        The pairs; none is named twice.
+    """
+    columns = [[trajectories.labels.index(label) for label in cluster.labels] for cluster in clusters]
+    owner = {m: c for c, members in enumerate(columns) for m in members}
+    between = _distances(trajectories.points, trajectories.points)
+    usual = [_median(between)]
+    if known is not None:
+        usual.append(_distances(known[None], known[None])[0])
+    found: dict[tuple[int, int], Mask] = {}
+    for pair in _all_along(between, columns, owner):
+        found[pair] = np.ones(len(trajectories), bool)
+    for proto in usual:
+        for pair, frames in _one_by_one(between, proto, columns, owner).items():
+            found.setdefault(pair, frames)
+    return tuple(
+        Exchange(labels=(trajectories.labels[a], trajectories.labels[b]), frames=frames)
+        for (a, b), frames in sorted(found.items())
+    )
+
+
+def exchange_back(trajectories: MarkerTrajectories, exchanges: Sequence[Exchange]) -> MarkerTrajectories:
+    """Give two labels that were exchanged their own paths again, in the frames in which they were."""
+    points, filled, residuals = (
+        np.array(values) for values in (trajectories.points, trajectories.filled, trajectories.residuals)
+    )
+    for exchange in exchanges:
+        a, b = (trajectories.labels.index(label) for label in exchange.labels)
+        for values in (points, filled, residuals):
+            values[np.ix_(exchange.frames, [a, b])] = values[np.ix_(exchange.frames, [b, a])]
+    return replace(trajectories, points=points, filled=filled, residuals=residuals)
+
+
+def _distances(first: Floats, second: Floats) -> Floats:
+    """Give the distances (F, M, N) between points (F, M, 3) and (F, N, 3)."""
+    return np.linalg.norm(first[:, :, None] - second[:, None], axis=-1)
+
+
+def _median(values: Floats) -> Floats:
+    """Take the median over the frames (F, ...); NaN for what is never known."""
+    ordered = np.sort(values, 0)  # NaN last
+    count = np.isfinite(values).sum(0)
+    middle = np.maximum(count - 1, 0) // 2
+    return np.take_along_axis(ordered, middle[None], 0)[0]
+
+
+def _misfit(between: Floats, usual: Floats, at: int, label: int, others: list[int]) -> Floats:
+    """Say how far (F,) the point `at` is from being `label`, by its distances to others: mean square [m2]."""
+    off = (between[:, at, others] - usual[label, others]) ** 2
+    known = np.isfinite(off)
+    count = known.sum(1)
+    return np.where(count >= 2, np.where(known, off, 0).sum(1) / np.maximum(count, 1), np.nan)
+
+
+def _one_by_one(
+    between: Floats, usual: Floats, columns: list[list[int]], owner: dict[int, int]
+) -> dict[tuple[int, int], Mask]:
+    """Find the pair that gains most, exchange it back, look again: a wrong pair spoils its neighbours' distances."""
+    between, found = between.copy(), {}
+    for _ in range(len(owner)):
+        gains = _gains(between, usual, columns, owner, found)
+        if not gains:
+            break
+        pair = max(gains, key=lambda pair: gains[pair].sum())
+        frames = found[pair] = gains[pair] > 0
+        a, b = pair
+        there = np.flatnonzero(frames)
+        between[np.ix_(there, [a, b])] = between[np.ix_(there, [b, a])]
+        between[np.ix_(there, range(between.shape[1]), [a, b])] = between[
+            np.ix_(there, range(between.shape[1]), [b, a])
+        ]
+    return found
+
+
+def _gains(
+    between: Floats, usual: Floats, columns: list[list[int]], owner: dict[int, int], done: dict[tuple[int, int], Mask]
+) -> dict[tuple[int, int], Floats]:
+    """Say for pairs of labels how much nearer (F,) the distances are to the usual ones when exchanged [m]; else 0."""
+    suspects = {}
+    for m, c in owner.items():
+        own = _misfit(between, usual, m, m, [k for k in columns[c] if k != m])
+        suspects[m] = np.nan_to_num(own) > _CLEAR_M**2
+    gains: dict[tuple[int, int], Floats] = {}
+    for a, b in combinations(sorted(owner), 2):
+        if (a, b) in done or not (suspects[a] & suspects[b]).any():
+            continue
+        rest = [[k for k in columns[owner[m]] if k not in (a, b)] for m in (a, b)]
+        now = _misfit(between, usual, a, a, rest[0]) + _misfit(between, usual, b, b, rest[1])
+        then = _misfit(between, usual, b, a, rest[0]) + _misfit(between, usual, a, b, rest[1])
+        gain = np.sqrt(now / 2) - np.sqrt(then / 2)
+        good = (then < _BETTER**2 * now) & (gain > _CLEAR_M)
+        if good.any():
+            gains[a, b] = np.where(good, gain, 0.0)
+    return gains
+
+
+def _all_along(between: Floats, columns: list[list[int]], owner: dict[int, int]) -> list[tuple[int, int]]:
+    """Find markers of two clusters of which each keeps its distances to the other's cluster."""
+    spread = _spread(between)
+    with_whom: dict[int, int] = {}
+    for m, c in owner.items():
+        rest = [[k for k in members if k != m] for members in columns]
+        varies = [float(np.nan_to_num(_middle(spread[m, others]), nan=np.inf)) for others in rest]
+        best = int(np.argmin(varies))
+        if best != c and varies[best] < _MOVES_WITH * varies[c] and varies[c] > _OWN_SD_M:
+            with_whom[m] = best
+    pairs = []
+    for a, c in with_whom.items():
+        partners = [b for b, d in with_whom.items() if b > a and owner[b] == c and d == owner[a]]
+        if len(partners) == 1:
+            pairs.append((a, partners[0]))
+    return pairs
+
+
+def _spread(values: Floats) -> Floats:
+    """Give the standard deviation over the frames (F, ...); NaN with fewer than two."""
+    known = np.isfinite(values)
+    count = known.sum(0)
+    mean = np.where(known, values, 0).sum(0) / np.maximum(count, 1)
+    square = np.where(known, (values - mean) ** 2, 0).sum(0) / np.maximum(count - 1, 1)
+    return np.where(count > 1, np.sqrt(square), np.nan)
+
+
+def _middle(values: Floats) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else float("nan")
