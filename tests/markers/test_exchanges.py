@@ -57,3 +57,16 @@ def test_frames_are_written_as_ranges():
     frames[[0, 1, 2, 5, 8, 9]] = True
     assert ranges(frames) == "0-2, 5, 8-9"
     assert ranges(frames, most=1) == "0-2 and 2 further ranges"
+
+
+def test_markers_that_lie_alike_to_the_rest_are_found_by_their_jumps():
+    shape = np.array([[0, 0, 0], [0.2, 0, 0], [0.1, 0.1, 0], [0.1, -0.1, 0.0]])
+    time = np.arange(60) / 100
+    points = shape + np.stack([time, np.sin(6 * time), 0 * time], -1)[:, None]
+    kite = trajectories(tuple("abcd"), points, 100.0)
+    cluster = (Cluster(segment="kite", labels=tuple("abcd")),)
+    assert find_exchanges(kite, cluster) == ()
+    wrong, exchange = exchanged(kite, "c", "d", 20, 35)
+    (found,) = find_exchanges(wrong, cluster)
+    assert found.labels == ("c", "d")
+    np.testing.assert_array_equal(found.frames, exchange.frames)

@@ -52,6 +52,7 @@ def test_markers_in_a_line_are_said(markers):
 
 
 def test_a_reference_in_another_unit_or_without_the_segment_is_said(markers):
+    still = np.eye(3)[None, None]
     far = AnatomicalCalibration(
         segments=("thigh",), frames=[0], rotation=np.eye(3)[None, None], origin=[[[300.0, 0, 0]]]
     )

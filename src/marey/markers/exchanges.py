@@ -12,6 +12,7 @@ from marey.markers.trajectories import MarkerTrajectories
 
 _BETTER = 0.5  # exchanged, the distances must come out wrong by less than this share of what they are
 _CLEAR_M = 0.008  # and by this much less, RMS: skin moves distances by a few millimetres
+_CROSSED = 0.3  # a pair has jumped when its steps to the other's place are less than this share of its own
 _MOVES_WITH = 0.5  # a marker belongs elsewhere when its distances vary there by less than this share
 _OWN_SD_M = 0.005  # and in its own cluster by more than this
 
@@ -47,7 +48,8 @@ def find_exchanges(
     In a cluster, distances between markers change by what the skin does. Two labels are taken for exchanged in the
     frames in which all distances from them to the rest of their clusters come out much nearer to the usual ones with
     the two exchanged. The usual ones are the median over the trial, and those of `known`. Labels of two clusters that
-    are exchanged all along show in that each moves with the other's cluster.
+    are exchanged all along show in that each moves with the other's cluster. Where two markers lie alike to the rest,
+    the exchange shows in both jumping to where the other was.
 
     Args:
         trajectories: Of the trial.
@@ -70,6 +72,8 @@ def find_exchanges(
     for proto in usual:
         for pair, frames in _one_by_one(between, proto, columns, owner).items():
             found.setdefault(pair, frames)
+    for pair, frames in _jumped(trajectories.points, columns).items():
+        found.setdefault(pair, frames)
     return tuple(
         Exchange(labels=(trajectories.labels[a], trajectories.labels[b]), frames=frames)
         for (a, b), frames in sorted(found.items())
@@ -149,6 +153,22 @@ def _gains(
         if good.any():
             gains[a, b] = np.where(good, gain, 0.0)
     return gains
+
+
+def _jumped(points: Floats, columns: list[list[int]]) -> dict[tuple[int, int], Mask]:
+    """Find pairs of one cluster that jump to each other's place, and the frames between, or beyond, their jumps."""
+    found = {}
+    for members in columns:
+        # The cluster's own way is taken off, so that a fast movement is no jump.
+        local = points[:, members] - _median(np.swapaxes(points[:, members], 0, 1))[:, None]
+        for i, j in combinations(range(len(members)), 2):
+            steps = [np.linalg.norm(local[1:, p] - local[:-1, q], axis=-1) for p, q in ((i, i), (j, j), (i, j), (j, i))]
+            stayed, crossed = steps[0] + steps[1], steps[2] + steps[3]
+            jump = (crossed < _CROSSED * stayed) & (stayed - crossed > 2 * _CLEAR_M)
+            if jump.any():
+                after = np.concatenate([[False], np.cumsum(jump) % 2 == 1])
+                found[members[i], members[j]] = after if after.mean() <= 0.5 else ~after
+    return found
 
 
 def _all_along(between: Floats, columns: list[list[int]], owner: dict[int, int]) -> list[tuple[int, int]]:
