@@ -82,13 +82,15 @@ def find_exchanges(
 
 def exchange_back(trajectories: MarkerTrajectories, exchanges: Sequence[Exchange]) -> MarkerTrajectories:
     """Give two labels that were exchanged their own paths again, in the frames in which they were."""
-    points, filled, residuals = (
-        np.array(values) for values in (trajectories.points, trajectories.filled, trajectories.residuals)
-    )
+    points, filled = np.array(trajectories.points), np.array(trajectories.filled)
+    residuals = np.array(trajectories.residuals)
     for exchange in exchanges:
-        a, b = (trajectories.labels.index(label) for label in exchange.labels)
-        for values in (points, filled, residuals):
-            values[np.ix_(exchange.frames, [a, b])] = values[np.ix_(exchange.frames, [b, a])]
+        pair = [trajectories.labels.index(label) for label in exchange.labels]
+        order = np.arange(points.shape[1])
+        order[pair] = pair[::-1]
+        points[exchange.frames] = points[exchange.frames][:, order]
+        filled[exchange.frames] = filled[exchange.frames][:, order]
+        residuals[exchange.frames] = residuals[exchange.frames][:, order]
     return replace(trajectories, points=points, filled=filled, residuals=residuals)
 
 
@@ -117,19 +119,17 @@ def _one_by_one(
     between: Floats, usual: Floats, columns: list[list[int]], owner: dict[int, int]
 ) -> dict[tuple[int, int], Mask]:
     """Find the pair that gains most, exchange it back, look again: a wrong pair spoils its neighbours' distances."""
-    between, found = between.copy(), {}
+    between = between.copy()
+    found: dict[tuple[int, int], Mask] = {}
     for _ in range(len(owner)):
         gains = _gains(between, usual, columns, owner, found)
         if not gains:
             break
         pair = max(gains, key=lambda pair: gains[pair].sum())
         frames = found[pair] = gains[pair] > 0
-        a, b = pair
-        there = np.flatnonzero(frames)
-        between[np.ix_(there, [a, b])] = between[np.ix_(there, [b, a])]
-        between[np.ix_(there, range(between.shape[1]), [a, b])] = between[
-            np.ix_(there, range(between.shape[1]), [b, a])
-        ]
+        order = np.arange(between.shape[1])
+        order[list(pair)] = order[list(pair)[::-1]]
+        between[frames] = between[frames][:, order][:, :, order]
     return found
 
 

@@ -48,9 +48,9 @@ def _of_cluster(trajectories: MarkerTrajectories, cluster: Cluster) -> list[str]
     """Hold one cluster against what it should be."""
     chosen = trajectories.select(cluster.labels)
     name, present = cluster.segment, chosen.present
-    never = [label for label, there in zip(chosen.labels, present.any(0), strict=True) if not there]
+    never = [label for label, there in zip(chosen.labels, np.asarray(present.any(0)), strict=True) if not there]
     faults = [f"{name}: {', '.join(never)} is in no frame."] if never else []
-    few: Mask = present.sum(1) < NEEDED
+    few: Mask = np.asarray(present.sum(1) < NEEDED)
     if few.all():
         return [f"{name}: no frame has {NEEDED} of its markers; it has no answer.", *faults]
     if few.any():
