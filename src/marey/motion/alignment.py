@@ -150,15 +150,15 @@ def _search(pair: _Pair) -> tuple[float, float] | None:
     n, m = (len(g) for g in grids)
     least = max(_LEAST_FRAMES, int(LEAST_OVERLAP * min(n, m)))
     lags = np.arange(least - n, m - least + 1)
-    costs = np.full(len(lags), np.inf)
+    costs, totals = np.full(len(lags), np.inf), np.full(len(lags), np.inf)
     for k, lag in enumerate(lags):
         own, other = slice(max(0, -lag), min(n, m - lag)), slice(max(0, lag), min(m, n + lag))
-        costs[k] = _disagreement(
+        costs[k], totals[k] = _disagreement(
             scalars[0][own], scalars[1][other], vectors[0][own], vectors[1][other], pair.places, least
         )
     if not np.isfinite(costs).any():
         return None
-    best = int(np.argmin(costs))
+    best = int(np.argmin(totals))
     zero = pair.spans[1][0] - pair.spans[0][0]
     low = (costs <= np.roll(costs, 1)) & (costs <= np.roll(costs, -1)) & (np.abs(lags - lags[best]) * step > _APART_S)
     near = np.flatnonzero(low & (costs < costs[best] + np.log(RIVAL)))
@@ -166,10 +166,12 @@ def _search(pair: _Pair) -> tuple[float, float] | None:
     return float(zero + lags[best] * step), float(rival)
 
 
-def _disagreement(a: Floats, b: Floats, p: Floats, q: Floats, places: bool, least: int) -> float:
-    """Measure how badly two recordings agree at one shift: the mean logarithm of what is left of the variance.
+def _disagreement(a: Floats, b: Floats, p: Floats, q: Floats, places: bool, least: int) -> tuple[float, float]:
+    """Measure how badly two recordings agree at one shift: the logarithm of what is left of the variance.
 
-    Dividing by the variance keeps two spans in which nothing moves from passing for a good fit.
+    Dividing by the variance keeps two spans in which nothing moves from passing for a good fit. The mean over all
+    numbers says how good a fit is; their sum, as in a likelihood, says how much speaks for it: where a motion repeats
+    itself, the shift that leaves more in common.
     """
     logs, weights = [], []
     for left, right in zip(a.T, b.T, strict=True):
@@ -188,7 +190,10 @@ def _disagreement(a: Floats, b: Floats, p: Floats, q: Floats, places: bool, leas
             left_over = np.mean(np.sum((p[both] - offset.apply(q[both])) ** 2, -1))
             logs.append(np.log(left_over / spread + 1e-9))
             weights.append(both.sum())
-    return float(np.average(logs, weights=weights)) if logs else np.inf
+    if not logs:
+        return np.inf, np.inf
+    mean = float(np.average(logs, weights=weights))
+    return mean, mean * float(np.sum(weights))
 
 
 def _both(p: Floats, q: Floats) -> Mask:
