@@ -22,6 +22,7 @@ _APART_S = 0.15
 _STEPS = 12
 _DONE_S = 1e-7
 _FLAT = 1e-3
+_OFFSET_NUMBERS = 6
 _LEAST_FRAMES = 4
 
 
@@ -85,7 +86,8 @@ def align(
     with the offset by least squares: angles may differ by a constant each, points in common are carried from one
     laboratory to the other, and every angle and point weighs by how well it agrees. Where only orientations are in
     common, the turning velocities stand for points: they do not depend on how a segment's frame is defined. Standard
-    deviations allow for differences that last over frames ([NeweyWest1987] eq. (5)).
+    deviations allow for differences that last over frames ([NeweyWest1987]) and for joint centres that the two systems
+    define differently.
 
     Args:
         first: A recording.
@@ -280,7 +282,9 @@ class _System:
     information: Floats
     gradient: Floats
     scores: Floats
-    """(N, 7) the gradient's share of each frame."""
+    """(N, 7) the share of each frame in the gradient, of what varies about each number's mean difference."""
+    constant: Floats
+    """(7, 7) variance of the gradient by points that differ all along."""
     lasting: int
     """Frames over which differences last."""
     middle: Floats
@@ -308,12 +312,17 @@ def _system(pair: _Pair, smooth: tuple[Floats, Floats], shift: float, offset: Ri
     residuals = np.concatenate([r for _, r, _ in parts], 1)
     sigma = np.concatenate([s for _, _, s in parts])
     whitened, wrt = residuals / sigma, columns / sigma[:, None]
-    scores = np.einsum("nrk,nr->nk", wrt, whitened)
+    gradient = np.einsum("nrk,nr->k", wrt, whitened)
+    there = np.concatenate([np.isfinite(a - b) & np.isfinite(slope), np.repeat(known, 3, axis=1)], 1)
+    counts = np.maximum(there.sum(0), 1)
+    varying = np.where(there, whitened - whitened.sum(0) / counts, 0.0)
+    lasting = _lasting(varying)
+    constant = _constant_share(residuals, varying * sigma, counts, columns / sigma[:, None] ** 2, a.shape[1], lasting)
     distance = float(np.sqrt(np.mean(np.sum((p - q)[known] ** 2, -1)))) if known.any() else np.nan
     used = max(np.count_nonzero(residuals), 1)
     return _System(
-        information=np.einsum("nrk,nrl->kl", wrt, wrt), gradient=scores.sum(0), scores=scores,
-        lasting=_lasting(whitened), middle=middle, distance=distance,
+        information=np.einsum("nrk,nrl->kl", wrt, wrt), gradient=gradient, constant=constant, lasting=lasting,
+        scores=np.einsum("nrk,nr->nk", wrt, varying), middle=middle, distance=distance,
         cost=float(np.exp(np.sum((residuals != 0) * np.log(sigma)) / used)),
     )  # fmt: skip
 
@@ -361,12 +370,40 @@ def _lasting(residuals: Floats) -> int:
 
 
 def long_run_variance(scores: Floats, lasting: int) -> Floats:
-    """Sum the products (K, K) of scores (N, K) within some frames of each other, fading ([NeweyWest1987] eq. (5))."""
+    """Sum the products (K, K) of scores (N, K) within some frames of each other, fading ([NeweyWest1987])."""
     total = scores.T @ scores
     for lag in range(1, lasting + 1):
         product = scores[lag:].T @ scores[:-lag]
         total = total + (1 - lag / (lasting + 1)) * (product + product.T)
     return np.asarray(total)
+
+
+def _constant_share(
+    residuals: Floats, varying: Floats, counts: Floats, weighted: Floats, scalars: int, lasting: int
+) -> Floats:
+    """Give the variance (7, 7) of the gradient by points that lie elsewhere in one system than in the other all along.
+
+    The points' mean differences beyond what their variation explains count as draws of one spread, alike in all
+    directions.
+
+    Args:
+        residuals: (N, R) differences.
+        varying: (N, R) the same less each column's mean.
+        counts: (R,) frames of each column.
+        weighted: (N, R, 7) derivatives over the squared spread.
+        scalars: How many columns come before the points' coordinates.
+        lasting: Frames over which differences last.
+    """
+    means = (residuals.sum(0) / counts)[scalars:]
+    if len(means) <= _OFFSET_NUMBERS:
+        return np.zeros((7, 7))
+    explained = sum(
+        long_run_variance(varying[:, [r]], lasting)[0, 0] / counts[r] ** 2
+        for r in range(scalars, residuals.shape[1])
+    )  # fmt: skip
+    spread = max(0.0, float((means**2).sum() - explained)) / (len(means) - _OFFSET_NUMBERS)
+    lever = weighted[:, scalars:].sum(0)
+    return np.asarray(spread * lever.T @ lever)
 
 
 def _with_spread(
@@ -379,7 +416,8 @@ def _with_spread(
         scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
         if np.linalg.cond(information / np.outer(scale, scale)) < 1e12 and (np.diag(information) > 1e-12).all():
             inverse = np.linalg.inv(information)
-            covariance[at] = inverse @ long_run_variance(system.scores[:, free], system.lasting) @ inverse
+            scatter = long_run_variance(system.scores[:, free], system.lasting) + system.constant[at]
+            covariance[at] = inverse @ scatter @ inverse
     # From a translation of the points' middle to one of the laboratory's origin.
     wrt = np.eye(6)
     wrt[3:, :3] = rotations.hat(system.middle - offset.translation)
