@@ -58,6 +58,14 @@ METHODS: dict[str, MethodEntry] = {
             summary="the same, masses chosen so that the eigenvalues of inertia stay constant (Andriacchi 1998)",
         ),
         MethodEntry(
+            name="interval", function="interval_deformation:interval",
+            summary="markers' paths on the bone of a chosen form, with the bone's motion (Alexander 2001)",
+        ),
+        MethodEntry(
+            name="homogeneous", function="homogeneous:homogeneous",
+            summary="each cluster as a few basis shapes in rigid motion (Alexander 2003)",
+        ),
+        MethodEntry(
             name="calibration", function="multiple_calibration:multiple_calibration", postures=2,
             summary="markers' places interpolated between known postures by the joint's turn (Cappello 1997)",
         ),

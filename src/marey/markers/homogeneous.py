@@ -1,0 +1,69 @@
+"""Homogeneous factorisation: each cluster as a shape that deforms in a few ways while it moves with its bone."""
+
+import numpy as np
+
+from marey.arrays import Floats
+from marey.geometry import rotations
+from marey.markers.bone_motion import BoneMotion, side_by_side
+from marey.markers.cluster_data import ClusterData, cluster_data, counted
+from marey.markers.problem import MarkerProblem
+from marey.markers.rigid_fit import fit_rigid, one_bone
+from marey.nonrigid.homogeneous import HomogeneousShapes, factorise_points
+
+_MOST_SHAPES = 3
+
+
+def homogeneous(problem: MarkerProblem) -> BoneMotion:
+    """Move every bone with the rigid part of its cluster's low-rank factorisation ([Alexander2003] eq. (15)-(21)).
+
+    The cluster's shapes know nothing of the bone: the known posture ties the bone to them; with several, the mean of
+    what they say does. Three basis shapes, or as many as markers and frames allow. What all markers do together as a
+    rigid body would is taken for the bone's motion.
+    """
+    return side_by_side([bone_by_factorisation(cluster_data(problem, c), problem.noise_m) for c in problem.clusters])
+
+
+def bone_by_factorisation(data: ClusterData, noise_m: float, rank: int | None = None) -> BoneMotion:
+    """Move one bone by a factorisation of its cluster into so many basis shapes; None chooses their number."""
+    enough = fit_rigid(data.reference, data.points, noise_m)
+    answered = ~enough.few & ~enough.collinear
+    notes = (
+        *data.notes,
+        *counted(data.segment, enough.few, "have fewer than 3 markers and no answer"),
+        *counted(data.segment, enough.collinear, "have their markers in a line and no answer"),
+    )
+    count = len(data.points)
+    if not answered[data.frames].any():
+        return one_bone(data.segment, *_empty(count), notes)
+    rank = rank or min(_MOST_SHAPES, int(answered.sum()) - 1, max(len(data.labels) - 3, 1))
+    points = np.where(answered[:, None, None], data.points, np.nan)
+    shapes = factorise_points(points, max(rank, 1))
+    turn, place = _bone_in_object(data, shapes)
+    rotation = shapes.rotation @ turn
+    origin = shapes.translation + np.einsum("fij,j->fi", shapes.rotation, place)
+    covariance = _covariance(shapes, turn, place)
+    return one_bone(
+        data.segment, rotation, origin, covariance, (*notes, f"{data.segment}: {shapes.rank} basis shapes.")
+    )
+
+
+def _bone_in_object(data: ClusterData, shapes: HomogeneousShapes) -> tuple[Floats, Floats]:
+    """Give the bone's rotation and origin in the object's frame: the mean over the known postures."""
+    known = np.isfinite(shapes.rotation[data.frames]).all((1, 2))
+    to_object = np.swapaxes(shapes.rotation[data.frames][known], 1, 2)
+    turn = rotations.mean(to_object @ data.rotation[known])
+    offset = data.origin[known] - shapes.translation[data.frames][known]
+    return turn, np.einsum("kij,kj->ki", to_object, offset).mean(0)
+
+
+def _covariance(shapes: HomogeneousShapes, turn: Floats, place: Floats) -> Floats:
+    """Carry the covariance of the object's poses to the bone's, which are fixed to it."""
+    jacobian = np.zeros((len(shapes.rotation), 6, 6))
+    jacobian[:, :3, :3] = turn.T
+    jacobian[:, 3:, :3] = -shapes.rotation @ rotations.hat(place)
+    jacobian[:, 3:, 3:] = np.eye(3)
+    return np.asarray(jacobian @ shapes.covariance @ np.swapaxes(jacobian, 1, 2))
+
+
+def _empty(count: int) -> tuple[Floats, Floats, Floats]:
+    return np.full((count, 3, 3), np.nan), np.full((count, 3), np.nan), np.full((count, 6, 6), np.nan)

@@ -1,0 +1,179 @@
+"""Interval deformation: markers' paths on the bone of an assumed form, estimated together with the bone's motion."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from marey.arrays import Floats, Mask
+from marey.markers import skin_forms
+from marey.markers.bone_motion import BoneMotion, side_by_side
+from marey.markers.cluster_data import ClusterData, cluster_data, counted
+from marey.markers.interval_solver import SkinFit, SkinProblem, pose_covariance, solve
+from marey.markers.joint_turn import segment_turn
+from marey.markers.problem import MarkerProblem
+from marey.markers.rigid_fit import one_bone, rigid_bone
+from marey.markers.skin_forms import SkinForm
+
+_SPREAD_M = 0.01  # of skin displacements, to start from
+_UNSEEN = 0.5  # of the spread; a common motion whose standard deviation stays above this is called unseen
+_SPLINE_PIECES = 4
+_MOST_FRAMES = 300
+_AXES = ("shift along x", "shift along y", "shift along z", "turn about x", "turn about y", "turn about z")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Deformation:
+    """One cluster's deformation and its bone's motion."""
+
+    form: SkinForm
+    """All functions of time that the markers may follow."""
+    problem: SkinProblem
+    """The cluster, the functions as they are used, and which marker follows which."""
+    fit: SkinFit
+    criterion: float
+    """Bayesian information criterion; the least one is the best form."""
+
+    @property
+    def places(self) -> Floats:
+        """(F, M, 3) the markers' places on the bone, R(i, n) of [Alexander2003] eq. (3) [m]."""
+        return self.fit.places(self.problem.functions)
+
+    @property
+    def unseen(self) -> tuple[str, ...]:
+        """The motions common to all markers that the data do not tell from the bone's, about the bone's axes."""
+        share = self.unseen_share.max(0, initial=0.0)
+        return tuple(_AXES[axis] for axis in range(6) if share[axis] > _UNSEEN)
+
+    @property
+    def unseen_share(self) -> Floats:
+        """(Q, 6) what is left of each common motion's spread by the data: 0 seen, 1 not seen at all."""
+        moving, reference = self.problem.moving, self.problem.data.reference
+        markers, count = moving.shape
+        share = np.zeros((count, 6))
+        place = reference - reference.mean(0)
+        for q in range(count):
+            for axis in range(6):
+                unit = np.eye(3)[axis % 3]
+                pattern = np.tile(unit, (markers, 1)) if axis < 3 else np.cross(unit, place)
+                whole = np.zeros((markers, 3, 1 + count))
+                whole[..., 1 + q] = np.where(moving[:, q, None], pattern, 0.0)
+                flat = whole.ravel() / np.linalg.norm(whole)
+                if moving[:, q].all():
+                    share[q, axis] = np.sqrt(flat @ self.fit.covariance @ flat) / self.fit.spread[q]
+        return share
+
+
+def deform(
+    data: ClusterData,
+    form: SkinForm,
+    noise_m: float,
+    *,
+    moving: Mask | None = None,
+    most_frames: int | None = _MOST_FRAMES,
+) -> Deformation:
+    """Estimate one cluster's deformation of one form together with its bone's motion.
+
+    Args:
+        data: The cluster.
+        form: Functions of time that its markers may follow.
+        noise_m: Standard deviation of a measured coordinate [m].
+        moving: (M, Q) which marker follows which function; all by default.
+        most_frames: Of a longer trial so many frames, evenly taken, give the markers' paths; None takes all.
+    """
+    start = rigid_bone(data, noise_m)
+    moving = np.ones((len(data.labels), form.count), bool) if moving is None else np.asarray(moving, bool)
+    functions = np.concatenate([np.ones((len(data.points), 1)), form.functions - form.functions[data.frames[0]]], 1)
+    problem = SkinProblem(data=data, answered=start.answered[:, 0], functions=functions, moving=moving, noise_m=noise_m)
+    fit = solve(problem, start.rotation[:, 0], start.origin[:, 0], _SPREAD_M, most_frames)
+    return Deformation(form=form, problem=problem, fit=fit, criterion=criterion(fit, moving, 1.0))
+
+
+def criterion(fit: SkinFit, moving: Mask, memory: float) -> float:
+    """Give the Bayesian information criterion of a form, of frames that count once in so many.
+
+    The variance about the form is unknown but at least that of the noise; of each function's displacements six
+    motions common to all markers count as the bone's. The known postures count in full.
+    """
+    count = max(fit.free / memory, 2.0)
+    variance = max(fit.squares / fit.free, 1e-12)
+    parameters = 3.0 * moving.sum() - 6.0 * moving.all(0).sum()
+    misfit = count * (np.log(variance) + 1) if variance > 1 else count * variance
+    return float(misfit + fit.known_squares / max(variance, 1.0) + parameters * np.log(count))
+
+
+def choose(data: ClusterData, forms: Sequence[SkinForm], noise_m: float) -> Deformation:
+    """Estimate every form and keep the one with the least information criterion.
+
+    All are judged with the memory of the residuals that the richest form leaves, so that slow misfit is not counted
+    once a frame.
+    """
+    tried = [deform(data, form, noise_m) for form in forms]
+    memory = float(max(tried, key=lambda one: one.form.count).fit.memory)
+    judged = [replace(one, criterion=criterion(one.fit, one.problem.moving, memory)) for one in tried]
+    return min(judged, key=lambda one: one.criterion)
+
+
+def forms_of(problem: MarkerProblem, segment: str, motion: BoneMotion) -> tuple[SkinForm, ...]:
+    """Give the forms that a trial offers one segment: constant, linear in time or turn, sinusoid, spline.
+
+    What all markers do together is seen in the known postures alone. With several, only the forms that carry it from
+    there to the other frames are offered: constant, and linear in the joint's turn.
+    """
+    time = problem.trajectories.time
+    forms = [skin_forms.constant(len(time))]
+    turn = segment_turn(problem, motion, segment)
+    if turn is not None:
+        forms.append(skin_forms.linear_in_turn(turn.turn))
+    if problem.calibration.postures > 1:
+        return tuple(forms)
+    forms.append(skin_forms.linear_in_time(time))
+    if turn is not None:
+        period = skin_forms.period_of(turn.turn[:, None], problem.trajectories.rate)
+        if period is not None:
+            forms.append(skin_forms.sinusoid(time, period))
+    if len(time) > 4 * _SPLINE_PIECES:
+        forms.append(skin_forms.spline(time, _SPLINE_PIECES))
+    return tuple(forms)
+
+
+def interval(problem: MarkerProblem) -> BoneMotion:
+    """Move every bone by interval deformation, the form chosen for each cluster by the information criterion."""
+    return interval_deformation(problem)
+
+
+def interval_deformation(problem: MarkerProblem, forms: Mapping[str, Sequence[SkinForm]] | None = None) -> BoneMotion:
+    """Move every bone by interval deformation ([Alexander2001]).
+
+    Args:
+        problem: The trial.
+        forms: The forms to choose from for each segment; those of `forms_of` for a segment that is not there.
+    """
+    clusters = [cluster_data(problem, cluster) for cluster in problem.clusters]
+    plain = side_by_side([rigid_bone(data, problem.noise_m) for data in clusters])
+    bones = []
+    for data in clusters:
+        offered = (forms or {}).get(data.segment) or forms_of(problem, data.segment, plain)
+        start = plain.answered[:, plain.segments.index(data.segment)]
+        if not start.any():
+            bones.append(rigid_bone(data, problem.noise_m))
+            continue
+        bones.append(motion_of(choose(data, offered, problem.noise_m)))
+    return side_by_side(bones)
+
+
+def motion_of(deformation: Deformation) -> BoneMotion:
+    """Give the bone's motion of a deformation, with what has to be said of it."""
+    fit, data = deformation.fit, deformation.problem.data
+    empty, segment = ~deformation.problem.answered, data.segment
+    covariance = pose_covariance(deformation.problem, fit)
+    rotation, origin = fit.rotation.copy(), fit.origin.copy()
+    rotation[empty], origin[empty], covariance[empty] = np.nan, np.nan, np.nan
+    notes = [*data.notes, f"{segment}: markers move {deformation.form.name}."]
+    notes += counted(segment, empty, "have too few markers, or markers in a line, and no answer")
+    if deformation.unseen:
+        notes.append(
+            f"{segment}: not seen, and taken for the bone's, is what all markers do together: "
+            f"{', '.join(deformation.unseen)}."
+        )
+    return one_bone(segment, rotation, origin, covariance, tuple(notes))
