@@ -190,11 +190,12 @@ def _memory(residual: Floats, unknown: Mask) -> float:
     """
     flat = np.where(unknown[:, None, None], residual, 0.0).reshape(len(residual), -1)
     spectrum = (np.abs(np.fft.rfft(flat, 2 * len(flat), axis=0)) ** 2).sum(1)
-    products = np.fft.irfft(spectrum)[: len(flat)]
+    products: Floats = np.asarray(np.fft.irfft(spectrum), float)[: len(flat)]
     if products[0] <= 0:
         return 1.0
-    likeness = products / products[0]
-    gone = np.flatnonzero(likeness < 2 / np.sqrt(max(np.count_nonzero(flat), 1)))
+    likeness: Floats = np.divide(products, products[0])
+    by_chance = 2 / float(np.count_nonzero(flat) or 1) ** 0.5
+    gone = np.flatnonzero(likeness < by_chance)
     last = int(gone[0]) if len(gone) else len(likeness)
     return float(1 + 2 * likeness[1:last].sum())
 
