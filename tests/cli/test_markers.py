@@ -115,6 +115,43 @@ def test_frames_with_fewer_than_three_markers_and_frames_not_asked_for_stay_empt
         assert list(csv.DictReader(file))[45]["knee_flexion_deg"] == ""
 
 
+def test_two_exchanged_labels_are_named(folder, capsys):
+    points = marker_points()
+    points["shank_02"][90:], points["shank_04"][90:] = points["shank_04"][90:].copy(), points["shank_02"][90:].copy()
+    write_trial(folder / "swapped.c3d", points)
+    assert run(["markers", "swapped.c3d", "--reference", "frame0.npz", "--method", "rigid"]) == 0
+    assert "shank_02 and shank_04 look exchanged in the frames 90-119" in capsys.readouterr().err
+
+
+def test_a_reference_in_metres_is_doubted(folder, capsys):
+    with np.load(folder / "frame0.npz") as file:
+        arrays = {k: v * 1e3 if k.endswith("_origin") else v for k, v in file.items()}
+    write_arrays(folder / "far.npz", arrays)
+    assert run(["markers", "walk.c3d", "--reference", "far.npz", "--method", "rigid"]) == 0
+    assert "m from its markers. Are its origins in millimetres" in capsys.readouterr().err
+
+
+def test_gaps_are_filled_where_that_is_asked_for_and_listed(folder, capsys):
+    points = marker_points()
+    for label in ("thigh_01", "thigh_02", "thigh_03"):
+        points[label][40:44] = np.nan
+    write_trial(folder / "gaps.c3d", points)
+    arguments = ["markers", "gaps.c3d", "--reference", "frame0.npz", "--method", "rigid", "--fill", "spline"]
+    assert run(arguments) == 0
+    assert "12 points were filled by a spline over time" in capsys.readouterr().err
+    out = folder / "gaps_marey"
+    assert read_bones(out / "bones.npz").motion.answered.all()
+    with (out / "filled.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [(r["marker"], r["first_frame"], r["last_frame"], r["filled_by"]) for r in rows] == [
+        (f"thigh_0{k}", "40", "43", "spline") for k in (1, 2, 3)
+    ]
+    after = ezc3d.c3d(str(out / "motion.c3d"))
+    np.testing.assert_allclose(after["data"]["points"][:3, 0, 41] * 1e-3, marker_points()["thigh_01"][41], atol=1e-3)
+    assert run([*arguments[:-1], "magic"]) == 2
+    assert "--fill is 'magic'" in said(capsys)
+
+
 def test_without_a_calibration_turns_since_the_reference_frame_are_given_and_said(folder, capsys):
     assert run(["markers", "walk.c3d", "--method", "rigid"]) == 0
     assert "Nothing tells how the bones lie" in capsys.readouterr().err

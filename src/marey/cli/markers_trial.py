@@ -13,6 +13,7 @@ from marey.io.marker_setup import read_marker_setup, read_reference
 from marey.io.markers import read_markers
 from marey.io.npz import read_arrays
 from marey.markers.clusters import AnatomicalCalibration, Cluster
+from marey.markers.faults import find_faults
 from marey.markers.gaps import FROM_CLUSTER, SPLINE, FilledGaps, fill_gaps
 from marey.markers.joint_angles import usual_joints
 from marey.markers.labels import FoundClusters, clusters_named, find_clusters
@@ -69,6 +70,8 @@ def read_trial(path: Path, options: MarkersOptions) -> MarkersTrial:
     notes = [*measured.notes, *found.notes, *(() if filling is None else filling.notes)]
     calibration, anatomical, said = _calibration(path, measured, used, found.clusters, options)
     notes += said
+    # Frames that were not asked for are empty in what is used; that is no fault of the markers.
+    notes += find_faults(used if asked.all() else measured, found.clusters, calibration if anatomical else None)
     clusters = tuple(cluster for cluster in found.clusters if cluster.segment in calibration.segments)
     side, said = _side(calibration.segments, options)
     problem = MarkerProblem(
