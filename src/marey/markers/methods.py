@@ -70,6 +70,10 @@ METHODS: dict[str, MethodEntry] = {
             summary="markers' places interpolated between known postures by the joint's turn (Cappello 1997)",
         ),
         MethodEntry(
+            name="artefact", function="artefact_assessment:artefact_assessment", exercise=True,
+            summary="skin motion learned from an exercise against a joint's turn, taken away (Lucchetti 1998)",
+        ),
+        MethodEntry(
             name="skin", function="estimator:skin_and_joints",
             summary="rigid clusters, joints that give a little and a statistical model of the skin's motion, together",
         ),
