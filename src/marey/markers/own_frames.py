@@ -106,7 +106,7 @@ def carried_calibration(
     for cluster in kept:
         labels = shared[cluster.segment]
         shape = known.points[[known.labels.index(label) for label in labels]]
-        fits.append(fit_rigid(shape, trajectories.select(labels).points, 1.0))
+        fits.append(fit_rigid(shape, trajectories.select(labels).points, 1e-3))
     squares = np.stack([_mean_square(fit.residuals) for fit in fits], 1)
     missing = np.stack([np.isnan(fit.residuals).any((-1, -2)) for fit in fits], 1)
     answered = np.isfinite(squares).all(1)
