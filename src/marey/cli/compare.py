@@ -209,6 +209,10 @@ def told(result: Comparison) -> list[str]:
                 f"{row.name}: RMS {np.degrees(row.rms):.2f} deg, bias {np.degrees(row.bias):+.2f}, limits of agreement "
                 f"{low:+.2f} to {high:+.2f}{_correlation(row.correlation)}"
             )
+    apart = [row for row in result.agreements if row.kind == "distance" and row.frames]
+    if apart:
+        last = max(apart, key=lambda row: row.rms)
+        lines.append(f"Farthest apart is {last.name.removesuffix(' distance')}: {1e3 * last.rms:.1f} mm (RMS).")
     return lines
 
 

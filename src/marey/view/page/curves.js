@@ -25,7 +25,8 @@ class Scatter {
     this.canvas.width = width * ratio; this.canvas.height = height * ratio;
     const g = this.canvas.getContext("2d"); g.scale(ratio, ratio);
     const { bias, low, high } = this.entry;
-    const [xa, xb] = valueRange([{ y: this.x, half: [] }], 1), [ya, yb] = valueRange([{ y: [...this.y, low, high], half: [] }], 1);
+    const range = values => valueRange([{ y: values, half: new Float32Array(values.length) }], 1);
+    const [xa, xb] = range(this.x), [ya, yb] = range([...this.y, low === null ? NaN : low, high === null ? NaN : high]);
     const px = v => MARGIN.left + (width - MARGIN.left - MARGIN.right) * (v - xa) / (xb - xa);
     const py = v => height - MARGIN.bottom - (height - MARGIN.top - MARGIN.bottom) * (v - ya) / (yb - ya);
     g.font = "11px system-ui, sans-serif"; g.lineWidth = 1; g.fillStyle = "#5b6570";
@@ -41,7 +42,9 @@ class Scatter {
     g.textAlign = "center"; g.textBaseline = "top";
     for (let v = Math.ceil(xa / stride) * stride; v <= xb; v += stride) g.fillText(+v.toFixed(6), px(v), height - MARGIN.bottom + 5);
     g.fillStyle = this.entry.colour + "70";
-    for (let i = 0; i < this.x.length; i++) if (this.y[i] === this.y[i]) { g.beginPath(); g.arc(px(this.x[i]), py(this.y[i]), 1.7, 0, 7); g.fill(); }
+    for (let i = 0; i < this.x.length; i++) if (this.y[i] === this.y[i]) {
+      g.beginPath(); g.arc(px(this.x[i]), py(this.y[i]), 1.7, 0, 7); g.fill();
+    }
     for (const [v, dash] of [[bias, []], [low, [5, 4]], [high, [5, 4]]]) {
       if (v !== v || v === null) continue;
       g.strokeStyle = "#1d232b"; g.setLineDash(dash); g.beginPath(); g.moveTo(MARGIN.left, py(v)); g.lineTo(width - MARGIN.right, py(v)); g.stroke();
