@@ -12,6 +12,7 @@ from tests.trials import FRAMES, RATE, marker_points, true_bones, write_referenc
 from marey.cli import markers as command
 from marey.cli.main import run
 from marey.io.bones import read_bones
+from marey.io.markers import read_markers
 from marey.io.mot_sto import read_orientations, read_table
 from marey.io.npz import write_arrays
 from marey.io.trc import PointPaths, write_trc
@@ -224,3 +225,107 @@ def test_wrong_input_is_one_clear_line_and_leaves_nothing(folder, capsys, argume
     assert run(["markers", *arguments]) == 2
     assert wrong in said(capsys)
     assert not list(folder.glob("*_marey"))
+
+
+def standing(folder: Path) -> None:
+    """A static trial with landmarks on the true bones, and a TOML that names them."""
+    bones = true_bones(1)
+    thigh, shank = bones["thigh"], bones["shank"]
+    places = {
+        "EPL": (thigh, [0.0, -0.40, 0.05]), "EPM": (thigh, [0.0, -0.40, -0.05]), "HIP": (thigh, [0.0, 0.0, 0.0]),
+        "ANL": (shank, [0.0, 0.0, 0.04]), "ANM": (shank, [0.0, 0.0, -0.04]),
+        "TIL": (shank, [0.0, 0.38, 0.04]), "TIM": (shank, [0.0, 0.38, -0.04]),
+    }  # fmt: skip
+    points = {label: origin + rotation @ np.array(at) for label, ((rotation, origin), at) in places.items()}
+    write_trial(folder / "static.c3d", {**marker_points(frames=1), **points})
+    (folder / "landmarks.toml").write_text(
+        '[landmarks]\nHJC = "HIP"\nME = "EPM"\nLE = "EPL"\nMM = "ANM"\nLM = "ANL"\nMC = "TIM"\nLC = "TIL"\n'
+    )
+
+
+def test_landmarks_of_a_static_trial_give_the_bones(folder, capsys):
+    standing(folder)
+    arguments = ["markers", "walk.c3d", "--static", "static.c3d", "--side", "right", "--method", "rigid"]
+    assert run([*arguments, "--clusters", "landmarks.toml"]) == 0
+    assert "looks most as the static trial" in capsys.readouterr().err
+    found = read_bones(folder / "walk_marey" / "bones.npz")
+    rotation, origin = true_bones()["thigh"]
+    np.testing.assert_allclose(found.motion.bone("thigh")[0], rotation, atol=1e-4)
+    np.testing.assert_allclose(found.motion.bone("thigh")[1], origin, atol=1e-4)
+    assert "knee_flexion" in read_table(folder / "walk_marey" / "angles.mot").columns
+    assert run(arguments) == 2
+    assert "names no landmarks" in said(capsys)
+
+
+def test_a_medial_landmark_is_put_across_the_joints_centre(folder, capsys):
+    standing(folder)
+    (folder / "centre.toml").write_text(
+        '[landmarks]\nHJC = "HIP"\nKJC = ["EPM", "EPL"]\nLE = "EPL"\nAJC = ["ANM", "ANL"]\nLM = "ANL"\n'
+    )
+    arguments = ["markers", "walk.c3d", "--static", "static.c3d", "--side", "right", "--method", "rigid"]
+    assert run([*arguments, "--clusters", "centre.toml"]) == 0
+    assert "ME is taken across KJC from LE" in capsys.readouterr().err
+    found = read_bones(folder / "walk_marey" / "bones.npz")
+    np.testing.assert_allclose(found.motion.bone("thigh")[0], true_bones()["thigh"][0], atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("more", "wrong"),
+    [
+        (["--functional", "walk.c3d"], "--functional tells where joints are in a static trial"),
+        (["--exercise-reference", "frame0.npz"], "--exercise-reference belongs to --exercise"),
+        (["--weights", "frame0.npz"], "--weights belongs to --model"),
+        (["--model", "frame0.npz", "--reference", "frame0.npz"], "without the options of clusters"),
+        (["--static", "walk.c3d", "--reference", "frame0.npz"], "give one of them"),
+    ],
+)
+def test_options_that_do_not_go_together_are_said(folder, capsys, more, wrong):
+    assert run(["markers", "walk.c3d", *more]) == 2
+    assert wrong in said(capsys)
+
+
+def test_an_exercise_tells_how_the_skin_moves(folder, capsys):
+    write_trial(folder / "exercise.c3d", marker_points())
+    postures = list(range(0, FRAMES, 10))
+    write_reference(folder / "known.npz", postures)
+    arguments = ["markers", "walk.c3d", "--reference", "frame0.npz", "--method", "artefact", "--exercise"]
+    assert run([*arguments, "exercise.c3d", "--exercise-reference", "known.npz"]) == 0
+    found = read_bones(folder / "walk_marey" / "bones.npz").motion
+    np.testing.assert_allclose(found.bone("shank")[0], true_bones()["shank"][0], atol=1e-4)
+
+
+def test_a_hip_that_was_moved_about_gives_its_centre(folder, shared, capsys):
+    trials = shared / "data" / "markers" / "functional"
+    (folder / "person.toml").write_text(
+        '[segments]\npelvis = ["LASI", "RASI", "LPSI", "RPSI"]\nleft_thigh = ["LF0?"]\n[landmarks]\nRASIS = "RASI"\n'
+        'LASIS = "LASI"\nRPSIS = "RPSI"\nLPSIS = "LPSI"\nleft_KJC = "LFEO"\nleft_LE = "LKNE"\n'
+    )
+    arguments = ["--clusters", "person.toml", "--static", str(trials / "static.c3d"), "--out", "walk"]
+    functional = ["--functional", str(trials / "left_hip.c3d"), "--method", "rigid"]
+    assert run(["markers", str(trials / "walk.c3d"), *arguments, *functional]) == 0
+    assert "left_HJC is the centre about which left_thigh turns on pelvis" in capsys.readouterr().err
+    found = read_bones(folder / "walk" / "bones.npz").motion
+    hip = read_markers(trials / "walk.c3d").select(["LeftHipCenterScore"]).points[:, 0]
+    # The thigh's skin carries the centre here; the pelvis' markers do it within 15 mm in the median.
+    assert np.nanmedian(np.linalg.norm(found.bone("left_thigh")[1] - hip, axis=1)) < 0.02
+    after = ezc3d.c3d(str(folder / "walk" / "motion.c3d"))
+    before = ezc3d.c3d(str(trials / "walk.c3d"))
+    np.testing.assert_array_equal(after["data"]["analogs"], before["data"]["analogs"])
+    assert after["parameters"]["EVENT"]["TIMES"]["value"].tolist() == before["parameters"]["EVENT"]["TIMES"][
+        "value"
+    ].tolist()  # fmt: skip
+
+
+def test_a_model_follows_the_markers(folder, shared, capsys):
+    gait = shared / "data" / "markers" / "gait"
+    arguments = ["--model", str(gait / "model_scaled.osim"), "--weights", str(gait / "ik_weights.xml")]
+    assert run(["markers", str(gait / "walk.trc"), *arguments, "--frames", ":12", "--out", "gait"]) == 0
+    told = capsys.readouterr().err
+    assert "12 of 12 frames" in told
+    ours = read_table(folder / "gait" / "angles.mot")
+    theirs = read_table(gait / "walk_reference_ik.mot")
+    assert ours.columns == theirs.columns
+    np.testing.assert_allclose(ours.values[:12], theirs.values[:12], atol=0.5)
+    assert np.isnan(ours.values[12:]).all()
+    assert run(["markers", "walk.c3d", *arguments]) == 2
+    assert "No marker is common" in said(capsys)

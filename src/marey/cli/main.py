@@ -258,6 +258,22 @@ def markers(
         Path | None,
         typer.Option(metavar="FILE", help="TOML: which markers ride on which segment, landmarks, joints, noise."),
     ] = None,
+    static: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="A trial of the person standing, with the landmarks that the TOML names."),
+    ] = None,
+    functional: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="FILE", help="A trial in which a hip or shoulder was moved about; several are allowed."),
+    ] = None,
+    exercise: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="A trial that tells how the skin moves, for the method `artefact`."),
+    ] = None,
+    exercise_reference: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="NPZ: where the bones were in frames of the exercise, where that is known."),
+    ] = None,
     method: Annotated[
         str | None,
         typer.Option(metavar="NAME,...", help="Methods set apart by commas, or `all`; the files hold the first one."),
@@ -295,7 +311,7 @@ def markers(
     Examples:
     * `marey markers walk.c3d --reference walk_frame0.npz`
     * `marey markers walk.c3d --reference walk_frame0.npz --method all --out results/walk`
-    * `marey markers walk.trc --clusters segments.toml`
+    * `marey markers walk.c3d --clusters person.toml --static static.c3d --functional left_hip.c3d`
     * `marey markers walk.trc --model scaled.osim --weights tasks.xml`
     """
     from marey.cli.markers import markers as follow_markers
@@ -303,8 +319,9 @@ def markers(
     from marey.cli.progress import Progress
 
     options = MarkersOptions(
-        out=out, reference=reference, setup=clusters, methods=_method_names(method), model=model, weights=weights,
-        frames=_range(frames), fill=fill, unit=unit, side=side,
+        out=out, reference=reference, setup=clusters, static=static, functional=tuple(functional or ()),
+        exercise=exercise, exercise_reference=exercise_reference, methods=_method_names(method), model=model,
+        weights=weights, frames=_range(frames), fill=fill, unit=unit, side=side,
     )  # fmt: skip
     results = follow_markers(trial, options, Progress(quiet=quiet))
     typer.echo(f"Report: {results / 'report.html'}")

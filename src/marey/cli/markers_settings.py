@@ -30,6 +30,8 @@ class MarkersOptions:
     """Trials in which a joint was moved about."""
     exercise: Path | None = None
     """A trial from which the markers' motion over the bones is learned."""
+    exercise_reference: Path | None = None
+    """An NPZ that says where the bones were in frames of the exercise."""
     methods: tuple[str, ...] | None = None
     """Names of methods, or `all`; the default one when None."""
     model: Path | None = None
@@ -48,7 +50,8 @@ class MarkersOptions:
     def __post_init__(self) -> None:
         named = {
             "--reference": self.reference, "--clusters": self.setup, "--static": self.static,
-            "--exercise": self.exercise, "--model": self.model, "--weights": self.weights,
+            "--exercise": self.exercise, "--exercise-reference": self.exercise_reference, "--model": self.model,
+            "--weights": self.weights,
         }  # fmt: skip
         files = [*named.items(), *(("--functional", path) for path in self.functional)]
         for option, path in files:
@@ -62,11 +65,17 @@ class MarkersOptions:
             raise SettingProblem("--weights belongs to --model: name the OpenSim model, too.")
         if self.model is not None and (self.methods or self.reference or self.static or self.setup):
             raise SettingProblem("--model brings its own segments and method: give it without the options of clusters.")
+        if self.exercise_reference is not None and self.exercise is None:
+            raise SettingProblem("--exercise-reference belongs to --exercise: name the trial, too.")
+        if self.functional and self.static is None:
+            raise SettingProblem("--functional tells where joints are in a static trial: give --static, too.")
         if self.reference is not None and self.static is not None:
             raise SettingProblem("--reference and --static both say how the bones lie: give one of them.")
 
     @property
     def files(self) -> list[Path]:
         """The files that were named, besides the trial."""
-        one = (self.reference, self.setup, self.static, self.exercise, self.model, self.weights)
+        one = (
+            self.reference, self.setup, self.static, self.exercise, self.exercise_reference, self.model, self.weights,
+        )  # fmt: skip
         return [path for path in one if path is not None] + list(self.functional)

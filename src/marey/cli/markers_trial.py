@@ -8,6 +8,7 @@ import numpy as np
 
 from marey.arrays import Mask
 from marey.cli.markers_settings import MarkersOptions
+from marey.cli.markers_static import from_static, read_exercise
 from marey.errors import FileProblem, MareyError, SettingProblem
 from marey.io.marker_setup import read_marker_setup, read_reference
 from marey.io.markers import read_markers
@@ -49,7 +50,7 @@ class MarkersTrial:
         problem = self.problem
         return (
             [(c.segment, c.labels) for c in problem.clusters], problem.calibration, list(problem.joints),
-            problem.noise_m, self.asked, self.used.points,
+            problem.noise_m, self.asked, self.used.points, problem.exercise is not None,
         )  # fmt: skip
 
 
@@ -68,7 +69,7 @@ def read_trial(path: Path, options: MarkersOptions) -> MarkersTrial:
     filling = filled(used, found.clusters, options)
     used = used if filling is None else cut(filling.trajectories, asked)
     notes = [*measured.notes, *found.notes, *(() if filling is None else filling.notes)]
-    calibration, anatomical, said = _calibration(path, measured, used, found.clusters, options)
+    calibration, anatomical, said = _calibration(path, measured, used, found.clusters, setup, options)
     notes += said
     # Frames that were not asked for are empty in what is used; that is no fault of the markers.
     notes += find_faults(used if asked.all() else measured, found.clusters, calibration if anatomical else None)
@@ -81,6 +82,9 @@ def read_trial(path: Path, options: MarkersOptions) -> MarkersTrial:
     if setup.noise_m is not None:
         problem = replace(problem, noise_m=setup.noise_m)
     notes += said if anatomical and problem.joints else []
+    if options.exercise is not None:
+        problem, told = read_exercise(problem, options)
+        notes += told
     if not problem.joints:
         notes.append("No joint is known between the segments, so there are no joint angles: see [joints] of the TOML.")
     return MarkersTrial(
@@ -146,13 +150,16 @@ def filled(trajectories: MarkerTrajectories, clusters: Sequence[Cluster], option
 
 def _calibration(
     path: Path, measured: MarkerTrajectories, used: MarkerTrajectories, clusters: Sequence[Cluster],
-    options: MarkersOptions,
+    setup: MarkerSetup, options: MarkersOptions,
 ) -> tuple[AnatomicalCalibration, bool, list[str]]:  # fmt: skip
     """Find where the bones are: as a file says, as a static trial says, or by the clusters' own axes."""
     segments = tuple(cluster.segment for cluster in clusters)
     if options.reference is not None:
         calibration, notes = read_reference(options.reference, segments, frames=len(measured))
         return calibration, True, list(notes)
+    if options.static is not None:
+        static = from_static(used, clusters, setup, options)
+        return static.carried.calibration, True, list(static.notes)
     try:
         own = own_calibration(used, clusters)
     except MareyError as problem:

@@ -12,6 +12,9 @@ from marey.markers.labels import NEEDED
 from marey.markers.rigid_fit import fit_rigid
 from marey.markers.trajectories import MarkerTrajectories
 
+_SD_M = 1e-3
+"""Of a marker's coordinate, against which a cluster counts as a line [m]."""
+
 
 def own_calibration(trajectories: MarkerTrajectories, clusters: Sequence[Cluster]) -> AnatomicalCalibration:
     """Take each cluster's own axes in one frame of the trial for the bone's.
@@ -106,7 +109,7 @@ def carried_calibration(
     for cluster in kept:
         labels = shared[cluster.segment]
         shape = known.points[[known.labels.index(label) for label in labels]]
-        fits.append(fit_rigid(shape, trajectories.select(labels).points, 1e-3))
+        fits.append(fit_rigid(shape, trajectories.select(labels).points, _SD_M))
     squares = np.stack([_mean_square(fit.residuals) for fit in fits], 1)
     missing = np.stack([np.isnan(fit.residuals).any((-1, -2)) for fit in fits], 1)
     answered = np.isfinite(squares).all(1)
