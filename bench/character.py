@@ -130,6 +130,11 @@ def carried(folder: Path) -> None:
         beside = 1e3 * (beside - beside.mean(0))
         print(f"  {name}: path beside the person's enlarged one {rms(beside[:, :2]):.0f} mm level, "
               f"{rms(beside[:, 2:]):.0f} mm upright (RMS)")  # fmt: skip
+    planted = retarget(motion, rig, floor=floor, planted=True)
+    if planted.slides is not None:
+        print(
+            "  standing feet slide by {:.1f} mm, planted by {:.1f} mm (RMS)".format(*(1e3 * s for s in planted.slides))
+        )
 
 
 def seen(rig, moved):

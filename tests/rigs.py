@@ -158,9 +158,64 @@ Hips
       {S}ForeArm
        {S}Hand
 """
+UNREAL_5 = """
+root
+ pelvis
+  spine_01
+   spine_02
+    spine_03
+     clavicle_{s}
+      upperarm_{s}
+       lowerarm_{s}
+        hand_{s}
+        lowerarm_twist_02_{s}
+        lowerarm_twist_01_{s}
+       upperarm_twist_01_{s}
+       upperarm_twist_02_{s}
+     neck_01
+      neck_02
+       head
+  thigh_{s}
+   calf_{s}
+    foot_{s}
+     ball_{s}
+    calf_twist_01_{s}
+   thigh_twist_01_{s}
+"""
+HUMAN_IK = """
+Hips
+ {S}UpLeg
+  {S}UpLegRoll
+   {S}Leg
+    {S}LegRoll
+     {S}Foot
+      {S}ToeBase
+ Spine
+  Spine1
+   Neck
+    Head
+   {S}Shoulder
+    {S}Arm
+     {S}ArmRoll
+      {S}ForeArm
+       {S}ForeArmRoll
+        {S}Hand
+"""
+RIGIFY_SPLIT = RIGIFY.replace(
+    "        DEF-forearm.{U}\n         DEF-hand.{U}",
+    """        DEF-forearm.{U}
+         DEF-forearm.{U}.001
+          DEF-hand.{U}""",
+)
+ALONG = {
+    "upperarm_twist_01_{s}": ("upperarm", "forearm", 0.33), "upperarm_twist_02_{s}": ("upperarm", "forearm", 0.67),
+    "lowerarm_twist_01_{s}": ("forearm", "hand", 0.67), "lowerarm_twist_02_{s}": ("forearm", "hand", 0.33),
+    "thigh_twist_01_{s}": ("thigh", "shank", 0.5), "calf_twist_01_{s}": ("shank", "foot", 0.5),
+}  # fmt: skip
+"""Where twist joints stand: from which joint to which, and how far."""
 RIGS = {
     "mixamo": MIXAMO, "unreal": UNREAL, "rigify": RIGIFY, "smpl": SMPL, "biped": BIPED, "vroid": VROID, "daz": DAZ,
-    "cmu": CMU,
+    "cmu": CMU, "unreal5": UNREAL_5, "human_ik": HUMAN_IK, "rigify_split": RIGIFY_SPLIT,
 }  # fmt: skip
 
 
@@ -228,6 +283,11 @@ def write_rig(
         below = [k for k, p in enumerate(parents) if p == n]
         if names[n] not in segments and parents[n] >= 0 and below and names[parents[n]] in segments:
             at[n] = 0.5 * (at[parents[n]] + at[below[0]])
+    for name, (start, end, share) in ALONG.items():
+        for side in ("left", "right"):
+            if name.format(s=side[0]) in names:
+                ends = (size * places[f"{side}_{n}"] for n in (start, end))
+                at[names.index(name.format(s=side[0]))] = (1 - share) * next(ends) + share * next(ends)
     if turned:
         at = at @ rotations.about(np.array([0.0, 1.0, 0]), np.array(2.2)).T
     turn = rotations.exp(rng.normal(size=(len(names), 3)) * (1.0 if bones else 0.0))

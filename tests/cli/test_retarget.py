@@ -35,6 +35,14 @@ def test_a_file_alone_and_a_place_for_the_copy_may_be_given(folder, capsys):
     assert capsys.readouterr().out == f"Written: {folder / 'new' / 'a.glb'}\n"
 
 
+def test_twist_joints_and_planted_feet_are_told(folder, capsys):
+    rigs.write_rig(folder / "ranger.glb", rigs.UNREAL_5, segments(rigs.UNREAL_5))
+    assert run(["retarget", str(folder / "trial"), str(folder / "ranger.glb"), "--plant-feet"]) == 0
+    said = capsys.readouterr().out
+    assert "lowerarm_twist_01_l 0.7" in said
+    assert "Feet: " in said
+
+
 @pytest.mark.parametrize(
     ("arguments", "wrong"),
     [

@@ -7,15 +7,18 @@ import pytest
 from tests import rigs
 
 from marey.errors import FileProblem
+from marey.geometry import rotations
 from marey.io.axes import GLTF_FROM_WORLD
 from marey.io.rig import read_map, read_rig, write_retargeted
 from marey.io.rig_names import name_joints
-from marey.motion.retarget import NEEDED
+from marey.motion.retarget import NEEDED, rest_joints
+from marey.motion.twist import twist_angles
 
 BONES = [("thigh", "shank"), ("shank", "foot"), ("upperarm", "forearm"), ("forearm", "hand")]
 POSTURES = {
     "mixamo": ("t", 0.01), "unreal": ("a", 1.0), "rigify": ("t", 1.0), "smpl": ("t", 1.0), "biped": ("a", 0.0254),
-    "vroid": ("t", 1.0), "daz": ("a", 0.01), "cmu": ("t", 0.05),
+    "vroid": ("t", 1.0), "daz": ("a", 0.01), "cmu": ("t", 0.05), "unreal5": ("a", 0.01),
+    "human_ik": ("t", 1.0), "rigify_split": ("t", 1.0),
 }  # fmt: skip
 
 
@@ -64,6 +67,45 @@ def test_the_trunk_turns_as_the_persons_does(tmp_path, motion):
         np.testing.assert_allclose(
             back @ world[name][:, :3, :3] @ back.T, motion.segment(segment)[known], atol=2e-6, err_msg=name
         )
+
+
+def twist_of(world, upper, lower):
+    """Measure how far a joint is twisted against another one, frame after frame, from the first one on."""
+    turn = [m[:, :3, :3] / np.linalg.norm(m[:, :3, :3], axis=1, keepdims=True) for m in (world[upper], world[lower])]
+    relative = np.swapaxes(turn[0], 1, 2) @ turn[1]
+    return relative @ np.swapaxes(relative[:1], 1, 2)
+
+
+TWISTING = {
+    "unreal5": ("lowerarm_l", [("lowerarm_twist_02_l", 0.33), ("lowerarm_twist_01_l", 0.67)], "upperarm_l"),
+    "human_ik": ("LeftForeArm", [("LeftForeArmRoll", 0.5)], "LeftArm"),
+    "rigify_split": ("DEF-forearm.L", [("DEF-forearm.L.001", 0.5)], "DEF-upper_arm.L"),
+}
+
+
+@pytest.mark.parametrize("rig", TWISTING)
+def test_twist_joints_share_the_turn_about_the_limb(tmp_path, motion, rig):
+    _, world, _ = written(tmp_path, rig, motion, bones=False)
+    known = np.flatnonzero(motion.answered)
+    names = list(motion.segment_names)
+    axis = rest_joints(motion)[names.index("left_hand")] - rest_joints(motion)[names.index("left_forearm")]
+    upper, lower = (motion.segment(f"left_{n}")[known] for n in ("upperarm", "forearm"))
+    twist = twist_angles(np.swapaxes(upper, 1, 2) @ lower, axis)
+    assert np.ptp(twist) > 0.5
+    first, others, _ = TWISTING[rig]
+    # The boxes that carry skin stand at the joints: where they lie is the share.
+    for name, share in others:
+        turn = twist_of(world, first, name)
+        angle = np.linalg.norm(rotations.log(turn), axis=1)
+        start = 0.01  # The box at the elbow reaches a little way along the forearm.
+        np.testing.assert_allclose(angle, np.abs((share - start) * (twist - twist[0])), atol=0.06 * np.ptp(twist))
+
+
+def test_limbs_of_one_joint_have_no_twist_to_share(tmp_path):
+    for rig in ("mixamo", "smpl", "vroid", "biped"):
+        text, (arms, unit) = rigs.RIGS[rig], POSTURES[rig]
+        rigs.write_rig(tmp_path / "character.glb", text, segments(text), arms=arms, unit=unit)
+        assert read_rig(tmp_path / "character.glb")[1].twists == {}
 
 
 def test_joints_of_the_spine_between_two_of_ours_share_the_turn(tmp_path, motion):
@@ -261,7 +303,9 @@ def nameless(document):
         node["name"] = f"bone{n}"
 
 
-@pytest.mark.parametrize("rig", ["mixamo", "unreal", "smpl", "vroid", "cmu"])
+@pytest.mark.parametrize(
+    "rig", ["mixamo", "unreal", "smpl", "vroid", "cmu", "human_ik", "rigify", "rigify_split", "daz", "unreal5"]
+)
 @pytest.mark.parametrize("turned", [False, True])
 def test_joints_without_names_are_guessed_by_where_they_stand(tmp_path, rig, turned):
     text, (arms, unit) = rigs.RIGS[rig], POSTURES[rig]

@@ -32,6 +32,9 @@ EXPECTED = {
     ),
     "daz": ("hip", "abdomenLower", "chestUpper", "neckLower", "lShldrBend", "lShin"),
     "cmu": ("Hips", "LowerBack", "Spine1", "Neck", "LeftArm", "LeftLeg"),
+    "unreal5": ("pelvis", "spine_01", "spine_03", "neck_01", "upperarm_l", "calf_l"),
+    "human_ik": ("Hips", "Spine", "Spine1", "Neck", "LeftArm", "LeftLeg"),
+    "rigify_split": ("DEF-spine", "DEF-spine.001", "DEF-spine.003", "DEF-spine.004", "DEF-upper_arm.L", "DEF-shin.L"),
 }  # fmt: skip
 
 

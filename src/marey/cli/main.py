@@ -228,6 +228,9 @@ def retarget(
     no_ground: Annotated[
         bool, typer.Option("--no-ground", help="Do not keep the lower foot at the person's height above the floor.")
     ] = False,
+    plant_feet: Annotated[
+        bool, typer.Option("--plant-feet", help="Keep feet that stand still exactly in their place: legs bend for it.")
+    ] = False,
     quiet: Quiet = False,
 ) -> None:
     """Put a recovered motion on another character.
@@ -241,7 +244,9 @@ def retarget(
     """
     from marey.cli.retarget import retarget as carry_over
 
-    path, notes = carry_over(motion, character, out=out, named=named, grounded=not no_ground)
+    path, notes = carry_over(
+        motion, character, out=out, named=named, grounded=not no_ground, planted=plant_feet
+    )  # fmt: skip
     for note in notes if not quiet else []:
         typer.echo(note)
     typer.echo(f"Written: {path}")

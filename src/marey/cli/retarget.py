@@ -7,10 +7,11 @@ from marey.errors import FileProblem
 from marey.io.body import read_body
 from marey.io.npz import read_motion
 from marey.io.rig import read_map, read_rig, write_retargeted
+from marey.motion.retarget import RigMotion
 
 
 def retarget(
-    motion: Path, character: Path, *, out: Path | None, named: Path | None, grounded: bool
+    motion: Path, character: Path, *, out: Path | None, named: Path | None, grounded: bool, planted: bool
 ) -> tuple[Path, list[str]]:
     """Write a copy of a character's file that has a motion as its animation.
 
@@ -20,6 +21,7 @@ def retarget(
         out: The file to write; without it, one beside the motion, named for the character.
         named: A TOML that names joints.
         grounded: whether the lower foot is kept as high above the floor as the person's.
+        planted: whether feet that stand still are kept in their place.
 
     Returns:
         The file, and what is worth telling.
@@ -38,15 +40,29 @@ def retarget(
     if path.resolve() == character.resolve():
         raise FileProblem(path, "is the character itself", "Give another name with --out.")
     path.parent.mkdir(parents=True, exist_ok=True)
-    moved = write_retargeted(path, gltf, rig, moving, floor=_floor(source.parent / "body.npz"), grounded=grounded)
+    floor = _floor(source.parent / "body.npz")
+    moved = write_retargeted(path, gltf, rig, moving, floor=floor, grounded=grounded, planted=planted)
     notes = ["Joints: " + ", ".join(f"{segment} = {gltf.name(node)}" for segment, node in rig.nodes.items())]
     if rig.guessed:
         listed = ", ".join(f"{segment} = {gltf.name(rig.nodes[segment])}" for segment in rig.guessed)
         notes.append(f"Guessed from where they stand: {listed}. If that is wrong, name them with --map.")
+    if rig.twists:
+        shared = ", ".join(f"{gltf.name(node)} {share:.2f}" for node, (_, share) in rig.twists.items())
+        notes.append(f"Shares of the limbs' twist: {shared}.")
+    if planted:
+        notes.append(_of_slides(moved))
     if moved.gaps:
         spans = ", ".join(f"{a:.2f}-{b:.2f} s" for a, b in moved.gaps)
         notes.append(f"Nothing was measured at {spans}: there are no keys there, a viewer turns evenly across.")
     return path, notes
+
+
+def _of_slides(moved: RigMotion) -> str:
+    """Say what planting the feet has brought."""
+    if moved.slides is None:
+        return "Feet: none stands still in this motion."
+    before, after = moved.slides
+    return f"Feet: where they stand they slid by {before:.3g}, now by {after:.3g} (RMS, the character's unit)."
 
 
 def motion_file(motion: Path) -> Path:

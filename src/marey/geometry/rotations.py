@@ -112,14 +112,24 @@ def about(axis: Floats, angle: Floats) -> Floats:
 
 
 def shortest(start: Floats, end: Floats) -> Floats:
-    """Turn one direction (3,) into another about the axis across both; where they are opposite, about any such axis."""
+    """Turn directions into others about the axes across both; where they are opposite, about any such axis.
+
+    Args:
+        start: (..., 3) of any length.
+        end: (..., 3).
+
+    Returns:
+        (..., 3, 3).
+    """
+    start, end = np.broadcast_arrays(start, end)
     across = np.cross(start, end)
-    length = np.linalg.norm(across)
-    angle = np.arctan2(length, start @ end)
-    if length < 1e-12 * np.linalg.norm(start) * np.linalg.norm(end):
-        across = np.cross(start, np.eye(3)[np.argmin(np.abs(start))])
-        length = np.linalg.norm(across)
-    return about(across / length, np.array(angle))
+    length = np.linalg.norm(across, axis=-1)
+    angle = np.arctan2(length, np.sum(start * end, axis=-1))
+    aligned = length < 1e-12 * np.linalg.norm(start, axis=-1) * np.linalg.norm(end, axis=-1)
+    aside = np.cross(start, np.eye(3)[np.argmin(np.abs(start), axis=-1)])
+    across = np.where(aligned[..., None], aside, across)
+    length = np.linalg.norm(across, axis=-1)
+    return about(across / np.where(length > 0, length, 1.0)[..., None], angle)
 
 
 def mean(rotations: Floats) -> Floats:

@@ -15,6 +15,7 @@ from marey.io.axes import GLTF_FROM_WORLD
 from marey.io.character import named_joints, posed_skin, skin_joints
 from marey.io.gltf import Additions, Gltf, local_matrix
 from marey.io.rig_shape import place_joints
+from marey.io.rig_twists import find_twists
 from marey.motion.motion import Motion
 from marey.motion.retarget import NEEDED, Rig, RigMotion, retarget
 
@@ -85,6 +86,8 @@ def _guessed(gltf: Gltf, known: Mapping[str, int], by_name: dict[str, int]) -> d
 def _rig(gltf: Gltf, found: Mapping[str, int], guessed: tuple[str, ...]) -> Rig:
     parents, count = gltf.parents(), len(gltf.nodes)
     parts = [_parted(gltf, node) for node in range(count)]
+    skin = _skin_at_rest(gltf)
+    names = {node: gltf.name(node) for node in skin_joints(gltf, gltf.skinned())}
     return Rig(
         parents=np.array([parents.get(node, -1) for node in range(count)]),
         translation=np.array([t for t, _, _ in parts]),
@@ -92,8 +95,9 @@ def _rig(gltf: Gltf, found: Mapping[str, int], guessed: tuple[str, ...]) -> Rig:
         scale=np.array([s for _, _, s in parts]),
         nodes=found,
         scene_from_world=np.asarray(GLTF_FROM_WORLD),
-        skin=_skin_at_rest(gltf),
+        skin=None if skin is None else np.concatenate([points for points, _ in skin]),
         guessed=guessed,
+        twists=find_twists(found, names, parents, gltf.world_from_nodes()[:, :3, 3], skin),
     )
 
 
@@ -140,17 +144,18 @@ def _parted(gltf: Gltf, node: int) -> tuple[Floats, Floats, Floats]:
     return matrix[:3, 3], rotations.nearest(matrix[:3, :3] / scale), scale
 
 
-def _skin_at_rest(gltf: Gltf) -> Floats | None:
-    """Give the skin (V, 3) in the scene, or None where it is packed in a way that is not read here."""
+def _skin_at_rest(gltf: Gltf) -> list[tuple[Floats, Floats]] | None:
+    """Give the skin and its weights in the scene, or None where it is packed in a way that is not read here."""
     try:
-        return np.concatenate([points for points, _ in posed_skin(gltf)])
+        return posed_skin(gltf)
     except (FileProblem, KeyError, IndexError, ValueError, TypeError):
         return None
 
 
 def write_retargeted(
-    path: Path | str, gltf: Gltf, rig: Rig, motion: Motion, *, floor: float | None, grounded: bool = True
-) -> RigMotion:
+    path: Path | str, gltf: Gltf, rig: Rig, motion: Motion, *, floor: float | None, grounded: bool = True,
+    planted: bool = False,
+) -> RigMotion:  # fmt: skip
     """Write a copy of a character's file that has a motion as one more animation; nothing else of it changes.
 
     Frames without an answer have no key: a viewer turns evenly over them. Where they are stands in the animation's
@@ -163,12 +168,13 @@ def write_retargeted(
         motion: What it shall do.
         floor: see `retarget`.
         grounded: see `retarget`.
+        planted: see `retarget`.
 
     Raises:
         FileProblem: The motion cannot be carried over.
     """
     try:
-        moved = retarget(motion, rig, floor=floor, grounded=grounded)
+        moved = retarget(motion, rig, floor=floor, grounded=grounded, planted=planted)
     except MareyError as error:
         raise FileProblem(gltf.path, f"cannot take up the motion ({str(error).rstrip('.')})", _HOW_TO_NAME) from error
     additions = Additions(gltf)

@@ -1,7 +1,6 @@
 """Shapes of rigs: which joint of an upright character is which segment, by where it stands, when no name tells."""
 
 from collections.abc import Mapping, Sequence
-from itertools import pairwise
 
 import numpy as np
 
@@ -11,13 +10,26 @@ from marey.io.rig_names import path_up
 _LOW = 0.2
 """Share of the height below which a leg ends."""
 _SIDES = ("left", "right")
+_PARTED = 5
+"""Least number of joints of a limb whose long bones are parted."""
+_WHOLE = 0.55
+"""Share of a limb's length that its two long bones have where they are whole."""
+_TURNED = 40.0
+"""A bone that runs another way by more belongs to another segment [degrees]."""
+_FORKS = 1
+"""Joints with more children than this hold fingers."""
+_USUAL_ARM, _USUAL_LEG = 1.15, 1.05
+"""Length of an upper arm by its forearm, of a thigh by its shank, ..."""
+_ODD = 0.45
+"""... from which nobody's differs by more than this, in the logarithm."""
 
 
 def place_joints(places: Mapping[int, Floats], parents: Mapping[int, int], known: Mapping[str, int]) -> dict[str, int]:
     """Guess segments from the places of joints, Y up.
 
     Legs end near the floor on both sides of one joint, the pelvis; arms reach out farthest from a joint above it. Of
-    each, the two longest bones that follow each other are thigh and shank, upper arm and forearm. Left is where joints
+    each, the two longest bones that follow each other are thigh and shank, upper arm and forearm; where long bones are
+    parted, what lies between the limb's beginning, its half and its end. Left is where joints
     that are known to be left are; else it follows from where the toes point, or else the character looks along Z.
 
     Args:
@@ -44,10 +56,14 @@ def place_joints(places: Mapping[int, Floats], parents: Mapping[int, int], known
     if not reach or max(reach.values()) < 0.1 * tall or min(reach.values()) > -0.1 * tall:
         return {}
     arm_ends = [max(reach, key=lambda end: reach[end]), min(reach, key=lambda end: reach[end])]
-    chest = _parting(arm_ends, parents)
-    if chest is None or pelvis not in path_up(chest, parents):
+    chest, top = _parting(arm_ends, parents), pelvis
+    if chest is None:
         return {}
-    limbs = [_limbs(leg, arm, (pelvis, chest), places, parents) for leg, arm in zip(leg_ends, arm_ends, strict=True)]
+    # Where the legs hang from a joint beside the spine, the one above both is the pelvis.
+    pelvis = next((node for node in path_up(top, parents) if node in path_up(chest, parents)), -1)
+    if pelvis not in places or chest not in places:
+        return {}
+    limbs = [_limbs(leg, arm, (top, chest), places, parents) for leg, arm in zip(leg_ends, arm_ends, strict=True)]
     if any(not limb for limb in limbs):
         return {}
     if _first_is_right(limbs, places, known):
@@ -99,19 +115,54 @@ def _limbs(
         (leg_end, tops[0], ("thigh", "shank", "foot"), "toes", None),
         (arm_end, tops[1], ("upperarm", "forearm", "hand"), None, "clavicle"),
     )
+    children = _children(places, parents)
     for end, top, segments, beyond, before in plan:
         path = path_up(end, parents)
         path = path[: path.index(top)][::-1]
         if len(path) < 3:
             return {}
-        bones = [float(np.linalg.norm(places[b] - places[a])) for a, b in pairwise(path)]
-        at = int(np.argmax([min(pair) for pair in pairwise(bones)]))
-        found |= dict(zip(segments, path[at : at + 3], strict=True))
-        if beyond is not None and at + 3 < len(path):
-            found[beyond] = path[at + 3]
-        if before is not None and at > 0:
-            found[before] = path[at - 1]
+        first, middle, last = _two_bones(path, places, children, leg=beyond is not None)
+        found |= dict(zip(segments, (path[first], path[middle], path[last]), strict=True))
+        if beyond is not None and last + 1 < len(path):
+            found[beyond] = path[last + 1]
+        if before is not None and first > 0:
+            found[before] = path[first - 1]
     return found
+
+
+def _two_bones(
+    path: Sequence[int], places: Mapping[int, Floats], children: Mapping[int, Sequence[int]], *, leg: bool
+) -> tuple[int, int, int]:
+    """Find where the two long bones of a limb begin and end, as three numbers of its path.
+
+    Usually they are the two longest bones that follow each other. Where those are hardly half of the limb, or unlike
+    each other, long bones are parted: the limb then ends at the ankle, where it turns forward, or at the wrist, where
+    fingers part or nothing else follows; its other joints are those that part it as people's knees and elbows do.
+    """
+    at = np.array([places[node] for node in path])
+    bones = np.linalg.norm(np.diff(at, axis=0), axis=1)
+    pairs = np.minimum(bones[:-1], bones[1:])
+    best = int(np.argmax(pairs))
+    way = np.concatenate([[0.0], np.cumsum(bones)])
+
+    def unusual(first: int, middle: int, last: int) -> float:
+        usual = _USUAL_LEG if leg else _USUAL_ARM
+        return abs(float(np.log((way[middle] - way[first]) / (way[last] - way[middle]) / usual)))
+
+    whole = bones[best] + bones[best + 1] > _WHOLE * bones.sum() and unusual(best, best + 1, best + 2) < _ODD
+    if len(path) < _PARTED or whole:
+        return best, best + 1, best + 2
+    directions = np.diff(at, axis=0) / np.maximum(bones, 1e-12)[:, None]
+    if leg:
+        forward = np.flatnonzero(directions[:, 1] > -np.cos(np.radians(_TURNED)))
+        last = int(forward[forward > 1][0]) if (forward > 1).any() else len(path) - 1
+    else:
+        fingers = [k for k, node in enumerate(path) if len(children[node]) > _FORKS and k > 1]
+        last = fingers[0] if fingers else len(path) - 1
+    # Before a limb lies a piece from the trunk: a hip's or a shoulder's.
+    along = directions[:last] @ directions[last - 1]
+    begins = [k for k in range(last - 1) if along[k] > np.cos(np.radians(_TURNED))][:2]
+    return min(((k, m, last) for k in begins or [0] for m in range(k + 1, last)), key=lambda ends: unusual(*ends))
 
 
 def _first_is_right(limbs: list[dict[str, int]], places: Mapping[int, Floats], known: Mapping[str, int]) -> bool:

@@ -1,7 +1,7 @@
 """Retargeting: a motion carried over to another character's tree of joints, whatever its names, sizes and axes."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
 
@@ -12,6 +12,8 @@ from marey.body.skeleton import PARENTS
 from marey.errors import MareyError
 from marey.geometry import rotations
 from marey.motion.motion import Motion
+from marey.motion.planted_feet import Leg, planted_feet, standing, turns_of_leg
+from marey.motion.twist import untwisted
 
 NEEDED = (
     "pelvis",
@@ -27,6 +29,8 @@ _NEXT = {"thigh": "shank", "shank": "foot", "upperarm": "forearm", "forearm": "h
 _LEGS = (("thigh", "shank"), ("shank", "foot"))
 _SIDES = ("left", "right")
 _UPRIGHT = np.cos(np.radians(35.0))
+_LOWEST = 0.02
+"""Share of the frames in which a foot is lower than what counts as the ground."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -49,6 +53,8 @@ class Rig:
     """(V, 3) at rest in the scene; None where nobody knows."""
     guessed: tuple[str, ...] = ()
     """Segments whose joints were guessed by their places, not named."""
+    twists: Mapping[int, tuple[str, float]] = field(default_factory=dict)
+    """By node of a limb that several nodes turn about its axis: the segment, and the share of its twist."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "parents", frozen(self.parents, np.int64))
@@ -107,6 +113,9 @@ class RigMotion:
     """(K, 3) of the root in its parent."""
     gaps: tuple[tuple[float, float], ...]
     """Times of the last key before and the first key after frames without an answer [s]."""
+    slides: tuple[float, float] | None = None
+    """How far standing feet slide, root mean square, without and with planted feet [scene's unit]; None where none
+    stands."""
 
 
 def pose_rig(rig: Rig, frames: int, turns: Mapping[int, Floats], moved: tuple[int, Floats] | None) -> PosedRig:
@@ -255,13 +264,16 @@ class _Fit:
         return self.rig.scene_from_world @ turns @ laid @ self.world_from_scene
 
 
-def retarget(motion: Motion, rig: Rig, *, floor: float | None = None, grounded: bool = True) -> RigMotion:
+def retarget(
+    motion: Motion, rig: Rig, *, floor: float | None = None, grounded: bool = True, planted: bool = False
+) -> RigMotion:
     """Carry a motion over to a rig.
 
     Every joint that is one of our segments turns in the world as the segment does, counted from a common rest posture:
     so the bones of arms and legs point where the body's do, whatever the character's own rest posture. Joints of the
-    spine and neck between two of ours share the turn between them evenly; all others stay in their parents as they
-    are. The hips go the body's way, enlarged as the legs are long.
+    spine and neck between two of ours share the turn between them evenly; where several joints turn a limb about its
+    axis, each takes its share of that; all others stay in their parents as they are. The hips go the body's way,
+    enlarged as the legs are long.
 
     Args:
         motion: The body's. Frames without an answer have no key.
@@ -271,6 +283,7 @@ def retarget(motion: Motion, rig: Rig, *, floor: float | None = None, grounded: 
         grounded: whether the character is shifted up or down in each frame until its lower foot is as high above the
             floor as the body's, enlarged as the legs are long. It differs where thighs and shanks, or ankles and
             toes, have other proportions.
+        planted: whether feet that stand still in the motion stand still on the character: legs bend for that.
 
     Raises:
         MareyError: A joint is missing or out of order, or the character does not stand upright.
@@ -286,10 +299,19 @@ def retarget(motion: Motion, rig: Rig, *, floor: float | None = None, grounded: 
     if grounded:
         place = place + _lift(fit, posed, hips, known)[:, None] * rig.scene_from_world[:, 2]
     posed = _place(fit, turns, place)
+    stands = _stands(fit, known)
+    slides = [_slide(fit, posed, stands)]
+    if planted:
+        turns = turns | _planted(fit, posed, turns, stands)
+        posed = _place(fit, turns, place)
+    slides.append(_slide(fit, posed, stands))
     root = rig.nodes["pelvis"]
     quaternions = {n: rotations.continuous(rotations.to_quaternion(local)) for n, local in posed.local.items()}
     gaps = tuple((float(motion.time[a - 1]), float(motion.time[b])) for a, b in motion.gaps())
-    return RigMotion(time=motion.time[known], rotation=quaternions, root=root, translation=posed.shift, gaps=gaps)
+    return RigMotion(
+        time=motion.time[known], rotation=quaternions, root=root, translation=posed.shift, gaps=gaps,
+        slides=None if slides[0] is None or slides[1] is None else (slides[0], slides[1]),
+    )  # fmt: skip
 
 
 def _check(rig: Rig) -> None:
@@ -310,6 +332,13 @@ def _turns(fit: _Fit, known: Integers) -> dict[int, Floats]:
     motion, rig = fit.motion, fit.rig
     by_segment = {name: motion.segment(name)[known] for name in rig.nodes if name in motion.segment_names}
     turned = {rig.nodes[name]: fit.in_scene(turns, name) for name, turns in by_segment.items()}
+    for node, (name, share) in rig.twists.items():
+        parent = PARENTS[name]
+        if name in by_segment and parent in motion.segment_names:
+            side, _, kind = name.rpartition("_")
+            axis = fit.own[f"{side}_{_NEXT[kind]}"] - fit.own[name]
+            turns = untwisted(motion.segment(str(parent))[known], by_segment[name], axis, share)
+            turned[node] = fit.in_scene(turns, name)
     trunk = [name for name in _TRUNK if name in by_segment]
     for lower, upper in pairwise(trunk):
         path = rig.above(rig.nodes[upper])
@@ -320,6 +349,49 @@ def _turns(fit: _Fit, known: Integers) -> dict[int, Floats]:
             share = (k + 1) / (len(between) + 1)
             turned[node] = fit.in_scene(first @ rotations.exp(share * vector))
     return turned
+
+
+def _feet(rig: Rig, motion: Motion) -> dict[str, str]:
+    """Give by side the joint on which a foot stands: the toes', or the ankle where one of the two lacks toes."""
+    toes = {side: f"{side}_toes" for side in _SIDES}
+    return {s: t if t in rig.nodes and t in motion.segment_names else f"{s}_foot" for s, t in toes.items()}
+
+
+def _stands(fit: _Fit, known: Integers) -> dict[str, list[slice]]:
+    """Find by side when the body's foot stands still, as rows of the known frames."""
+    motion, feet = fit.motion, _feet(fit.rig, fit.motion)
+    paths = {side: motion.segment_origin[known, motion.segment_names.index(name)] for side, name in feet.items()}
+    ground = min(float(np.quantile(path[:, 2], _LOWEST)) for path in paths.values())
+    return {side: standing(motion.time[known], path, ground) for side, path in paths.items()}
+
+
+def _slide(fit: _Fit, posed: PosedRig, stands: Mapping[str, list[slice]]) -> float | None:
+    """Say how far standing feet slide from where they stand, root mean square; None where none stands."""
+    off = [
+        place[rows] - np.median(place[rows], axis=0)
+        for side, name in _feet(fit.rig, fit.motion).items()
+        for place in [posed.position[:, fit.rig.nodes[name]]]
+        for rows in stands[side]
+    ]
+    return float(np.sqrt(np.mean(np.sum(np.concatenate(off) ** 2, axis=1)))) if off else None
+
+
+def _planted(
+    fit: _Fit, posed: PosedRig, turns: Mapping[int, Floats], stands: Mapping[str, list[slice]]
+) -> dict[int, Floats]:
+    """Give the legs' turns with which feet that stand still do so on the rig."""
+    rig = fit.rig
+    changed: dict[int, Floats] = {}
+    for side, name in _feet(rig, fit.motion).items():
+        shift = planted_feet(posed.position[:, rig.nodes[name]], stands[side])
+        thigh, shank, foot = (rig.nodes[f"{side}_{part}"] for part in ("thigh", "shank", "foot"))
+        hinge = turns[thigh] @ rig.scene_from_world[:, 0]
+        leg = Leg(posed.position[:, thigh], posed.position[:, shank], posed.position[:, foot], hinge)
+        for part, turn in zip(("thigh", "shank"), turns_of_leg(leg, shift), strict=True):
+            own = f"{side}_{part}"
+            nodes = [rig.nodes[own], *(node for node, (segment, _) in rig.twists.items() if segment == own)]
+            changed |= {node: turn @ turns[node] for node in nodes}
+    return changed
 
 
 def _hips(fit: _Fit, known: Integers) -> Floats:
