@@ -223,7 +223,7 @@ def table3() -> None:
 
 
 RANKS = (1, 2, 3, 4, 5)
-RANDOM_M = 2.7e-3
+RANDOM_M = 2.4e-3
 
 
 def reconstructions(rng: np.random.Generator) -> list[list[float]]:

@@ -5,8 +5,8 @@
 The fair protocol: the bones are known in the first frame alone, or in that frame and the one farthest from it in knee
 flexion. Prints a table a trial: degrees RMS of thigh and shank (turn) and of the knee's three angles, their root mean
 square, that against the rigid fit with one posture, and the share of true errors that 1.96 stated standard deviations
-hold; at the end each method's mean over the trials. The data: Cereatti et al. 2017, J Biomech,
-doi 10.1016/j.jbiomech.2017.02.004. Figures are those of score/bones.py.
+hold; at the end all trials in one table, each cell thigh / shank; the knee's angles; these together. The figures are
+those of score/bones.py. The data: Cereatti et al. 2017, J Biomech, doi 10.1016/j.jbiomech.2017.02.004.
 """
 
 import argparse
@@ -15,6 +15,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import ezc3d
@@ -90,20 +91,40 @@ def score(motion: BoneMotion, shared: Path, truth: Path) -> dict:
         return json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
 
 
-def row(name: str, postures: int, figures: dict, baseline: float, seconds: float) -> tuple[str, float, float]:
-    """One line of the table, the knee's root mean square against the rigid fit, and the share held."""
-    knee = figures["knee_rms_deg"]
-    together = float(np.sqrt(np.mean(np.square(knee))))
-    segments = [figures[s] for s in ("thigh", "shank")]
-    held = float(np.mean([s.get("covered_95", np.nan) for s in segments]))
-    seen = min(s["seen"] for s in segments)
-    turn = " / ".join(f"{s['turn_rms_deg']:.1f}" for s in segments)
-    angles = " ".join(f"{v:.1f}" for v in knee)
-    against = together / baseline - 1
-    line = (
-        f"| {name} | {postures} | {turn} | {angles} | {together:.2f} | {100 * against:+.0f} % | {held:.2f} | {seen:.2f}"
-    )
-    return f"{line} | {seconds:.2f} |", against, held
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """What one method reached in one trial."""
+
+    method: str
+    postures: int
+    thigh: float
+    shank: float
+    knee: tuple[float, float, float]
+    against: float
+    """The knee's root mean square against the rigid fit with one posture, less one."""
+    held: float
+    seen: float
+    frames: int
+    seconds: float
+
+    @property
+    def together(self) -> float:
+        """Root mean square of the three angles."""
+        return float(np.sqrt(np.mean(np.square(self.knee))))
+
+    @property
+    def angles(self) -> str:
+        """The knee's angles in a cell."""
+        return " ".join(f"{v:.1f}" for v in self.knee)
+
+    @property
+    def line(self) -> str:
+        """The row of one trial's table."""
+        return (
+            f"| {self.method} | {self.postures} | {self.thigh:.1f} / {self.shank:.1f} | {self.angles} | "
+            f"{self.together:.2f} | {100 * self.against:+.0f} % | {self.held:.2f} | {self.seen:.2f} | "
+            f"{self.seconds:.2f} |"
+        )
 
 
 HEAD = """
@@ -113,24 +134,52 @@ HEAD = """
 | --- | --- | --- | --- | --- | --- | --- | --- | --- |"""
 
 
-def run_trial(shared: Path, name: str, methods: list[str], summary: dict) -> None:
+def rows_of(shared: Path, name: str, methods: list[str]) -> list[Row]:
+    """Run the methods on one trial, printing as they end."""
     folder = shared / "data" / "markers" / "sta"
+    truth = folder / f"{name}.npz"
     print(HEAD.format(name), flush=True)
     problems = read_trial(folder, name)
-    first = score(METHODS["rigid"].load()(problems[0]), shared, folder / f"{name}.npz")["knee_rms_deg"]
-    baseline = float(np.sqrt(np.mean(np.square(first))))
+    first = score(METHODS["rigid"].load()(problems[0]), shared, truth)["knee_rms_deg"]
+    baseline, rows = float(np.sqrt(np.mean(np.square(first)))), []
     for entry in choose_methods(methods):
         for problem in problems:
-            lacks, postures = entry.lacks(problem), problem.calibration.postures
-            if lacks:
+            if entry.lacks(problem):
                 continue
             started = time.perf_counter()
             motion = entry.load()(problem)
             seconds = time.perf_counter() - started
-            figures = score(motion, shared, folder / f"{name}.npz")
-            line, against, held = row(entry.name, postures, figures, baseline, seconds)
-            summary.setdefault((entry.name, postures), []).append((against, held, len(motion)))
-            print(line, flush=True)
+            rows.append(row(entry.name, problem, score(motion, shared, truth), baseline, seconds))
+            print(rows[-1].line, flush=True)
+    return rows
+
+
+def row(name: str, problem: MarkerProblem, figures: dict, baseline: float, seconds: float) -> Row:
+    segments = [figures["thigh"], figures["shank"]]
+    knee = tuple(figures["knee_rms_deg"])
+    return Row(
+        method=name, postures=problem.calibration.postures, thigh=segments[0]["turn_rms_deg"],
+        shank=segments[1]["turn_rms_deg"], knee=knee,
+        against=float(np.sqrt(np.mean(np.square(knee)))) / baseline - 1,
+        held=float(np.mean([s.get("covered_95", np.nan) for s in segments])),
+        seen=min(s["seen"] for s in segments), frames=len(problem.trajectories), seconds=seconds,
+    )  # fmt: skip
+
+
+def print_together(trials: dict[str, list[Row]]) -> None:
+    """Print one line a method over all trials: turns, the knee's angles and these together; means over the trials."""
+    names = " | ".join(trials)
+    print(f"\n### All trials\n\n| method | postures | {names} | mean against rigid, 1 | worst | 95 % hold |")
+    print("| --- " * (5 + len(trials)) + "|")
+    for lines in zip(*trials.values(), strict=True):
+        cells = " | ".join(f"{r.thigh:.1f} / {r.shank:.1f}; {r.angles}; {r.together:.2f}" for r in lines)
+        against = 100 * np.array([r.against for r in lines])
+        frames = np.array([r.frames for r in lines])
+        held = np.array([r.held for r in lines]) @ frames / frames.sum()
+        print(
+            f"| {lines[0].method} | {lines[0].postures} | {cells} | {against.mean():+.0f} % | {against.max():+.0f} % | "
+            f"{held:.2f} |"
+        )
 
 
 def main() -> None:
@@ -139,16 +188,8 @@ def main() -> None:
     parser.add_argument("--methods", nargs="*", default=["all"])
     parser.add_argument("--trials", nargs="*")
     given = parser.parse_args()
-    folder = given.shared / "data" / "markers" / "sta"
-    summary: dict[tuple[str, int], list[tuple[float, float, int]]] = {}
-    for name in given.trials or sorted(path.stem for path in folder.glob("*.c3d")):
-        run_trial(given.shared, name, given.methods, summary)
-    print("\n### Over the trials\n\n| method | postures | mean against rigid, 1 | worst | 95 % hold, all frames |")
-    print("| --- | --- | --- | --- | --- |")
-    for (name, postures), values in summary.items():
-        against, held, frames = np.array(values).T
-        mean, worst = 100 * against.mean(), 100 * against.max()
-        print(f"| {name} | {postures} | {mean:+.0f} % | {worst:+.0f} % | {held @ frames / frames.sum():.2f} |")
+    names = given.trials or sorted(path.stem for path in (given.shared / "data" / "markers" / "sta").glob("*.c3d"))
+    print_together({name: rows_of(given.shared, name, given.methods) for name in names})
 
 
 if __name__ == "__main__":
