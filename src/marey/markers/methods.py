@@ -77,6 +77,18 @@ METHODS: dict[str, MethodEntry] = {
             name="skin", function="estimator:skin_and_joints",
             summary="rigid clusters, joints that give a little and a statistical model of the skin's motion, together",
         ),
+        MethodEntry(
+            name="global", function="global_optimisation:global_ball", joints=True,
+            summary="all bones at once, joints as balls or as said, their places estimated (Lu and O'Connor 1999)",
+        ),
+        MethodEntry(
+            name="global_hinge", function="global_optimisation:global_hinge", joints=True,
+            summary="the same with knees and elbows as hinges",
+        ),
+        MethodEntry(
+            name="global_soft", function="global_optimisation:global_soft", joints=True,
+            summary="the same with six degrees in every joint, its centre held to 5 mm",
+        ),
     )
 }  # fmt: skip
 
