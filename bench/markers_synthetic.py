@@ -45,7 +45,7 @@ def exact() -> None:
         if entry.lacks(leg):
             print(f"| {entry.name} | - | {entry.lacks(leg)} |")
             continue
-        motion = entry.load()(leg)
+        motion = entry.run(leg)
         turn = max(turns(motion.bone(name)[0], bone[0]).max() for name, bone in bones.items())
         shift = max(np.abs(motion.bone(name)[1] - bone[1]).max() for name, bone in bones.items())
         print(f"| {entry.name} | {turn:.0e} | {shift:.0e} |")

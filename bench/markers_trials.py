@@ -140,14 +140,14 @@ def rows_of(shared: Path, name: str, methods: list[str]) -> list[Row]:
     truth = folder / f"{name}.npz"
     print(HEAD.format(name), flush=True)
     problems = read_trial(folder, name)
-    first = score(METHODS["rigid"].load()(problems[0]), shared, truth)["knee_rms_deg"]
+    first = score(METHODS["rigid"].run(problems[0]), shared, truth)["knee_rms_deg"]
     baseline, rows = float(np.sqrt(np.mean(np.square(first)))), []
     for entry in choose_methods(methods):
         for problem in problems:
             if entry.lacks(problem):
                 continue
             started = time.perf_counter()
-            motion = entry.load()(problem)
+            motion = entry.run(problem)
             seconds = time.perf_counter() - started
             rows.append(row(entry.name, problem, score(motion, shared, truth), baseline, seconds))
             print(rows[-1].line, flush=True)

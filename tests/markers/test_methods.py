@@ -27,7 +27,7 @@ def test_what_a_method_lacks_is_said(rng):
 @pytest.mark.parametrize("entry", WITHOUT_EXERCISE, ids=lambda entry: entry.name)
 def test_with_rigid_markers_every_method_gives_the_truth(entry, rng):
     leg, bones = leg_and_bones(rng, known=[0, 20])
-    motion: BoneMotion = entry.load()(leg)
+    motion: BoneMotion = entry.run(leg)
     assert motion.segments == ("thigh", "shank")
     for name, (rotation, origin) in bones.items():
         estimated, place = motion.bone(name)

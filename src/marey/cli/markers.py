@@ -124,7 +124,7 @@ def _run(
 
     def compute() -> dict[str, np.ndarray]:
         began = time.perf_counter()
-        motion = entry.load()(problem)
+        motion = entry.run(problem)
         return _packed(motion, time.perf_counter() - began)
 
     with progress.stage(f"Method {entry.name}"):

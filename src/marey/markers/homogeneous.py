@@ -5,9 +5,9 @@ import numpy as np
 from marey.arrays import Floats
 from marey.geometry import rotations
 from marey.markers.bone_motion import BoneMotion, side_by_side
-from marey.markers.cluster_data import ClusterData, cluster_data, counted
+from marey.markers.cluster_data import ClusterData, cluster_data
 from marey.markers.problem import MarkerProblem
-from marey.markers.rigid_fit import fit_rigid, one_bone
+from marey.markers.rigid_fit import fit_rigid, gap_notes, one_bone, rigid_bone
 from marey.nonrigid.homogeneous import HomogeneousShapes, factorise_points
 
 _MOST_SHAPES = 3
@@ -27,14 +27,12 @@ def bone_by_factorisation(data: ClusterData, noise_m: float, rank: int | None = 
     """Move one bone by a factorisation of its cluster into so many basis shapes; None chooses their number."""
     enough = fit_rigid(data.reference, data.points, noise_m)
     answered = ~enough.few & ~enough.collinear
-    notes = (
-        *data.notes,
-        *counted(data.segment, enough.few, "have fewer than 3 markers and no answer"),
-        *counted(data.segment, enough.collinear, "have their markers in a line and no answer"),
-    )
-    count = len(data.points)
+    notes = (*data.notes, *gap_notes(data.segment, enough))
+    if answered.sum() < 2:
+        return rigid_bone(data, noise_m)  # one frame is one shape
     if not answered[data.frames].any():
-        return one_bone(data.segment, *_empty(count), notes)
+        why = f"{data.segment}: too few markers in the known postures to place the bone; no answer."
+        return one_bone(data.segment, *_empty(len(data.points)), (*notes, why))
     rank = rank or min(_MOST_SHAPES, int(answered.sum()) - 1, max(len(data.labels) - 3, 1))
     points = np.where(answered[:, None, None], data.points, np.nan)
     shapes = factorise_points(points, max(rank, 1))

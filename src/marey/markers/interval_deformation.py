@@ -123,6 +123,8 @@ def forms_of(problem: MarkerProblem, segment: str, motion: BoneMotion) -> tuple[
     time = problem.trajectories.time
     forms = [skin_forms.constant(len(time))]
     turn = segment_turn(problem, motion, segment)
+    if turn is not None and not np.isfinite(turn.turn).any():
+        turn = None
     if turn is not None:
         forms.append(skin_forms.linear_in_turn(turn.turn))
     if problem.calibration.postures > 1:

@@ -5,7 +5,9 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import cast
 
-from marey.errors import SettingProblem
+from marey.errors import MareyError, SettingProblem
+from marey.markers.bone_motion import BoneMotion
+from marey.markers.preparation import prepared
 from marey.markers.problem import MarkerProblem, Method
 
 
@@ -30,6 +32,20 @@ class MethodEntry:
         """Import the method."""
         module, function = self.function.split(":")
         return cast(Method, getattr(import_module(f"marey.markers.{module}"), function))
+
+    def run(self, problem: MarkerProblem) -> BoneMotion:
+        """Run the method on what it can use of a problem; NaN, and said, for segments that no method could answer.
+
+        Raises:
+            MareyError: The problem, or what is left of it, lacks something that the method needs.
+        """
+        ready = prepared(problem)
+        if ready.problem is None:
+            return ready.whole(None)
+        lacks = self.lacks(ready.problem)
+        if lacks:
+            raise MareyError(" ".join([f"The method {self.name} {lacks}.", *ready.notes]))
+        return ready.whole(self.load()(ready.problem))
 
     def lacks(self, problem: MarkerProblem) -> str:
         """Say what this method needs and the problem does not have; nothing where it has all."""

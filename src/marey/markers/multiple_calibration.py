@@ -5,10 +5,10 @@ import numpy as np
 from marey.arrays import Floats
 from marey.errors import MareyError
 from marey.markers.bone_motion import BoneMotion, side_by_side
-from marey.markers.cluster_data import ClusterData, cluster_data
+from marey.markers.cluster_data import ClusterData, cluster_data, counted
 from marey.markers.joint_turn import JointTurn, segment_turn
 from marey.markers.problem import MarkerProblem
-from marey.markers.rigid_fit import fit_rigid, one_bone, rigid_bone
+from marey.markers.rigid_fit import fit_rigid, gap_notes, one_bone, rigid_bone
 
 _ROUNDS = 50
 _STILL = 1e-12  # rad; a joint that turns by less from one round to the next has settled
@@ -67,8 +67,15 @@ def _bone(data: ClusterData, turn: JointTurn | None, noise_m: float) -> BoneMoti
             data.segment, plain.rotation[:, 0], plain.origin[:, 0], plain.covariance[:, 0], (*plain.notes, note)
         )
     places = places_at(turn.turn, turn.at_postures, data.postures)
+    unknown = ~np.isfinite(turn.turn)
+    places[unknown] = data.reference
     fit = fit_rigid(places, data.points, noise_m * np.sqrt(2))
-    return one_bone(data.segment, fit.rotation, fit.translation, fit.covariance, data.notes)
+    notes = (
+        *data.notes,
+        *counted(data.segment, unknown & ~fit.few, "are fitted by the mean shape: the joint's turn is not known there"),
+        *gap_notes(data.segment, fit),
+    )
+    return one_bone(data.segment, fit.rotation, fit.translation, fit.covariance, notes)
 
 
 def _turns(problem: MarkerProblem, motion: BoneMotion) -> dict[str, JointTurn | None]:

@@ -11,7 +11,7 @@ from marey.markers.bone_motion import BoneMotion, side_by_side
 from marey.markers.cluster_data import ClusterData, cluster_data, counted
 from marey.markers.mass_redistribution import redistributed
 from marey.markers.problem import MarkerProblem
-from marey.markers.rigid_fit import RigidFit, fit_rigid, one_bone
+from marey.markers.rigid_fit import RigidFit, fit_rigid, gap_notes, one_bone
 
 _LOOSE_AXES = np.radians(10)  # principal axes with a larger standard deviation than this do not name an orientation
 
@@ -106,8 +106,7 @@ def _excess(data: ClusterData, fit: RigidFit) -> Floats:
 
 def _gaps(segment: str, fit: RigidFit, loose: Mask) -> tuple[str, ...]:
     return (
-        *counted(segment, fit.few, "have fewer than 3 markers and no answer"),
-        *counted(segment, fit.collinear, "have their markers in a line and no answer"),
+        *gap_notes(segment, fit),
         *counted(segment, loose, "have moments of inertia too nearly equal to tell the axes apart, and no answer"),
     )
 

@@ -142,12 +142,16 @@ def rigid_bone(data: ClusterData, noise_m: float) -> BoneMotion:
     """Fit one cluster's shape rigidly; its reference is as noisy as its markers, as many times as it was seen."""
     sd = noise_m * np.sqrt(1 + 1 / np.maximum(np.isfinite(data.postures).all(-1).sum(0), 1))
     fit = fit_rigid(data.reference, data.points, sd)
-    notes = (
-        *data.notes,
-        *counted(data.segment, fit.few, f"have fewer than {FEWEST} markers and no answer"),
-        *counted(data.segment, fit.collinear, "have their markers in a line and no answer"),
-    )
+    notes = (*data.notes, *gap_notes(data.segment, fit))
     return one_bone(data.segment, fit.rotation, fit.translation, fit.covariance, notes)
+
+
+def gap_notes(segment: str, fit: RigidFit) -> tuple[str, ...]:
+    """Say how many frames have no answer, and why."""
+    return (
+        *counted(segment, fit.few, f"have fewer than {FEWEST} markers and no answer"),
+        *counted(segment, fit.collinear, "have their markers in a line and no answer"),
+    )
 
 
 def one_bone(
