@@ -12,20 +12,22 @@ _ALTERNATIONS = 12
 _REALIGNMENTS = 2
 
 
-def in_cluster(points: Floats) -> tuple[Floats, Floats, Floats]:
+def in_cluster(points: Floats, shape: Floats | None = None) -> tuple[Floats, Floats, Floats]:
     """Take the rigid motion away from a cluster's markers.
 
     Each frame is fitted to the markers' mean shape, which is the mean of the frames so fitted.
 
     Args:
         points: (F, M, 3) in the laboratory [m]; NaN where missing.
+        shape: (M, 3) the mean shape where it is nearly known.
 
     Returns:
         The markers in the cluster's frame (F, M, 3), and laboratory from cluster: rotation (F, 3, 3) and translation
         (F, 3). NaN in frames with fewer than three markers, or markers in a line.
     """
-    shape = points[np.argmax(np.isfinite(points).all(-1).sum(1))]
-    for _ in range(_ALIGNMENTS):
+    rounds = _ALIGNMENTS if shape is None else 1
+    shape = points[np.argmax(np.isfinite(points).all(-1).sum(1))] if shape is None else shape
+    for _ in range(rounds):
         fit = fit_rigid(shape, points, _SD)
         local = np.einsum("fji,fmj->fmi", fit.rotation, points - fit.translation[:, None])
         shape = _mean(local)
@@ -108,9 +110,9 @@ def predict(points: Floats, rank: int) -> Floats:
         (F, M, 3) in the laboratory [m], for the markers that are there, too; NaN in frames without a pose.
     """
     frames, count = points.shape[:2]
-    whole = points
+    whole, shape = points, None
     for _ in range(_REALIGNMENTS):
-        local, rotation, translation = in_cluster(whole)
+        local, rotation, translation = in_cluster(whole, shape)
         local = np.where(np.isfinite(points), local, np.nan)
         shape = _mean(local)
         moved = np.concatenate([-rotations.hat(shape), np.broadcast_to(np.eye(3), (count, 3, 3))], -1).reshape(-1, 6)

@@ -60,7 +60,7 @@ def fit_rigid(shape: Floats, points: Floats, sd: Floats | float, *, own_form: bo
     few = used.sum(1) < FEWEST
     collinear = ~few & _in_line(from_[1], to[1], weight)
     answered = ~few & ~collinear
-    cross = np.einsum("fm,fmi,fmj->fij", weight, to[1], from_[1])
+    cross = _dispersion(weight, to[1], from_[1])
     rotation = np.full((len(points), 3, 3), np.nan)
     rotation[answered] = (by_eigenvalues if own_form else rotations.nearest)(cross[answered])
     translation = to[0] - np.einsum("fij,fj->fi", rotation, from_[0])
@@ -102,11 +102,16 @@ def _centred(points: Floats, weight: Floats) -> tuple[Floats, Floats]:
     return centroid, np.where(weight[..., None] > 0, points - centroid[:, None], 0.0)
 
 
+def _dispersion(weight: Floats, first: Floats, second: Floats) -> Floats:
+    """Sum weight * first * second' over the markers: (F, 3, 3). A matrix product takes a tenth of an einsum's time."""
+    return np.asarray(np.swapaxes(weight[..., None] * first, 1, 2) @ second)
+
+
 def _in_line(shape: Floats, points: Floats, weight: Floats) -> Mask:
     """Tell the frames (F,) whose shape or markers lie in a line, as far as their noise lets one tell."""
     in_line = np.zeros(len(shape), bool)
     for centred in (shape, points):
-        spread = np.linalg.eigvalsh(np.einsum("fm,fmi,fmj->fij", weight, centred, centred))  # in variances of the noise
+        spread = np.linalg.eigvalsh(_dispersion(weight, centred, centred))  # in variances of the noise
         in_line |= spread[:, 1] < np.maximum(_OFF_LINE**2, _OFF_LINE_SHARE**2 * spread[:, 2])
     return in_line
 
@@ -114,9 +119,10 @@ def _in_line(shape: Floats, points: Floats, weight: Floats) -> Mask:
 def _covariance(rotation: Floats, shape: Floats, weight: Floats) -> Floats:
     """Invert the information (F, 6, 6) that the markers give of the turn about the shape's axes and of its origin."""
     held = np.where(weight[..., None] > 0, shape, 0.0)
-    turn = -np.einsum("fij,fmjk->fmik", rotation, rotations.hat(held))
+    turn = -rotation[:, None] @ rotations.hat(held)
     jacobian = np.concatenate([turn, np.broadcast_to(np.eye(3), turn.shape)], -1)
-    information = np.einsum("fm,fmia,fmib->fab", weight, jacobian, jacobian)
+    whitened = (np.sqrt(weight)[..., None, None] * jacobian).reshape(len(jacobian), -1, 6)
+    information = np.swapaxes(whitened, 1, 2) @ whitened
     answered = np.isfinite(rotation).all((1, 2))
     covariance = np.full_like(information, np.nan)
     covariance[answered] = np.linalg.inv(information[answered])
