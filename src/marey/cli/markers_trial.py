@@ -72,7 +72,9 @@ def read_trial(path: Path, options: MarkersOptions) -> MarkersTrial:
     calibration, anatomical, said = _calibration(path, measured, used, found.clusters, setup, options)
     notes += said
     # Frames that were not asked for are empty in what is used; that is no fault of the markers.
-    notes += find_faults(used if asked.all() else measured, found.clusters, calibration if anatomical else None)
+    riding = [label for cluster in found.clusters for label in cluster.labels]
+    judged = (used if asked.all() else measured).select(riding)
+    notes += find_faults(judged, found.clusters, calibration if anatomical else None)
     clusters = tuple(cluster for cluster in found.clusters if cluster.segment in calibration.segments)
     side, said = _side(calibration.segments, options)
     problem = MarkerProblem(
