@@ -227,6 +227,33 @@ def test_wrong_input_is_one_clear_line_and_leaves_nothing(folder, capsys, argume
     assert not list(folder.glob("*_marey"))
 
 
+def walking(folder: Path) -> None:
+    """Two legs' worth of heel: a foot that swings ahead and settles once a second, while the body goes on."""
+    points = marker_points(frames=400)
+    time = np.arange(400) / RATE
+    hip = true_bones(400)["thigh"][1]
+    swing = 0.3 * np.sin(2 * np.pi * time)
+    lift = 0.05 * np.maximum(0, np.cos(2 * np.pi * time)) + 0.02
+    points["RHEE"] = np.stack([hip[:, 0] + swing, 0 * time, lift], 1)
+    write_trial(folder / "gait.c3d", points)
+    write_reference(folder / "gait0.npz")
+
+
+def test_angles_stand_over_the_gait_cycle_where_a_heel_shows_events(folder, capsys):
+    walking(folder)
+    assert run(["markers", "gait.c3d", "--reference", "gait0.npz", "--method", "rigid,pct"]) == 0
+    assert "Gait events, found from RHEE" in capsys.readouterr().err
+    out = folder / "gait_marey"
+    with (out / "events.csv").open() as file:
+        strikes = [float(row["time_s"]) for row in csv.DictReader(file) if row["event"] == "strike"]
+    np.testing.assert_allclose(np.diff(strikes), 1, atol=0.06)
+    with (out / "cycles.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 101
+    assert {"knee_flexion_deg_mean", "knee_flexion_deg_between_cycles_sd"} <= set(rows[0])
+    assert "Over the cycle" in (out / "report.html").read_text()
+
+
 def standing(folder: Path) -> None:
     """A static trial with landmarks on the true bones, and a TOML that names them."""
     bones = true_bones(1)

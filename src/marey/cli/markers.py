@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from marey.cli.markers_events import Gait, find_gait
 from marey.cli.markers_model import read_model_trial
 from marey.cli.markers_results import MarkersResults, write_results
 from marey.cli.markers_settings import MarkersOptions
@@ -15,12 +16,15 @@ from marey.cli.markers_trial import MarkersTrial, read_trial
 from marey.cli.progress import Progress
 from marey.cli.run_record import StageCache
 from marey.errors import FileProblem, MareyError, SettingProblem
+from marey.io.marker_results import is_y_up
 from marey.io.stages import Arrays, file_fingerprint
 from marey.markers.bone_motion import BoneMotion
+from marey.markers.clusters import Cluster
 from marey.markers.joint_angles import JointKinematics, joint_kinematics, joint_of, turns_since
 from marey.markers.marker_motion import MarkerMotion, marker_motion
 from marey.markers.methods import DEFAULT, MethodEntry, choose_methods
 from marey.markers.problem import MarkerProblem
+from marey.markers.trajectories import MarkerTrajectories
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -69,9 +73,10 @@ def markers(path: Path, options: MarkersOptions, progress: Progress) -> Path:
         for note in trial.notes:
             progress.warn(note)
         runs = run_methods(trial, entries, progress, cache, many=options.methods == ("all",))
+        gait = _gait(path, trial.measured, trial.problem.clusters, trial.side, progress)
         results = MarkersResults(
-            path=path, measured=trial.measured, used=trial.used, filling=trial.filling, asked=trial.asked, runs=runs,
-            anatomical=trial.anatomical, side=trial.side,
+            gait=gait, path=path, measured=trial.measured, used=trial.used, filling=trial.filling, asked=trial.asked,
+            runs=runs, anatomical=trial.anatomical, side=trial.side,
         )  # fmt: skip
         write_results(results, options, out, progress)
     for line in told(results):
@@ -198,13 +203,24 @@ def follow_model(path: Path, options: MarkersOptions, progress: Progress) -> Pat
             motion=found.bones, joints=found.coordinates,
             markers=marker_motion(ready.used, ready.clusters, found.bones),
         )  # fmt: skip
+        gait = _gait(path, ready.measured, ready.clusters, None, progress)
         results = MarkersResults(
-            path=path, measured=ready.measured, used=ready.used, filling=ready.filling, asked=ready.asked, runs=[run],
-            coordinates=found.table,
+            gait=gait, path=path, measured=ready.measured, used=ready.used, filling=ready.filling, asked=ready.asked,
+            runs=[run], coordinates=found.table,
         )  # fmt: skip
         write_results(results, options, out, progress)
     progress.say(found.told)
     return out
+
+
+def _gait(
+    path: Path, measured: MarkerTrajectories, clusters: Sequence[Cluster], side: str | None, progress: Progress
+) -> Gait:
+    """Find the events of the trial and say how they were found."""
+    gait = find_gait(path, measured, clusters, side=side, y_up=is_y_up(path))
+    for note in gait.notes:
+        progress.warn(note)
+    return gait
 
 
 def told(results: MarkersResults) -> list[str]:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from marey.arrays import Mask
+from marey.cli.markers_events import CycleCurves, Gait, cycle_curves
 from marey.cli.markers_settings import MarkersOptions
 from marey.cli.progress import Progress
 from marey.cli.run_record import finished_together, write_record
@@ -13,6 +14,8 @@ from marey.io.bones import BoneFile, write_bones
 from marey.io.marker_results import (
     is_y_up,
     write_bone_orientations,
+    write_cycle_csv,
+    write_events,
     write_filled,
     write_joint_csv,
     write_joint_table,
@@ -22,7 +25,8 @@ from marey.io.marker_results import (
 from marey.io.mot_sto import Table, write_table
 from marey.markers.gaps import FilledGaps
 from marey.markers.trajectories import MarkerTrajectories
-from marey.view.markers import MethodView, write_markers_report
+from marey.view.curves import PlotGroup
+from marey.view.markers import MethodView, cycle_plots, write_markers_report
 
 if TYPE_CHECKING:
     from marey.cli.markers import MethodRun
@@ -44,6 +48,8 @@ class MarkersResults:
     """(F,) the frames that were estimated."""
     runs: Sequence["MethodRun"]
     """The first one's results are the run's."""
+    gait: Gait
+    """Events and cycles; empty where there are none."""
     anatomical: bool = True
     """Whether the bones' frames are anatomical ones."""
     side: str | None = None
@@ -76,6 +82,11 @@ def write_results(results: MarkersResults, options: MarkersOptions, out: Path, p
             if first.joints.angle_names:
                 write_joint_csv(folder / "angles.csv", time, first.joints)
             write_marker_motion(folder / "marker_motion.csv", time, first.markers)
+            if results.gait.events:
+                write_events(folder / "events.csv", results.gait.events)
+            cycles = _cycles(results)
+            if cycles and cycles[0] is not None:
+                write_cycle_csv(folder / "cycles.csv", cycles[0].names, cycles[0].mean, cycles[0].spread)
             if results.filling is not None:
                 write_filled(folder / "filled.csv", results.filling)
             write_motion_c3d(folder / "motion.c3d", results.path, results.used, first.motion)
@@ -85,12 +96,30 @@ def write_results(results: MarkersResults, options: MarkersOptions, out: Path, p
             write_markers_report(
                 folder / "report.html", title=results.path.stem, time=time, asked=results.asked,
                 methods=[_view(run) for run in runs], anatomical=results.anatomical, notes=progress.warnings,
-                filled=int(results.used.filled.sum()), timings=progress.timings, settings=asked,
+                filled=int(results.used.filled.sum()), more=_cycle_group(results, cycles), timings=progress.timings,
+                settings=asked,
             )  # fmt: skip
         write_record(
             folder, command="markers", settings=asked, inputs=[results.path, *options.files], root=results.path.parent,
             progress=progress,
         )  # fmt: skip
+
+
+def _cycles(results: MarkersResults) -> list[CycleCurves | None]:
+    """Put every method's joints over the cycles."""
+    if not results.gait.cycles:
+        return []
+    time = results.measured.time
+    return [cycle_curves(run.joints, time, results.gait.cycles, side=results.side) for run in results.runs]
+
+
+def _cycle_group(results: MarkersResults, cycles: Sequence[CycleCurves | None]) -> list[PlotGroup]:
+    """Draw the mean curves over the cycle, all methods over each other."""
+    first = cycles[0] if cycles else None
+    if first is None:
+        return []
+    named = [(run.name, curves) for run, curves in zip(results.runs, cycles, strict=True) if curves is not None]
+    return [cycle_plots([(name, c.mean, c.spread) for name, c in named], first.names, first.counts)]
 
 
 def _view(run: "MethodRun") -> MethodView:

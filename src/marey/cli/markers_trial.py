@@ -50,7 +50,8 @@ class MarkersTrial:
         problem = self.problem
         return (
             [(c.segment, c.labels) for c in problem.clusters], problem.calibration, list(problem.joints),
-            problem.noise_m, self.asked, self.used.points, problem.exercise is not None,
+            list(problem.degrees_of_freedom), problem.noise_m, self.asked, self.used.points,
+            problem.exercise is not None,
         )  # fmt: skip
 
 
@@ -81,6 +82,9 @@ def read_trial(path: Path, options: MarkersOptions) -> MarkersTrial:
         trajectories=used, clusters=clusters, calibration=calibration,
         joints=_joints(setup, calibration.segments),
     )  # fmt: skip
+    degrees = {(j.parent, j.child): j.degrees_of_freedom for j in setup.joints}
+    if degrees:
+        problem = replace(problem, degrees_of_freedom=tuple(degrees[pair] for pair in problem.joints))
     if setup.noise_m is not None:
         problem = replace(problem, noise_m=setup.noise_m)
     notes += said if anatomical and problem.joints else []

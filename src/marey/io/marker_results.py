@@ -1,7 +1,7 @@
 """The tables and the C3D of bones that were found from markers."""
 
 import csv
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 
@@ -18,6 +18,7 @@ from marey.markers.gaps import FROM_CLUSTER, SPLINE, STILL_MISSING, FilledGaps
 from marey.markers.joint_angles import JointKinematics
 from marey.markers.marker_motion import MarkerMotion
 from marey.markers.trajectories import MarkerTrajectories
+from marey.motion.gait import GaitEvent
 
 _MM = 1e3
 
@@ -111,17 +112,32 @@ def write_filled(path: Path | str, filling: FilledGaps) -> None:
                     rows.writerow([label, start, end - 1, words[int(way[start])], spread])
 
 
-def write_cycle_csv(path: Path | str, curves: Mapping[str, Floats], spreads: Mapping[str, Floats]) -> None:
-    """Write curves over the cycle: a row a percent, mean and standard deviation over the cycles.
+def write_cycle_csv(path: Path | str, names: Sequence[str], mean: Floats, spread: Floats) -> None:
+    """Write `cycles.csv`: a row a percent of the cycle, mean and standard deviation over the cycles.
 
     Args:
         path: The file.
-        curves: (101,) by name.
-        spreads: (101,) by name.
+        names: N names with their units.
+        mean: (101, N).
+        spread: (101, N); NaN of a single cycle is an empty cell.
     """
-    head = ["cycle_percent", *(part for name in curves for part in (f"{name}_mean", f"{name}_between_cycles_sd"))]
-    columns = [part for name in curves for part in (curves[name], spreads[name])]
-    _write_rows(path, head, np.linspace(0, 100, 101), np.stack(columns, -1))
+    head = ["cycle_percent", *(part for name in names for part in (f"{name}_mean", f"{name}_between_cycles_sd"))]
+    values = np.stack([mean, spread], -1).reshape(len(mean), -1)
+    _write_rows(path, head, np.linspace(0, 100, len(mean)), values)
+
+
+def write_events(path: Path | str, events: Sequence[GaitEvent]) -> None:
+    """Write `events.csv`: a row a foot strike or foot off, with its side, time and where it was found.
+
+    Args:
+        path: The file.
+        events: In the order of time.
+    """
+    with replacing(path) as beside, beside.open("w", newline="") as file:
+        rows = csv.writer(file, lineterminator="\n")
+        rows.writerow(["event", "side", "time_s", "source"])
+        for event in events:
+            rows.writerow([event.kind, event.side or "", f"{event.time:.6f}", event.source])
 
 
 def _write_rows(path: Path | str, head: Sequence[str], first: Floats, values: Floats) -> None:

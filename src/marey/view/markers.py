@@ -17,7 +17,7 @@ FILES = {
     "bones.npz": "where each bone was: rotation, origin in mm, and their standard deviations",
     "bones_<method>.npz": "the same by the other methods",
     "angles.mot, angles.csv": "joint angles and translations with standard deviations",
-    "cycles.csv": "angles over the cycle, where there are events",
+    "cycles.csv, events.csv": "angles over the gait cycle, and the foot's strikes and offs",
     "marker_motion.csv": "where each marker lies in its bone's frame",
     "filled.csv": "which gaps were filled, how, and how well",
     "motion.c3d": "the trial as it was, and the bones as 4x4 ROTATION",
@@ -211,6 +211,37 @@ def _joint_group(methods: Sequence[MethodView], keys: Sequence[tuple[str, str]],
     ]
     what = "Degrees over seconds" if anatomical else "Degrees turned since the reference frame, over seconds"
     return PlotGroup(title="Joint angles", plots=plots, keys=keys, legend=f"{what}; the band is the 95 % interval.")
+
+
+def cycle_plots(
+    methods: Sequence[tuple[str, Floats, Floats]], names: Sequence[str], counts: Sequence[int]
+) -> PlotGroup:  # fmt: skip
+    """Draw mean curves over the cycle.
+
+    Args:
+        methods: Name, mean (101, N) and standard deviation between cycles (101, N) of each; the first one's is drawn.
+        names: N quantities with their units at the end.
+        counts: (N,) cycles of the first method.
+    """
+    axis = np.linspace(0, 100, 101)
+    plots = []
+    for k, name in enumerate(names):
+        if not counts[k]:
+            continue
+        quantity, _, unit = name.rpartition("_")
+        curves = [
+            Curve(label=label, colour=_colour(i), values=mean[:, k], sd=spread[:, k] if i == 0 else None)
+            for i, (label, mean, spread) in enumerate(methods)
+        ]
+        plots.append(
+            CurvePlot(
+                title=f"{readable(quantity)}, {counts[k]} cycles" if counts[k] > 1 else readable(quantity),
+                curves=curves[::-1], unit="°" if unit == "deg" else " mm", axis=axis,
+            )
+        )  # fmt: skip
+    keys = [(label, _colour(i)) for i, (label, _, _) in enumerate(methods)] if len(methods) > 1 else []
+    legend = "Mean over the cycles, from one foot strike to the next, in percent; the band is 1.96 standard deviations "
+    return PlotGroup(title="Over the cycle", plots=plots, keys=keys, legend=f"{legend}between cycles.")
 
 
 def _translation_group(methods: Sequence[MethodView], keys: Sequence[tuple[str, str]]) -> PlotGroup:
