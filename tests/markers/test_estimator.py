@@ -159,3 +159,26 @@ def angles(first, second):
 def knee_error(motion, bones):
     true = angles(*(rotation for rotation, _ in bones.values()))
     return np.sqrt(((angles(motion.rotation[:, 0], motion.rotation[:, 1]) - true) ** 2).mean())
+
+
+def test_a_segment_that_no_posture_shows_stays_empty_in_its_place_and_the_other_answers(rng):
+    leg, _ = skin_trial(rng)
+    points = np.array(leg.trajectories.points)
+    points[0, 1:8] = np.nan
+    motion = skin_and_joints(replace(leg, trajectories=trajectories(leg.trajectories.labels, points, 100.0)))
+    assert motion.segments == ("thigh", "shank")
+    np.testing.assert_array_equal(motion.answered.sum(0), [0, 60])
+    assert any("thigh: passed over" in note for note in motion.notes)
+
+
+def test_a_posture_in_which_one_bone_is_unknown_serves_the_other(rng):
+    leg, bones = skin_trial(rng, known=(0, 30))
+    known = leg.calibration
+    rotation, origin = np.array(known.rotation), np.array(known.origin)
+    rotation[1, 1], origin[1, 1] = np.nan, np.nan
+    motion = skin_and_joints(replace(leg, calibration=replace(known, rotation=rotation, origin=origin)))
+    assert motion.answered.all()
+    there = errors(motion, bones)
+    assert np.abs(there[0]).max() < 1e-6
+    assert np.abs(there[30, 0]).max() < 1e-6
+    assert np.abs(there[30, 1]).max() > 1e-4

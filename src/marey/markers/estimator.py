@@ -10,7 +10,7 @@ from marey.markers.bone_motion import BoneMotion, side_by_side
 from marey.markers.cluster_data import ClusterData, cluster_data, counted
 from marey.markers.joint_constraints import Bed, KnownJoint, better_centres, first_centres, is_anatomical, joint_rows
 from marey.markers.joint_laxity import laxity
-from marey.markers.joint_turn import joint_turn, segment_turn
+from marey.markers.joint_turn import JointTurn, joint_turn, segment_turn
 from marey.markers.kriging import krige
 from marey.markers.problem import MarkerProblem
 from marey.markers.rigid_fit import FEWEST, RigidFit, fit_rigid, one_bone, rigid_bone
@@ -21,6 +21,7 @@ _STEPS = 4
 _CHUNK = 256
 _COMMON_TURN = 0.9
 _COMMON_SHIFT = 1.8
+_SLENDEREST = 1e-6  # of a cluster's spread, so that markers in a line have some
 _FLOOR = 1e-12  # variance that keeps a row finite where both joint and skin are known exactly
 
 
@@ -46,40 +47,73 @@ def skin_and_joints(problem: MarkerProblem) -> BoneMotion:
     Raises:
         MareyError: The calibration does not fit the trial.
     """
-    clusters = [cluster_data(problem, cluster) for cluster in problem.clusters]
+    every = [_placed(cluster_data(problem, cluster)) for cluster in problem.clusters]
+    able = [data for data in every if len(data.labels) >= FEWEST]
+    rest = [rigid_bone(data, problem.noise_m) for data in every if len(data.labels) < FEWEST]
+    if not able:
+        return side_by_side(rest)
+    found = side_by_side([_together(_narrowed(problem, able), able), *rest])
+    order = [found.segments.index(cluster.segment) for cluster in problem.clusters]
+    return replace(
+        found, segments=tuple(found.segments[k] for k in order), rotation=found.rotation[:, order],
+        origin=found.origin[:, order], covariance=found.covariance[:, order],
+    )  # fmt: skip
+
+
+def _placed(data: ClusterData) -> ClusterData:
+    """Keep the postures in which the bone is known under enough of the cluster's markers; of none, no marker."""
+    known = np.isfinite(data.postures).all(-1).sum(1) >= FEWEST
+    kept = data.postures[known]
+    seen = np.isfinite(kept).all(-1).any(0) & bool(known.any())
+    return replace(
+        data, labels=tuple(label for label, there in zip(data.labels, seen, strict=True) if there),
+        points=data.points[:, seen], postures=kept[:, seen], frames=data.frames[known],
+        rotation=data.rotation[known], origin=data.origin[known],
+    )  # fmt: skip
+
+
+def _narrowed(problem: MarkerProblem, able: list[ClusterData]) -> MarkerProblem:
+    """Keep the clusters that can answer, and the joints between them whose bones are known together in some posture."""
+    names = {data.segment: set(data.frames.tolist()) for data in able}
+    joints = tuple(pair for pair in problem.joints if set(pair) <= set(names) and names[pair[0]] & names[pair[1]])
+    clusters = tuple(cluster for cluster in problem.clusters if cluster.segment in names)
+    return replace(problem, clusters=clusters, joints=joints, degrees_of_freedom=())
+
+
+def _together(problem: MarkerProblem, clusters: list[ClusterData]) -> BoneMotion:
+    """Estimate the bones of clusters that can answer, in rounds: each knows the joints' turns better than the last."""
     motion = side_by_side([rigid_bone(data, problem.noise_m) for data in clusters])
     skins: tuple[SkinMotion, ...] = ()
     for _ in range(_ROUNDS):
         skins = _skins(problem, clusters, motion, skins)
         legs = [_leg(data, skin, problem.noise_m) for data, skin in zip(clusters, skins, strict=True)]
-        joints = [_joint(problem, motion, pair) for pair in _usable_joints(problem)]
+        joints = [_joint(problem, motion, pair) for pair in problem.joints]
         steps, covariance = _settle([leg.bed for leg in legs], joints)
         motion = _motion(legs, steps, covariance)
     return replace(motion, notes=(*motion.notes, *_notes(skins), *_doubts(problem, joints)))
-
-
-def _usable_joints(problem: MarkerProblem) -> list[tuple[str, str]]:
-    there = {cluster.segment for cluster in problem.clusters}
-    return [pair for pair in problem.joints if set(pair) <= there]
 
 
 def _skins(
     problem: MarkerProblem, clusters: list[ClusterData], motion: BoneMotion, before: tuple[SkinMotion, ...]
 ) -> tuple[SkinMotion, ...]:
     """Learn the skins' motions once, and let them follow the joints' turns as these become known better."""
-    held = replace(problem, joints=tuple(_usable_joints(problem)))
     turns = []
     for data in clusters:
-        found = segment_turn(held, motion, data.segment)
-        turn = np.zeros(len(motion)) if found is None else without_gaps(found.turn)
-        if found is not None:
-            turn[data.frames] = found.at_postures
-        turns.append(turn)
+        found = segment_turn(problem, motion, data.segment)
+        turns.append(np.zeros(len(motion)) if found is None else _anchored(found, problem))
     if before:
         return tuple(replace(skin, turn=turn) for skin, turn in zip(before, turns, strict=True))
     time = problem.trajectories.time
     pairs = zip(clusters, turns, strict=True)
     return settle_sizes([learn_skin(data, turn, time, problem.noise_m) for data, turn in pairs])
+
+
+def _anchored(found: JointTurn, problem: MarkerProblem) -> Floats:
+    """Give a turn (F,) without gaps, in the known postures as it truly is."""
+    turn = np.array(found.turn)
+    known = np.isfinite(found.at_postures)
+    turn[problem.calibration.frames[known]] = found.at_postures[known]
+    return without_gaps(turn)
 
 
 def _leg(data: ClusterData, skin: SkinMotion, noise_m: float) -> _Leg:
@@ -107,7 +141,7 @@ def _common_motion(places: Floats, size: float) -> Floats:
     axis by their distance from it, so that a thin cluster turns farther.
     """
     about = places - places.mean(0)
-    inertia = ((about**2).sum() * np.eye(3) - about.T @ about) / len(places)
+    inertia = ((about**2).sum() * (1 + _SLENDEREST) * np.eye(3) - about.T @ about) / len(places)
     covariance = np.zeros((6, 6))
     covariance[:3, :3] = (_COMMON_TURN * size) ** 2 * np.linalg.inv(inertia)
     covariance[3:, 3:] = (_COMMON_SHIFT * size) ** 2 / 3 * np.eye(3)
@@ -120,12 +154,12 @@ def _joint(problem: MarkerProblem, motion: BoneMotion, pair: tuple[str, str]) ->
     for segment in pair:
         index = calibration.segments.index(segment)
         poses.append((calibration.rotation[:, index], calibration.origin[:, index]))
-    found = joint_turn(problem, motion, *pair)
-    turn = without_gaps(found.turn)
-    turn[calibration.frames] = found.at_postures
+    known = np.isfinite(poses[0][0]).all((1, 2)) & np.isfinite(poses[1][0]).all((1, 2))
+    poses = [(rotation[known], origin[known]) for rotation, origin in poses]
+    turn = _anchored(joint_turn(problem, motion, *pair), problem)
     parent, child = motion.bone(pair[0])[0], motion.bone(pair[1])[0]
     return KnownJoint(
-        parent=names.index(pair[0]), child=names.index(pair[1]), laxity=laxity(*pair), frames=calibration.frames,
+        parent=names.index(pair[0]), child=names.index(pair[1]), laxity=laxity(*pair), frames=calibration.frames[known],
         parent_pose=poses[0], child_pose=poses[1], turn=turn, time=problem.trajectories.time,
         anatomical=is_anatomical(np.swapaxes(parent, 1, 2) @ child),
     )  # fmt: skip

@@ -14,7 +14,7 @@ _BETWEEN_CLUSTERS = 0.53  # of the way from the child's cluster to the parent's,
 _CENTRE_SD = 0.08
 _CLOSED_SD = 0.0015  # m; how near the two bones' centres lie in a known posture
 _INDEPENDENT_FRAMES = 5  # as many frames' worth of centre a whole trial gives: skin errs alike in all its frames
-_TILT = np.radians(30)
+_TILT = np.radians(45)
 _TURN_WITH_AXIS = np.radians(20)
 
 

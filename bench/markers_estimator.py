@@ -1,0 +1,181 @@
+"""How the default method from skin markers to bones stands where nothing of it was chosen: three checks.
+
+    python bench/markers_estimator.py SHARED --parts          random parts of real trials: other markers and references
+    python bench/markers_estimator.py SHARED --leave-one-out  constants chosen on two real trials, judged on the third
+    python bench/markers_estimator.py SHARED --made 60        random trials with made skin and known bones
+
+Every figure is the knee's three angles' root mean square error against that of the rigid fit of the same trial with one
+posture. The data: Cereatti et al. 2017, J Biomech, doi 10.1016/j.jbiomech.2017.02.004.
+"""
+
+import argparse
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from made_skin_trials import MadeTrial, made_trial
+
+from marey.geometry import rotations
+from marey.markers import estimator, joint_laxity
+from marey.markers.bone_motion import BoneMotion
+from marey.markers.joint_laxity import Give
+from marey.markers.multiple_calibration import multiple_calibration
+from marey.markers.problem import MarkerProblem
+from marey.markers.rigid_fit import rigid
+from marey.motion.anatomical import euler_angles
+
+TRIALS = ("lmam_treadmill_walking", "ottawa_walking", "unibo_step_up")
+FACTORS = (0.5, 0.7, 1.0, 1.4, 2.0)
+KNEE = ("thigh", "shank")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Judged:
+    """One method on one trial, with one posture or two."""
+
+    against_rigid: float
+    held: float
+
+
+def real_trial(shared: Path, name: str) -> MadeTrial:
+    truth = np.load(shared / "data" / "markers" / "sta" / f"{name}.npz")
+    bones = {s: (truth[f"{s}_rotation"], truth[f"{s}_origin"] / 1000) for s in KNEE}
+    points = {
+        s: np.einsum("fij,fmj->fmi", bones[s][0], truth[f"{s}_markers"] / 1000) + bones[s][1][:, None] for s in KNEE
+    }
+    flexion = knee(bones["thigh"][0], bones["shank"][0])[:, 0]
+    return MadeTrial(bones=bones, points=points, rate=float(truth["rate"]), flexion=flexion)
+
+
+def knee(thigh: np.ndarray, shank: np.ndarray) -> np.ndarray:
+    return np.unwrap(euler_angles(np.swapaxes(thigh, 1, 2) @ shank, "ZXY"), axis=0)
+
+
+def knee_error(trial: MadeTrial, motion: BoneMotion) -> float:
+    true = knee(*(trial.bones[s][0] for s in KNEE))
+    error = knee(*(motion.bone(s)[0] for s in KNEE)) - true
+    error -= 2 * np.pi * np.round(error.mean(0) / (2 * np.pi))
+    return float(np.degrees(np.sqrt((error**2).mean())))
+
+
+def held(trial: MadeTrial, motion: BoneMotion) -> float:
+    """The share of errors that 1.96 stated standard deviations hold."""
+    inside = []
+    for index, name in enumerate(motion.segments):
+        rotation, origin = trial.bones[name]
+        turn = rotations.log(np.swapaxes(motion.rotation[:, index], 1, 2) @ rotation)
+        inside.append(np.abs(turn) <= 1.96 * motion.rotation_sd[:, index])
+        inside.append(np.abs(origin - motion.origin[:, index]) <= 1.96 * motion.origin_sd[:, index])
+    return float(np.mean(inside))
+
+
+def judge(trial: MadeTrial, method: Callable[[MarkerProblem], BoneMotion]) -> tuple[Judged, Judged]:
+    base = knee_error(trial, rigid(trial.problem(1)))
+    one, two = (method(trial.problem(postures)) for postures in (1, 2))
+    return tuple(Judged(against_rigid=knee_error(trial, m) / base, held=held(trial, m)) for m in (one, two))
+
+
+def calibrated(problem: MarkerProblem) -> BoneMotion:
+    return multiple_calibration(problem) if problem.calibration.postures > 1 else rigid(problem)
+
+
+def part_of(rng: np.random.Generator, trial: MadeTrial) -> MadeTrial:
+    """Another reference frame, up to 120 frames from it to the farther end, 4 to 12 of the markers of a segment."""
+    count = len(trial.flexion)
+    first = int(rng.integers(count))
+    frames = np.arange(first, count) if count - first > first else np.arange(first, -1, -1)
+    step = max(len(frames) // 120, 1)
+    frames = frames[::step]
+    bones = {s: (r[frames], o[frames]) for s, (r, o) in trial.bones.items()}
+    points = {s: p[frames][:, some_markers(rng, p[first])] for s, p in trial.points.items()}
+    return MadeTrial(bones=bones, points=points, rate=trial.rate / step, flexion=trial.flexion[frames])
+
+
+def some_markers(rng: np.random.Generator, points: np.ndarray) -> np.ndarray:
+    """Draw 4 to 12 markers that do not lie near one line."""
+    if len(points) <= 4:
+        return np.arange(len(points))
+    while True:
+        chosen = np.sort(rng.choice(len(points), rng.integers(4, min(len(points), 12) + 1), replace=False))
+        spread = np.linalg.svd(points[chosen] - points[chosen].mean(0), compute_uv=False)
+        if spread[1] > 0.02 * np.sqrt(len(chosen)):
+            return chosen
+
+
+def told(name: str, results: list[tuple[Judged, Judged]]) -> None:
+    cells = []
+    for posture in (0, 1):
+        ratio = np.array([result[posture].against_rigid for result in results])
+        share = np.mean([result[posture].held for result in results])
+        worse = (ratio > 1.05).mean()
+        cells.append(
+            f"{ratio.mean():.2f} | {np.quantile(ratio, 0.9):.2f} | {ratio.max():.2f} | {worse:.2f} | {share:.2f}"
+        )
+    print(f"| {name} | {' | '.join(cells)} |", flush=True)
+
+
+HEAD = """| {} | one posture: mean | 90 % | worst | share above 1.05 | 95 % hold | two postures: mean | 90 % | worst | share above 1.05 | 95 % hold |
+| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |"""  # noqa: E501
+
+
+@contextmanager
+def scaled(joint: float, skin: float) -> Iterator[None]:
+    """Work with the knee's small turns and the skin's common motion taken that much larger."""
+    table, pair = joint_laxity._LAXITY, KNEE
+    before = table[pair], estimator._COMMON_TURN, estimator._COMMON_SHIFT
+    table[pair] = replace(
+        before[0], **{name: Give(anyway=g.anyway * joint, turned=g.turned * joint)
+                      for name in ("adduction", "rotation") if (g := getattr(before[0], name))},
+    )  # fmt: skip
+    estimator._COMMON_TURN, estimator._COMMON_SHIFT = before[1] * skin, before[2] * skin
+    try:
+        yield
+    finally:
+        table[pair], estimator._COMMON_TURN, estimator._COMMON_SHIFT = before
+
+
+def leave_one_out(shared: Path) -> None:
+    """Choose both factors on two trials, judge them on the third."""
+    trials = {name: real_trial(shared, name) for name in TRIALS}
+    figures = {}
+    print("| knee's small turns x | skin's common motion x | " + " | ".join(f"{n}: one, two" for n in TRIALS) + " |")
+    print("| --- | --- | --- | --- | --- |")
+    for joint in FACTORS:
+        for skin in (0.7, 1.0, 1.4):
+            with scaled(joint, skin):
+                both = [judge(trial, estimator.skin_and_joints) for trial in trials.values()]
+            figures[joint, skin] = np.array([[each.against_rigid for each in pair] for pair in both])
+            cells = " | ".join(f"{one:.2f}, {two:.2f}" for one, two in figures[joint, skin])
+            print(f"| {joint} | {skin} | {cells} |", flush=True)
+    for index, name in enumerate(TRIALS):
+        best = min(figures, key=lambda key: np.delete(figures[key], index, 0).mean())
+        one, two = figures[best][index]
+        print(f"{name}: the other two choose {best}; with these {one:.2f} and {two:.2f}")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("shared", type=Path)
+    parser.add_argument("--parts", action="store_true")
+    parser.add_argument("--leave-one-out", action="store_true")
+    parser.add_argument("--made", type=int, metavar="N")
+    parser.add_argument("--draws", type=int, default=20)
+    given = parser.parse_args()
+    if given.parts:
+        print(HEAD.format(f"{given.draws} random parts of"))
+        for name in TRIALS:
+            rng, trial = np.random.default_rng(0), real_trial(given.shared, name)
+            told(name, [judge(part_of(rng, trial), estimator.skin_and_joints) for _ in range(given.draws)])
+    if given.leave_one_out:
+        leave_one_out(given.shared)
+    if given.made:
+        print(HEAD.format(f"{given.made} made trials"))
+        for name, method in (("default", estimator.skin_and_joints), ("rigid, calibration", calibrated)):
+            rng = np.random.default_rng(0)
+            told(name, [judge(made_trial(rng), method) for _ in range(given.made)])
+
+
+if __name__ == "__main__":
+    main()
