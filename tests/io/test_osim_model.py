@@ -169,7 +169,8 @@ def test_limits_count_where_clamped_and_couplings_where_enforced(tmp_path):
         "<CoordinateCouplerConstraint name='c'><isEnforced>{}</isEnforced><coupled_coordinates_function>"
         "<LinearFunction><coefficients>0.5 0.1</coefficients></LinearFunction></coupled_coordinates_function>"
         "<independent_coordinate_names>knee</independent_coordinate_names>"
-        "<dependent_coordinate_name>toe</dependent_coordinate_name></CoordinateCouplerConstraint>"
+        "<dependent_coordinate_name>toe</dependent_coordinate_name><scale_factor>2</scale_factor>"
+        "</CoordinateCouplerConstraint>"
     )
     path = write(
         tmp_path / "m.osim", joints=HIP + knee + toe, bodies="thigh shank foot", constraints=coupled.format("true")
@@ -178,7 +179,7 @@ def test_limits_count_where_clamped_and_couplings_where_enforced(tmp_path):
     bends = model.coordinates[model.coordinate("knee")]
     assert (bends.lower, bends.upper, bends.default) == (-2.0, 0.1, -0.25)
     assert model.coordinates[0].upper == np.inf
-    assert np.isclose(model.defaults[-1], 0.5 * -0.25 + 0.1)
+    assert np.isclose(model.defaults[-1], 2 * (0.5 * -0.25 + 0.1))
     path = write(
         tmp_path / "m.osim", joints=HIP + knee + toe, bodies="thigh shank foot", constraints=coupled.format("false")
     )

@@ -29,7 +29,7 @@ class _Table(BaseModel):
 class _Joint(_Table):
     parent: str
     child: str
-    degrees_of_freedom: Annotated[int, Field(ge=1, le=6)] = 6
+    degrees_of_freedom: Annotated[int, Field(ge=1, le=6)] | None = None
 
 
 class _Noise(_Table):

@@ -6,7 +6,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from marey.body.coordinate_functions import linear
+from marey.body.coordinate_functions import linear, scaled
 from marey.body.jointed_body import Coupling, JointedBody, ModelBody, ModelMarker
 from marey.errors import FileProblem, MareyError
 from marey.geometry.rigid import RigidTransform
@@ -111,7 +111,7 @@ class _Frames:
 
     def find(self, wanted: str, owner: str) -> tuple[str | None, RigidTransform] | None:
         """Find a frame by the path that a socket of an owner names: absolute, relative, or its last part alone."""
-        for base in (owner, str(PurePosixPath(owner).parent)):
+        for base in (owner, str(PurePosixPath(owner).parent), "", "/bodyset"):
             candidate = _normal(wanted if wanted.startswith("/") else f"{base}/{wanted}")
             if candidate in self.known:
                 return self.known[candidate]
@@ -220,6 +220,7 @@ def _couplings(path: Path | str, model: Element) -> tuple[Coupling, ...]:
         where = f"the constraint {name!r}"
         independent = text(element, "independent_coordinate_names").split()
         function = function_in(path, element, where, "coupled_coordinates_function") or linear(1.0)
+        function = scaled(function, float(numbers(path, element, "scale_factor", where, np.ones(1))[0]))
         if len(independent) != 1:
             raise FileProblem(
                 path,

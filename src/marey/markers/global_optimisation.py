@@ -86,8 +86,9 @@ def global_soft(problem: MarkerProblem) -> BoneMotion:
 
 def _joints(problem: MarkerProblem) -> list[ChainJoint]:
     """Give the problem's joints with their degrees of freedom, ball joints where it does not say."""
-    said = problem.degrees_of_freedom or (3,) * len(problem.joints)
-    return [ChainJoint(parent=p, child=c, degrees_of_freedom=n) for (p, c), n in zip(problem.joints, said, strict=True)]
+    said = problem.degrees_of_freedom or (None,) * len(problem.joints)
+    ends = zip(problem.joints, said, strict=True)
+    return [ChainJoint(parent=p, child=c, degrees_of_freedom=n or 3) for (p, c), n in ends]
 
 
 def optimise_chain(problem: MarkerProblem, joints: Sequence[ChainJoint]) -> GlobalOptimisation:

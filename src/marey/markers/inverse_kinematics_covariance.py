@@ -85,8 +85,8 @@ def solve_system(setup: Setup, observed: Floats, values: Floats, jacobian: Float
     there = size > _NOTHING * max(size[-1], 0.0) if len(size) else np.zeros(0, bool)
     gain = (direction[:, there] / size[there]) @ direction[:, there].T
     open_ = (direction[:, ~there] ** 2).sum(1) > 1e-6
-    held = np.einsum("ij,ji->i", gain, tasks) > 1 - _SEEN
-    own = np.einsum("ri,ij,rj->r", rows, gain, rows).reshape(-1, 3).sum(1) / 3
+    held = (gain * tasks.T).sum(1) > 1 - _SEEN
+    own = ((rows @ gain) * rows).sum(1).reshape(-1, 3).sum(1) / 3
     return System(moving, gain, open_, held, weight, own)
 
 

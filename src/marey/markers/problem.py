@@ -20,8 +20,8 @@ class MarkerProblem:
     """The bones' poses in one frame of the trial, or in several."""
     joints: tuple[tuple[str, str], ...] = ()
     """Pairs (parent, child) of segments that a joint ties together."""
-    degrees_of_freedom: tuple[int, ...] = ()
-    """Of each joint, 1 to 6; empty where nothing is said."""
+    degrees_of_freedom: tuple[int | None, ...] = ()
+    """Of each joint, 1 to 6, None where it is not said; empty where nothing is said of any."""
     noise_m: float = 5e-4
     """Standard deviation of a marker's measured coordinate [m]."""
     exercise: "MarkerProblem | None" = None

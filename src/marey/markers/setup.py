@@ -11,8 +11,8 @@ class MarkerJoint:
     name: str
     parent: str
     child: str
-    degrees_of_freedom: int = 6
-    """1 a hinge, 3 a ball joint, 6 a joint that holds nothing."""
+    degrees_of_freedom: int | None = None
+    """1 a hinge, 3 a ball joint, 6 a joint that holds nothing; None: not said."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
