@@ -86,6 +86,17 @@ def test_a_custom_joint_shifts_along_the_parents_axes_then_turns(tmp_path):
     assert np.allclose(placed.origin[1], at)
 
 
+def test_axes_that_are_left_out_stand_still(tmp_path):
+    one = f"<SpatialTransform>{axis('rotation2', 'knee', '0 1 0', '<LinearFunction/>')}</SpatialTransform>"
+    held = HIP + joint("CustomJoint", "knee_r", "/bodyset/thigh", "/bodyset/shank", "knee", one)
+    model = read_osim_model(write(tmp_path / "m.osim", joints=held))
+    placed = place(model, np.array([0, 0, 0, 0.4]))
+    assert np.allclose(placed.rotation[0].T @ placed.rotation[1], about(Z, 0.3) @ about(Y, 0.4))
+    wrong = held.replace("rotation2", "bend")
+    with pytest.raises(FileProblem, match="has 1 axes in the SpatialTransform of the joint 'knee_r'"):
+        read_osim_model(write(tmp_path / "m.osim", joints=wrong))
+
+
 def test_a_file_before_4_0_says_the_same_in_other_words(tmp_path):
     knee = KNEE.replace(" name='function'", "").replace("<axis>0 0 2</axis>", "<axis>0 0 1</axis>")
     for tag in ("LinearFunction", "Constant", "SimmSpline", "MultiplierFunction"):

@@ -25,6 +25,8 @@ KINDS = {
 """The coordinates of each kind of joint in the file's order: turn or shift, and the axis. Shifts are along the axes of
 the parent's frame, turns follow each other."""
 
+_AXES = tuple(f"{kind}{i}" for kind in ("rotation", "translation") for i in (1, 2, 3))
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Joint:
@@ -104,13 +106,15 @@ def _is_angle(coordinate: Element, angles: set[str | None]) -> bool:
 
 
 def _custom(path: Path | str, element: Element, joint: str) -> tuple[JointMotion, ...]:
-    """Read the six axes of a CustomJoint: the shifts come first, then the turns, one after the other."""
-    axes = element.findall("SpatialTransform/TransformAxis")
-    if len(axes) != 6:
+    """Read the axes of a CustomJoint: the shifts come first, then the turns, each about the axis the last has moved."""
+    given = element.findall("SpatialTransform/TransformAxis")
+    named = {axis.get("name", ""): axis for axis in given}
+    if len(given) != 6 and (len(named) != len(given) or not set(named) <= set(_AXES)):
         raise FileProblem(
-            path, f"has {len(axes)} axes in the SpatialTransform of the joint {joint!r}",
-            "Write three rotations, then three translations.",
+            path, f"has {len(given)} axes in the SpatialTransform of the joint {joint!r}",
+            f"Write six: {', '.join(_AXES)}.",
         )  # fmt: skip
+    axes = given if len(given) == 6 else [named.get(name, Element("TransformAxis")) for name in _AXES]
     motions = [_axis(path, axis, joint, turns=i < 3) for i, axis in enumerate(axes)]
     moving = [m for m in motions[3:] + motions[:3] if m.coordinate is not None or m.function.at(0.0)[0] != 0.0]
     return tuple(moving)
