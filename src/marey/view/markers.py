@@ -268,7 +268,7 @@ def _marker_group(methods: Sequence[MethodView], keys: Sequence[tuple[str, str]]
             title=readable(name), unit=" mm", least=1.0,
             curves=[
                 Curve(label=m.name, colour=_colour(i), values=1e3 * m.markers.of(name)) for i, m in enumerate(methods)
-            ],
+            ][::-1],
         )
         for name in methods[0].motion.segments
         if name in methods[0].markers.segments

@@ -46,7 +46,7 @@ function valueRange(curves, least) {
 
 class Plot {
   constructor(parent, title, curves, options) {
-    this.curves = curves; this.options = Object.assign({ least: 14, digits: 1, unit: "°" }, options);
+    this.curves = curves; this.options = Object.assign({ least: 14, digits: 1, unit: "°", reads: Infinity }, options);
     // A plot over something else than the take's frames, such as a cycle, brings its own axis and cursor.
     this.time = this.options.time || time; this.state = this.options.time ? [] : state; this.own = this.options.time ? 0 : null;
     this.figure = document.createElement("figure"); this.figure.className = "plot";
@@ -145,7 +145,8 @@ class Plot {
     const at = this.own === null ? current : this.own;
     this.line.style.left = this.x(at) + "px";
     this.read.textContent = "";
-    for (const c of this.curves) {
+    // Where many curves lie over each other only the last ones, drawn on top, are read out.
+    for (const c of this.curves.slice(-Math.min(this.options.reads, this.curves.length))) {
       const v = c.y[at];
       if (v !== v) continue;
       const part = document.createElement("span");
