@@ -70,6 +70,15 @@ def test_a_missing_cluster_leaves_its_frames_empty(rng):
     assert np.flatnonzero(~motion.answered[:, 0]).tolist() == [5]
 
 
+def test_where_the_joints_turn_is_not_known_the_mean_shape_is_fitted_and_it_is_said(rng):
+    leg, bones = leg_and_bones(rng, known=[0, 20])
+    points = leg.trajectories.points.copy()
+    points[5, :8] = np.nan
+    motion = multiple_calibration(replace(leg, trajectories=replace(leg.trajectories, points=points)))
+    assert turns(motion.rotation[5, 1], bones["shank"][0][5]) < 1e-9
+    assert any("shank: 1 of 40 frames are fitted by the mean shape" in note for note in motion.notes)
+
+
 def test_the_turn_of_a_hinge_is_its_flexion(rng):
     for known in ([0, 20], [0]):
         leg, bones = leg_and_bones(rng, known=known)

@@ -19,6 +19,7 @@ _SPREAD_M = 0.01  # of skin displacements, to start from
 _UNSEEN = 0.5  # of the spread; a common motion whose standard deviation stays above this is called unseen
 _SPLINE_PIECES = 4
 _MOST_FRAMES = 300
+_SETTLED = 0.1  # of the noise
 _AXES = ("shift along x", "shift along y", "shift along z", "turn about x", "turn about y", "turn about z")
 
 
@@ -173,6 +174,9 @@ def motion_of(deformation: Deformation) -> BoneMotion:
     rotation[empty], origin[empty], covariance[empty] = np.nan, np.nan, np.nan
     notes = [*data.notes, f"{segment}: markers move {deformation.form.name}."]
     notes += counted(segment, empty, "have too few markers, or markers in a line, and no answer")
+    if fit.last_change > _SETTLED * deformation.problem.noise_m:
+        change = 1000 * fit.last_change
+        notes.append(f"{segment}: markers' paths had not settled; the last round changed them by {change:.2f} mm.")
     if deformation.unseen:
         notes.append(
             f"{segment}: not seen, and taken for the bone's, is what all markers do together: "

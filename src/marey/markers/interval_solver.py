@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import lapack
 
 from marey.arrays import Floats, Integers, Mask
 from marey.geometry import rotations
@@ -11,7 +12,7 @@ from marey.markers.rigid_fit import fit_rigid
 
 _ROUNDS = 30
 _BEFORE_LEARNING = 2
-_STILL = 1e-3  # of the noise; the largest change of a coefficient at which the rounds end
+_STILL = 1e-2  # of the noise; the largest change of a coefficient at which the rounds end
 _CHUNK = 4_000_000  # numbers held at once when the frames are summed
 
 
@@ -59,6 +60,8 @@ class SkinFit:
     """How many measured coordinates that are, less six a frame."""
     known_squares: float
     """The same sum in the known postures."""
+    last_change: float
+    """The largest change of a coefficient in the last round [m]."""
 
     def places(self, functions: Floats) -> Floats:
         """(F, M, 3) the markers' places on the bone [m]."""
@@ -115,17 +118,17 @@ def _solve(problem: SkinProblem, rotation: Floats, origin: Floats, spread_m: flo
     fit = SkinFit(
         coefficients=coefficients, rotation=known[0], origin=known[1], excess=1.0, memory=1.0,
         spread=np.full(functions - 1, spread_m), covariance=np.zeros((0, 0)),
-        squares=0.0, free=1.0, known_squares=0.0,
+        squares=0.0, free=1.0, known_squares=0.0, last_change=np.inf,
     )  # fmt: skip
     for number in range(_ROUNDS):
         fit = _measured(problem, fit, learn=number >= _BEFORE_LEARNING)
         normal, right, follow = _sums(problem, fit)[:3]
-        covariance = np.linalg.inv(normal)
-        step = covariance @ right
-        fit = _moved(problem, fit, step, follow)
+        factor = lapack.dpotrf(normal, lower=1)[0]
+        step = lapack.dpotrs(factor, right, lower=1)[0]
+        fit = replace(_moved(problem, fit, step, follow), last_change=float(np.abs(step).max()))
         if number >= _BEFORE_LEARNING:
-            fit = replace(fit, spread=_spread(problem, fit, covariance))
-        if number > _BEFORE_LEARNING and np.abs(step).max() < _STILL * problem.noise_m:
+            fit = replace(fit, spread=_spread(problem, fit, np.diagonal(lapack.dpotri(factor, lower=1)[0])))
+        if number > _BEFORE_LEARNING and fit.last_change < _STILL * problem.noise_m:
             break
     fit = _measured(problem, fit, learn=True)
     active = _active(problem)
@@ -172,11 +175,11 @@ def _measured(problem: SkinProblem, fit: SkinFit, *, learn: bool) -> SkinFit:
     return replace(fit, excess=excess, memory=_memory(residual, unknown))
 
 
-def _spread(problem: SkinProblem, fit: SkinFit, covariance: Floats) -> Floats:
+def _spread(problem: SkinProblem, fit: SkinFit, variance: Floats) -> Floats:
     """Learn the spread of the displacements by each function (Q,), with what is uncertain in them."""
     active = _active(problem)
     uncertain = np.zeros(len(active))
-    uncertain[active] = np.diagonal(covariance)
+    uncertain[active] = variance
     squares = _flat(fit.coefficients) ** 2 + uncertain
     by_function = np.where(active, squares, 0.0).reshape(-1, fit.coefficients.shape[1]).sum(0)[1:]
     counts = np.maximum(3.0 * problem.moving.sum(0), 1.0)
