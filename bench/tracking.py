@@ -1,6 +1,7 @@
 """Trajectories of a measured surface against the truth of a rendered take, and on a real, rigid cylinder.
 
     python bench/tracking.py careless SHARED OUT/careless        makes arm3 at half the size, as JPEG of quality 50
+    python bench/tracking.py mirrored SHARED OUT/mirrored        makes arm3 as a mirror shows it: a left arm
     marey surface SHARED/data/people/arm3 --spacing 4 --out OUT/arm3
     marey surface OUT/careless --spacing 2
     marey surface SHARED/data/surface/cylinder --out OUT/cylinder
@@ -25,6 +26,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from marey.cameras.camera import Camera
+from marey.cameras.rig import Rig
+from marey.geometry.rigid import RigidTransform
 from marey.io.calibration import read_rig, write_cameras_toml
 from marey.io.surface import read_surface
 from marey.io.take import Take, open_take
@@ -54,6 +58,52 @@ def careless(shared: Path, folder: Path) -> None:
     write_cameras_toml(rig.scaled(0.5), folder / "cameras.toml")
     (folder / "trial.toml").write_text("rate = 30.0\n")
     shutil.copytree(trial / "truth", folder / "truth", dirs_exist_ok=True)
+
+
+def mirrored(shared: Path, folder: Path) -> None:
+    """Write the take as a mirror shows it, with its truth: x goes to -x, right to left."""
+    trial = shared / "data" / "people" / "arm3"
+    rig = read_rig(trial / "cameras.toml")
+    (folder / "background").mkdir(parents=True, exist_ok=True)
+    (folder / "truth").mkdir(exist_ok=True)
+    for frame, images in open_take(trial, rig).frames():
+        for name, image in zip(rig.names, images, strict=True):
+            cv2.imwrite(str(folder / f"{name}_{frame:03d}.jpg"), image[:, ::-1], [cv2.IMWRITE_JPEG_QUALITY, 98])
+    for name in rig.names:
+        plate = cv2.imread(str(trial / "background" / f"{name}.png"))
+        cv2.imwrite(str(folder / "background" / f"{name}.png"), plate[:, ::-1])
+    write_cameras_toml(Rig(tuple(seen_in_a_mirror(camera) for camera in rig)), folder / "cameras.toml")
+    (folder / "trial.toml").write_text("rate = 30.0\n")
+    with np.load(trial / "truth" / "truth.npz") as file:
+        truth = dict(file)
+    for name in ("joints", "vertices"):
+        truth[name] = truth[name] * np.array([-1, 1, 1], truth[name].dtype)
+    truth["bone_rotation"] = FLIP @ truth["bone_rotation"] @ FLIP
+    truth["faces"] = truth["faces"][:, ::-1]
+    for name in ("joint_names", "limb_names"):
+        truth[name] = np.array([swapped(str(label)) for label in truth[name]])
+    np.savez_compressed(folder / "truth" / "truth.npz", **truth)
+
+
+FLIP = np.diag([-1.0, 1, 1])
+
+
+def seen_in_a_mirror(camera: Camera) -> Camera:
+    pose, matrix, distortion = camera.camera_from_world, np.array(camera.matrix), np.array(camera.distortion)
+    matrix[0, 2] = camera.width - 1 - matrix[0, 2]
+    if len(distortion) > 3:
+        distortion[3] = -distortion[3]
+    turned = RigidTransform(FLIP @ pose.rotation @ FLIP, FLIP @ pose.translation)
+    return replace(camera, matrix=matrix, distortion=distortion, camera_from_world=turned)
+
+
+def swapped(label: str) -> str:
+    """Name the other side's joint: l_elbow for r_elbow."""
+    pairs = (("l_", "r_"), ("left", "right"), ("Left", "Right"), ("LHip", "RHip"), ("LThumb", "RThumb"))
+    for here, there in (*pairs, *(pair[::-1] for pair in pairs)):
+        if label.startswith(here):
+            return there + label.removeprefix(here)
+    return label
 
 
 def score(shared: Path, found: Trajectories, order: list[int]) -> dict[str, float]:
@@ -148,13 +198,15 @@ def rigid(start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("arm3", "careless", "cylinder"))
+    parser.add_argument("what", choices=("arm3", "careless", "mirrored", "cylinder"))
     parser.add_argument("shared", type=Path)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--case", choices=CASES)
     asked = parser.parse_args()
     if asked.what == "careless":
         careless(asked.shared, asked.folder)
+    elif asked.what == "mirrored":
+        mirrored(asked.shared, asked.folder)
     elif asked.what == "cylinder":
         cylinder(asked.shared, asked.folder)
     else:

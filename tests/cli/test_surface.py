@@ -47,7 +47,7 @@ def test_all_frames_are_measured_and_every_file_is_there(results):
     clouds = {"surface.ply", "surface/frame_00000.ply", "surface/frame_00001.ply"}
     # The two instants show different balls: hardly anything is followed, and perhaps nothing is drawn.
     names -= {"tracks_middle.png"}
-    assert names == {"surface.npz", "surface_middle.png", "run.json", "trajectories.npz", *clouds}
+    assert names == {"surface.npz", "surface_middle.png", "surface.html", "run.json", "trajectories.npz", *clouds}
 
 
 def test_points_are_followed_from_frame_to_frame(tmp_path, rng):

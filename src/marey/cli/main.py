@@ -445,9 +445,10 @@ def example_folder() -> Path:
 
 
 def _report_in(folder: Path) -> Path:
-    for report in (folder / "report.html", folder / "marey" / "report.html"):
-        if report.is_file():
-            return report.resolve()
+    for name in ("report.html", "surface.html"):
+        for report in (folder / name, folder / "marey" / name):
+            if report.is_file():
+                return report.resolve()
     raise FileProblem(folder, "holds no report.html", "Give the folder that `marey capture` said its results went to.")
 
 

@@ -64,7 +64,7 @@ from marey.surface.trajectories import Trajectories
 
 SURFACE = ("surface.npz", "trajectories.npz")
 """What `marey surface` measured, and the fit reads."""
-KEPT = (*SURFACE, "surface.ply", "cameras.toml", "surface_*.png", "tracks_*.png", "surface/*.ply")
+KEPT = (*SURFACE, "surface.ply", "surface.html", "cameras.toml", "surface_*.png", "tracks_*.png", "surface/*.ply")
 """What else it leaves; all of it stays."""
 SPACING_PX = 6
 """From point to point, where the surface is measured for the fit alone: neighbours say nearly the same."""

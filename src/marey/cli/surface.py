@@ -35,7 +35,9 @@ from marey.surface.filters import Filtered
 from marey.surface.measured import MeasuredPoints
 from marey.surface.refine_rig import RigRefinement
 from marey.surface.settings import SurfaceSettings
+from marey.view.report import Still
 from marey.view.surface import depth_picture, lit_picture
+from marey.view.surface_report import SurfaceReport, write_surface_report
 
 _LEAST_CAMERAS = 3
 """Two cameras tell too little of themselves to be corrected unasked."""
@@ -142,11 +144,17 @@ def write_results(
         with progress.stage("Results"):
             write_surface(folder / "surface.npz", parts, rig.names)
             _write_clouds(folder, trial, parts)
-            _draw(folder, run, rig, parts)
+            stills = _draw(folder, run, rig, parts)
             if followed is not None:
-                write_tracks(folder, followed, trial.take, rig)
+                stills += write_tracks(folder, followed, trial.take, rig)
             if refined is not None:
                 write_cameras_toml(rig, folder / "cameras.toml")
+            report = SurfaceReport(
+                title=trial.folder.resolve().name, parts=parts, first=trial.take.first, rate=trial.take.rate, rig=rig,
+                refined=refined, followed=followed, stills=stills, notes=progress.warnings, timings=progress.timings,
+                settings=asked,
+            )  # fmt: skip
+            write_surface_report(folder / "surface.html", report)
         write_record(
             folder, command="surface", settings=asked, inputs=trial.input_files, root=trial.folder, progress=progress,
         )  # fmt: skip
@@ -172,16 +180,19 @@ def _write_clouds(folder: Path, trial: Trial, parts: Sequence[MeasuredPoints]) -
             write_ply(folder / "surface" / f"frame_{trial.take.first + number:05d}.ply", part)
 
 
-def _draw(folder: Path, run: Measurement, rig: Rig, parts: Sequence[MeasuredPoints]) -> None:
-    """Draw the frame with most points."""
+def _draw(folder: Path, run: Measurement, rig: Rig, parts: Sequence[MeasuredPoints]) -> list[Still]:
+    """Draw the frame with most points, and give the pictures for the report."""
     best = max(range(len(parts)), key=lambda number: len(parts[number]))
     points, images = parts[best], run.trial.take.images(run.trial.take.first + best)
+    stills = []
     for template, _ in run.compared:
         camera = rig.cameras[template]
-        picture = depth_picture(points, camera, template, images[template])
-        write_picture(
-            folder / f"surface_{camera.name}.png", np.hstack([picture, lit_picture(points, camera, template)])
-        )
+        depth, lit = depth_picture(points, camera, template, images[template]), lit_picture(points, camera, template)
+        write_picture(folder / f"surface_{camera.name}.png", np.hstack([depth, lit]))
+        where = f"{camera.name}, frame {run.trial.take.first + best}"
+        stills.append(Still(caption=f"{where}: the points, near ones red", image=depth))
+        stills.append(Still(caption=f"{where}: the surface, lit from the side", image=lit))
+    return stills
 
 
 def correction(rig: Rig, refined: RigRefinement) -> Mapping[str, object]:

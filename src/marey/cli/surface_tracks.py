@@ -23,6 +23,7 @@ from marey.surface.following import FollowSettings
 from marey.surface.measured import MeasuredPoints
 from marey.surface.tracking import SPACING, Expected, Tracks, fitting_size, track, tracks_from
 from marey.surface.trajectories import Sightings, Trajectories, gathered, sightings_of
+from marey.view.report import Still
 from marey.view.vector_field import vector_field
 
 _KEPT_EVERY = 10
@@ -92,12 +93,15 @@ def follow_measured(
         )  # fmt: skip
 
 
-def write_tracks(folder: Path, result: Filtered, take: Take, rig: Rig) -> None:
-    """Write the trajectories, and draw them."""
+def write_tracks(folder: Path, result: Filtered, take: Take, rig: Rig) -> list[Still]:
+    """Write the trajectories, and draw them; give the picture for a report."""
     write_trajectories(folder / "trajectories.npz", result.trajectories)
     picture = drawn(result.trajectories, take, rig)
-    if picture is not None:
-        write_picture(folder / f"tracks_{rig.names[len(rig) // 2]}.png", picture)
+    if picture is None:
+        return []
+    middle = rig.names[len(rig) // 2]
+    write_picture(folder / f"tracks_{middle}.png", picture)
+    return [Still(caption=f"{middle}: where points go, in the frame in which they are fastest", image=picture)]
 
 
 def follow_surface(

@@ -11,7 +11,7 @@ import marey
 from marey.arrays import Floats
 from marey.io.atomic import replacing
 from marey.view.problems import readable
-from marey.view.report import MOST_FRAMES, embedded, packed, setting_text, shares
+from marey.view.report import MOST_FRAMES, Still, embedded, jpeg, packed, setting_text, shares
 
 COLOURS = (
     "#2f5d8a", "#c0453f", "#3b7d4f", "#b5651d", "#7a4fb0", "#2f8a86", "#8a3b6b", "#6b6b1f", "#4c4f57", "#d39a2f",
@@ -98,6 +98,7 @@ class CurvesContent:
     notes: Sequence[str] = ()
     tables: Sequence[NumberTable] = ()
     groups: Sequence[PlotGroup] = ()
+    stills: Sequence[Still] = ()
     timings: Mapping[str, float] = field(default_factory=dict)
     settings: Mapping[str, object] = field(default_factory=dict)
     files: Mapping[str, str] = field(default_factory=dict)
@@ -132,6 +133,7 @@ def curves_html(content: CurvesContent) -> str:
         ),
         settings=[(readable(k), setting_text(v)) for k, v in content.settings.items() if v is not None],
         timings=shares(content.timings),
+        stills=[(still.caption, jpeg(still.image)) for still in content.stills],
     )
 
 

@@ -87,7 +87,7 @@ def report_html(content: ReportContent) -> str:
         tiles=_tiles(content),
         data=embedded(_data(content)),
         settings=[(readable(k), setting_text(v)) for k, v in content.settings.items() if v is not None],
-        stills=[(still.caption, _jpeg(still.image)) for still in content.stills],
+        stills=[(still.caption, jpeg(still.image)) for still in content.stills],
         timings=shares(content.timings),
         sizes=_sizes(content.sizes),
         joints=[readable(name) for name in content.motion.joint_names],
@@ -145,7 +145,7 @@ def setting_text(value: object) -> str:
     return {True: "yes", False: "no"}.get(value, str(value)) if isinstance(value, bool) else str(value)
 
 
-def _jpeg(image: Image) -> str:
+def jpeg(image: Image) -> str:
     """Give a picture as the address of an embedded JPEG."""
     height, width = image.shape[:2]
     if width > STILL_WIDTH:
