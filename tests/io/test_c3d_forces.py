@@ -46,7 +46,10 @@ def test_a_plates_channels_become_the_ground_reaction_where_it_acts(tmp_path):
     assert (plate.name, plate.rate, len(plate.force)) == ("force_plate_1", 1000, 100)
     np.testing.assert_allclose(plate.force[0], [-20, 0, 700], atol=1e-3)
     np.testing.assert_allclose(plate.centre_of_pressure[0], [0.3, 0.3, 0], atol=1e-6)
-    assert list(plate_frames(tmp_path / "a.c3d")) == ["force_plate_1"]
+    (frame,) = plate_frames(tmp_path / "a.c3d")
+    assert (frame.to, frame.from_) == ("capture global", "force_plate_1")
+    np.testing.assert_allclose(frame.translation, [0.2, 0.3, 0], atol=1e-6)
+    np.testing.assert_allclose(frame.rotation @ [0, 0, 1.0], [0, 0, -1], atol=1e-6)
 
 
 def test_events_come_in_the_order_of_time_without_those_that_are_no_steps(tmp_path):

@@ -7,9 +7,9 @@ import numpy as np
 
 from marey.arrays import Floats
 from marey.errors import FileProblem
-from marey.geometry.rigid import RigidTransform
 from marey.io.c3d import METRES, open_c3d, point_unit
 from marey.markers.force_plates import ForcePlate
+from marey.markers.transform_chain import CAPTURE_GLOBAL, NamedTransform
 from marey.motion.gait import OFF, STRIKE, GaitEvent
 
 _KINDS = {"foot strike": STRIKE, "heel strike": STRIKE, "foot off": OFF, "toe off": OFF}
@@ -73,9 +73,13 @@ def read_force_plates(path: Path | str) -> tuple[ForcePlate, ...]:
     return tuple(_plate(Path(path), c3d, n, metres) for n in range(used))
 
 
-def plate_frames(path: Path | str) -> dict[str, RigidTransform]:
-    """Give the frames of a C3D's force plates by name: `force_plate_1` to laboratory from plate [m]."""
-    return {plate.name: plate.laboratory_from_plate for plate in read_force_plates(path)}
+def plate_frames(path: Path | str) -> tuple[NamedTransform, ...]:
+    """Give the frames of a C3D's force plates as named transforms: `capture global` from `force_plate_1`, ... [m]."""
+    frames = [(plate.name, plate.laboratory_from_plate) for plate in read_force_plates(path)]
+    return tuple(
+        NamedTransform(to=CAPTURE_GLOBAL, from_=name, rotation=frame.rotation, translation=frame.translation)
+        for name, frame in frames
+    )
 
 
 def _plate(path: Path, c3d: ezc3d.c3d, n: int, metres: float) -> ForcePlate:
