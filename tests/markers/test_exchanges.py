@@ -52,6 +52,15 @@ def test_a_pair_of_one_segment_that_is_exchanged_all_along_needs_a_posture_with_
     assert (found.labels, found.frames.all()) == (("thigh_1", "thigh_3"), True)
 
 
+def test_a_long_trial_is_looked_through_in_stretches(right, monkeypatch):
+    wrong, exchange = exchanged(right, "thigh_1", "thigh_3", 10, 30)
+    whole = find_exchanges(wrong, CLUSTERS)
+    monkeypatch.setattr("marey.markers.exchanges._MOST_DISTANCES", 81 * 25)
+    parts = find_exchanges(wrong, CLUSTERS)
+    assert [x.labels for x in parts] == [x.labels for x in whole]
+    np.testing.assert_array_equal(parts[0].frames, exchange.frames)
+
+
 def test_frames_are_written_as_ranges():
     frames = np.zeros(12, bool)
     frames[[0, 1, 2, 5, 8, 9]] = True

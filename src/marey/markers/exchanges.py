@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, pairwise
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from marey.markers.trajectories import MarkerTrajectories
 
 _BETTER = 0.5  # exchanged, the distances must come out wrong by less than this share of what they are
 _CLEAR_M = 0.008  # and by this much less, RMS: skin moves distances by a few millimetres
+_MOST_DISTANCES = 10_000_000  # held at once: 80 MB
 _CROSSED = 0.3  # a pair has jumped when its steps to the other's place are less than this share of its own
 _MOVES_WITH = 0.5  # a marker belongs elsewhere when its distances vary there by less than this share
 _OWN_SD_M = 0.005  # and in its own cluster by more than this
@@ -60,24 +61,40 @@ def find_exchanges(
     Returns:
         The pairs; none is named twice.
     """
-    columns = [[trajectories.labels.index(label) for label in cluster.labels] for cluster in clusters]
+    inside = [trajectories.labels.index(label) for cluster in clusters for label in cluster.labels]
+    points, starts = trajectories.points[:, inside], np.cumsum([0, *(len(cluster.labels) for cluster in clusters)])
+    columns = [list(range(a, b)) for a, b in pairwise(starts)]
     owner = {m: c for c, members in enumerate(columns) for m in members}
-    between = _distances(trajectories.points, trajectories.points)
+    at_once = max(1, _MOST_DISTANCES // max(1, len(inside)) ** 2)
+    thinned = points[:: -(-len(points) // at_once)]
+    between = _distances(thinned, thinned)
     usual = [_median(between)]
     if known is not None:
-        usual.append(_distances(known[None], known[None])[0])
-    found: dict[tuple[int, int], Mask] = {}
-    for pair in _all_along(between, columns, owner):
-        found[pair] = np.ones(len(trajectories), bool)
+        usual.append(_distances(known[None, inside], known[None, inside])[0])
+    found: dict[tuple[int, int], Mask] = {
+        pair: np.ones(len(points), bool) for pair in _all_along(between, columns, owner)
+    }
     for proto in usual:
-        for pair, frames in _one_by_one(between, proto, columns, owner).items():
+        for pair, frames in _in_stretches(points, proto, columns, owner, at_once).items():
             found.setdefault(pair, frames)
-    for pair, frames in _jumped(trajectories.points, columns).items():
+    for pair, frames in _jumped(points, columns).items():
         found.setdefault(pair, frames)
     return tuple(
-        Exchange(labels=(trajectories.labels[a], trajectories.labels[b]), frames=frames)
+        Exchange(labels=(trajectories.labels[inside[a]], trajectories.labels[inside[b]]), frames=frames)
         for (a, b), frames in sorted(found.items())
     )
+
+
+def _in_stretches(
+    points: Floats, usual: Floats, columns: list[list[int]], owner: dict[int, int], at_once: int
+) -> dict[tuple[int, int], Mask]:
+    """Look for exchanged pairs stretch by stretch, so that a long trial's distances need no more memory."""
+    found: dict[tuple[int, int], Mask] = {}
+    for start in range(0, len(points), at_once):
+        stretch = points[start : start + at_once]
+        for pair, frames in _one_by_one(_distances(stretch, stretch), usual, columns, owner).items():
+            found.setdefault(pair, np.zeros(len(points), bool))[start : start + at_once] = frames
+    return found
 
 
 def exchange_back(trajectories: MarkerTrajectories, exchanges: Sequence[Exchange]) -> MarkerTrajectories:

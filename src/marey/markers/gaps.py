@@ -21,6 +21,7 @@ _CUTS = 40  # artificial gaps of each length, at most at a time
 _CUTS_ENOUGH = 8
 _CUT_SHARE = 0.1  # of what was measured, at a time
 _ROUNDS = 4
+_STRETCH = 4000  # frames in which filling is measured
 _APART = 6  # markers to one that may be cut in a frame
 _DRAWS = 20  # for each of them
 _LARGEST_SHARE = 0.35  # of the trial
@@ -207,7 +208,7 @@ def from_cluster(points: Floats, rank: int) -> Floats:
 
 
 def held_out(points: Floats, group: str, rng: np.random.Generator) -> HeldOut:
-    """Measure both ways of filling on gaps that are cut into measured paths.
+    """Measure both ways of filling on gaps that are cut into measured paths; of a long trial, in its middle.
 
     Args:
         points: (F, M, 3) [m] of the markers of one cluster, or of none (`group` is "").
@@ -215,6 +216,7 @@ def held_out(points: Floats, group: str, rng: np.random.Generator) -> HeldOut:
         rng: Draws the places of the gaps.
     """
     longest = max((end - start for _, start, end in _gaps(points)), default=1)
+    points = points[max(0, (len(points) - _STRETCH) // 2) :][:_STRETCH]
     lengths = [n for n in _LENGTHS if n <= _LARGEST_SHARE * len(points) and (n == 1 or n < 4 * longest)] or [1]
     cuts = {n: _cuts(points, n, rng) for n in lengths}
     spline_rms = [_rms(spline, points, cuts[n]) for n in lengths]
