@@ -82,3 +82,36 @@ def test_a_reference_of_other_segments_is_an_error(tmp_path):
     np.savez(path, frame=0, hip_rotation=np.eye(3), hip_origin=np.zeros(3))
     with pytest.raises(FileProblem, match=r"It has hip; the markers ride on thigh"):
         read_reference(path, ("thigh",), frames=9)
+
+
+def test_how_skin_moves_is_read_with_functions_from_a_file(tmp_path):
+    np.savetxt(tmp_path / "bump.csv", np.arange(6.0).reshape(3, 2), delimiter=",")
+    path = tmp_path / "markers.toml"
+    path.write_text(
+        '[skin.thigh]\nform = "sinusoid"\nperiod_s = 1.1\nstill = ["thigh_03"]\n'
+        '[skin.shank]\nform = "file"\nfile = "bump.csv"\n'
+    )
+    skin = read_marker_setup(path).skin
+    assert (skin["thigh"].form, skin["thigh"].period_s, skin["thigh"].still) == ("sinusoid", 1.1, ("thigh_03",))
+    np.testing.assert_array_equal(skin["shank"].functions, [[0, 1], [2, 3], [4, 5]])
+
+
+@pytest.mark.parametrize(
+    ("table", "wrong"),
+    [
+        ('form = "wave"', "form = 'wave'"),
+        ('form = "time"\nperiod_s = 1.0', r"period_s in \[skin.thigh\], which form = 'time' does not take"),
+        ('form = "file"', "no file"),
+        ('form = "file"\nfile = "none.csv"', "cannot be read"),
+        ('form = "file"\nfile = "words.csv"', "no table of numbers"),
+        ('form = "file"\nfile = "empty.csv"', "none at all"),
+        ('form = "spline"\npieces = 0', "pieces = 0"),
+    ],
+)
+def test_skin_that_cannot_be_used_says_what_is_wrong(tmp_path, table: str, wrong: str):
+    (tmp_path / "words.csv").write_text("time,skin\n0,1\n")
+    (tmp_path / "empty.csv").write_text("")
+    path = tmp_path / "markers.toml"
+    path.write_text(f"[skin.thigh]\n{table}\n")
+    with pytest.raises(FileProblem, match=wrong):
+        read_marker_setup(path)

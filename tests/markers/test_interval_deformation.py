@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from tests.skin_clusters import leg_and_bones, leg_bones, placed, problem, rigid_leg, smooth_motion, thigh, turns
 
+from marey.errors import SettingProblem
 from marey.geometry import rotations
 from marey.markers import skin_forms
 from marey.markers.cluster_data import cluster_data
@@ -12,10 +13,10 @@ from marey.markers.interval_deformation import (
     deform,
     forms_of,
     interval,
-    interval_deformation,
     motion_of,
 )
 from marey.markers.rigid_fit import rigid
+from marey.markers.setup import SkinChoice
 from marey.markers.skin_forms import SkinForm
 
 NOISE = 2e-4
@@ -120,11 +121,42 @@ def test_a_long_trial_is_learned_from_some_frames_and_answered_in_all(rng):
     assert len(motion_of(some)) == 200
 
 
-def test_a_users_own_form_is_used(rng):
+def test_a_form_that_is_said_is_used(rng):
     leg = rigid_leg(rng)
-    own = skin_forms.own("bump", lambda t: np.exp(-(((t - 0.2) / 0.05) ** 2))[:, None], leg.trajectories.time)
-    motion = interval_deformation(leg, {"thigh": [own]})
-    assert any("thigh: markers move bump" in note for note in motion.notes)
+    bump = np.exp(-(((leg.trajectories.time - 0.2) / 0.05) ** 2))[:, None]
+    forms = {
+        "as the file says": SkinChoice(form="file", functions=bump),
+        "sinusoid of 0.30 s": SkinChoice(form="sinusoid", period_s=0.3),
+        "spline of 3 pieces": SkinChoice(form="spline", pieces=3),
+        "linear in time": SkinChoice(form="time"),
+        "linear in the joint's turn": SkinChoice(form="turn"),
+        "constant": SkinChoice(form="constant"),
+    }
+    for name, choice in forms.items():
+        motion = interval(replace(leg, skin={"thigh": choice}))
+        assert any(note == f"thigh: markers move {name}." for note in motion.notes)
+
+
+def test_markers_said_to_stand_still_show_the_bone(rng):
+    phase = 2 * np.pi * np.arange(200)[:, None] / 100
+    moving = np.ones((12, 2))
+    moving[[0, 5, 11]] = 0
+    trial, _, rotation, _ = moving_cluster(rng, np.concatenate([np.sin(phase), np.cos(phase)], 1), moving)
+    choice = SkinChoice(form="sinusoid", period_s=1.0, still=("thigh_00", "thigh_05", "thigh_11"))
+    motion = interval(replace(trial, skin={"thigh": choice}))
+    assert rms(turns(motion.rotation[:, 0], rotation)) < 0.2 * rms(turns(rigid(trial).rotation[:, 0], rotation))
+    assert not any("not seen" in note for note in motion.notes)
+
+
+def test_a_form_that_the_trial_cannot_have_is_an_error(rng):
+    leg = rigid_leg(rng)
+    for choice, wrong in (
+        (SkinChoice(form="file", functions=np.ones((3, 1))), "should give"),
+        (SkinChoice(form="sinusoid"), "give period_s"),
+        (SkinChoice(form="time", still=("heel",)), "not there: heel"),
+    ):
+        with pytest.raises(SettingProblem, match=wrong):
+            interval(replace(leg, skin={"thigh": choice}))
 
 
 def test_several_postures_offer_only_what_carries_over_from_them(rng):

@@ -52,6 +52,7 @@ class MarkersTrial:
             [(c.segment, c.labels) for c in problem.clusters], problem.calibration, list(problem.joints),
             list(problem.degrees_of_freedom), problem.noise_m, self.asked, self.used.points,
             problem.exercise is not None,
+            [(name, s.form, s.period_s, s.pieces, s.functions, s.still) for name, s in problem.skin.items()],
         )  # fmt: skip
 
 
@@ -77,10 +78,14 @@ def read_trial(path: Path, options: MarkersOptions) -> MarkersTrial:
     judged = (used if asked.all() else measured).select(riding)
     notes += find_faults(judged, found.clusters, calibration if anatomical else None)
     clusters = tuple(cluster for cluster in found.clusters if cluster.segment in calibration.segments)
+    strange = sorted(set(setup.skin) - {cluster.segment for cluster in found.clusters})
+    if strange:
+        there = ", ".join(cluster.segment for cluster in found.clusters)
+        raise SettingProblem(f"The TOML says how skin moves on {', '.join(strange)}; there are: {there}.")
     side, said = _side(calibration.segments, options)
     problem = MarkerProblem(
         trajectories=used, clusters=clusters, calibration=calibration,
-        joints=_joints(setup, calibration.segments),
+        joints=_joints(setup, calibration.segments), skin=setup.skin,
     )  # fmt: skip
     degrees = {(j.parent, j.child): j.degrees_of_freedom for j in setup.joints}
     if degrees:

@@ -1,8 +1,9 @@
 """The markers' TOML, and the reference file that says where the bones were."""
 
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -12,11 +13,12 @@ from marey.errors import FileProblem
 from marey.io.calibration_toml import read_tables
 from marey.io.npz import read_arrays
 from marey.markers.clusters import AnatomicalCalibration
-from marey.markers.setup import MarkerJoint, MarkerSetup
+from marey.markers.setup import MarkerJoint, MarkerSetup, SkinChoice
 
 _KNOWN = (
     'Known are [segments] NAME = ["label", ...], [landmarks] NAME = "label" or ["label", ...], '
-    "[joints.NAME] parent, child, degrees_of_freedom (1 to 6), and [noise] mm."
+    "[joints.NAME] parent, child, degrees_of_freedom (1 to 6), [noise] mm, and [skin.SEGMENT] "
+    'form (constant, time, turn, sinusoid, spline, file), period_s, pieces, file, still = ["label", ...].'
 )
 _ROTATION_TOLERANCE = 1e-3
 Labels = Annotated[tuple[str, ...], Field(min_length=1)]
@@ -36,15 +38,24 @@ class _Noise(_Table):
     mm: Annotated[float, Field(gt=0, lt=100)]
 
 
+class _Skin(_Table):
+    form: Literal["constant", "time", "turn", "sinusoid", "spline", "file"]
+    period_s: Annotated[float, Field(gt=0)] | None = None
+    pieces: Annotated[int, Field(ge=1, le=100)] | None = None
+    file: str | None = None
+    still: tuple[str, ...] = ()
+
+
 class _Setup(_Table):
     segments: dict[str, Labels] = {}
     landmarks: dict[str, str | Labels] = {}
     joints: dict[str, _Joint] = {}
     noise: _Noise | None = None
+    skin: dict[str, _Skin] = {}
 
 
 def read_marker_setup(path: Path | str) -> MarkerSetup:
-    """Read the markers' TOML: `[segments]`, `[landmarks]`, `[joints]` and `[noise]`, each of which may be missing.
+    """Read the markers' TOML: `[segments]`, `[landmarks]`, `[joints]`, `[noise]`, `[skin]`; each may be missing.
 
     Args:
         path: The file.
@@ -68,7 +79,36 @@ def read_marker_setup(path: Path | str) -> MarkerSetup:
         landmarks={name: (at,) if isinstance(at, str) else at for name, at in said.landmarks.items()},
         joints=tuple(MarkerJoint(name=name, **joint.model_dump()) for name, joint in said.joints.items()),
         noise_m=None if said.noise is None else said.noise.mm * 1e-3,
+        skin={segment: _skin(path, segment, skin) for segment, skin in said.skin.items()},
     )
+
+
+def _skin(path: Path, segment: str, said: _Skin) -> SkinChoice:
+    """Make one segment's choice, with the functions of time that a file of its own holds, a row a frame."""
+    asked = {"sinusoid": ("period_s",), "spline": ("pieces",), "file": ("file",)}.get(said.form, ())
+    stray = [key for key in ("period_s", "pieces", "file") if getattr(said, key) is not None and key not in asked]
+    if stray:
+        raise FileProblem(path, f"has {', '.join(stray)} in [skin.{segment}], which form = '{said.form}' does not take")
+    if said.form == "file" and said.file is None:
+        raise FileProblem(path, f"has no file in [skin.{segment}]", "Name a CSV of a row a frame, a column a function.")
+    functions = None if said.file is None else _functions(path.parent / said.file)
+    return SkinChoice(form=said.form, period_s=said.period_s, pieces=said.pieces, functions=functions, still=said.still)
+
+
+def _functions(path: Path) -> Floats:
+    """Read numbers from a CSV without a head."""
+    right = "Give a CSV of numbers alone: a row a frame, a column a function, no head."
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # of an empty file, which is named below
+            values = np.loadtxt(path, delimiter=",", ndmin=2)
+    except OSError as error:
+        raise FileProblem(path, "cannot be read", right) from error
+    except ValueError as error:
+        raise FileProblem(path, "is no table of numbers", right) from error
+    if not values.size or not np.isfinite(values).all():
+        raise FileProblem(path, "has values that are not finite, or none at all", right)
+    return values
 
 
 def _faults(error: ValidationError) -> str:

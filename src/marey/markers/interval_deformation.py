@@ -1,11 +1,12 @@
 """Interval deformation: markers' paths on the bone of an assumed form, estimated together with the bone's motion."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from marey.arrays import Floats, Mask
+from marey.errors import SettingProblem
 from marey.markers import skin_forms
 from marey.markers.bone_motion import BoneMotion, side_by_side
 from marey.markers.cluster_data import ClusterData, cluster_data, counted
@@ -13,6 +14,7 @@ from marey.markers.interval_solver import SkinFit, SkinProblem, pose_covariance,
 from marey.markers.joint_turn import segment_turn
 from marey.markers.problem import MarkerProblem
 from marey.markers.rigid_fit import one_bone, rigid_bone
+from marey.markers.setup import SkinChoice
 from marey.markers.skin_forms import SkinForm
 
 _SPREAD_M = 0.01  # of skin displacements, to start from
@@ -103,16 +105,50 @@ def criterion(fit: SkinFit, moving: Mask, memory: float) -> float:
     return float(misfit + fit.known_squares / max(variance, 1.0) + parameters * np.log(count))
 
 
-def choose(data: ClusterData, forms: Sequence[SkinForm], noise_m: float) -> Deformation:
+def choose(data: ClusterData, forms: Sequence[SkinForm], noise_m: float, *, still: Sequence[str] = ()) -> Deformation:
     """Estimate every form and keep the one with the least information criterion.
 
     All are judged with the memory of the residuals that the richest form leaves, so that slow misfit is not counted
     once a frame.
+
+    Args:
+        data: The cluster.
+        forms: To choose from.
+        noise_m: Standard deviation of a measured coordinate [m].
+        still: Markers that do not move over the bone, whatever the form.
     """
-    tried = [deform(data, form, noise_m) for form in forms]
+    moves = np.array([label not in still for label in data.labels])
+    tried = [deform(data, form, noise_m, moving=np.repeat(moves[:, None], form.count, 1)) for form in forms]
     memory = float(max(tried, key=lambda one: one.form.count).fit.memory)
     judged = [replace(one, criterion=criterion(one.fit, one.problem.moving, memory)) for one in tried]
     return min(judged, key=lambda one: one.criterion)
+
+
+def chosen_form(problem: MarkerProblem, choice: SkinChoice, segment: str, motion: BoneMotion) -> SkinForm:
+    """Make the form that was chosen for a segment.
+
+    Raises:
+        SettingProblem: The trial does not have what the form needs.
+    """
+    time = problem.trajectories.time
+    turn = segment_turn(problem, motion, segment)
+    turned = None if turn is None or not np.isfinite(turn.turn).any() else turn.turn
+    if choice.functions is not None:
+        values = choice.functions
+        return skin_forms.own("as the file says", lambda _: values, time)
+    if choice.form == "turn":
+        if turned is None:
+            raise SettingProblem(f"Skin of {segment} linear in the joint's turn: no joint of it turns in this trial.")
+        return skin_forms.linear_in_turn(turned)
+    if choice.form == "sinusoid":
+        rate = problem.trajectories.rate
+        period = choice.period_s or (None if turned is None else skin_forms.period_of(turned[:, None], rate))
+        if period is None:
+            raise SettingProblem(f"Skin of {segment} as a sinusoid: the motion does not repeat; give period_s.")
+        return skin_forms.sinusoid(time, period)
+    if choice.form == "spline":
+        return skin_forms.spline(time, choice.pieces or _SPLINE_PIECES)
+    return skin_forms.linear_in_time(time) if choice.form == "time" else skin_forms.constant(len(time))
 
 
 def forms_of(problem: MarkerProblem, segment: str, motion: BoneMotion) -> tuple[SkinForm, ...]:
@@ -141,28 +177,26 @@ def forms_of(problem: MarkerProblem, segment: str, motion: BoneMotion) -> tuple[
 
 
 def interval(problem: MarkerProblem) -> BoneMotion:
-    """Move every bone by interval deformation, the form chosen for each cluster by the information criterion."""
-    return interval_deformation(problem)
-
-
-def interval_deformation(problem: MarkerProblem, forms: Mapping[str, Sequence[SkinForm]] | None = None) -> BoneMotion:
     """Move every bone by interval deformation ([Alexander2001]).
 
-    Args:
-        problem: The trial.
-        forms: The forms to choose from for each segment; those of `forms_of` for a segment that is not there.
+    The form is the one that the problem says for the segment; where it says none, the information criterion chooses.
     """
     clusters = [cluster_data(problem, cluster) for cluster in problem.clusters]
     plain = side_by_side([rigid_bone(data, problem.noise_m) for data in clusters])
-    bones = []
-    for data in clusters:
-        offered = (forms or {}).get(data.segment) or forms_of(problem, data.segment, plain)
-        start = plain.answered[:, plain.segments.index(data.segment)]
-        if not start.any():
-            bones.append(rigid_bone(data, problem.noise_m))
-            continue
-        bones.append(motion_of(choose(data, offered, problem.noise_m)))
-    return side_by_side(bones)
+    return side_by_side([_bone(problem, data, plain) for data in clusters])
+
+
+def _bone(problem: MarkerProblem, data: ClusterData, plain: BoneMotion) -> BoneMotion:
+    if not plain.answered[:, plain.segments.index(data.segment)].any():
+        return rigid_bone(data, problem.noise_m)
+    choice = problem.skin.get(data.segment)
+    if choice is None:
+        return motion_of(choose(data, forms_of(problem, data.segment, plain), problem.noise_m))
+    unknown = [label for label in choice.still if label not in data.labels]
+    if unknown:
+        raise SettingProblem(f"Markers of {data.segment} said to stand still are not there: {', '.join(unknown)}.")
+    form = chosen_form(problem, choice, data.segment, plain)
+    return motion_of(choose(data, [form], problem.noise_m, still=choice.still))
 
 
 def motion_of(deformation: Deformation) -> BoneMotion:

@@ -69,6 +69,7 @@ def _shown(problem: MarkerProblem, cluster: Cluster, postures: Integers) -> bool
 
 def _reduced(problem: MarkerProblem, clusters: tuple[Cluster, ...], postures: Integers) -> MarkerProblem:
     calibration, names = problem.calibration, {cluster.segment for cluster in clusters}
+    kept = [number for number, pair in enumerate(problem.joints) if set(pair) <= names]
     return replace(
         problem,
         clusters=clusters,
@@ -76,5 +77,6 @@ def _reduced(problem: MarkerProblem, clusters: tuple[Cluster, ...], postures: In
             segments=calibration.segments, frames=calibration.frames[postures],
             rotation=calibration.rotation[postures], origin=calibration.origin[postures],
         ),
-        joints=tuple(pair for pair in problem.joints if set(pair) <= names),
+        joints=tuple(problem.joints[number] for number in kept),
+        degrees_of_freedom=tuple(problem.degrees_of_freedom[n] for n in kept) if problem.degrees_of_freedom else (),
     )  # fmt: skip

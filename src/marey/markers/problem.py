@@ -1,10 +1,12 @@
 """What every method of the room is given: a trial's markers, its clusters, and where the bones were once."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Protocol
 
 from marey.markers.bone_motion import BoneMotion
 from marey.markers.clusters import AnatomicalCalibration, Cluster
+from marey.markers.setup import SkinChoice
 from marey.markers.trajectories import MarkerTrajectories
 
 
@@ -24,6 +26,8 @@ class MarkerProblem:
     """Of each joint, 1 to 6, None where it is not said; empty where nothing is said of any."""
     noise_m: float = 5e-4
     """Standard deviation of a marker's measured coordinate [m]."""
+    skin: Mapping[str, SkinChoice] = field(default_factory=dict)
+    """Segment to how its markers are said to move over the bone."""
     exercise: "MarkerProblem | None" = None
     """A second trial of the same markers in which their motion over the bones is learned, where there is one."""
 

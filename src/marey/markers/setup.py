@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from marey.arrays import Floats
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MarkerJoint:
@@ -16,6 +18,22 @@ class MarkerJoint:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
+class SkinChoice:
+    """How the markers of one segment move over the bone, as interval deformation should take it."""
+
+    form: str
+    """`constant`, `time`, `turn`, `sinusoid`, `spline`, or `file`."""
+    period_s: float | None = None
+    """Of a sinusoid [s]; None: found from the joint's motion."""
+    pieces: int | None = None
+    """Of a spline."""
+    functions: Floats | None = None
+    """(F, Q) the user's own functions of time, for `file`."""
+    still: tuple[str, ...] = ()
+    """Markers that do not move over the bone."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class MarkerSetup:
     """What the markers' TOML says; everything may be left out."""
 
@@ -26,3 +44,5 @@ class MarkerSetup:
     joints: tuple[MarkerJoint, ...] = ()
     noise_m: float | None = None
     """Standard deviation of a marker's measured coordinate [m]; None: not said."""
+    skin: Mapping[str, SkinChoice] = field(default_factory=dict)
+    """Segment to how its markers move over the bone; a segment that is not here: chosen by a criterion."""
