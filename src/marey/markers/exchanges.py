@@ -14,8 +14,8 @@ _BETTER = 0.5  # exchanged, the distances must come out wrong by less than this 
 _CLEAR_M = 0.008  # and by this much less, RMS: skin moves distances by a few millimetres
 _MOST_DISTANCES = 10_000_000  # held at once: 80 MB
 _CROSSED = 0.3  # a pair has jumped when its steps to the other's place are less than this share of its own
-_MOVES_WITH = 0.5  # a marker belongs elsewhere when its distances vary there by less than this share
-_OWN_SD_M = 0.005  # and in its own cluster by more than this
+_MOVES_WITH = 0.7  # a pair belongs in each other's clusters when distances vary there by less than this share
+_OWN_SD_M = 0.003  # and by this much less, for the two together
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -189,20 +189,21 @@ def _jumped(points: Floats, columns: list[list[int]]) -> dict[tuple[int, int], M
 
 
 def _all_along(between: Floats, columns: list[list[int]], owner: dict[int, int]) -> list[tuple[int, int]]:
-    """Find markers of two clusters of which each keeps its distances to the other's cluster."""
+    """Find pairs of two clusters of which each keeps its distances to the other's cluster, the clearest first."""
     spread = _spread(between)
-    with_whom: dict[int, int] = {}
-    for m, c in owner.items():
-        rest = [[k for k in members if k != m] for members in columns]
-        varies = [float(np.nan_to_num(_middle(spread[m, others]), nan=np.inf)) for others in rest]
-        best = int(np.argmin(varies))
-        if best != c and varies[best] < _MOVES_WITH * varies[c] and varies[c] > _OWN_SD_M:
-            with_whom[m] = best
-    pairs = []
-    for a, c in with_whom.items():
-        partners = [b for b, d in with_whom.items() if b > a and owner[b] == c and d == owner[a]]
-        if len(partners) == 1:
-            pairs.append((a, partners[0]))
+    varies = np.array([
+        [_middle(spread[m, [k for k in members if k != m]]) for members in columns] for m in sorted(owner)
+    ])  # fmt: skip
+    clear = []
+    for a, b in combinations(sorted(owner), 2):
+        c, d = owner[a], owner[b]
+        own, other = varies[a, c] + varies[b, d], varies[a, d] + varies[b, c]
+        if c != d and other < _MOVES_WITH * own and own - other > _OWN_SD_M:
+            clear.append((own - other, a, b))
+    pairs: list[tuple[int, int]] = []
+    for _, a, b in sorted(clear, reverse=True):
+        if not {a, b} & {m for pair in pairs for m in pair}:
+            pairs.append((a, b))
     return pairs
 
 
