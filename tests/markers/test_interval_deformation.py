@@ -63,6 +63,20 @@ def test_shifts_common_to_all_markers_are_not_seen_and_it_is_said(rng):
     assert held.mean() > 0.8  # what is not seen is stated as large as the motions that are
 
 
+def test_a_turn_about_two_markers_that_stand_still_is_not_seen_and_it_is_said(rng):
+    phase = 2 * np.pi * np.arange(40)[:, None] / 40
+    moving = np.ones((6, 1), bool)
+    moving[[0, 5]] = False
+    _, data, *_ = moving_cluster(rng, 1e-3 * np.sin(phase), moving, frames=40, markers=6)
+    functions = SkinForm(name="slow", functions=np.sin(phase))
+    for still, expected in (([0, 5], 1), ([0, 2, 5], 0)):
+        moves = np.ones((6, 1), bool)
+        moves[still] = False
+        share = deform(data, functions, 50 * NOISE, moving=moves).unseen_share
+        assert len(share) == expected
+        assert all(value > 0.5 for value in share.values())
+
+
 def test_the_stated_turns_hold_the_errors(rng):
     phase = 2 * np.pi * np.arange(200)[:, None] / 100
     functions = np.concatenate([np.sin(phase), np.cos(phase)], 1)

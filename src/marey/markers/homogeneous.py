@@ -41,7 +41,7 @@ def bone_by_factorisation(data: ClusterData, noise_m: float, rank: int | None = 
     origin = shapes.translation + np.einsum("fij,j->fi", shapes.rotation, place)
     covariance = _covariance(shapes, turn, place)
     return one_bone(
-        data.segment, rotation, origin, covariance, (*notes, f"{data.segment}: {shapes.rank} basis shapes.")
+        data.segment, rotation, origin, covariance, (*notes, f"{data.segment}: basis shapes: {shapes.rank}.")
     )
 
 

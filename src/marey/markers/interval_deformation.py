@@ -7,6 +7,7 @@ import numpy as np
 
 from marey.arrays import Floats, Mask
 from marey.errors import SettingProblem
+from marey.geometry import rotations
 from marey.markers import skin_forms
 from marey.markers.bone_motion import BoneMotion, side_by_side
 from marey.markers.cluster_data import ClusterData, cluster_data, counted
@@ -22,6 +23,7 @@ _UNSEEN = 0.5  # of the spread; a common motion whose standard deviation stays a
 _SPLINE_PIECES = 4
 _MOST_FRAMES = 300
 _SETTLED = 0.1  # of the noise
+_LINE = 1e-3  # still markers nearer to one line than this share of the cluster's size leave the turn about it open
 _AXES = ("shift along x", "shift along y", "shift along z", "turn about x", "turn about y", "turn about z")
 
 
@@ -45,26 +47,34 @@ class Deformation:
     @property
     def unseen(self) -> tuple[str, ...]:
         """The motions common to all markers that the data do not tell from the bone's, about the bone's axes."""
-        share = self.unseen_share.max(0, initial=0.0)
-        return tuple(_AXES[axis] for axis in range(6) if share[axis] > _UNSEEN)
+        return tuple(name for name, share in self.unseen_share.items() if share > _UNSEEN)
 
     @property
-    def unseen_share(self) -> Floats:
-        """(Q, 6) what is left of each common motion's spread by the data: 0 seen, 1 not seen at all."""
-        moving, reference = self.problem.moving, self.problem.data.reference
-        markers, count = moving.shape
-        share = np.zeros((count, 6))
-        place = reference - reference.mean(0)
-        for q in range(count):
-            for axis in range(6):
-                unit = np.eye(3)[axis % 3]
-                pattern = np.tile(unit, (markers, 1)) if axis < 3 else np.cross(unit, place)
-                whole = np.zeros((markers, 3, 1 + count))
-                whole[..., 1 + q] = np.where(moving[:, q, None], pattern, 0.0)
+    def unseen_share(self) -> dict[str, float]:
+        """What the data leave of each common motion's spread: 0 seen, 1 not seen at all; the most of any function."""
+        shares: dict[str, float] = {}
+        for q in range(self.problem.moving.shape[1]):
+            for name, pattern in _common_motions(self.problem.data.reference, self.problem.moving[:, q]):
+                whole = np.zeros((*pattern.shape, self.problem.functions.shape[1]))
+                whole[..., 1 + q] = pattern
                 flat = whole.ravel() / np.linalg.norm(whole)
-                if moving[:, q].all():
-                    share[q, axis] = np.sqrt(flat @ self.fit.covariance @ flat) / self.fit.spread[q]
-        return share
+                share = float(np.sqrt(flat @ self.fit.covariance @ flat) / self.fit.spread[q])
+                shares[name] = max(share, shares.get(name, 0.0))
+        return shares
+
+
+def _common_motions(places: Floats, moving: Mask) -> list[tuple[str, Floats]]:
+    """Give the motions of all markers as one rigid body that leave those in place which do not move: name, (M, 3)."""
+    about = places - places.mean(0)
+    six = np.concatenate([np.tile(np.eye(3), (len(places), 1, 1)), rotations.hat(about)], 1)
+    if moving.all():
+        return [(name, six[:, axis]) for axis, name in enumerate(_AXES)]
+    if not moving.any():
+        return []
+    still = np.swapaxes(six[~moving], 1, 2).reshape(-1, 6)
+    _, size, rows = np.linalg.svd(still / np.array([1, 1, 1, *[np.abs(about).max()] * 3]), full_matrices=True)
+    free = rows[(size > _LINE).sum() :] / np.array([1, 1, 1, *[np.abs(about).max()] * 3])
+    return [("turn about the markers that stand still", np.einsum("a,mai->mi", row, six)) for row in free]
 
 
 def deform(
