@@ -153,6 +153,16 @@ def test_gaps_are_filled_where_that_is_asked_for_and_listed(folder, capsys):
     assert "--fill is 'magic'" in said(capsys)
 
 
+def test_bones_that_are_known_in_a_frame_that_was_not_asked_for_are_used(folder):
+    arguments = ["markers", "walk.c3d", "--reference", "frame0.npz", "--method", "rigid", "--frames", "60:90", "-q"]
+    assert run(arguments) == 0
+    found = read_bones(folder / "walk_marey" / "bones.npz").motion
+    assert found.answered[60:90].all()
+    assert not found.answered[:60].any()
+    assert not found.answered[90:].any()
+    np.testing.assert_allclose(found.bone("shank")[0][60:90], true_bones()["shank"][0][60:90], atol=1e-5)
+
+
 def test_without_a_calibration_turns_since_the_reference_frame_are_given_and_said(folder, capsys):
     assert run(["markers", "walk.c3d", "--method", "rigid"]) == 0
     assert "Nothing tells how the bones lie" in capsys.readouterr().err
@@ -211,6 +221,8 @@ def test_an_interrupted_run_leaves_no_results_and_goes_on(folder, monkeypatch, c
         (["walk.c3d", "--clusters", "missing.toml"], "The segment foot has 0 markers"),
         (["loose.c3d"], "no three labels that differ by a number only"),
         (["empty.c3d"], "holds no measured point"),
+        (["walk.c3d", "--reference", "walk.c3d"], "is no NPZ"),
+        (["text.c3d"], "text.c3d: is no C3D"),
         (["walk.c3d", "--reference", "feet.npz"], "has no segment that the trial's markers ride on"),
         (["notes.txt"], "is no file of markers that is read here"),
     ],
@@ -219,6 +231,7 @@ def test_wrong_input_is_one_clear_line_and_leaves_nothing(folder, capsys, argume
     (folder / "who.toml").write_text('[segment]\nthigh = ["thigh_01"]\n')
     (folder / "missing.toml").write_text('[segments]\nfoot = ["foot_1", "foot_2", "foot_3"]\n')
     (folder / "notes.txt").write_text("x")
+    (folder / "text.c3d").write_text("x")
     write_trial(folder / "loose.c3d", dict(zip("ABC", marker_points().values(), strict=False)))
     write_trial(folder / "empty.c3d", {label: np.full((4, 3), np.nan) for label in marker_points()})
     write_arrays(folder / "feet.npz", {"frame": 0, "foot_rotation": np.eye(3), "foot_origin": np.zeros(3)})

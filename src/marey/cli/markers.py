@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from marey.arrays import Mask
 from marey.cli.markers_events import Gait, find_gait
 from marey.cli.markers_model import read_model_trial
 from marey.cli.markers_results import MarkersResults, write_results
@@ -129,8 +130,13 @@ def _run(
 
     def compute() -> dict[str, np.ndarray]:
         began = time.perf_counter()
-        motion = entry.run(problem)
-        return _packed(motion, time.perf_counter() - began)
+        part, first = asked_part(problem, trial.asked)
+        try:
+            motion = entry.run(part)
+        except np.linalg.LinAlgError as fault:
+            wrong = f"The method {entry.name} finds no single solution for these markers ({fault})."
+            raise MareyError(wrong) from fault
+        return _packed(widened(motion, first, len(trial.asked)), time.perf_counter() - began)
 
     with progress.stage(f"Method {entry.name}"):
         motion, seconds = _unpacked(cache.arrays(f"method-{entry.name}", compute, depends=(trial.key, entry.function)))
@@ -162,6 +168,35 @@ def _only_asked(motion: BoneMotion, trial: MarkersTrial) -> BoneMotion:
     rotation, origin, covariance = (np.array(x) for x in (motion.rotation, motion.origin, motion.covariance))
     rotation[out], origin[out], covariance[out] = np.nan, np.nan, np.nan
     return replace(motion, rotation=rotation, origin=origin, covariance=covariance)
+
+
+def asked_part(problem: MarkerProblem, asked: Mask) -> tuple[MarkerProblem, int]:
+    """Give the problem over the frames that are asked for and those in which the bones are known, and its first frame.
+
+    A method is not to count, or to learn from, frames that nobody asked for.
+    """
+    frames = np.concatenate([np.flatnonzero(asked), problem.calibration.frames])
+    first, end = int(frames.min()), int(frames.max()) + 1
+    whole = problem.trajectories
+    if end - first == len(whole):
+        return problem, 0
+    part = replace(
+        whole, points=whole.points[first:end], filled=whole.filled[first:end], residuals=whole.residuals[first:end],
+        start_s=whole.start_s + first / whole.rate,
+    )  # fmt: skip
+    known = replace(problem.calibration, frames=problem.calibration.frames - first)
+    return replace(problem, trajectories=part, calibration=known), first
+
+
+def widened(motion: BoneMotion, first: int, frames: int) -> BoneMotion:
+    """Put a motion back among all frames of the trial, empty where it was not looked at."""
+    if len(motion) == frames:
+        return motion
+    wide = []
+    for values in (motion.rotation, motion.origin, motion.covariance):
+        wide.append(np.full((frames, *values.shape[1:]), np.nan))
+        wide[-1][first : first + len(motion)] = values
+    return replace(motion, rotation=wide[0], origin=wide[1], covariance=wide[2])
 
 
 def _packed(motion: BoneMotion, seconds: float) -> dict[str, np.ndarray]:
@@ -230,7 +265,8 @@ def told(results: MarkersResults) -> list[str]:
     for s, name in enumerate(first.motion.segments):
         known = int(first.motion.answered[:, s].sum())
         moved = first.markers.rms[[segment == name for segment in first.markers.segments]]
-        skin = f", its markers move {1e3 * np.sqrt(np.nanmean(moved**2)):.1f} mm over it (RMS)" if len(moved) else ""
+        moved = moved[np.isfinite(moved)]
+        skin = f", its markers move {1e3 * np.sqrt(np.mean(moved**2)):.1f} mm over it (RMS)" if len(moved) else ""
         lines.append(f"{name}: {known} of {int(results.asked.sum())} frames{skin}.")
     if len(runs) > 1:
         lines.append(f"Methods: {', '.join(run.name for run in runs)}; the files hold {first.name}.")

@@ -57,6 +57,9 @@ class MarkersOptions:
         for option, path in files:
             if path is not None and not path.is_file():
                 raise FileProblem(path, "is a folder" if path.is_dir() else "does not exist", f"Mend {option}.")
+        for option, path in (("--reference", self.reference), ("--exercise-reference", self.exercise_reference)):
+            if path is not None and path.suffix.lower() != ".npz":
+                raise FileProblem(path, "is no NPZ", f"Mend {option}; docs/markers.md says what it holds.")
         if self.fill not in FILLS:
             raise SettingProblem(f"--fill is '{self.fill}'; it should be one of {', '.join(FILLS)}.")
         if self.side is not None and self.side not in SIDES:

@@ -72,6 +72,7 @@ def read_trial(path: Path, options: MarkersOptions) -> MarkersTrial:
     used = used if filling is None else cut(filling.trajectories, asked)
     notes = [*measured.notes, *found.notes, *(() if filling is None else filling.notes)]
     calibration, anatomical, said = _calibration(path, measured, used, found.clusters, setup, options)
+    used = with_frames(used, measured, calibration)
     notes += said
     # Frames that were not asked for are empty in what is used; that is no fault of the markers.
     riding = [label for cluster in found.clusters for label in cluster.labels]
@@ -151,6 +152,18 @@ def cut(trajectories: MarkerTrajectories, asked: Mask) -> MarkerTrajectories:
     points = np.array(trajectories.points)
     points[~asked] = np.nan
     return replace(trajectories, points=points)
+
+
+def with_frames(
+    used: MarkerTrajectories, measured: MarkerTrajectories, calibration: AnatomicalCalibration
+) -> MarkerTrajectories:
+    """Give the frames in which the bones are known their markers again, also where they were not asked for."""
+    lost = [f for f in calibration.frames if not used.present[f].any() and measured.present[f].any()]
+    if not lost:
+        return used
+    points = np.array(used.points)
+    points[lost] = measured.points[lost]
+    return replace(used, points=points)
 
 
 def filled(trajectories: MarkerTrajectories, clusters: Sequence[Cluster], options: MarkersOptions) -> FilledGaps | None:
