@@ -3,7 +3,7 @@ import pytest
 from tests.clusters import moving_cluster
 
 from marey.markers.clusters import Cluster
-from marey.markers.exchanges import Exchange, exchange_back, find_exchanges, ranges
+from marey.markers.exchanges import Exchange, exchange_back, exchanged_since, find_exchanges, ranges
 from marey.markers.trajectories import MarkerTrajectories, trajectories
 
 THIGH, SHANK = tuple(f"thigh_{n}" for n in range(5)), tuple(f"shank_{n}" for n in range(4))
@@ -50,6 +50,9 @@ def test_a_pair_of_one_segment_that_is_exchanged_all_along_needs_a_posture_with_
     assert find_exchanges(wrong, CLUSTERS) == ()
     (found,) = find_exchanges(wrong, CLUSTERS, right.points[40])
     assert (found.labels, found.frames.all()) == (("thigh_1", "thigh_3"), True)
+    (told,) = exchanged_since(wrong, CLUSTERS, (*right.labels, "further"), np.vstack([right.points[40], np.zeros(3)]))
+    assert told.labels == ("thigh_1", "thigh_3")
+    assert exchanged_since(right, CLUSTERS, right.labels, right.points[40]) == ()
 
 
 def test_a_long_trial_is_looked_through_in_stretches(right, monkeypatch):

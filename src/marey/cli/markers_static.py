@@ -12,6 +12,7 @@ from marey.errors import FileProblem, MareyError
 from marey.io.marker_setup import read_reference
 from marey.io.markers import read_markers
 from marey.markers.clusters import AnatomicalCalibration, Cluster
+from marey.markers.exchanges import exchanged_since
 from marey.markers.functional import FunctionalCentre, carried, score
 from marey.markers.joint_angles import usual_joints
 from marey.markers.labels import clusters_named, find_clusters
@@ -85,6 +86,10 @@ def from_static(
     except MareyError as problem:
         raise FileProblem(options.static, f"does not fit the trial: {problem}".rstrip(".")) from None
     notes += [*found.notes, *moved.notes, _carried_text(moved)]
+    notes += [
+        f"Against {options.static.name}, {exchange.note}"
+        for exchange in exchanged_since(trajectories, clusters, bones.labels, bones.points)
+    ]
     return StaticBones(carried=moved, notes=tuple(notes))
 
 

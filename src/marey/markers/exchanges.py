@@ -12,6 +12,7 @@ from marey.markers.trajectories import MarkerTrajectories
 
 _BETTER = 0.5  # exchanged, the distances must come out wrong by less than this share of what they are
 _CLEAR_M = 0.008  # and by this much less, RMS: skin moves distances by a few millimetres
+_ALL_ALONG = 0.9  # of the frames that show both
 _MOST_DISTANCES = 10_000_000  # held at once: 80 MB
 _CROSSED = 0.3  # a pair has jumped when its steps to the other's place are less than this share of its own
 _MOVES_WITH = 0.7  # a pair belongs in each other's clusters when distances vary there by less than this share
@@ -95,6 +96,29 @@ def _in_stretches(
         for pair, frames in _one_by_one(_distances(stretch, stretch), usual, columns, owner).items():
             found.setdefault(pair, np.zeros(len(points), bool))[start : start + at_once] = frames
     return found
+
+
+def exchanged_since(
+    trajectories: MarkerTrajectories, clusters: Sequence[Cluster], labels: Sequence[str], points: Floats
+) -> tuple[Exchange, ...]:
+    """Find pairs of labels of one cluster that are exchanged all along, against a posture of another trial.
+
+    Args:
+        trajectories: Of the trial.
+        clusters: Of its markers.
+        labels: N labels of the other trial.
+        points: (N, 3) where those markers were in its posture [m]; NaN where not known.
+    """
+    places = dict(zip(labels, points, strict=True))
+    known = np.array([places.get(label, np.full(3, np.nan)) for label in trajectories.labels])
+    inside = {label: cluster.segment for cluster in clusters for label in cluster.labels}
+    there = {label: trajectories.present[:, m] for m, label in enumerate(trajectories.labels)}
+    return tuple(
+        exchange
+        for exchange in find_exchanges(trajectories, clusters, known)
+        if inside[exchange.labels[0]] == inside[exchange.labels[1]]
+        and exchange.frames[there[exchange.labels[0]] & there[exchange.labels[1]]].mean() > _ALL_ALONG
+    )
 
 
 def exchange_back(trajectories: MarkerTrajectories, exchanges: Sequence[Exchange]) -> MarkerTrajectories:
