@@ -1,12 +1,15 @@
 """Every method from skin markers to bones on the real trials with true bones, beside the rigid fit.
 
     python bench/markers_trials.py SHARED [--methods NAME ...] [--trials NAME ...]
+    python bench/markers_trials.py SHARED --exercise
 
 The fair protocol: the bones are known in the first frame alone, or in that frame and the one farthest from it in knee
 flexion. Prints a table a trial: degrees RMS of thigh and shank (turn) and of the knee's three angles, their root mean
 square, that against the rigid fit with one posture, and the share of true errors that 1.96 stated standard deviations
 hold; at the end all trials in one table, each cell thigh / shank; the knee's angles; these together. The figures are
-those of score/bones.py. The data: Cereatti et al. 2017, J Biomech, doi 10.1016/j.jbiomech.2017.02.004.
+those of score/bones.py. `--exercise`: artefact assessment on the treadmill alone, skin learned from the first stride
+with the true bones, the other strides as the activity. The data: Cereatti et al. 2017, J Biomech,
+doi 10.1016/j.jbiomech.2017.02.004.
 """
 
 import argparse
@@ -15,7 +18,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import ezc3d
@@ -110,7 +113,7 @@ class Row:
     @property
     def together(self) -> float:
         """Root mean square of the three angles."""
-        return float(np.sqrt(np.mean(np.square(self.knee))))
+        return rms(list(self.knee))
 
     @property
     def angles(self) -> str:
@@ -141,7 +144,7 @@ def rows_of(shared: Path, name: str, methods: list[str]) -> list[Row]:
     print(HEAD.format(name), flush=True)
     problems = read_trial(folder, name)
     first = score(METHODS["rigid"].run(problems[0]), shared, truth)["knee_rms_deg"]
-    baseline, rows = float(np.sqrt(np.mean(np.square(first)))), []
+    baseline, rows = rms(first), list[Row]()
     for entry in choose_methods(methods):
         for problem in problems:
             if entry.lacks(problem):
@@ -160,10 +163,44 @@ def row(name: str, problem: MarkerProblem, figures: dict, baseline: float, secon
     return Row(
         method=name, postures=problem.calibration.postures, thigh=segments[0]["turn_rms_deg"],
         shank=segments[1]["turn_rms_deg"], knee=knee,
-        against=float(np.sqrt(np.mean(np.square(knee)))) / baseline - 1,
+        against=rms(list(knee)) / baseline - 1,
         held=float(np.mean([s.get("covered_95", np.nan) for s in segments])),
         seen=min(s["seen"] for s in segments), frames=len(problem.trajectories), seconds=seconds,
     )  # fmt: skip
+
+
+def first_stride_as_exercise(shared: Path, name: str = "lmam_treadmill_walking") -> None:
+    """Learn skin motion from a trial's first stride with its true bones; print the others beside the rigid fit."""
+    folder = shared / "data" / "markers" / "sta"
+    truth = np.load(folder / f"{name}.npz")
+    whole, _ = read_trial(folder, name)
+    end, count = int(truth["event_heel_strike"][1]), len(whole.trajectories)
+    exercise, activity = stretch(whole, truth, 0, end, list(range(end))), stretch(whole, truth, end, count, [end])
+    with tempfile.TemporaryDirectory() as scratch:
+        rest = Path(scratch) / "truth.npz"
+        np.savez(rest, **{key: truth[key][end:] for key in truth if key.endswith(("_rotation", "_origin"))})
+        for method in ("rigid", "artefact"):
+            figures = score(METHODS[method].run(replace(activity, exercise=exercise)), shared, rest)
+            print(method, f"{rms(figures['knee_rms_deg']):.2f}", figures)
+
+
+def stretch(
+    problem: MarkerProblem, truth: np.lib.npyio.NpzFile, first: int, end: int, known: list[int]
+) -> MarkerProblem:
+    """Cut frames out of a trial, its bones known in some of them (counted in the whole trial)."""
+    trial, segments = problem.trajectories, problem.calibration.segments
+    calibration = AnatomicalCalibration(
+        segments=segments,
+        frames=np.array(known) - first,
+        rotation=np.stack([truth[f"{s}_rotation"][known] for s in segments], 1),
+        origin=np.stack([truth[f"{s}_origin"][known] / MM for s in segments], 1),
+    )
+    points = trajectories(trial.labels, trial.points[first:end], trial.rate)
+    return replace(problem, trajectories=points, calibration=calibration)
+
+
+def rms(values: list[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def print_together(trials: dict[str, list[Row]]) -> None:
@@ -187,7 +224,11 @@ def main() -> None:
     parser.add_argument("shared", type=Path)
     parser.add_argument("--methods", nargs="*", default=["all"])
     parser.add_argument("--trials", nargs="*")
+    parser.add_argument("--exercise", action="store_true")
     given = parser.parse_args()
+    if given.exercise:
+        first_stride_as_exercise(given.shared)
+        return
     names = given.trials or sorted(path.stem for path in (given.shared / "data" / "markers" / "sta").glob("*.c3d"))
     print_together({name: rows_of(given.shared, name, given.methods) for name in names})
 
