@@ -149,6 +149,22 @@ def test_stated_deviations_hold_the_errors_of_noise():
     assert 0.88 < held.reshape(2, 80, -1)[:, off].mean() < 0.99
 
 
+def test_skin_that_moves_with_its_segment_is_held_as_far_as_the_markers_show_such_sizes():
+    bones = moving(80)
+    problem = filmed(bones, noise=0.001, postures=range(0, 80, 4))
+    rng = np.random.default_rng(9)
+    slow = np.sin(np.linspace(0, 6, 80)[:, None, None] + rng.uniform(0, 6, (3, 1, 3)).reshape(1, -1, 3).repeat(6, 1))
+    own = np.sin(np.linspace(0, 6, 80)[:, None, None] + rng.uniform(0, 6, (1, 18, 3)))
+    points = problem.trajectories.points + 0.008 * slow + 0.008 * own
+    skin = replace(problem, trajectories=trajectories(problem.trajectories.labels, points, 100.0))
+    found = global_ball(skin)
+    held = [
+        np.abs(rotations.log(np.swapaxes(found.rotation, -1, -2) @ bones[0])) < 1.96 * found.rotation_sd,
+        np.abs(found.origin - bones[1]) < 1.96 * found.origin_sd,
+    ]
+    assert np.mean(held) > 0.8
+
+
 def test_a_bone_with_two_markers_is_known_through_its_joint_and_one_without_any_is_not():
     bones = moving(60, knee=3)
     shank = [f"shank_{i}" for i in range(6)]

@@ -103,8 +103,8 @@ def optimise_chain(problem: MarkerProblem, joints: Sequence[ChainJoint]) -> Glob
         joints: Between segments of the problem.
 
     Returns:
-        The bones with their covariance, which knows of residuals only: skin that moves with its whole segment shows in
-        them as far as the joints resist it.
+        The bones with their covariance. Skin that moves with its whole segment, which residuals show only as far as the
+        joints resist it, is taken to move as much as the markers move against each other.
 
     Raises:
         MareyError: A joint ties segments that have no markers, or there is none.
@@ -128,7 +128,8 @@ def optimise_chain(problem: MarkerProblem, joints: Sequence[ChainJoint]) -> Glob
         state, _ = descend(chain, state)
     # No marker is better than its measurement, however well a cluster keeps its shape.
     stated = replace(chain, shapes=tuple(s._replace(sd=np.maximum(s.sd, problem.noise_m)) for s in chain.shapes))
-    return _result(data, chain, state, solve(stated, build(stated, state), 0.0).covariance)
+    covariance = solve(stated, build(stated, state), 0.0).covariance
+    return _result(data, chain, state, covariance, _moving_together(stated, state, covariance, problem.noise_m))
 
 
 def _start(
@@ -280,13 +281,27 @@ def _weighed(chain: Chain, state: State, step: Step) -> tuple[Shape, ...]:
     return tuple(shapes)
 
 
-def _result(data: Sequence[ClusterData], chain: Chain, state: State, joint: Floats) -> GlobalOptimisation:
-    """Give the bones; those that nothing fixes are NaN."""
+def _moving_together(chain: Chain, state: State, covariance: Floats, noise_m: float) -> Floats:
+    """Give what skin that moves with its whole segment adds to the covariance (F, 6 S, 6 S) of the poses.
+
+    Ours: residuals do not show it, so it is taken to be as large as what they show beyond the measurement's noise: all
+    markers of a segment together then say no more of the bone than one does.
+    """
+    information = np.zeros_like(covariance)
+    for s, shape in enumerate(chain.shapes):
+        at = slice(6 * s, 6 * s + 6)
+        skin = np.sqrt(np.maximum(1 - (noise_m / shape.sd) ** 2, 0.0)) / shape.sd
+        rows = (marker_rows(shape, state.rotation[:, s]) * skin[:, None, None]).reshape(len(covariance), -1, 6)
+        information[:, at, at] = shape.used.sum(1)[:, None, None] * (np.swapaxes(rows, 1, 2) @ rows)
+    return np.asarray(covariance @ information @ covariance)
+
+
+def _result(data: Sequence[ClusterData], chain: Chain, state: State, noise: Floats, skin: Floats) -> GlobalOptimisation:
+    """Give the bones with both parts of their covariance; those that nothing fixes are NaN."""
     count, segments = state.rotation.shape[:2]
-    blocks = joint.reshape(count, segments, 6, segments, 6)
-    covariance = np.stack([blocks[:, s, :, s] for s in range(segments)], 1)
-    sd = np.sqrt(np.maximum(np.diagonal(covariance, axis1=-2, axis2=-1), 0.0))
-    open_ = np.asarray((sd > _OPEN).any(-1))
+    blocks = [part.reshape(count, segments, 6, segments, 6) for part in (noise, noise + skin)]
+    alone, covariance = (np.stack([b[:, s, :, s] for s in range(segments)], 1) for b in blocks)
+    open_ = np.asarray((np.diagonal(alone, axis1=-2, axis2=-1) > _OPEN**2).any(-1))
     notes = [note for d in data for note in d.notes]
     for d, lost in zip(data, open_.T, strict=True):
         if lost.any():
