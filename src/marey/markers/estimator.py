@@ -8,7 +8,15 @@ from marey.arrays import Floats
 from marey.geometry import rotations
 from marey.markers.bone_motion import BoneMotion, side_by_side
 from marey.markers.cluster_data import ClusterData, cluster_data, counted
-from marey.markers.joint_constraints import Bed, KnownJoint, better_centres, first_centres, is_anatomical, joint_rows
+from marey.markers.joint_constraints import (
+    Bed,
+    KnownJoint,
+    Rows,
+    better_centres,
+    first_centres,
+    is_anatomical,
+    joint_rows,
+)
 from marey.markers.joint_laxity import laxity
 from marey.markers.joint_turn import JointTurn, joint_turn, segment_turn
 from marey.markers.kriging import krige
@@ -19,8 +27,8 @@ from marey.markers.skin_motion import SkinMotion, filled_postures, learn_skin, s
 _ROUNDS = 4
 _STEPS = 4
 _CHUNK = 256
-_COMMON_TURN = 0.9
-_COMMON_SHIFT = 1.8
+_COMMON_TURN = 0.75  # what all markers do together, as a multiple of what they do against each other;
+_COMMON_SHIFT = 1.5  # from three trials with known bones, rounded (docs/marker-methods.md)
 _SLENDEREST = 1e-6  # of a cluster's spread, so that markers in a line have some
 _FLOOR = 1e-12  # variance that keeps a row finite where both joint and skin are known exactly
 
@@ -185,7 +193,7 @@ def _settle(beds: list[Bed], joints: list[KnownJoint]) -> tuple[Floats, Floats]:
     return steps, covariance
 
 
-def _stacked(joints: list[KnownJoint], rows: list, steps: Floats) -> tuple[Floats, Floats, Floats]:
+def _stacked(joints: list[KnownJoint], rows: list[Rows], steps: Floats) -> tuple[Floats, Floats, Floats]:
     """Put all joints' rows (F, R, S, 6), values (F, R) at the motions' zero and variances (F, R) together."""
     frames, count = steps.shape[:2]
     wrts, values = [], []

@@ -55,15 +55,15 @@ def _millimetres(anyway: float, turned: float) -> Give:
 
 _LAXITY = {
     # Knees with known bones: over a trial adduction ranges over 4 to 11, rotation over 5 to 24 degrees, the centre
-    # keeps its place within 1 to 3 mm ([Cereatti2017]). Somewhat more is allowed, so that a knee that moves more than
-    # most is not drawn to the others.
+    # keeps its place within 1 to 3 mm ([Cereatti2017]). These and all below allow for about twice as much, so that a
+    # joint that moves more than most is not drawn to the others.
     ("thigh", "shank"): Laxity(
-        adduction=_degrees(3.0, 3.0), rotation=_degrees(4.0, 5.5), translation=_millimetres(2.0, 2.5)
+        adduction=_degrees(3.5, 3.5), rotation=_degrees(5.0, 6.5), translation=_millimetres(4.0, 5.0)
     ),
-    ("pelvis", "thigh"): Laxity(translation=_millimetres(1.0, 1.0)),
-    ("shank", "foot"): Laxity(translation=_millimetres(3.0, 3.0)),
-    ("upperarm", "forearm"): Laxity(adduction=_degrees(3.0, 3.0), translation=_millimetres(2.0, 2.5)),
-    ("scapula", "upperarm"): Laxity(translation=_millimetres(3.0, 3.0)),
+    ("pelvis", "thigh"): Laxity(translation=_millimetres(2.0, 2.0)),
+    ("shank", "foot"): Laxity(translation=_millimetres(6.0, 6.0)),
+    ("upperarm", "forearm"): Laxity(adduction=_degrees(3.5, 3.5), translation=_millimetres(4.0, 5.0)),
+    ("scapula", "upperarm"): Laxity(translation=_millimetres(5.0, 5.0)),
     ("thorax", "upperarm"): Laxity(translation=_millimetres(10.0, 20.0)),
 }
 _ANY_OTHER = Laxity(translation=_millimetres(10.0, 10.0))

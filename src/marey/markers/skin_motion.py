@@ -21,7 +21,8 @@ _MARKERS_LEFT_OUT = 6
 _MOST_MODES = 4
 _MARKERS_TO_WEIGH = 5
 _LOOSEST = 3.0
-_SHARE_OF_NOTHING = 1e-6  # of the mean squared displacement; below it a course does not vary
+_LEAST_TURN = 1e-6  # rad; below these on the mean neither turn nor courses say anything
+_LEAST_COURSE = 1e-9  # m
 _THIGH = np.log(1.5)  # the thigh's skin moves about twice as far as the shank's ([Cereatti2017])
 _LEVELS = {"thigh": _THIGH, "shank": -_THIGH, "femur": _THIGH, "tibia": -_THIGH}
 _LEVEL_COUNTS = 12.0  # as many free coordinates as say as much of a cluster's size as its neighbours' sizes do
@@ -271,4 +272,4 @@ def _scales(turn: Floats, courses: Floats, first: int) -> tuple[float, float]:
     """Give the means of |turn| and of squared courses since the first posture, by which their shares are measured."""
     turned = float(np.abs(turn - turn[first]).mean())
     moved = float(((courses - courses[first]) ** 2).sum(-1).mean())
-    return max(turned, _SHARE_OF_NOTHING), max(moved, 1e-18)
+    return max(turned, _LEAST_TURN), max(moved, _LEAST_COURSE**2)
