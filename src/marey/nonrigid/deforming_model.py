@@ -1,0 +1,222 @@
+"""A deforming shape before one camera as a Gaussian model, fitted by expectation and maximisation.
+
+Frame f shows the first two rows of R_f (M + c_f1 B_1 + ...) + t_f with white noise. The weights c are processes that
+each remember two frames (autoregressive, learned); turns of the camera change their rate at random by a learned
+amount. Every frame's turn, shift and weights are solved together over the whole sequence by Gauss-Newton, with their
+covariance; the shapes then point by point; then the noise and the processes ([Torresani2008], there with a memory of
+one frame and without the camera in the same equations).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from marey.arrays import Floats
+from marey.geometry import rotations
+from marey.nonrigid.block_banded import solve_banded
+from marey.nonrigid.rotation_paths import acceleration_jacobians, accelerations, add_steadiness
+
+SHIFT = 5
+"""Unknowns of a frame before its weights: three of the turn, two of the shift."""
+LONGEST_TURN = 0.3
+FIRST_MEMORY = (1.9, -0.95)
+STEADIEST = 1e-5
+"""Least standard deviation of the camera's acceleration that is believed [rad]."""
+LEAST = 1e-12
+
+
+@dataclass
+class DeformingModel:
+    """The model and what is known of its sequence; changed by the steps below."""
+
+    rotation: Floats
+    """(F, 3, 3)."""
+    shift: Floats
+    """(F, 2)."""
+    mean: Floats
+    """(3, P)."""
+    modes: Floats
+    """(M, 3, P)."""
+    weights: Floats
+    """(F, M)."""
+    spread: Floats
+    """(M,) variance of the weights."""
+    memory: Floats
+    """(M, 2) share of the last weight and of the one before."""
+    surprise: Floats
+    """(M,) variance of what the memory does not foretell."""
+    unsteadiness: float
+    """Variance of the camera's acceleration [rad2]."""
+    variance: float
+    """Of a coordinate of the tracks about the model."""
+    covariance: tuple[Floats, Floats, Floats]
+    """(F, 5 + M, 5 + M) of each frame's unknowns, and with the next and the next but one."""
+    cost: float = np.inf
+    """Minus the logarithm of the tracks' probability, up to a constant."""
+
+    @property
+    def shapes(self) -> Floats:
+        """(F, 3, P)."""
+        return np.asarray(self.mean + np.einsum("fm,mip->fip", self.weights, self.modes))
+
+
+def begin(tracks: Floats, seen: Floats, rotation: Floats, shapes: Floats, modes: int, noise: float) -> DeformingModel:
+    """Start from rotations (F, 3, 3) and shapes (F, 3, P); the noise is a first guess, in the tracks' unit."""
+    shapes = shapes - shapes.mean(2, keepdims=True)
+    frames, _, points = shapes.shape
+    mean = shapes.mean(0)
+    u, d, vt = np.linalg.svd((shapes - mean).reshape(frames, -1), full_matrices=False)
+    modes = min(modes, len(d))
+    weights = u[:, :modes] * d[:modes] / np.sqrt(points)
+    memory = np.tile(FIRST_MEMORY, (modes, 1))
+    foretold = memory[:, 0] * weights[1:-1] + memory[:, 1] * weights[:-2]
+    floor = LEAST * float(np.mean(mean**2))
+    unknowns = SHIFT + modes
+    model = DeformingModel(
+        rotation=rotation, shift=np.zeros((frames, 2)), mean=mean, weights=weights, memory=memory,
+        modes=(vt[:modes] * np.sqrt(points)).reshape(modes, 3, points), spread=(weights**2).mean(0) + floor,
+        surprise=((weights[2:] - foretold) ** 2).mean(0) + floor,
+        unsteadiness=max(float((accelerations(rotation) ** 2).mean()), STEADIEST**2),
+        variance=noise**2, covariance=(np.zeros((frames, unknowns, unknowns)),) * 3,
+    )  # fmt: skip
+    left = (tracks - (rotation @ shapes)[:, :2]) * seen[:, None]
+    model.shift = left.sum(2) / seen.sum(1)[:, None]
+    return model
+
+
+def residuals_and_jacobians(model: DeformingModel, tracks: Floats, seen: Floats) -> tuple[Floats, Floats]:
+    """Give the residuals (F, 2, P) and the model's derivative (F, 2, P, 5 + M) by left turn, shift and weights."""
+    frames, _, points = tracks.shape
+    carried = model.rotation @ model.shapes
+    residual = (tracks - carried[:, :2] - model.shift[:, :, None]) * seen[:, None]
+    jacobian = np.zeros((frames, 2, points, SHIFT + len(model.modes)))
+    jacobian[:, 0, :, 1], jacobian[:, 0, :, 2] = carried[:, 2], -carried[:, 1]
+    jacobian[:, 1, :, 0], jacobian[:, 1, :, 2] = -carried[:, 2], carried[:, 0]
+    jacobian[:, 0, :, 3] = jacobian[:, 1, :, 4] = 1
+    by_weight = model.rotation[:, :2] @ model.modes.transpose(1, 2, 0).reshape(3, -1)
+    jacobian[..., SHIFT:] = by_weight.reshape(frames, 2, points, -1)
+    jacobian *= seen[:, None, :, None]
+    return residual, jacobian
+
+
+def solve_frames(model: DeformingModel, tracks: Floats, seen: Floats) -> None:
+    """Do one Gauss-Newton step of all frames together; sets covariance and cost."""
+    residual, jacobian = residuals_and_jacobians(model, tracks, seen)
+    frames, unknowns = len(tracks), jacobian.shape[-1]
+    flat = jacobian.reshape(frames, -1, unknowns)
+    diagonal = np.swapaxes(flat, 1, 2) @ flat / model.variance
+    right = np.einsum("fnd,fn->fd", flat, residual.reshape(frames, -1)) / model.variance
+    diagonal[:, range(3), range(3)] += 1e-8
+    first, second = np.zeros_like(diagonal), np.zeros_like(diagonal)
+    add_steadiness(diagonal, first, second, right, model.rotation, 1 / model.unsteadiness)
+    surprise = _add_memory(model, diagonal, first, second, right)
+    step, *covariance, determinant = solve_banded(diagonal, first, second, right)
+    model.covariance = (covariance[0], covariance[1], covariance[2])
+    model.cost = 0.5 * (
+        float((residual**2).sum()) / model.variance
+        + float((accelerations(model.rotation) ** 2).sum()) / model.unsteadiness
+        + surprise + determinant + 2 * float(seen.sum()) * np.log(model.variance)
+        + 3 * (frames - 2) * np.log(model.unsteadiness)
+        + float((frames - 2) * np.log(model.surprise).sum() + 2 * np.log(model.spread).sum())
+    )  # fmt: skip
+    share = min(1.0, LONGEST_TURN / max(float(np.abs(step[:, :3]).max()), 1e-300))
+    model.rotation = rotations.exp(share * step[:, :3]) @ model.rotation
+    model.shift = model.shift + share * step[:, 3:SHIFT]
+    model.weights = model.weights + share * step[:, SHIFT:]
+
+
+def _add_memory(model: DeformingModel, diagonal: Floats, first: Floats, second: Floats, right: Floats) -> float:
+    """Add the weights' processes to the normal equations; give their squared surprises over the variances."""
+    frames, own = len(right), np.arange(SHIFT, right.shape[1])
+    left = model.weights[2:] - model.memory[:, 0] * model.weights[1:-1] - model.memory[:, 1] * model.weights[:-2]
+    precision = 1 / model.surprise
+    by = (-model.memory[:, 1], -model.memory[:, 0], np.ones(len(own)))
+    for k in range(3):
+        span = slice(k, frames - 2 + k)
+        diagonal[span, own, own] += precision * by[k] ** 2
+        right[span, SHIFT:] -= precision * by[k] * left
+    first[:-2, own, own] += precision * by[0] * by[1]
+    first[1:-1, own, own] += precision * by[1] * by[2]
+    second[:-2, own, own] += precision * by[0] * by[2]
+    diagonal[:2, own, own] += 1 / model.spread
+    right[:2, SHIFT:] -= model.weights[:2] / model.spread
+    return float((left**2 * precision).sum() + (model.weights[:2] ** 2 / model.spread).sum())
+
+
+def solve_shapes(model: DeformingModel, tracks: Floats, seen: Floats) -> None:
+    """Solve for the mean shape and the modes of every point, given what is known of the frames."""
+    frames, _, points = tracks.shape
+    count = len(model.modes) + 1
+    row = np.concatenate([np.ones((frames, 1)), model.weights], 1)
+    square = row[:, :, None] * row[:, None]
+    square[:, 1:, 1:] += model.covariance[0][:, SHIFT:, SHIFT:]
+    rows = model.rotation[:, :2]
+    seen_of = np.einsum("fki,fkj->fij", rows, rows)
+    pairs = (square[:, :, None, :, None] * seen_of[:, None, :, None, :]).reshape(frames, -1)
+    normal = (seen.T @ pairs).reshape(points, 3 * count, 3 * count)
+    back = np.einsum("fki,fkp->fip", rows, (tracks - model.shift[:, :, None]) * seen[:, None])
+    right = np.einsum("fa,fip->pai", row, back).reshape(points, -1, 1)
+    normal[:, range(3 * count), range(3 * count)] += 1e-9 * np.einsum("pnn->p", normal)[:, None] / (3 * count)
+    solved = np.linalg.solve(normal, right).reshape(points, count, 3)
+    model.mean, model.modes = solved[:, 0].T, np.moveaxis(solved[:, 1:], 0, 2)
+    middle, middles = model.mean.mean(1), model.modes.mean(2)
+    model.mean, model.modes = model.mean - middle[:, None], model.modes - middles[:, :, None]
+    model.shift = model.shift + np.einsum("fij,fj->fi", rows, middle + model.weights @ middles)
+
+
+def solve_processes(model: DeformingModel, tracks: Floats, seen: Floats, least_noise: float) -> None:
+    """Estimate the noise, the weights' processes and the camera's unsteadiness anew."""
+    residual, jacobian = residuals_and_jacobians(model, tracks, seen)
+    frames = len(tracks)
+    flat = jacobian.reshape(frames, -1, jacobian.shape[-1])
+    doubt = float(np.einsum("fde,fde->", np.swapaxes(flat, 1, 2) @ flat, model.covariance[0]))
+    model.variance = max((float((residual**2).sum()) + doubt) / (2 * float(seen.sum())), least_noise**2)
+    here, near, far = (np.einsum("fmm->fm", part[:, SHIFT:, SHIFT:]) for part in model.covariance)
+    c = model.weights
+    now, last, before = ((c[k:][: frames - 2] ** 2 + here[k:][: frames - 2]).sum(0) for k in (2, 1, 0))
+    now_last, last_before = (c[2:] * c[1:-1] + near[1:-1]).sum(0), (c[1:-1] * c[:-2] + near[:-2]).sum(0)
+    now_before = (c[2:] * c[:-2] + far[:-2]).sum(0)
+    normal = np.moveaxis(np.array([[last, last_before], [last_before, before]]), -1, 0)
+    normal = normal + 1e-12 * (last + before)[:, None, None] * np.eye(2)
+    right = np.stack([now_last, now_before], 1)
+    model.memory = np.linalg.solve(normal, right[..., None])[..., 0]
+    left = now - 2 * (model.memory * right).sum(1) + np.einsum("mi,mij,mj->m", model.memory, normal, model.memory)
+    model.surprise = np.maximum(left / (frames - 2), 1e-16 * now / frames + 1e-300)
+    model.spread = (c**2 + here).mean(0)
+    model.unsteadiness = max(_unsteadiness(model), STEADIEST**2)
+
+
+def _unsteadiness(model: DeformingModel) -> float:
+    """Give the mean square of the camera's acceleration, what is not known of it included."""
+    jacobians = acceleration_jacobians(model.rotation)
+    frames = len(model.rotation)
+    total = float((accelerations(model.rotation) ** 2).sum())
+    for i in range(3):
+        for j in range(i, 3):
+            part = model.covariance[j - i][i : frames - 2 + i, :3, :3]
+            total += (1 + (j > i)) * float(np.einsum("fij,fjk,fik->", jacobians[i], part, jacobians[j], optimize=True))
+    return total / (3 * (frames - 2))
+
+
+def improve(model: DeformingModel, tracks: Floats, seen: Floats, rounds: int, least_noise: float = 0.0) -> None:
+    """Do rounds of all three steps, and once more the first, so that covariance and cost are those of the end."""
+    floor = max(least_noise, 1e-6 * float(np.sqrt(np.mean(model.mean**2))))
+    for _ in range(rounds):
+        solve_frames(model, tracks, seen)
+        solve_shapes(model, tracks, seen)
+        solve_processes(model, tracks, seen, floor)
+    solve_frames(model, tracks, seen)
+
+
+def basis_cost(model: DeformingModel) -> float:
+    """Give minus the logarithm of what the modes' freedom costs the tracks' probability, up to a constant.
+
+    Each coordinate of a mode of root mean square 1 is believed to be of size 1 beforehand; the tracks tell two of three
+    coordinates a frame, so they narrow it by the square root of 1 + 2 sum(c^2) / (3 noise^2) (Laplace).
+    """
+    weights = model.weights - model.weights.mean(0)
+    left = np.einsum("fm,mip->fip", weights, model.modes).reshape(len(weights), -1)
+    square = left @ left.T if len(left) < left.shape[1] else left.T @ left
+    size = np.maximum(np.linalg.eigvalsh(square)[::-1][: len(model.modes)], 0)
+    points = model.mean.shape[1]
+    return float(1.5 * points * np.log1p(2 / 3 * size / (points * model.variance)).sum())

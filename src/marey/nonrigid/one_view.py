@@ -1,0 +1,246 @@
+"""Shape and motion of a deforming object from the tracks of one uncalibrated camera ([Alexander2003] eq. (9)-(12)).
+
+Unlike the paper, which leaves the number of basis shapes and the metric upgrade open, the answer with the best evidence
+is taken: rotations for several numbers of shapes, each also with steadier camera paths, are judged by how probable they
+make the tracks under one Gaussian model of a deforming shape, and the best is refined by that model.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from marey.arrays import Floats, Mask, frozen
+from marey.errors import MareyError
+from marey.nonrigid.completion import complete_tracks
+from marey.nonrigid.deforming_model import SHIFT, DeformingModel, basis_cost, begin, improve
+from marey.nonrigid.metric_upgrade import rotation_candidates
+from marey.nonrigid.rotation_paths import accelerations, mirrored_after, steadier
+from marey.nonrigid.smooth_shapes import nuclear_norm, smooth_shapes
+
+FEWEST_FRAMES = 6
+FEWEST_POINTS = 4
+COMPLETING_RANK = 15
+SPANS = (0.0, 1.0, 1e2, 1e4, 1e6, 1e8)
+"""Weights of the camera's steadiness that are tried, see `steadier`."""
+TOLD_APART = 0.01
+"""Of camera paths whose evidence differs by less, in natural logarithms a coordinate of the tracks, the steadiest is
+taken: a slow turn that the object makes as a whole and one of the camera look alike, and the evidence tells little."""
+BEST_OF_SPAN = 3
+"""Numbers of basis shapes that the model compares at last; the nuclear norm chooses them."""
+JUDGING_NOISE = 0.01
+"""Noise that is believed at least when answers are compared, as a share of the object's size: what few modes leave is
+not noise, and would decide otherwise."""
+JUDGING_MODES = 12
+JUDGING_ROUNDS = 10
+MODES = (3, 6, 12, 20, 36)
+"""Numbers of modes with which the answer is refined; one is told."""
+PRICE = 0.5
+"""Share of `basis_cost` that a refined answer pays for its modes. All of it (near the Bayesian information criterion) 
+keeps fewer modes than are of use, none of it too many of a simple shape (docs/nonrigid-methods.md)."""
+FRAMES_A_MODE = 8
+"""Fewer frames a mode would tell too little about it."""
+ROUNDS = 12
+FIRST_NOISE = 0.005
+KEPT = 1e-3
+"""A mode whose weights are below this share of the object's size is not told."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class NonRigidShapes:
+    """Shapes and motion before one camera: tracks = the first two rows of rotation @ shape, + translation.
+
+    What one orthographic camera cannot tell is chosen: the sign of depth (of the two mirror images the one whose first
+    frame has its third row along +z by a cross product), the distance, and the object's axes, which are
+    the camera's in the first frame. Lengths are in the tracks' unit (pixels): the scale in space is not known.
+    """
+
+    shape: Floats
+    """(F, 3, P) in the object's frame, also of points that were not seen (`predicted`)."""
+    shape_sd: Floats
+    """(F, 3, P)."""
+    rotation: Floats
+    """(F, 3, 3) camera from object."""
+    rotation_sd: Floats
+    """(F, 3) of the turn about the camera's axes [rad]."""
+    translation: Floats
+    """(F, 2)."""
+    basis: Floats
+    """(K, 3, P) the mean shape, and displacements of root mean square 1 a point, the largest first."""
+    coefficients: Floats
+    """(F, K) weights; the first is 1."""
+    noise_sd: float
+    """Standard deviation of a coordinate of the tracks about the model."""
+    residuals: Floats
+    """(F, P) distance of a seen point from the model; NaN where not seen."""
+    predicted: Mask
+    """(F, P) true where the shape of a point is given that was not seen."""
+    steadiness: float
+    """Which of `SPANS` was chosen for the camera's path."""
+    notes: tuple[str, ...]
+    """What a user should know of this answer."""
+
+    def __post_init__(self) -> None:
+        names = ("shape", "shape_sd", "rotation", "rotation_sd", "translation", "basis", "coefficients", "residuals")
+        for name in names:
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+        object.__setattr__(self, "predicted", frozen(self.predicted, bool))
+
+    @property
+    def rank(self) -> int:
+        """K, the number of basis shapes with the mean."""
+        return len(self.basis)
+
+    @property
+    def point_rms(self) -> Floats:
+        """(P,) root mean square distance of each point from the model."""
+        return np.asarray(np.sqrt(np.nanmean(self.residuals**2, 0)))
+
+
+@dataclass
+class _Judged:
+    rotation: Floats
+    shapes: Floats
+    """(F, 3, P) in closed form."""
+    found: Floats
+    """(F, 3, P) by the model."""
+    span: float
+    cost: float
+
+
+def factorise_tracks(tracks: Floats) -> NonRigidShapes:
+    """Find shapes, rotations and basis shapes from the tracks of one camera, orthographic and of one scale.
+
+    Args:
+        tracks: (F, 2, P) in any unit; NaN where a point is not seen.
+
+    Returns:
+        The shapes.
+
+    Raises:
+        MareyError: There are too few frames or points, or a frame or point is never seen.
+    """
+    tracks = np.asarray(tracks, float)
+    seen = _checked(tracks)
+    weight = seen.astype(float)
+    known = np.where(seen[:, None], tracks, 0)
+    middle = known.sum(2) / weight.sum(1)[:, None]
+    known = np.where(seen[:, None], known - middle[:, :, None], 0)
+    size = float(np.sqrt((known**2).sum() / (2 * weight.sum())))
+    if size == 0:
+        raise MareyError("All points lie in one place in every frame: there is nothing to see.")
+    known = known / size
+    complete, noise = (known, 0.0) if seen.all() else complete_tracks(known, seen, COMPLETING_RANK)
+    best, rivals = _judge(known, weight, complete)
+    model = _refined(known, weight, best, max(noise, FIRST_NOISE))
+    doubt = _disagreement(model.shapes, [rival.found for rival in rivals])
+    return _tell(model, doubt, tracks, seen, size, middle, best.span)
+
+
+def _checked(tracks: Floats) -> Mask:
+    if tracks.ndim != 3 or tracks.shape[1] != 2:
+        raise MareyError(f"Tracks have the shape {tracks.shape} and should have (frames, 2, points).")
+    seen: Mask = np.asarray(np.isfinite(tracks).all(1))
+    frames, points = seen.shape
+    if frames < FEWEST_FRAMES or points < FEWEST_POINTS:
+        raise MareyError(
+            f"{points} points over {frames} frames are too few: at least {FEWEST_POINTS} points "
+            f"over {FEWEST_FRAMES} frames are needed."
+        )
+    bare = np.flatnonzero(seen.sum(1) < FEWEST_POINTS)
+    if len(bare):
+        raise MareyError(
+            f"In frame {bare[0]} fewer than {FEWEST_POINTS} points are seen (so it is in {len(bare)} of {frames}); "
+            "leave such frames out."
+        )
+    lost = np.flatnonzero(seen.sum(0) < FEWEST_FRAMES)
+    if len(lost):
+        raise MareyError(f"Point {lost[0]} is seen in fewer than {FEWEST_FRAMES} frames; leave such points out.")
+    return seen
+
+
+def _refined(known: Floats, weight: Floats, best: _Judged, noise: float) -> DeformingModel:
+    models = []
+    for modes in sorted({_most(modes, len(known)) for modes in MODES}):
+        models.append(begin(known, weight, best.rotation, best.shapes, modes, noise))
+        improve(models[-1], known, weight, ROUNDS)
+    return min(models, key=lambda model: model.cost + PRICE * basis_cost(model))
+
+
+def _disagreement(shapes: Floats, others: list[Floats]) -> Floats:
+    """Give the mean square (F, 3, P) by which other answers differ, each turned and mirrored to fit best."""
+    total, rows = np.zeros(shapes.shape), shapes.transpose(1, 0, 2).reshape(3, -1)
+    for other in others:
+        u, _, vt = np.linalg.svd(rows @ other.transpose(1, 0, 2).reshape(3, -1).T)
+        total += ((u @ vt) @ other - shapes) ** 2
+    return total / max(len(others), 1)
+
+
+def _judge(known: Floats, weight: Floats, complete: Floats) -> tuple[_Judged, list[_Judged]]:
+    """Make the candidates; give the one under which the tracks are most probable, and all that are nearly so."""
+    found = [rotation for _, rotation in rotation_candidates(complete)]
+    found.append(_without_mirrors(complete, min(found, key=lambda r: nuclear_norm(smooth_shapes(complete, r)))))
+    firsts, paths = [], {}
+    for span in SPANS:
+        paths[span] = [steadier(rotation, span) for rotation in found]
+        paths[span].sort(key=lambda path: nuclear_norm(smooth_shapes(complete, path)))
+        firsts.append(_judged(known, weight, complete, paths[span][0], span))
+    enough = min(judged.cost for judged in firsts) + TOLD_APART * 2 * float(weight.sum())
+    steadiest = next(judged for judged in reversed(firsts) if judged.cost <= enough)
+    others = paths[steadiest.span][1:BEST_OF_SPAN]
+    rivals = [_judged(known, weight, complete, path, steadiest.span) for path in others]
+    best = min([steadiest, *rivals], key=lambda judged: judged.cost)
+    return best, [judged for judged in [*firsts, *rivals] if judged.cost <= enough]
+
+
+def _judged(known: Floats, weight: Floats, complete: Floats, path: Floats, span: float) -> _Judged:
+    shapes = smooth_shapes(complete, path)
+    model = begin(known, weight, path, shapes, _most(JUDGING_MODES, len(known)), JUDGING_NOISE)
+    improve(model, known, weight, JUDGING_ROUNDS, JUDGING_NOISE)
+    return _Judged(path, shapes, model.shapes, span, model.cost + basis_cost(model))
+
+
+def _most(modes: int, frames: int) -> int:
+    return max(1, min(modes, frames // FRAMES_A_MODE))
+
+
+def _without_mirrors(complete: Floats, rotation: Floats, most: int = 6, tried: int = 12) -> Floats:
+    """Mirror depth from some frames on where that makes the shapes simpler; the most sudden turns are tried."""
+    norm = nuclear_norm(smooth_shapes(complete, rotation))
+    for _ in range(most):
+        sudden = np.linalg.norm(accelerations(rotation), axis=1)
+        places = 1 + np.argsort(sudden)[::-1][:tried]
+        others = [mirrored_after(rotation, int(frame)) for frame in places]
+        norms = [nuclear_norm(smooth_shapes(complete, other)) for other in others]
+        if not norms or min(norms) > 0.999 * norm:
+            break
+        norm, rotation = min(norms), others[int(np.argmin(norms))]
+    return rotation
+
+
+def _tell(
+    model: DeformingModel, doubt: Floats, tracks: Floats, seen: Mask, size: float, middle: Floats, span: float
+) -> NonRigidShapes:
+    """Give the answer in the tracks' unit, in the axes of the first frame's camera."""
+    turn = model.rotation[0]
+    mean = model.mean + np.einsum("m,mip->ip", model.weights.mean(0), model.modes)
+    points = mean.shape[1]
+    left = np.einsum("fm,mip->fip", model.weights - model.weights.mean(0), model.modes).reshape(len(tracks), -1)
+    u, d, vt = np.linalg.svd(left, full_matrices=False)
+    count = int((d[: len(model.modes)] > KEPT * np.sqrt(len(tracks) * points)).sum())
+    weights = u[:, :count] * d[:count] / np.sqrt(points)
+    modes = (vt[:count] * np.sqrt(points)).reshape(count, 3, points)
+    coefficients = np.concatenate([np.ones((len(tracks), 1)), weights * size], 1)
+    basis = np.concatenate([(turn @ mean * size)[None], turn @ modes])
+    shape = np.einsum("fk,kip->fip", coefficients, basis)
+    rotation = model.rotation @ turn.T
+    translation = model.shift * size + middle
+    of_weights = model.covariance[0][:, SHIFT:, SHIFT:]
+    turned = np.einsum("ij,mjp->mip", turn, model.modes)
+    variance = np.einsum("mip,fmn,nip->fip", turned, of_weights, turned, optimize=True) + turn**2 @ doubt
+    fit = (rotation @ shape)[:, :2] + translation[:, :, None]
+    return NonRigidShapes(
+        shape=shape, shape_sd=np.sqrt(variance + model.variance) * size, rotation=rotation,
+        rotation_sd=np.sqrt(np.einsum("fii->fi", model.covariance[0][:, :3, :3])), translation=translation, basis=basis,
+        coefficients=coefficients, noise_sd=float(np.sqrt(model.variance)) * size,
+        residuals=np.linalg.norm(tracks - fit, axis=1), predicted=~seen, steadiness=span, notes=(),
+    )  # fmt: skip
