@@ -6,7 +6,7 @@ from itertools import combinations, pairwise
 
 import numpy as np
 
-from marey.arrays import Floats, Mask
+from marey.arrays import Floats, Integers, Mask
 from marey.markers.clusters import Cluster
 from marey.markers.trajectories import MarkerTrajectories
 
@@ -72,14 +72,19 @@ def find_exchanges(
     usual = [_median(between)]
     if known is not None:
         usual.append(_distances(known[None, inside], known[None, inside])[0])
-    found: dict[tuple[int, int], Mask] = {
-        pair: np.ones(len(points), bool) for pair in _all_along(between, columns, owner)
-    }
+    found: dict[tuple[int, int], Mask] = {}
     for proto in usual:
         for pair, frames in _in_stretches(points, proto, columns, owner, at_once).items():
             found.setdefault(pair, frames)
     for pair, frames in _jumped(points, columns).items():
         found.setdefault(pair, frames)
+    # Only with these put right do the distances tell what moves with what.
+    right = np.array(points)
+    for pair, frames in found.items():
+        right[frames] = right[frames][:, _exchanging(pair, len(inside))]
+    thinned = right[:: -(-len(points) // at_once)]
+    for pair in _all_along(_distances(thinned, thinned), columns, owner):
+        found.setdefault(pair, np.ones(len(points), bool))
     return tuple(
         Exchange(labels=(trajectories.labels[inside[a]], trajectories.labels[inside[b]]), frames=frames)
         for (a, b), frames in sorted(found.items())
@@ -126,13 +131,19 @@ def exchange_back(trajectories: MarkerTrajectories, exchanges: Sequence[Exchange
     points, filled = np.array(trajectories.points), np.array(trajectories.filled)
     residuals = np.array(trajectories.residuals)
     for exchange in exchanges:
-        pair = [trajectories.labels.index(label) for label in exchange.labels]
-        order = np.arange(points.shape[1])
-        order[pair] = pair[::-1]
+        first, second = (trajectories.labels.index(label) for label in exchange.labels)
+        order = _exchanging((first, second), points.shape[1])
         points[exchange.frames] = points[exchange.frames][:, order]
         filled[exchange.frames] = filled[exchange.frames][:, order]
         residuals[exchange.frames] = residuals[exchange.frames][:, order]
     return replace(trajectories, points=points, filled=filled, residuals=residuals)
+
+
+def _exchanging(pair: tuple[int, int], count: int) -> Integers:
+    """Give the order (M,) of columns in which two have changed places."""
+    order = np.arange(count)
+    order[list(pair)] = pair[::-1]
+    return order
 
 
 def _distances(first: Floats, second: Floats) -> Floats:
@@ -168,8 +179,7 @@ def _one_by_one(
             break
         pair = max(gains, key=lambda pair: gains[pair].sum())
         frames = found[pair] = gains[pair] > 0
-        order = np.arange(between.shape[1])
-        order[list(pair)] = order[list(pair)[::-1]]
+        order = _exchanging(pair, between.shape[1])
         between[frames] = between[frames][:, order][:, :, order]
     return found
 
