@@ -297,6 +297,16 @@ def test_landmarks_of_a_static_trial_give_the_bones(folder, capsys):
     assert "names no landmarks" in said(capsys)
 
 
+def test_labels_that_are_exchanged_all_along_show_against_the_static_trial(folder, capsys):
+    standing(folder)
+    points = marker_points()
+    points["thigh_01"], points["thigh_03"] = points["thigh_03"], points["thigh_01"]
+    write_trial(folder / "walk.c3d", points)
+    arguments = ["--static", "static.c3d", "--side", "right", "--method", "rigid", "--clusters", "landmarks.toml"]
+    assert run(["markers", "walk.c3d", *arguments]) == 0
+    assert "thigh_01 and thigh_03 look exchanged in every frame" in capsys.readouterr().err
+
+
 def test_a_medial_landmark_is_put_across_the_joints_centre(folder, capsys):
     standing(folder)
     (folder / "centre.toml").write_text(
@@ -348,6 +358,10 @@ def test_a_hip_that_was_moved_about_gives_its_centre(folder, shared, capsys):
     hip = read_markers(trials / "walk.c3d").select(["LeftHipCenterScore"]).points[:, 0]
     # The thigh's skin carries the centre here; the pelvis' markers do it within 15 mm in the median.
     assert np.nanmedian(np.linalg.norm(found.bone("left_thigh")[1] - hip, axis=1)) < 0.02
+    frames = json.loads((folder / "walk" / "frames.json").read_text())
+    assert "force_plate_1" in frames["laboratory_from"]
+    with (folder / "walk" / "events.csv").open() as file:
+        assert {row["source"] for row in csv.DictReader(file)} == {"given"}
     after = ezc3d.c3d(str(folder / "walk" / "motion.c3d"))
     before = ezc3d.c3d(str(trials / "walk.c3d"))
     np.testing.assert_array_equal(after["data"]["analogs"], before["data"]["analogs"])

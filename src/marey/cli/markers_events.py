@@ -1,16 +1,18 @@
 """Gait events of a trial, and joint angles over the cycle."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from marey.arrays import Floats
-from marey.errors import MareyError
+from marey.errors import FileProblem, MareyError
+from marey.geometry.rigid import RigidTransform
 from marey.io.c3d_forces import read_events, read_force_plates
 from marey.markers.clusters import Cluster
+from marey.markers.force_plates import ForcePlate
 from marey.markers.gait_events import events_from_force, events_from_markers
 from marey.markers.joint_angles import JointKinematics
 from marey.markers.trajectories import MarkerTrajectories
@@ -29,6 +31,8 @@ class Gait:
     events: tuple[GaitEvent, ...]
     cycles: tuple[GaitCycle, ...]
     notes: tuple[str, ...]
+    plates: Mapping[str, RigidTransform]
+    """The force plates' frames, laboratory from plate [m]."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -58,9 +62,34 @@ def find_gait(
         y_up: Whether the trial has Y up instead of Z.
     """
     is_c3d = path.suffix.lower() == ".c3d"
-    events = read_events(path) if is_c3d else ()
+    plates, unread = _plates(path) if is_c3d else ((), ())
+    events, how = _events(path if is_c3d else None, plates, trajectories, clusters, side=side, y_up=y_up)
+    cycles = gait_cycles(events)
+    notes = list(unread)
+    if events:
+        strikes = sum(event.kind == STRIKE for event in events)
+        offs = len(events) - strikes
+        notes.append(f"Gait events, {how}. Foot strikes: {strikes}; foot offs: {offs}; whole cycles: {len(cycles)}.")
+    frames = {plate.name: plate.laboratory_from_plate for plate in plates}
+    return Gait(events=tuple(events), cycles=cycles, notes=tuple(notes), plates=frames)
+
+
+def _plates(path: Path) -> tuple[tuple[ForcePlate, ...], tuple[str, ...]]:
+    """Read the force plates; what cannot be read of them is said, as markers do not need it."""
+    try:
+        return read_force_plates(path), ()
+    except FileProblem as problem:
+        return (), (f"The force plates are not read: {problem}",)
+
+
+def _events(
+    c3d: Path | None, plates: Sequence[ForcePlate], trajectories: MarkerTrajectories, clusters: Sequence[Cluster],
+    *, side: str | None, y_up: bool,
+) -> tuple[Sequence[GaitEvent], str]:  # fmt: skip
+    """Give the events and where they are from."""
+    events = () if c3d is None else read_events(c3d)
     if gait_cycles(events):
-        return _gait(events, "given in the file")
+        return events, "given in the file"
     feet = _feet(trajectories, side)
     body = _body(trajectories, clusters)
     found: list[GaitEvent] = []
@@ -70,23 +99,10 @@ def find_gait(
                 found += _of_foot(foot, body, trajectories, own or None, y_up)
     if gait_cycles(found):
         labels = ", ".join(name for foot in feet.values() for name in foot.values())
-        return _gait(tuple(sorted(found, key=lambda e: e.time)), f"found from {labels}")
-    if is_c3d:
-        heels = {own: trajectories.select([foot["heel"]]).points[:, 0] for own, foot in feet.items() if "heel" in foot}
-        by_force = events_from_force(
-            read_force_plates(path), heels, rate=trajectories.rate, start_s=trajectories.start_s
-        )
-        if by_force:
-            return _gait(by_force, "found from the force plates")
-    return Gait(events=(), cycles=(), notes=())
-
-
-def _gait(events: Sequence[GaitEvent], how: str) -> Gait:
-    cycles = gait_cycles(events)
-    strikes = sum(event.kind == STRIKE for event in events)
-    offs, whole = len(events) - strikes, len(cycles)
-    note = f"Gait events, {how}. Foot strikes: {strikes}; foot offs: {offs}; whole cycles: {whole}."
-    return Gait(events=tuple(events), cycles=cycles, notes=(note,))
+        return sorted(found, key=lambda e: e.time), f"found from {labels}"
+    heels = {own: trajectories.select([foot["heel"]]).points[:, 0] for own, foot in feet.items() if "heel" in foot}
+    by_force = events_from_force(plates, heels, rate=trajectories.rate, start_s=trajectories.start_s)
+    return (by_force, "found from the force plates") if by_force else (events, "given in the file")
 
 
 def _feet(trajectories: MarkerTrajectories, side: str | None) -> dict[str, dict[str, str]]:

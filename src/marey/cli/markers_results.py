@@ -17,6 +17,7 @@ from marey.io.marker_results import (
     write_cycle_csv,
     write_events,
     write_filled,
+    write_frames,
     write_joint_csv,
     write_joint_table,
     write_marker_motion,
@@ -84,6 +85,8 @@ def write_results(results: MarkersResults, options: MarkersOptions, out: Path, p
             write_marker_motion(folder / "marker_motion.csv", time, first.markers)
             if results.gait.events:
                 write_events(folder / "events.csv", results.gait.events)
+            if results.gait.plates:
+                write_frames(folder / "frames.json", results.gait.plates)
             cycles = _cycles(results)
             if cycles and cycles[0] is not None:
                 write_cycle_csv(folder / "cycles.csv", cycles[0].names, cycles[0].mean, cycles[0].spread)

@@ -8,7 +8,7 @@ import numpy as np
 
 from marey.arrays import Mask
 from marey.cli.markers_settings import MarkersOptions
-from marey.cli.markers_static import from_static, read_exercise
+from marey.cli.markers_static import StaticBones, from_static, read_exercise
 from marey.errors import FileProblem, MareyError, SettingProblem
 from marey.io.marker_setup import read_marker_setup, read_reference
 from marey.io.markers import read_markers
@@ -71,7 +71,8 @@ def read_trial(path: Path, options: MarkersOptions) -> MarkersTrial:
     filling = filled(used, found.clusters, options)
     used = used if filling is None else cut(filling.trajectories, asked)
     notes = [*measured.notes, *found.notes, *(() if filling is None else filling.notes)]
-    calibration, anatomical, said = _calibration(path, measured, used, found.clusters, setup, options)
+    static = None if options.static is None else from_static(used, found.clusters, setup, options)
+    calibration, anatomical, said = _calibration(path, measured, used, found.clusters, static, options)
     used = with_frames(used, measured, calibration)
     notes += said
     # Frames that were not asked for are empty in what is used; that is no fault of the markers.
@@ -174,15 +175,14 @@ def filled(trajectories: MarkerTrajectories, clusters: Sequence[Cluster], option
 
 def _calibration(
     path: Path, measured: MarkerTrajectories, used: MarkerTrajectories, clusters: Sequence[Cluster],
-    setup: MarkerSetup, options: MarkersOptions,
+    static: StaticBones | None, options: MarkersOptions,
 ) -> tuple[AnatomicalCalibration, bool, list[str]]:  # fmt: skip
     """Find where the bones are: as a file says, as a static trial says, or by the clusters' own axes."""
     segments = tuple(cluster.segment for cluster in clusters)
     if options.reference is not None:
         calibration, notes = read_reference(options.reference, segments, frames=len(measured))
         return calibration, True, list(notes)
-    if options.static is not None:
-        static = from_static(used, clusters, setup, options)
+    if static is not None:
         return static.carried.calibration, True, list(static.notes)
     try:
         own = own_calibration(used, clusters)

@@ -1,13 +1,15 @@
 """The tables and the C3D of bones that were found from markers."""
 
 import csv
-from collections.abc import Sequence
+import json
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
 from marey.arrays import Floats
+from marey.geometry.rigid import RigidTransform
 from marey.io.atomic import replacing
 from marey.io.axes import OPENSIM_FROM_WORLD
 from marey.io.c3d import METRES, add_rotations, open_c3d, point_labels, point_unit, write_c3d
@@ -138,6 +140,18 @@ def write_events(path: Path | str, events: Sequence[GaitEvent]) -> None:
         rows.writerow(["event", "side", "time_s", "source"])
         for event in events:
             rows.writerow([event.kind, event.side or "", f"{event.time:.6f}", event.source])
+
+
+def write_frames(path: Path | str, frames: Mapping[str, RigidTransform]) -> None:
+    """Write `frames.json`: the force plates' frames as 4x4, laboratory from plate, in millimetres.
+
+    Args:
+        path: The file.
+        frames: By name, [m].
+    """
+    rows = {name: RigidTransform(f.rotation, f.translation * _MM).matrix.tolist() for name, f in frames.items()}
+    with replacing(path) as beside:
+        beside.write_text(json.dumps({"unit": "mm", "laboratory_from": rows}, indent=2) + "\n", encoding="utf-8")
 
 
 def _write_rows(path: Path | str, head: Sequence[str], first: Floats, values: Floats) -> None:

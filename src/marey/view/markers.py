@@ -20,6 +20,7 @@ FILES = {
     "cycles.csv, events.csv": "angles over the gait cycle, and the foot's strikes and offs",
     "marker_motion.csv": "where each marker lies in its bone's frame",
     "filled.csv": "which gaps were filled, how, and how well",
+    "frames.json": "the force plates' frames in the laboratory",
     "motion.c3d": "the trial as it was, and the bones as 4x4 ROTATION",
     "orientations.sto": "orientations of the bones, for OpenSense",
     "run.json": "version, settings, inputs, timings",
