@@ -7,8 +7,9 @@ from marey.body.coordinate_functions import simm_spline
 from marey.body.jointed_kinematics import place
 from marey.errors import FileProblem
 from marey.geometry.rotations import about
+from marey.io.mot_sto import Table, write_table
 from marey.io.osim_model import read_osim_model
-from marey.io.osim_tasks import read_tasks
+from marey.io.osim_tasks import read_task_values, read_tasks
 from marey.markers.tasks import CoordinateTask, MarkerTask
 
 X, Y, Z = np.eye(3)
@@ -274,3 +275,26 @@ def test_weights_that_cannot_be_used_are_refused(tmp_path, old, new, said):
     path.write_text(TASKS.replace(old, new))
     with pytest.raises(FileProblem, match=said):
         read_tasks(path)
+
+
+def test_values_from_a_file_are_read_at_the_times_of_the_trial(tmp_path):
+    weights = tmp_path / "w.xml"
+    end = "</OpenSimDocument>"
+    tasks = TASKS.replace('name="s"', 'name="c"').replace(end, "<coordinate_file>{}</coordinate_file>" + end)
+    model = read_osim_model(write(tmp_path / "m.osim", joints=HIP + BENDS))
+    time = np.array([0.0, 0.05, 0.1])
+    weights.write_text(tasks.format("goal.mot"))
+    known = read_tasks(weights)
+    table = Table(name="goal", columns=("b", "c"), time=np.array([0.0, 0.1]), values=np.array([[0, 90.0], [0, 180.0]]))
+    write_table(tmp_path / "goal.mot", table)
+    found = read_task_values(weights, known, model, time)
+    assert list(found) == ["c"]
+    assert np.allclose(found["c"], np.radians([90, 135, 180]))
+    with pytest.raises(FileProblem, match="the trial from 0 to"):
+        read_task_values(weights, known, model, np.linspace(0, 0.4, 5))
+    write_table(tmp_path / "goal.mot", Table(name="goal", columns=("b",), time=time, values=np.zeros((3, 1))))
+    with pytest.raises(FileProblem, match="has no column c"):
+        read_task_values(weights, known, model, time)
+    weights.write_text(tasks.format(""))
+    with pytest.raises(FileProblem, match="from a file and names none"):
+        read_task_values(weights, known, model, time)

@@ -114,6 +114,19 @@ def test_missing_markers_are_done_without_and_empty_frames_stay_empty():
     assert np.isnan(found.residuals[3, [0, 6, 9]]).all()
 
 
+def test_a_frame_with_two_markers_has_no_answer_and_does_not_disturb_the_next():
+    body = leg()
+    truth = walking(body)
+    trial = filmed(body, truth)
+    points = np.array(trial.points)
+    points[7, 2:] = np.nan
+    found = inverse_kinematics(body, None, replace(trial, points=points))
+    # What is locked is known without markers.
+    assert np.isnan(found.coordinates[7, body.free]).all()
+    assert not found.bones.answered[7].any()
+    assert np.abs(found.coordinates[8] - truth[8]).max() < 1e-7
+
+
 def test_what_no_marker_sees_is_not_invented():
     body = leg(without=("foot",))
     found = inverse_kinematics(body, None, filmed(body, walking(body)))

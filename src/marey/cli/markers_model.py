@@ -15,7 +15,7 @@ from marey.io.marker_results import is_y_up
 from marey.io.markers import read_markers
 from marey.io.mot_sto import Table
 from marey.io.osim_model import read_osim_model
-from marey.io.osim_tasks import read_tasks
+from marey.io.osim_tasks import read_task_values, read_tasks
 from marey.markers.bone_motion import BoneMotion
 from marey.markers.clusters import Cluster
 from marey.markers.gaps import FilledGaps
@@ -54,6 +54,8 @@ class ModelTrial:
     model: JointedBody
     model_path: Path
     tasks: TaskSet | None
+    targets: dict[str, Floats]
+    """Values that the tasks take from a file."""
     clusters: tuple[Cluster, ...]
     """Markers of the trial by the body of the model on which they ride."""
     notes: tuple[str, ...]
@@ -68,7 +70,7 @@ class ModelTrial:
         """
         turned = replace(self.used, points=self.used.points @ self.ground_from_file.T)
         try:
-            found = inverse_kinematics(self.model, self.tasks, turned)
+            found = inverse_kinematics(self.model, self.tasks, turned, targets=self.targets)
         except MareyError as problem:
             remedy = "Give the model that was scaled with this person's markers, and its weights."
             raise FileProblem(
@@ -98,6 +100,9 @@ def read_model_trial(path: Path, options: MarkersOptions) -> ModelTrial:
     measured = read_markers(path, unit=options.unit)
     model = read_osim_model(options.model)
     tasks = None if options.weights is None else read_tasks(options.weights)
+    targets = {}
+    if options.weights is not None and tasks is not None:
+        targets = read_task_values(options.weights, tasks, model, measured.time)
     asked = asked_frames(len(measured), options.frames)
     y_up = is_y_up(path)
     riding: dict[str, list[str]] = {}
@@ -111,7 +116,7 @@ def read_model_trial(path: Path, options: MarkersOptions) -> ModelTrial:
     turned = "" if y_up else f"{path.name} has Z up; it was turned into the ground of OpenSim, Y up."
     return ModelTrial(
         path=path, measured=measured, used=used, filling=filling, asked=asked, model=model, model_path=options.model,
-        tasks=tasks, clusters=clusters,
+        tasks=tasks, targets=targets, clusters=clusters,
         notes=(*measured.notes, *(() if filling is None else filling.notes), *([turned] if turned else [])),
         ground_from_file=np.eye(3) if y_up else OPENSIM_FROM_WORLD,
     )  # fmt: skip
