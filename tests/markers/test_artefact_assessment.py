@@ -89,3 +89,23 @@ def test_the_walk_of_one_leg_without_joints_is_counted_in_the_laboratory(rng):
     exercise = problem({"thigh": (rotation, origin)}, points, frames=list(range(40)))
     learned, _ = assess(exercise)
     assert learned["thigh"].axis.parent is None
+
+
+def test_an_exercise_without_markers_is_an_error_that_says_so(rng):
+    leg = rigid_leg(rng)
+    empty = replace(leg.trajectories, points=np.full_like(leg.trajectories.points, np.nan))
+    with pytest.raises(MareyError, match="thigh: none of its markers is seen"):
+        artefact_assessment(replace(leg, exercise=replace(leg, trajectories=empty)))
+
+
+def test_a_segment_that_the_exercise_does_not_show_is_fitted_rigidly_and_said(rng):
+    shape, slide = thigh(rng, 9), rng.normal(0, 0.012, (9, 3))
+    bones = leg_bones(rng, 40)
+    exercise = leg_with_skin(rng, shape, slide, bones, list(range(40)))
+    points = exercise.trajectories.points.copy()
+    points[:, :9] = np.nan
+    exercise = replace(exercise, trajectories=replace(exercise.trajectories, points=points))
+    activity = replace(leg_with_skin(rng, shape, slide, bones, [0]), exercise=exercise)
+    motion = artefact_assessment(activity)
+    np.testing.assert_allclose(motion.rotation[:, 0], rigid(activity).rotation[:, 0])
+    assert any("thigh: none of its markers" in note for note in motion.notes)

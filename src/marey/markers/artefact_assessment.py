@@ -9,6 +9,7 @@ from marey.errors import MareyError
 from marey.markers.bone_motion import BoneMotion, side_by_side
 from marey.markers.cluster_data import ClusterData, cluster_data
 from marey.markers.joint_turn import JointAxis, joint_axis, segment_axis, turn_about
+from marey.markers.preparation import prepared
 from marey.markers.problem import MarkerProblem
 from marey.markers.rigid_fit import fit_rigid, one_bone, rigid_bone
 
@@ -73,11 +74,15 @@ def assess(exercise: MarkerProblem) -> tuple[dict[str, Artefact], tuple[str, ...
     Returns:
         The artefacts of the segments that the exercise tells of, and a sentence about each other segment.
     """
+    ready = prepared(exercise)
+    if ready.problem is None:
+        return {}, ready.notes
+    exercise = ready.problem
     clusters = [cluster_data(exercise, cluster) for cluster in exercise.clusters]
     plain = side_by_side([rigid_bone(data, exercise.noise_m) for data in clusters])
     many = exercise.calibration.postures >= _FEWEST_POSTURES
     locked = () if many else _locked(exercise, plain)
-    learned, notes = {}, []
+    learned, notes = {}, list(ready.notes)
     for data in clusters:
         bones = _known(exercise, plain) if many else _carried(exercise, plain, locked, data.segment)
         axis = None if bones is None else segment_axis(exercise, bones, data.segment, locked=locked)

@@ -91,17 +91,12 @@ def _bone(data: ClusterData, noise_m: float, *, masses: bool) -> BoneMotion:
     rotation = system.axes @ np.swapaxes(at_rest.axes, 1, 2)  # [Alexander2003] eq. (5a): O = E E_cb^-1
     origin = system.centre - np.einsum("fij,fj->fi", rotation, at_rest.centre)  # P = C - O C_cb
     covariance = _covariance(points, mass, system, at_rest, noise_m)
-    covariance *= _excess(data, fit)[:, None, None]
+    covariance *= np.fmax(fit.variance_ratio, 1.0)[:, None, None]
     loose = answered & ~(np.sqrt(np.linalg.eigvalsh(covariance[:, :3, :3])[:, 2]) < _LOOSE_AXES)
     notes += _gaps(data.segment, fit, loose)
     rotation[~answered | loose], origin[~answered | loose] = np.nan, np.nan
     covariance[~answered | loose] = np.nan
     return one_bone(data.segment, rotation, origin, covariance, tuple(notes))
-
-
-def _excess(data: ClusterData, fit: RigidFit) -> Floats:
-    """Give the residuals' variance as a multiple of the stated one (F,), 1 at the least and without an answer."""
-    return np.asarray(np.fmax(fit.variance_ratio, 1.0))
 
 
 def _gaps(segment: str, fit: RigidFit, loose: Mask) -> tuple[str, ...]:
