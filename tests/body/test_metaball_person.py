@@ -12,6 +12,7 @@ from marey.body.metaball_person import (
     metaball_body,
     metaball_space,
     reshaped,
+    single_radii,
 )
 from marey.body.metaballs import PosedMetaballs
 from marey.body.person import family_body
@@ -219,3 +220,71 @@ def test_an_ordinary_body_takes_other_numbers_as_ever(rng):
     family = family_body("coarse")
     numbers = rng.normal(size=len(family.space))
     np.testing.assert_array_equal(reshaped(family, numbers).vertices, family.with_numbers(numbers).vertices)
+
+
+@pytest.fixture(scope="module")
+def sharpened():
+    return single_radii(metaball_space("simple"), ["upperarm", "forearm"])
+
+
+def sharp_numbers(space, rng, sd=0.3):
+    numbers = np.zeros(len(space))
+    sharp = [i for i, name in enumerate(space.names) if name.endswith("sharpness")]
+    numbers[sharp] = rng.normal(size=len(sharp)) * sd
+    return numbers
+
+
+def test_a_sharper_ball_has_a_greater_weight_and_smaller_radii(sharpened):
+    at = sharpened.names.index("forearm_ball_2_sharpness")
+    numbers = np.zeros(len(sharpened))
+    numbers[at] = 0.3
+    balls, mean = sharpened.balls(numbers), sharpened.mean
+    own = np.flatnonzero(sharpened.sharpness_modes[at])
+    assert len(own) == 2
+    assert np.all(balls.weight[own] > 1.2)
+    np.testing.assert_allclose(balls.radii[own], mean.radii[own] * np.exp(-0.15), rtol=1e-12)
+    np.testing.assert_array_equal(np.delete(balls.weight, own), np.delete(mean.weight, own))
+
+
+def test_sharpness_alone_hardly_moves_the_skin(sharpened):
+    """The gauge: a weight that grew by as much with the radii kept would move the skin by many times more."""
+    body, posed = family_body("fine"), sharpened.mean.at_rest()
+    points = posed.onto_surface(body.vertices)
+    of = posed.distances(points)
+    by_number, kept = sharpened.by_numbers(posed, of), []
+    for i, name in enumerate(sharpened.names):
+        if name.endswith("sharpness"):
+            plain = of.by_weight @ (sharpened.sharpness_modes[i] * sharpened.fall)
+            kept.append(abs(by_number[:, i].sum() / plain.sum()))
+    assert np.median(kept) < 0.1
+
+
+def test_the_distance_changes_with_sharpness_as_its_derivative_says(sharpened, rng):
+    bones = PosedBody(family_body("coarse"), people.any_pose(rng, family_body("coarse")))
+    points = bones.vertices[::40] + rng.normal(size=bones.vertices[::40].shape) * 0.01
+    at, step = sharp_numbers(sharpened, rng) + rng.normal(size=len(sharpened)) * 0.03, 1e-6
+    posed = PosedMetaballs(sharpened.balls(at), bones.pose)
+    found = sharpened.by_numbers(posed, posed.distances(points))
+    for i, name in enumerate(sharpened.names):
+        if "_ball_1_" in name:
+            change = step * (np.arange(len(sharpened)) == i)
+            up, down = (PosedMetaballs(sharpened.balls(at + s * change), bones.pose).distance(points) for s in (1, -1))
+            np.testing.assert_allclose(found[:, i], (up - down) / (2 * step), atol=2e-7)
+
+
+def test_the_skin_follows_sharpness_to_first_order(sharpened, rng):
+    numbers = sharp_numbers(sharpened, rng)
+    body, off = metaball_body(sharpened, numbers), []
+    direction = sharp_numbers(sharpened, rng, sd=1.0)
+    on = np.abs(sharpened.balls(numbers).at_rest().distance(body.vertices)) < 1e-6
+    near = on & np.any(np.abs(np.tensordot(direction, body.space.vertex_modes, 1)) > 1e-3, axis=1)
+    for step in (0.02, 0.01):
+        there = numbers + step * direction
+        moved = sharpened.balls(there).at_rest().distance(body.with_numbers(there).vertices)
+        off.append(np.median(np.abs(moved[near])))
+    assert off[0] / off[1] == pytest.approx(4.0, rel=0.3)
+
+
+def test_weights_may_stay_as_they_are():
+    space = single_radii(metaball_space("simple"), ["forearm"], sharpness_sd=None)
+    assert not any(name.endswith("sharpness") for name in space.names)

@@ -10,7 +10,7 @@ from tests import people, performer
 
 from marey.arrays import Floats
 from marey.body.metaball_people import metaball_person
-from marey.body.metaball_person import reshaped
+from marey.body.metaball_person import metaball_body, reshaped, single_radii
 from marey.body.person import person_body
 from marey.body.surface import Body
 from marey.errors import FileProblem
@@ -206,6 +206,40 @@ def test_radii_in_the_file_carry_the_uncertainty_of_the_numbers(tmp_path, rng):
     np.testing.assert_allclose(centres, person.metaballs.balls(person.numbers).at_rest().place)
     m = len(person.metaballs.mean)
     assert shapes == {"centre": (m, 3), "radii": (m, 3), "weight": (m,), "rotation": (m, 3, 3)}
+
+
+def test_weights_come_back_with_their_uncertainty(tmp_path, rng):
+    person = metaball_person("simple", "coarse", preset="right_arm")
+    space = single_radii(person.metaballs, ["forearm"])
+    numbers, count = np.zeros(len(space)), 4000
+    sharp = [name.endswith("sharpness") for name in space.names]
+    numbers[sharp] = [0.4, -0.3, 0.2]
+    covariance = 1e-3 * np.eye(len(space))
+    made = replace(metaball_body(space, numbers, person, keep_weights=True), numbers_covariance=covariance)
+    write_body(tmp_path / "body.npz", made, preset="right_arm")
+    back, _ = read_body(tmp_path / "body.npz")
+    balls = back.metaballs.balls(back.numbers)
+    np.testing.assert_allclose(balls.weight, space.balls(numbers).weight, rtol=1e-12)
+    assert balls.weight.max() > 1.2
+    assert balls.weight.min() < 0.9
+    drawn = [space.balls(n).weight for n in rng.multivariate_normal(numbers, covariance, count)]
+    with np.load(tmp_path / "body.npz") as stored:
+        np.testing.assert_allclose(stored["metaball_weight"], balls.weight, rtol=1e-12)
+        np.testing.assert_allclose(stored["metaball_weight_sd"], np.std(drawn, 0), rtol=0.1, atol=1e-12)
+        old = {k: stored[k] for k in stored.files if k not in ("metaball_mean_weight", "metaball_weight_sd")}
+    npz.write_arrays(tmp_path / "damaged.npz", old | {"metaball_weight": balls.weight + 0.1})
+    with pytest.raises(FileProblem, match="metaballs are not those of its numbers"):
+        read_body(tmp_path / "damaged.npz")
+
+
+def test_a_body_of_before_weights_were_fitted_is_read(tmp_path):
+    write_body(tmp_path / "body.npz", metaball_person("simple", "coarse"), preset="full")
+    later = ("metaball_mean_weight", "metaball_weight_sd", "metaball_sharpness_modes", "metaball_fall")
+    with np.load(tmp_path / "body.npz") as stored:
+        npz.write_arrays(tmp_path / "old.npz", {k: stored[k] for k in stored.files if k not in later})
+    space = read_body(tmp_path / "old.npz")[0].metaballs
+    assert not space.sharpness_modes.any()
+    np.testing.assert_array_equal(space.balls(np.ones(len(space)) * 0.01).weight, 1.0)
 
 
 def test_metaballs_that_are_not_those_of_the_numbers_are_refused(tmp_path):

@@ -1,6 +1,6 @@
 """The metaballs of a person of generic size, the numbers in which people differ, and the skin as a body to fit."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from importlib.resources import files
@@ -19,6 +19,8 @@ DETAILS: tuple[Detail, ...] = ("simple", "full")
 
 SINGLE_SD = 0.08
 """How much a single ball's radii are believed to depart from those of its segment, as a share."""
+SHARPNESS_SD = 0.1
+"""How much steeper or flatter a single ball's edge is believed to be than the generic one's, as a logarithm."""
 OWN_SD = 0.05
 """How much lengths and widths of a person's segments are believed to depart from the learned family's, as a share."""
 
@@ -30,6 +32,11 @@ class MetaballSpace:
     The numbers are the sizes of [Plaenkers1999] section 3.3, shares of the generic size: of a segment's length, with
     which its balls and the joints beyond it move out along it, and of its width, or breadth and depth, which all its
     balls have in common. Unlike the paper, a ball beside the bone also moves out with the width.
+
+    A ball's weight w ([Plaenkers1999] eq. (5)) and its radii both make it larger, so that points tell the two apart
+    badly. Unlike the paper, the number that changes the weight is therefore the ball's sharpness t: the logarithm of
+    its field falls exp(t) times as far from its centre to its skin, and the radii shrink by exp(-t / 2), so that the
+    skin stays, to first order and in the mean over the generic person, where it was. A sharper ball weighs more.
     """
 
     names: tuple[str, ...]
@@ -48,11 +55,22 @@ class MetaballSpace:
     """(N,) what to expect of a person of whom nothing is known; zeros when empty."""
     ranked: bool = False
     """Whether the first numbers say most of a person."""
+    sharpness_modes: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+    """(N, M) the sharpness of each ball by unit of the number; zeros when empty."""
+    fall: Floats = field(default_factory=lambda: np.zeros(0))
+    """(M,) how far the logarithm of each ball's field falls from its centre to the generic skin; when empty, that of a
+    lone ball."""
 
     def __post_init__(self) -> None:
         if not len(self.prior_mean):
             object.__setattr__(self, "prior_mean", np.zeros(len(self.names)))
-        for name in ("centre_modes", "radii_modes", "joint_modes", "prior_covariance", "prior_mean"):
+        if not self.sharpness_modes.size:
+            object.__setattr__(self, "sharpness_modes", np.zeros((len(self.names), len(self.mean))))
+        if not len(self.fall):
+            object.__setattr__(self, "fall", np.log(2.0 * self.mean.weight))
+        for name in (
+            "centre_modes", "radii_modes", "joint_modes", "prior_covariance", "prior_mean", "sharpness_modes", "fall",
+        ):  # fmt: skip
             object.__setattr__(self, name, frozen(getattr(self, name)))
 
     def __len__(self) -> int:
@@ -66,18 +84,36 @@ class MetaballSpace:
             ValueError: A ball would have no size.
         """
         mean = self.mean
+        sharpness = numbers @ self.sharpness_modes
+        radii = mean.radii + np.tensordot(numbers, self.radii_modes, 1)
         return replace(
             mean,
             centre=mean.centre + np.tensordot(numbers, self.centre_modes, 1),
-            radii=mean.radii + np.tensordot(numbers, self.radii_modes, 1),
+            radii=radii * np.exp(-0.5 * sharpness)[:, None],
+            weight=mean.weight * np.exp(self.fall * np.expm1(sharpness)),
             joint_centres=mean.joint_centres + np.tensordot(numbers, self.joint_modes, 1),
         )
+
+    def growth(self, balls: Metaballs) -> Floats:
+        """Give how the balls' radii change with the numbers while their sharpness stays (N, M, 3)."""
+        return np.asarray(self.radii_modes / np.sqrt(self._steepness(balls))[:, None])
+
+    def rates(self, balls: Metaballs) -> tuple[Floats, Floats]:
+        """Give how the radii (N, M, 3) and the logarithms of the weights (N, M) of balls change with the numbers."""
+        shrinks = 0.5 * self.sharpness_modes[:, :, None] * balls.radii
+        return self.growth(balls) - shrinks, self.sharpness_modes * self.fall * self._steepness(balls)
+
+    def _steepness(self, balls: Metaballs) -> Floats:
+        """Give how many times as far (M,) the logarithms of the balls' fields fall as the generic ones', exp(t)."""
+        return np.asarray(1.0 + np.log(balls.weight / self.mean.weight) / self.fall)
 
     def by_numbers(self, posed: PosedMetaballs, of: Linearized) -> Floats:
         """Give how the residual of points fixed in the world changes with the numbers: (n, N)."""
         count, flat = len(self), (len(of.residual), -1)
+        by_radii, by_weight = self.rates(posed.balls)
         by_balls = of.by_centre.reshape(flat) @ self.centre_modes.reshape(count, -1).T
-        by_balls += of.by_radii.reshape(flat) @ self.radii_modes.reshape(count, -1).T
+        by_balls += of.by_radii.reshape(flat) @ by_radii.reshape(count, -1).T
+        by_balls += (of.by_weight * posed.balls.weight) @ by_weight.T
         return by_balls + posed.by_joints(of, self.joint_modes)
 
 
@@ -154,37 +190,71 @@ def _family_covariance(space: MetaballSpace) -> Floats:
     return by_family @ by_family.T
 
 
-def single_radii(space: MetaballSpace, segments: Sequence[str], *, sd: float = SINGLE_SD) -> MetaballSpace:
-    """Give every ball of some segments its own radii as further numbers, shares of the generic ones.
+def single_radii(
+    space: MetaballSpace, segments: Sequence[str], *, sd: float = SINGLE_SD, sharpness_sd: float | None = SHARPNESS_SD
+) -> MetaballSpace:
+    """Give every ball of some segments its own radii, and its own weight, as further numbers.
 
-    [Plaenkers1999] section 4 fits the radii themselves; unlike the paper, they are held to the sizes that the balls of
-    a segment have in common by a standard deviation.
+    [Plaenkers1999] section 4 fits the radii themselves; unlike the paper, they are shares of the generic ones, held to
+    the sizes that the balls of a segment have in common by a standard deviation. So is the weight, by the ball's
+    sharpness, see `MetaballSpace`.
 
     Args:
         space: of lengths and widths.
         segments: names without a side; both sides stay alike.
         sd: how far a radius is believed to depart, as a share of it.
+        sharpness_sd: how much steeper or flatter a ball's edge is believed to be, as a logarithm; None keeps weights.
     """
-    mean, names = space.mean, list(space.names)
-    radii = []
+    mean = space.mean
+    added = [f"ball_{{}}_{axis}" for axis in ("breadth", "depth", "length")]
+    added += [] if sharpness_sd is None else ["ball_{}_sharpness"]
+    names, radii, sharpness = [], [], []
+    for segment, j, both in _single_balls(mean, segments):
+        for axis, name in enumerate(added):
+            grown, sharper = np.zeros_like(mean.radii), np.zeros(len(mean))
+            if axis < 3:
+                grown[both, axis] = mean.radii[both, axis]
+            else:
+                sharper[both] = 1.0
+            names.append(f"{segment}_{name.format(j)}")
+            radii.append(grown)
+            sharpness.append(sharper)
+    more, count = np.array(radii).reshape(-1, *mean.radii.shape), len(space)
+    own = np.full(len(names), sd)
+    own[[name.endswith("sharpness") for name in names]] = sharpness_sd or 0.0
+    covariance = np.diag(np.concatenate([np.zeros(count), own**2]))
+    covariance[:count, :count] = space.prior_covariance
+    return replace(
+        space, names=(*space.names, *names), radii_modes=np.concatenate([space.radii_modes, more]),
+        centre_modes=np.concatenate([space.centre_modes, np.zeros_like(more)]),
+        joint_modes=np.concatenate([space.joint_modes, np.zeros((len(more), *space.joint_modes.shape[1:]))]),
+        prior_covariance=covariance, prior_mean=np.concatenate([space.prior_mean, np.zeros(len(more))]),
+        sharpness_modes=np.concatenate([space.sharpness_modes, np.array(sharpness).reshape(-1, len(mean))]),
+        fall=_fall(mean),
+    )  # fmt: skip
+
+
+def _single_balls(mean: Metaballs, segments: Sequence[str]) -> Iterator[tuple[str, int, list[int]]]:
+    """Name the balls of some segments, each with its twin on the other side: segment, number in it, indices."""
     plain = np.array([name.rpartition("_")[2] for name in mean.skeleton.segment_names])
     for segment in dict.fromkeys(segments):
         sides = [np.flatnonzero(mean.segment == k) for k in np.flatnonzero(plain == segment)]
         for j, both in enumerate(zip(*sides, strict=True), 1):
-            for axis, across in enumerate(("breadth", "depth", "length")):
-                own = np.zeros_like(mean.radii)
-                own[list(both), axis] = mean.radii[list(both), axis]
-                radii.append(own)
-                names.append(f"{segment}_ball_{j}_{across}")
-    more, count = np.array(radii).reshape(-1, *mean.radii.shape), len(space)
-    covariance = sd**2 * np.eye(len(names))
-    covariance[:count, :count] = space.prior_covariance
-    return replace(
-        space, names=tuple(names), radii_modes=np.concatenate([space.radii_modes, more]),
-        centre_modes=np.concatenate([space.centre_modes, np.zeros_like(more)]),
-        joint_modes=np.concatenate([space.joint_modes, np.zeros((len(more), *space.joint_modes.shape[1:]))]),
-        prior_covariance=covariance, prior_mean=np.concatenate([space.prior_mean, np.zeros(len(more))]),
-    )  # fmt: skip
+            yield segment, j, list(both)
+
+
+def _fall(balls: Metaballs) -> Floats:
+    """Give how far (M,) the logarithm of each ball's field falls from its centre to the skin, in the mean over it.
+
+    At a place of the skin where a ball has the share p of the field 1/2, it has fallen by ln w + ln 2 - ln p; the
+    places count by that share. A ball alone has p = 1.
+    """
+    posed, body = balls.at_rest(), family_body("coarse")
+    limb = vertex_limbs(body)
+    share = posed.shares(posed.onto_surface(body.vertices, limb), limb)
+    whole = share.sum(0)
+    shared = -np.sum(share * np.log(np.where(share > 0.0, share, 1.0)), axis=0) / np.where(whole > 0.0, whole, 1.0)
+    return np.asarray(np.log(2.0 * balls.weight) + shared)
 
 
 def _stretched(balls: Metaballs, segments: Integers, axes: tuple[int, ...]) -> tuple[Floats, Floats]:
@@ -282,10 +352,11 @@ def _skin_modes(space: MetaballSpace, posed: PosedMetaballs, vertices: Floats, l
     local = np.einsum("mab,vmb->vma", posed.axes, vertices[:, None] - posed.place)
     stretch = share[:, :, None] * local / balls.radii
     modes = np.empty((len(space), len(vertices), 3))
+    growth = space.growth(balls)
     for i in range(len(space)):
         # Each ball carries what lies in it as it moves and grows.
         carried = space.joint_modes[i][balls.segment] + space.centre_modes[i]
-        grown = posed.axes * space.radii_modes[i][:, :, None]
+        grown = posed.axes * growth[i][:, :, None]
         own = np.flatnonzero(np.any(grown, (1, 2)))
         modes[i] = share @ carried + np.tensordot(stretch[:, own], grown[own], 2)
     of = posed.distances(vertices, limb)

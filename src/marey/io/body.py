@@ -39,8 +39,9 @@ def write_body(path: Path | str, body: Body, *, preset: str) -> None:
     say how far, by axis, joint centres lie beside the skin's: from posture to posture, and all the time [m];
     `face_outlined` (T,) and `segment_followed` (S,) what the preset believes and follows. A mesh has no metaballs:
     those arrays are empty. With metaballs come their axes `metaball_rotation` (M, 3, 3) in the segment, one a column,
-    and how centres and radii follow from the numbers: `metaball_mean_centre`, `metaball_mean_radii` (M, 3) where all
-    are zero, `metaball_centre_modes`, `metaball_radii_modes` (N, M, 3) [m by unit of the number].
+    and how they follow from the numbers: `metaball_mean_centre`, `metaball_mean_radii` (M, 3) and
+    `metaball_mean_weight` (M,) where all are zero, `metaball_centre_modes`, `metaball_radii_modes` (N, M, 3) [m by unit
+    of the number], `metaball_sharpness_modes` (N, M) and `metaball_fall` (M,), see `MetaballSpace`.
 
     Args:
         path: The file.
@@ -91,14 +92,18 @@ def _metaball_arrays(body: Body) -> dict[str, np.ndarray]:
         none = {f"metaball_{name}": np.zeros((0, 3)) for name in ("centre", "radii", "radii_sd")}
         return none | {"metaball_segment": np.zeros(0, np.int64), "metaball_weight": np.zeros(0)}
     balls, covariance = space.balls(body.numbers), body.numbers_covariance
-    sd = np.full(balls.radii.shape, np.nan)
+    radii, log_weight = space.rates(balls)
+    radii_sd, weight_sd = np.full(balls.radii.shape, np.nan), np.full(len(balls), np.nan)
     if covariance is not None:
-        variance = np.einsum("iab,ij,jab->ab", space.radii_modes, covariance, space.radii_modes, optimize=True)
-        sd = np.sqrt(np.maximum(variance, 0.0))
+        variance = np.einsum("iab,ij,jab->ab", radii, covariance, radii, optimize=True)
+        radii_sd = np.sqrt(np.maximum(variance, 0.0))
+        variance = np.einsum("ia,ij,ja->a", log_weight, covariance, log_weight, optimize=True)
+        weight_sd = balls.weight * np.sqrt(np.maximum(variance, 0.0))
     own = {name: getattr(balls, name) for name in ("segment", "centre", "rotation", "radii", "weight")}
     whole = own | {
-        "radii_sd": sd, "mean_centre": space.mean.centre, "mean_radii": space.mean.radii,
-        "centre_modes": space.centre_modes, "radii_modes": space.radii_modes,
+        "radii_sd": radii_sd, "weight_sd": weight_sd, "mean_centre": space.mean.centre, "mean_radii": space.mean.radii,
+        "mean_weight": space.mean.weight, "centre_modes": space.centre_modes, "radii_modes": space.radii_modes,
+        "sharpness_modes": space.sharpness_modes, "fall": space.fall,
     }  # fmt: skip
     return {f"metaball_{name}": values for name, values in whole.items()}
 
@@ -115,15 +120,17 @@ def _metaballs(stored: dict[str, np.ndarray], skeleton: Skeleton, space: ShapeSp
     mean = Metaballs(
         skeleton=skeleton, joint_centres=space.joint_mean, segment=stored["metaball_segment"],
         centre=stored["metaball_mean_centre"], rotation=stored["metaball_rotation"],
-        radii=stored["metaball_mean_radii"], weight=stored["metaball_weight"],
+        radii=stored["metaball_mean_radii"], weight=stored.get("metaball_mean_weight", stored["metaball_weight"]),
     )  # fmt: skip
+    # A file of before weights were fitted has neither.
+    sharp = {name: stored[f"metaball_{name}"] for name in ("sharpness_modes", "fall") if f"metaball_{name}" in stored}
     found = MetaballSpace(
         names=space.names, mean=mean, centre_modes=stored["metaball_centre_modes"],
         radii_modes=stored["metaball_radii_modes"], joint_modes=space.joint_modes, prior_mean=space.prior_mean,
-        prior_covariance=space.prior_covariance, ranked=space.ranked,
+        prior_covariance=space.prior_covariance, ranked=space.ranked, **sharp,
     )  # fmt: skip
     balls = found.balls(stored["numbers"])
-    if not all(np.allclose(getattr(balls, name), stored[f"metaball_{name}"]) for name in ("centre", "radii")):
+    if not all(np.allclose(getattr(balls, name), stored[f"metaball_{name}"]) for name in ("centre", "radii", "weight")):
         raise ValueError("its metaballs are not those of its numbers")
     return found
 
