@@ -1,20 +1,25 @@
 """What `marey shape` reads and leaves beside what a capture does."""
 
 import csv
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from tests import worlds
 
 from marey.body import segment_measures
 from marey.body.metaball_people import metaball_person
 from marey.body.metaballs import PosedMetaballs
 from marey.body.pose import Pose
+from marey.cameras.rig import Rig
 from marey.cli import shape
+from marey.cli.capture_run import with_corrected_cameras
 from marey.cli.shape import Fitted, find_lost_points, keep, points_of, posed_skin, seen_of, write_table
 from marey.fit.shape import Shaped
 from marey.fit.surface_points import FramePoints
+from marey.geometry.rigid import RigidTransform
+from marey.io.calibration import write_cameras_toml
 from marey.io.surface import write_surface
 from marey.surface.measured import MeasuredPoints
 
@@ -71,6 +76,29 @@ def test_points_of_other_frames_are_left_out(tmp_path):
     found = points_of(run_of(1, 3), tmp_path / "surface.npz")
     assert {frame: len(own) for frame, own in found.items()} == {1: 1, 2: 3}
     assert points_of(run_of(0, 3), tmp_path / "none.npz") == {}
+
+
+@dataclass(frozen=True)
+class Calibrated:
+    """What of a trial the correction of its cameras looks at."""
+
+    rig: Rig
+
+
+def test_cameras_that_the_surface_corrected_are_used_and_it_is_said(tmp_path):
+    cameras = worlds.ring(3)
+    rig = Rig(tuple(replace(camera, name=name) for camera, name in zip(cameras, "abc", strict=True)))
+    shift = RigidTransform(rotation=np.eye(3), translation=np.array([0.01, 0.0, 0.0]))
+    write_cameras_toml(rig.moved(shift), tmp_path / "cameras.toml")
+    said = []
+    progress = SimpleNamespace(warn=said.append)
+    found = with_corrected_cameras(Calibrated(rig.subset(["a", "c"])), tmp_path / "cameras.toml", progress)
+    assert found.rig.names == ("a", "c")
+    np.testing.assert_allclose(found.rig.centres, rig.moved(shift).subset(["a", "c"]).centres, atol=1e-9)
+    assert "corrected" in said[0]
+    other = Calibrated(Rig((replace(cameras[0], name="d"), replace(cameras[1], name="a"))))
+    assert with_corrected_cameras(other, tmp_path / "cameras.toml", progress) is other
+    assert "lacks d" in said[1]
 
 
 def test_the_measured_surface_stays_among_the_results(tmp_path):

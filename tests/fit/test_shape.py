@@ -12,7 +12,9 @@ from marey.body.person import family_body, person_body
 from marey.body.pose import Pose, PosedBody
 from marey.errors import SettingProblem
 from marey.fit.levels import FrameLevels
+from marey.fit.person_tracks import PersonTracks
 from marey.fit.shape import (
+    OnSurface,
     Shaped,
     ShapeSettings,
     evenly,
@@ -23,6 +25,8 @@ from marey.fit.shape import (
     simplified,
     with_coordinates,
 )
+from marey.fit.shape_start import begun_from_clicks
+from marey.fit.start_joints import clicked_joints
 from marey.fit.surface_points import PersonPoints
 
 
@@ -133,8 +137,8 @@ def test_shape_and_motion_are_found_again(scene, outlines):
     blank = FrameLevels(cameras, lambda f: [np.zeros((240, 200), bool) for _ in cameras], 1.0)
     generic = replace(metaball_body(space), skeleton=space.mean.skeleton)
     found = refine_shape(
-        Shaped(generic, start, 0.004, 3.2), seen if outlines else blank, PersonPoints(by_frame=points), rate=30.0,
-        repeats=3, settings=ShapeSettings(), scale_m=0.02,
+        Shaped(generic, start, 0.004, 3.2), seen if outlines else blank,
+        OnSurface(PersonPoints(by_frame=points)), rate=30.0, repeats=3, settings=ShapeSettings(), scale_m=0.02,
     )  # fmt: skip
     numbers, covariance = found.body.numbers, found.body.numbers_covariance
     for name in ("upperarm_length", "forearm_width"):
@@ -150,3 +154,55 @@ def test_shape_and_motion_are_found_again(scene, outlines):
             for f, p in poses.items()
         ]
         assert np.mean(np.linalg.norm(away, axis=1)) < most
+
+
+def carried(posed, count, rng, noise=3e-4):
+    """Points that ride on the arm's segments, in all frames."""
+    body = posed[0].body
+    strongest = body.vertex_segments[np.arange(len(body.vertices)), body.vertex_weights.argmax(1)]
+    arm = [body.skeleton.segment(f"right_{name}") for name in ("upperarm", "forearm", "hand")]
+    which = rng.choice(np.flatnonzero(np.isin(strongest, arm)), count)
+    segment, away = strongest[which], body.vertices[which] - body.joint_centres[strongest[which]]
+    position = [p.segment_origin[segment] + np.einsum("nab,nb->na", p.segment_rotation[segment], away) for p in posed]
+    return np.array(position) + rng.normal(size=(len(posed), count, 3)) * noise
+
+
+def test_followed_points_show_a_limbs_turn_about_itself(scene):
+    space, _, body, poses, points, start = scene
+    rng = np.random.default_rng(4)
+    position = carried([PosedBody(body, pose) for pose in poses.values()], 300, rng)
+    tracks = PersonTracks(
+        frames=np.arange(5), position=position, variance=np.full(position.shape[:2], 9e-8), patch_m=0.005
+    )  # fmt: skip
+    blank = FrameLevels(worlds.ring(2), lambda f: [np.zeros((240, 200), bool)] * 2, 1.0)
+    generic = replace(metaball_body(space), skeleton=space.mean.skeleton)
+    turn = 6 + [c.name for c in body.skeleton.coordinates].index("right_shoulder_turn")
+    change = []
+    for followed in (None, tracks):
+        found = refine_shape(
+            Shaped(generic, start, 0.004, 3.2), blank, OnSurface(PersonPoints(by_frame=points), followed), rate=30.0,
+            repeats=2, settings=ShapeSettings(), scale_m=0.02,
+        )  # fmt: skip
+        off = np.array([found.poses[f].change_to(pose)[turn] for f, pose in poses.items()])
+        change.append(np.std(off))
+        assert found.skin_sd_m < 0.003 if followed else found.skin_sd_m == Shaped.skin_sd_m
+    # What all frames have in common, points alone must tell; how the limb turns from frame to frame, tracks do.
+    assert change[1] < 0.75 * change[0]
+    assert change[1] < np.deg2rad(0.1)
+
+
+def test_clicked_joints_hold_a_start_that_points_of_one_side_leave_open(arm):
+    rng, cameras = np.random.default_rng(6), worlds.ring(3)
+    whole = freed(arm)
+    truth = PosedBody(whole, Pose(np.zeros(3), np.eye(3), 0.3 * rng.normal(size=len(whole.skeleton) - 6)))
+    joints = ("right_shoulder", "right_elbow", "right_wrist")
+    segments = [whole.skeleton.segment(f"right_{name}") for name in ("upperarm", "forearm", "hand")]
+    pixels = np.stack([camera.project(truth.segment_origin[segments]) for camera in cameras])
+    clicked = clicked_joints(cameras, joints, pixels, truth)
+    for own, camera in zip(clicked, cameras, strict=True):
+        away = np.linalg.norm(truth.segment_origin.mean(0) - camera.centre)
+        assert own.sigma_px == pytest.approx(0.01 * camera.matrix[0, 0] / away)
+    points = {7: world.measured(metaballs_like(whole), truth.pose, 400, 1e-3, rng, side=np.array([0, -1.0, 0]))}
+    begun = begun_from_clicks(truth, {7: clicked}, points, ShapeSettings())
+    moved = PosedBody(begun.body, begun.poses[7]).segment_origin[segments] - truth.segment_origin[segments]
+    assert np.linalg.norm(moved, axis=1).max() < 0.01

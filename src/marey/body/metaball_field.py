@@ -14,6 +14,19 @@ _FAR = -40.0
 """exp() of less, beside 1, is below the last digit."""
 
 
+@numba.njit(inline="always", cache=True, nogil=True)
+def log_field(m, point, place, axes, radii, log_weight, local):
+    """Give ln w - 2 d of one ball at a point ([Plaenkers1999] eq. (6), (7)); write where it lies along its axes."""
+    d = 0.0
+    for a in range(3):
+        y = 0.0
+        for b in range(3):
+            y += axes[m, a, b] * (point[b] - place[m, b])
+        local[m, a] = y
+        d += (y / radii[m, a]) ** 2
+    return log_weight - 2.0 * d
+
+
 @numba.njit(cache=True, nogil=True)
 def _weigh(point, limb, ball_limb, place, axes, radii, weight, local, share, top, total):
     """Fill in where a point lies in each ball and each ball's share of the field.
@@ -37,14 +50,7 @@ def _weigh(point, limb, ball_limb, place, axes, radii, weight, local, share, top
     top[:] = -np.inf
     total[:] = 0.0
     for m in range(radii.shape[0]):
-        d = 0.0
-        for a in range(3):
-            y = 0.0
-            for b in range(3):
-                y += axes[m, a, b] * (point[b] - place[m, b])
-            local[m, a] = y
-            d += (y / radii[m, a]) ** 2
-        share[m] = np.log(weight[m]) - 2.0 * d
+        share[m] = log_field(m, point, place, axes, radii, np.log(weight[m]), local)
         top[ball_limb[m]] = max(top[ball_limb[m]], share[m])
     for m in range(radii.shape[0]):
         below = share[m] - top[ball_limb[m]]

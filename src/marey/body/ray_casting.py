@@ -33,7 +33,8 @@ def exits(posed: PosedMetaballs, origins: Floats, directions: Floats, limb: int 
     along = np.ascontiguousarray(along / np.linalg.norm(along, axis=1, keepdims=True))
     balls = posed.balls
     felt = np.isin(balls.limb, (0, limb)) if limb > 0 else np.ones(len(balls), bool)
-    # Points in units of the radii along each ball's axes.
+    # Points in units of the radii along each ball's axes: a sum of its own, for a ray asks for the level alone, and
+    # `metaball_field.log_field` takes a sixth longer.
     inward = np.ascontiguousarray((posed.axes / balls.radii[:, :, None])[felt])
     place, weight = np.ascontiguousarray(posed.place[felt]), np.ascontiguousarray(balls.weight[felt])
     found = first_exits(start, along, float(reach), np.ascontiguousarray(balls.limb[felt]), place, inward, weight)

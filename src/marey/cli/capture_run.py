@@ -14,6 +14,7 @@ from marey.body.metaball_person import metaball_body
 from marey.body.person import person_body, preset_body
 from marey.body.presets import GENERIC_BODIES, PRESETS
 from marey.body.surface import Body
+from marey.cameras.rig import Rig
 from marey.cli import capture_stages as stages
 from marey.cli.progress import Progress
 from marey.cli.run_record import StageCache
@@ -25,6 +26,7 @@ from marey.fit.person import (
 )
 from marey.fit.pick_up import of_one_shape
 from marey.io.body import open_body
+from marey.io.calibration import read_rig
 from marey.io.stages import FrameLog, file_fingerprint
 from marey.io.start_joints import read_start_joints
 from marey.io.trial import Trial, read_trial
@@ -35,7 +37,12 @@ TWIN_M = 1e-4
 
 @contextmanager
 def opened(
-    folder: Path, settings: CaptureSettings, progress: Progress, *, more: Sequence[Path] = ()
+    folder: Path,
+    settings: CaptureSettings,
+    progress: Progress,
+    *,
+    more: Sequence[Path] = (),
+    corrected: Path | None = None,
 ) -> "Iterator[tuple[Run, Bodies, Logs]]":
     """Open a trial, and what the last run on it left when it was interrupted.
 
@@ -44,11 +51,14 @@ def opened(
         settings: What is asked for.
         progress: Is shown.
         more: Other files on which the results depend.
+        corrected: Cameras in the world of the results that count instead of the calibrated ones, if that file is there.
 
     Raises:
         FileProblem: Something in the trial cannot be used.
     """
     trial = read_trial(folder, **settings.changes())
+    if corrected is not None and corrected.is_file() and not corrected.samefile(trial.calibration):
+        trial, more = with_corrected_cameras(trial, corrected, progress), [*more, corrected]
     require_two_cameras(trial)
     if trial.start is not None:
         # Read again where it is needed; a wrong file shall be told of before the work begins.
@@ -120,6 +130,21 @@ def require_two_cameras(trial: Trial) -> None:
     if len(trial.rig.names) < 2:
         wrong = f"has only the camera '{trial.rig.names[0]}'"
         raise FileProblem(trial.calibration, wrong, "Depth needs at least two cameras; keep more with --cameras.")
+
+
+def with_corrected_cameras(trial: Trial, corrected: Path, progress: Progress) -> Trial:
+    """Let a trial have the cameras as the measured surface corrected them, and say so.
+
+    Raises:
+        FileProblem: The file cannot be read.
+    """
+    rig = read_rig(corrected)
+    missing = [name for name in trial.rig.names if name not in rig.names]
+    if missing:
+        progress.warn(f"{corrected} lacks {', '.join(missing)}; the cameras stay as they were calibrated.")
+        return trial
+    progress.warn(f"The cameras are those that the measured surface corrected: {corrected}.")
+    return replace(trial, rig=Rig(tuple(rig[name] for name in trial.rig.names)))
 
 
 def open_bodies(trial: Trial, settings: CaptureSettings) -> Bodies:

@@ -10,12 +10,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from marey.arrays import Floats, Mask
-from marey.body.metaball_person import reshaped, vertex_limbs
-from marey.body.metaballs import PosedMetaballs
-from marey.body.pose import Pose, PosedBody
+from marey.body.metaball_person import reshaped
+from marey.body.metaball_skin import MetaballSkin
+from marey.body.pose import Pose
 from marey.body.segment_measures import segment_measures
 from marey.body.spline_skin import spline_body
-from marey.body.subdivision import finer
 from marey.body.surface import Body
 from marey.cli import capture_stages as stages
 from marey.cli.capture import Followed, Refined, Tracked, follow_person, refined_person, rounds_of
@@ -28,29 +27,25 @@ from marey.cli.surface import surface as measure_surface
 from marey.cli.surface_settings import SurfaceOptions
 from marey.cli.surface_tracks import follow_measured, told, write_tracks
 from marey.errors import FileProblem, MareyError
-from marey.fit.carry import CarrySettings, follow_points, settled
-from marey.fit.levenberg import fit_points
 from marey.fit.lost_points import expected_by_skin
 from marey.fit.person import Take
+from marey.fit.person_tracks import PersonTracks
 from marey.fit.sequence import SequenceFit, refine_in_pieces
 from marey.fit.shape import (
     DETAILS_IN_TURN,
+    OnSurface,
     Shaped,
     ShapeSettings,
-    believed,
     evenly,
-    freed,
     measured_segments,
-    metaballs_like,
     more_detailed,
     refine_shape,
     simplified,
-    with_coordinates,
 )
-from marey.fit.start_joints import start_from_joints
+from marey.fit.shape_start import begun_from_clicks, begun_from_person, carried_on
+from marey.fit.start_joints import clicked_joints, start_from_joints
 from marey.fit.surface_points import FramePoints, PersonPoints, spread_over
 from marey.io.body import segment_lengths
-from marey.io.calibration import read_rig
 from marey.io.csv import write_segments
 from marey.io.glb import write_glb
 from marey.io.npz import read_motion
@@ -59,6 +54,7 @@ from marey.io.start_joints import read_start_joints
 from marey.io.surface import read_surface
 from marey.io.trajectories import read_trajectories
 from marey.motion.from_fit import Measured, measured
+from marey.observations.observation import Observation
 from marey.surface.filters import FilterSettings
 from marey.surface.trajectories import Trajectories
 
@@ -66,13 +62,12 @@ SURFACE = ("surface.npz", "trajectories.npz")
 """What `marey surface` measured, and the fit reads."""
 KEPT = (*SURFACE, "surface.ply", "surface.html", "cameras.toml", "surface_*.png", "tracks_*.png", "surface/*.ply")
 """What else it leaves; all of it stays."""
-SPACING_PX = 6
-"""From point to point, where the surface is measured for the fit alone: neighbours say nearly the same."""
 SEEN_M = 0.010
 """Skin no farther than this from a measured point was measured [m]."""
-OFF_M = 0.015
-"""Skin that lies farther from the metaballs' surface stays where blending puts it: in a crease [m]."""
 LAST_ROUNDS = 2
+
+Clicked = Mapping[int, Sequence[Observation]]
+"""Clicked joints, by frame."""
 
 
 def shape(folder: Path, settings: CaptureSettings, progress: Progress) -> Path:
@@ -93,20 +88,21 @@ def shape(folder: Path, settings: CaptureSettings, progress: Progress) -> Path:
     if not (out / SURFACE[0]).is_file():
         measure(folder, replace(settings, out=out), progress)
     measured_files = [out / name for name in SURFACE if (out / name).is_file()]
-    with opened(folder, settings, progress, more=measured_files) as (run, bodies, logs):
+    with opened(folder, settings, progress, more=measured_files, corrected=out / "cameras.toml") as opened_run:
+        run, bodies, logs = opened_run
         points = points_of(run, out / SURFACE[0])
         tracks = read_trajectories(out / SURFACE[1]) if (out / SURFACE[1]).is_file() else None
-        followed, begun = begin(run, bodies, logs, points, tracks)
-        shaped = fitted(run, followed, begun, points)
+        followed, begun, clicked = begin(run, bodies, logs, points, tracks)
+        few = {f: spread_over(given, ShapeSettings().points_a_frame) for f, given in points.items()}
+        given = OnSurface(PersonPoints(by_frame=few), None if tracks is None else PersonTracks.of(tracks), clicked)
+        shaped = fitted(run, followed, begun, given)
         write_shape(run, followed, shaped, points)
     return out
 
 
 def measure(folder: Path, settings: CaptureSettings, progress: Progress) -> None:
     """Measure the surface first, as `marey surface` does; say so where there is none to be measured."""
-    options = SurfaceOptions(
-        out=settings.out, cameras=settings.cameras, frames=settings.frames, spacing=SPACING_PX
-    )  # fmt: skip
+    options = SurfaceOptions(out=settings.out, cameras=settings.cameras, frames=settings.frames)
     try:
         measure_surface(folder, options, progress)
     except FileProblem as problem:
@@ -128,8 +124,8 @@ def points_of(run: Run, path: Path) -> dict[int, FramePoints]:
 
 def begin(
     run: Run, bodies: Bodies, logs: Logs, points: Mapping[int, FramePoints], tracks: Trajectories | None
-) -> tuple[Followed, Shaped]:
-    """Find the person's motion, and a first shape.
+) -> tuple[Followed, Shaped, Clicked]:
+    """Find the person's motion, a first shape, and which joints were clicked.
 
     With silhouettes as `marey capture` does; without a background, but with clicked joints, from those, the points and
     their trajectories ([Plaenkers1999] section 4.2).
@@ -139,17 +135,13 @@ def begin(
         return begin_by_points(run, bodies, logs, points, tracks)
     followed = follow_person(run, bodies, logs)
     refined = refined_person(run, followed, bodies)
-    whole = freed(refined.body)
-    poses = {f: with_coordinates(pose, refined.body, whole) for f, pose in refined.poses.items()}
-    settings = ShapeSettings()
-    body = metaballs_like(whole)
-    return followed, Shaped(body, poses, settings.begin_model_sd_m, settings.sequence.sigma_px)
+    return followed, begun_from_person(refined.body, refined.poses, ShapeSettings()), {}
 
 
 def begin_by_points(
     run: Run, bodies: Bodies, logs: Logs, points: Mapping[int, FramePoints], tracks: Trajectories | None
-) -> tuple[Followed, Shaped]:
-    """Start from clicked joints and follow the trajectories; simplified limbs first ([Plaenkers1999] section 4.4).
+) -> tuple[Followed, Shaped, Clicked]:
+    """Start from clicked joints, and follow the trajectories from there.
 
     Raises:
         FileProblem: There are several frames, and no trajectories.
@@ -165,26 +157,18 @@ def begin_by_points(
         raise FileProblem(trial.start or trial.folder, f"names frame {joints.frame}, which has no points", remedy)
     take = Take(tuple(trial.rig), outlines, tuple(points), trial.take.rate)
     with run.progress.stage("Start"):
-        _, found = start_from_joints(
-            take, joints.frame, joints.joint_names, joints.pixels, bodies.fine, run.person
-        )  # fmt: skip
-        whole = freed(found.posed.body)
-        pose = with_coordinates(found.posed.pose, found.posed.body, whole)
-        few = {f: spread_over(given, settings.points_a_frame) for f, given in points.items()}
-        given = PersonPoints(by_frame=few, scale_m=FIRST_SCALE_M)
-        one = PersonPoints(by_frame={joints.frame: few[joints.frame]}, scale_m=FIRST_SCALE_M)
-        first = fit_points(one, metaballs_like(whole, "simple"), {joints.frame: pose})
-    poses = first.poses
+        found = start_from_joints(take, joints.frame, joints.joint_names, joints.pixels, bodies.fine, run.person)[1]
+        clicked = {joints.frame: clicked_joints(list(trial.rig), joints.joint_names, joints.pixels, found.posed)}
+        begun = begun_from_clicks(found.posed, clicked, points, settings)
     if tracks is not None:
-        poses = followed_by_tracks(run, first.body, (joints.frame, poses[joints.frame]), tracks, given)
-    known = {f: p for f, p in poses.items() if f in points}
-    tracked = Tracked(first.body, known, dict.fromkeys(known, 1.0))
-    shaped = Shaped(first.body, known, settings.begin_model_sd_m, settings.sequence.sigma_px)
-    return Followed(tracked, {}, outlines, tuple(points)), shaped
-
-
-FIRST_SCALE_M = 0.05
-"""Distance at which a point counts a quarter while the pose comes from clicked joints [m]."""
+        inside = [row for row, f in enumerate(tracks.frames) if trial.take.first <= f < trial.take.end]
+        position = tracks.position[inside][:, ~tracks.removed]
+        with run.progress.stage("Motion by trajectories", len(inside)) as step:
+            begun = carried_on(
+                begun, tracks.frames[inside], position, points, settings, done=lambda frame: step()
+            )  # fmt: skip
+    tracked = Tracked(begun.body, begun.poses, dict.fromkeys(begun.poses, 1.0))
+    return Followed(tracked, {}, outlines, tuple(points)), begun, clicked
 
 
 def no_outlines(run: Run, logs: Logs) -> MaskStore:
@@ -197,20 +181,6 @@ def no_outlines(run: Run, logs: Logs) -> MaskStore:
     return store
 
 
-def followed_by_tracks(
-    run: Run, body: Body, start: tuple[int, Pose], tracks: Trajectories, points: PersonPoints
-) -> dict[int, Pose]:
-    """Follow a body by trajectories, brought onto the measured points every some frames."""
-    carry = CarrySettings()
-    position = np.where(tracks.removed[None, :, None], np.nan, tracks.position).astype(float)
-    inside = [row for row, f in enumerate(tracks.frames) if run.trial.take.first <= f < run.trial.take.end]
-    with run.progress.stage("Motion by trajectories", len(inside)) as step:
-        return follow_points(
-            body, start, [int(f) for f in tracks.frames[inside]], position[inside], settings=carry,
-            anchor=lambda frame, pose: settled(PosedBody(body, pose), points, frame, carry), done=lambda frame: step(),
-        )  # fmt: skip
-
-
 @dataclass(frozen=True, eq=False)
 class Fitted:
     """The person as it is written."""
@@ -221,11 +191,9 @@ class Fitted:
     shaped: Shaped
 
 
-def fitted(run: Run, followed: Followed, begun: Shaped, points: Mapping[int, FramePoints]) -> Fitted:
-    """Fit the whole body, then single radii; refine the motion a last time."""
+def fitted(run: Run, followed: Followed, begun: Shaped, given: OnSurface) -> Fitted:
+    """Fit the whole body, then single balls; refine the motion a last time."""
     settings = ShapeSettings()
-    few = {f: spread_over(given, settings.points_a_frame) for f, given in points.items()}
-    given = PersonPoints(by_frame=few)
     take = Take(
         tuple(run.trial.rig), followed.outlines, tuple(begun.poses), run.trial.take.rate, followed.outlines.edges
     )
@@ -249,11 +217,11 @@ def fitted(run: Run, followed: Followed, begun: Shaped, points: Mapping[int, Fra
     return _last(run, take, begun, given, settings)
 
 
-NAMES = {"simple": "simplified limbs", "full": "whole body", "single": "single radii"}
+NAMES = {"simple": "simplified limbs", "full": "whole body", "single": "single balls"}
 
 
-def _last(run: Run, take: Take, begun: Shaped, given: PersonPoints, settings: ShapeSettings) -> Fitted:
-    points = believed(given, begun.model_sd_m)
+def _last(run: Run, take: Take, begun: Shaped, given: OnSurface, settings: ShapeSettings) -> Fitted:
+    measured_there = given.believed(begun)
     poses: dict[int, Pose] = {}
     pieces: list[Measured] = []
     fit: SequenceFit | None = None
@@ -264,7 +232,7 @@ def _last(run: Run, take: Take, begun: Shaped, given: PersonPoints, settings: Sh
         for fit in refine_in_pieces(
             list(begun.poses), list(begun.poses.values()), begun.body, take.levels(run.person.fine_height),
             rate=take.rate, rounds=LAST_ROUNDS, shape_frames=evenly(list(begun.poses), settings.shape_frames),
-            settings=replace(settings.sequence, sigma_px=begun.outline_sd_px), also=points.terms,
+            settings=replace(settings.sequence, sigma_px=begun.outline_sd_px), also=measured_there.of_round,
             done=lambda frame: step(), memory=memory,
         ):  # fmt: skip
             poses |= fit.by_frame
@@ -280,15 +248,14 @@ def _packed(found: Shaped) -> Arrays:
         "rotation": np.array([pose.rotation for pose in found.poses.values()]),
         "angles": np.array([pose.angles for pose in found.poses.values()]),
         "numbers": np.array(found.body.numbers),
-        "sds": np.array([found.model_sd_m, found.outline_sd_px]),
+        "sds": np.array([found.model_sd_m, found.outline_sd_px, found.skin_sd_m]),
     }
 
 
 def _unpacked(arrays: Arrays, begun: Shaped) -> Shaped:
     parts = zip(arrays["translation"], arrays["rotation"], arrays["angles"], strict=True)
     poses = dict(zip(map(int, arrays["frames"]), (Pose(*part) for part in parts), strict=True))
-    model, outline = map(float, arrays["sds"])
-    return Shaped(reshaped(begun.body, arrays["numbers"]), poses, model, outline)
+    return Shaped(reshaped(begun.body, arrays["numbers"]), poses, *map(float, arrays["sds"]))
 
 
 def write_shape(run: Run, followed: Followed, found: Fitted, points: Mapping[int, FramePoints]) -> None:
@@ -321,9 +288,7 @@ def find_lost_points(run: Run, folder: Path, skin: stages.PosedSkin, found: Fitt
         found: The fitted body, in which the trajectories' cache is keyed.
     """
     trial, surface = run.trial, read_surface(folder / SURFACE[0])
-    corrected = folder / "cameras.toml"
-    rig = read_rig(corrected) if corrected.is_file() else trial.rig
-    if surface.camera_names != rig.names:
+    if surface.camera_names != trial.rig.names:
         run.progress.warn("The surface was measured by other cameras; its trajectories stay as they are.")
         return
     parts = [surface.of_frame(frame) for frame in range(trial.take.first, trial.take.end)]
@@ -332,10 +297,10 @@ def find_lost_points(run: Run, folder: Path, skin: stages.PosedSkin, found: Fitt
     )  # fmt: skip
     arrays = _packed(found.shaped)
     followed = follow_measured(
-        trial.take, rig, parts, run.cache, run.progress, filters=FilterSettings(), depends=(run.scope, arrays),
+        trial.take, trial.rig, parts, run.cache, run.progress, filters=FilterSettings(), depends=(run.scope, arrays),
         expected=expected,
     )  # fmt: skip
-    write_tracks(folder, followed, trial.take, rig)
+    write_tracks(folder, followed, trial.take, trial.rig)
     run.progress.say(told(followed))
 
 
@@ -357,20 +322,14 @@ def write_skin_glb(folder: Path, body: Body, warn: Callable[[str], None]) -> Non
 
 def posed_skin(body: Body, poses: Mapping[int, Pose]) -> stages.PosedSkin:
     """Give the metaballs' own surface in every frame, finer than the body's triangles."""
-    fine, space = finer(body), body.metaballs
-    if space is None:
-        raise ValueError("the body has no metaballs")
-    balls, limb = space.balls(body.numbers), vertex_limbs(fine)
+    skin = MetaballSkin(body)
 
     @lru_cache(maxsize=2)
     def vertices(frame: int) -> Floats:
         """Every camera asks for the same frame."""
-        blended = PosedBody(fine, poses[frame]).vertices
-        there = PosedMetaballs(balls, poses[frame]).skin(blended, limb)
-        near = np.linalg.norm(there - blended, axis=1) < OFF_M
-        return np.where(near[:, None], there, blended)
+        return skin.vertices(poses[frame])
 
-    return stages.PosedSkin(fine.faces, vertices)
+    return stages.PosedSkin(skin.faces, vertices)
 
 
 def seen_of(

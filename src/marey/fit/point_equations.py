@@ -13,9 +13,9 @@ import numpy as np
 
 from marey.arrays import Floats, Integers
 from marey.body import kinematics
-from marey.body.metaball_field import THRESHOLD, distance_of_level
+from marey.body.metaball_field import THRESHOLD, distance_of_level, log_field
 from marey.body.metaball_person import MetaballSpace
-from marey.body.metaballs import PosedMetaballs
+from marey.body.metaballs import Metaballs, PosedMetaballs
 from marey.body.pose import PosedBody
 from marey.body.skeleton import LIMBS
 from marey.observations.metaball_points import PointsOnMetaballs
@@ -35,14 +35,17 @@ class NumbersOfBalls(NamedTuple):
     """(E, 3) [m by unit of the number]."""
     centre: Floats
     """(E, 3)."""
+    log_weight: Floats
+    """(E,)."""
 
     @staticmethod
-    def of(space: MetaballSpace) -> "NumbersOfBalls":
-        """List what is not zero in a space's modes."""
-        moves = np.any(space.radii_modes != 0.0, axis=2) | np.any(space.centre_modes != 0.0, axis=2)
+    def of(space: MetaballSpace, balls: Metaballs) -> "NumbersOfBalls":
+        """List what is not zero in how a space's numbers move its balls where they stand."""
+        radii, log_weight = space.rates(balls)
+        moves = np.any(radii != 0.0, axis=2) | np.any(space.centre_modes != 0.0, axis=2) | (log_weight != 0.0)
         ball, number = np.nonzero(moves.T)
         start = np.concatenate([[0], np.cumsum(np.bincount(ball, minlength=moves.shape[1]))])
-        parts = (start, number, space.radii_modes[number, ball], space.centre_modes[number, ball])
+        parts = (start, number, radii[number, ball], space.centre_modes[number, ball], log_weight[number, ball])
         return NumbersOfBalls(*(np.ascontiguousarray(part) for part in parts))
 
 
@@ -92,10 +95,11 @@ def point_equations(
     residual, weight = np.empty(len(observed)), np.empty(len(observed))
     add_points(
         observed.points, observed.limb, observed.spread, scale, as_distance, BallsOfLimbs.of(balls.limb),
-        NumbersOfBalls.of(space), balls.limb, balls.segment, surface.place, surface.axes, balls.rotation, balls.radii,
-        np.log(balls.weight), surface.segment_origin[0], len(LIMBS), numbers, square, linear, residual, weight,
+        NumbersOfBalls.of(space, balls), balls.limb, balls.segment, surface.place, surface.axes, balls.rotation,
+        balls.radii, np.log(balls.weight), surface.segment_origin[0], len(LIMBS), numbers, square, linear, residual,
+        weight,
     )  # fmt: skip
-    by_parameters = _moves_of_segments(surface, space)
+    by_parameters = _by_parameters(surface, space)
     used = np.flatnonzero(np.diag(square))
     by_parameters = by_parameters[used]
     whole = square[np.ix_(used, used)]
@@ -109,12 +113,16 @@ def distances_of(posed: PosedBody, observed: PointsOnMetaballs) -> Floats:
     return observed.surface(posed).distance(observed.points, observed.limb)
 
 
-def _moves_of_segments(surface: PosedMetaballs, space: MetaballSpace) -> Floats:
-    """Give how numbers, and segments' shifts and turns about the root's origin, follow pose and numbers.
+def _by_parameters(surface: PosedMetaballs, space: MetaballSpace) -> Floats:
+    """Give how numbers and segments' motions, the columns of `add_points`, follow pose and numbers (N + 6 S, D + N)."""
+    moves = moves_of_segments(surface, space)
+    degrees, numbers = len(surface.balls.skeleton), len(space)
+    alone = np.concatenate([np.zeros((numbers, degrees)), np.eye(numbers)], 1)
+    return np.concatenate([alone, moves.reshape(-1, degrees + numbers)])
 
-    Returns:
-        (N + 6 S, D + N): the rows are the columns of `add_points`.
-    """
+
+def moves_of_segments(surface: PosedMetaballs, space: MetaballSpace) -> Floats:
+    """Give how segments' shifts, and turns about the root's origin, follow pose and numbers (S, 6, D + N)."""
     skeleton, numbers = surface.balls.skeleton, len(space)
     origin, axes = surface.segment_origin, surface.world_axes
     segments, degrees = len(origin), len(skeleton)
@@ -129,8 +137,7 @@ def _moves_of_segments(surface: PosedMetaballs, space: MetaballSpace) -> Floats:
         moves[carried, 3:, 6 + q] = axes[q]
     shifted, _ = kinematics.origin_modes(surface.balls.packed.parents, surface.segment_rotation, space.joint_modes)
     moves[:, :3, degrees:] = np.swapaxes(shifted, 1, 2)
-    alone = np.concatenate([np.zeros((numbers, degrees)), np.eye(numbers)], 1)
-    return np.concatenate([alone, moves.reshape(6 * segments, -1)])
+    return moves
 
 
 @numba.njit(cache=True, nogil=True)
@@ -207,14 +214,7 @@ def _feel(
     top[:] = -np.inf
     total[:] = 0.0
     for m in own:
-        d = 0.0
-        for a in range(3):
-            y = 0.0
-            for b in range(3):
-                y += axes[m, a, b] * (point[b] - place[m, b])
-            local[m, a] = y
-            d += (y / radii[m, a]) ** 2
-        share[m] = log_weight[m] - 2.0 * d
+        share[m] = log_field(m, point, place, axes, radii, log_weight[m], local)
         top[ball_limb[m]] = max(top[ball_limb[m]], share[m])
     best, level = limb, -np.inf
     for m in own:
@@ -267,6 +267,7 @@ def _add_ball(
             moved[of_balls.number[e]] = True
             columns[used] = of_balls.number[e]
             used += 1
+        row[of_balls.number[e]] += u * of_balls.log_weight[e]
     shift0 = shift1 = shift2 = 0.0
     for a in range(3):
         g = axes[m, a, 0] * slope[0] + axes[m, a, 1] * slope[1] + axes[m, a, 2] * slope[2]

@@ -9,6 +9,7 @@ memory hardly.
 from collections.abc import Callable, Container, Generator, Iterator, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 
@@ -93,9 +94,20 @@ LONGEST_WINDOW, LONGEST_OVERLAP = 600, 120
 
 Arrays = dict[str, Floats]
 
-FrameTerms = Callable[[int, PosedBody], tuple[Floats, Floats]]
-"""Gives for a frame and the body in its pose what other observations say of pose and shape,
-(D + M, D + M) and (D + M,)."""
+
+class FrameTerms(Protocol):
+    """What other observations say of a frame."""
+
+    @property
+    def shared(self) -> int:
+        """Count the unknowns G that all frames share beside the shape: they are found anew in each round."""
+
+    def terms(self, frame: int, posed: PosedBody) -> tuple[Floats, Floats]:
+        """Give what they say of pose, shape and the shared unknowns: (D + M + G, D + M + G) and (D + M + G,)."""
+
+
+Further = Callable[[Mapping[int, Pose], Body], FrameTerms]
+"""Makes other observations ready for a round, in which the poses by frame and the body stand so."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +131,7 @@ def refine_sequence(
     shape_frames: Sequence[int] = (),
     settings: SequenceSettings | None = None,
     blind: Container[int] = (),
-    also: FrameTerms | None = None,
+    also: Further | None = None,
     done: Callable[[int], None] = lambda frame: None,
     memory: RefineMemory | None = None,
 ) -> SequenceFit:
@@ -148,7 +160,7 @@ def refine_in_pieces(
     shape_frames: Sequence[int] = (),
     settings: SequenceSettings | None = None,
     blind: Container[int] = (),
-    also: FrameTerms | None = None,
+    also: Further | None = None,
     done: Callable[[int], None] = lambda frame: None,
     memory: RefineMemory | None = None,
 ) -> Iterator[SequenceFit]:
@@ -237,7 +249,7 @@ class _Work:
     memory: RefineMemory
     first: Body
     """As it was before; of other numbers it is always made from here, so that an interruption changes nothing."""
-    also: FrameTerms | None = None
+    also: Further | None = None
 
     @cached_property
     def windows(self) -> list[Window]:
@@ -257,7 +269,8 @@ class _Work:
             self.done(frame)
         if not wanted:
             return
-        stream = self._equations(poses, body, round_, wanted[0].first)
+        further = None if self.also is None else self.also(dict(zip(self.frames, poses, strict=True)), body)
+        stream = self._equations(poses, body, round_, wanted[0].first, further)
         waiting: dict[int, _Equations] = {}
         for i, window in enumerate(wanted, begun):
             for f in range(max(waiting, default=window.first - 1) + 1, window.last):
@@ -268,7 +281,7 @@ class _Work:
         stream.close()
 
     def _equations(
-        self, poses: Sequence[Pose], body: Body, round_: int, first: int
+        self, poses: Sequence[Pose], body: Body, round_: int, first: int, further: FrameTerms | None
     ) -> Generator[_Equations, None, None]:
         settings = self.settings
         schedule = Schedule(
@@ -286,10 +299,8 @@ class _Work:
             else:
                 hessian, gradient, _ = normal_equations(posed, gather_moments(posed, found, weights))
                 add_dense(posed, priors, hessian, gradient)
-            if self.also is not None:
-                more, pull = self.also(self.frames[f], posed)
-                size = len(gradient)
-                hessian, gradient = hessian + more[:size, :size], gradient + pull[:size]
+            if further is not None:
+                hessian, gradient = _added(hessian, gradient, *further.terms(self.frames[f], posed), posed.body)
             across = sum(float(w @ (m.residuals(posed) ** 2).sum(1)) for w, m in zip(weights, found, strict=True))
             return _Equations(hessian, gradient, across, sum(float(w.sum()) for w in weights))
 
@@ -307,8 +318,8 @@ class _Work:
     ) -> Arrays:
         """Give what one window says: how its poses answer, and what its own frames ask of the shape."""
         degrees, first = len(body.skeleton), window.first
-        free = [f for f in range(first, window.last) if self.frames[f] in self.free]
-        system = System.empty(window.last - first, degrees, len(body.space) if free else 0)
+        shared = max(len(found[f].gradient) for f in range(first, window.last)) - degrees
+        system = System.empty(window.last - first, degrees, shared)
         for f in range(first, window.last):
             system.add_frame(f - first, found[f].hessian, found[f].gradient, degrees)
         spread = acceleration_spread(body.skeleton, self.settings) / self.rate**2
@@ -316,11 +327,11 @@ class _Work:
             if self.frames[f + 1] - self.frames[f - 1] == 2:
                 system.add_smoothness(f - first, poses[first : window.last], spread)
         core = range(window.begin, window.end)
-        own = [found[f] for f in free if f in core]
-        none = np.zeros((len(body.space),) * 2)
+        own = [found[f] for f in core if len(found[f].gradient) > degrees]
+        none = np.zeros((max(shared, len(body.space)),) * 2)
         part = system.eliminate(np.array([TRUST_M] * 3 + [TRUST_RAD] * (degrees - 3)), window.core) | {
             "corner": sum((e.hessian[degrees:, degrees:] for e in own), none),
-            "shape_gradient": sum((e.gradient[degrees:] for e in own), np.zeros(len(body.space))),
+            "shape_gradient": sum((e.gradient[degrees:] for e in own), np.zeros(len(none))),
             "squares": np.array(sum(found[f].squares for f in core)),
             "total": np.array(sum(found[f].total for f in core)),
         }
@@ -340,24 +351,33 @@ class _Work:
             steps = -(part["own"] + part["by_shape"] @ shape[: part["by_shape"].shape[1]])
             own = poses[window.begin : window.end]
             moved += [pose.step(step) for pose, step in zip(own, steps.reshape(len(own), -1), strict=True)]
-        return moved, reshaped(self.first, body.numbers + shape) if self.free else body
+        return moved, reshaped(self.first, body.numbers + shape[: len(body.space)]) if self.free else body
 
     def _shape_step(self, poses: Sequence[Pose], body: Body, round_: int) -> Floats:
+        """Give the step (M + G,) of the shape's numbers and of what else all frames share."""
+        parts, numbers = list(self._parts(round_)), len(body.space)
+        count = max(len(part["corner"]) for part in parts)
+        if not self.free and count == numbers:
+            return np.zeros(numbers)
+        information, gradient = _shape_prior(body, poses[0], count)
         if not self.free:
-            return np.zeros(len(body.space))
-        information, gradient = _shape_prior(body, poses[0])
-        for part in self._parts(round_):
+            gradient[:] = 0.0
+        for part in parts:
             information, gradient = information + part["corner"], gradient + part["shape_gradient"]
             if part["by_shape"].shape[1]:
                 information, gradient = information - part["taken"], gradient - part["taken_gradient"]
-        information = 0.5 * (information + information.T) + np.diag(1.0 / _trusted(body.space))
-        return bounded_step(information, gradient, *shape_reach(body, self.settings.clip))
+        trusted = np.concatenate([_trusted(body.space), np.full(count - numbers, TRUST_M**2)])
+        information = 0.5 * (information + information.T) + np.diag(1.0 / trusted)
+        reach = [np.append(own, np.full(count - numbers, at)) for own, at in zip(
+            shape_reach(body, self.settings.clip), (-_FAR, _FAR), strict=True)]  # fmt: skip
+        return bounded_step(information, gradient, *reach)
 
     def pieces(self, poses: Sequence[Pose], body: Body) -> Iterator[SequenceFit]:
         """Step for the last time, and give each window's answer with its covariances."""
         round_ = self.rounds - 1
         moved, stepped = self.stepped(poses, body, round_)
-        information, _ = _shape_prior(body, poses[0])
+        numbers, degrees = len(body.space), len(body.skeleton)
+        information, _ = _shape_prior(body, poses[0], max(len(part["corner"]) for part in self._parts(round_)))
         squares = total = 0.0
         for part in self._parts(round_):
             squares, total = squares + float(part["squares"]), total + float(part["total"])
@@ -366,11 +386,16 @@ class _Work:
                 information = information - part["loss"]
         shape = np.linalg.inv(0.5 * (information + information.T))
         if self.free:
-            stepped = replace(stepped, numbers_covariance=self._stated(information, poses[0], body))
+            alone = np.linalg.inv(shape[:numbers, :numbers])
+            stepped = replace(stepped, numbers_covariance=self._stated(alone, poses[0], body))
         residual = float(np.sqrt(squares / total)) if total else float("nan")
         for window, part in zip(self.windows, self._parts(round_), strict=True):
             core = slice(window.begin, window.end)
-            covariance = with_shape_covariance(part["blocks"], part["spread"], shape) if self.free else part["blocks"]
+            covariance = part["blocks"]
+            if part["spread"].shape[2] or self.free:
+                covariance = with_shape_covariance(part["blocks"], part["spread"], shape)
+                known = degrees + (numbers if self.free else 0)
+                covariance = covariance[:, :known, :known]
             yield SequenceFit(
                 np.array(self.frames[core]), tuple(moved[core]), stepped, covariance, part["information"], residual
             )
@@ -390,11 +415,35 @@ def _trusted(space: ShapeSpace) -> Floats:
     return np.asarray(TRUST_SHAPE**2 * np.maximum(variance, usual))
 
 
-def _shape_prior(body: Body, pose: Pose) -> tuple[Floats, Floats]:
-    """Give the prior's information (M, M) and gradient (M,) at the body's numbers."""
+_FAR = 1.0
+"""How far what all frames share beside the shape may lie from where it stands: in effect anywhere [m, rad]."""
+
+
+def _shape_prior(body: Body, pose: Pose, count: int | None = None) -> tuple[Floats, Floats]:
+    """Give the prior's information and gradient at the body's numbers; of count unknowns, the others may be any."""
     white = ShapePrior().whiten(PosedBody(body, pose), shape=True)
     jacobian = white.jacobian[:, len(body.skeleton) :]
-    return jacobian.T @ jacobian, jacobian.T @ white.residual
+    numbers = len(body.space)
+    count = numbers if count is None else count
+    information, gradient = np.eye(count) / _FAR**2, np.zeros(count)
+    information[:numbers, :numbers] = jacobian.T @ jacobian
+    gradient[:numbers] = jacobian.T @ white.residual
+    return information, gradient
+
+
+def _added(hessian: Floats, gradient: Floats, more: Floats, pull: Floats, body: Body) -> tuple[Floats, Floats]:
+    """Add further equations to a frame's; where the frame does not speak of the shape, nor do they."""
+    degrees, numbers, size = len(body.skeleton), len(body.space), len(gradient)
+    if size == degrees:
+        kept = np.r_[0:degrees, degrees + numbers : len(pull)]
+        if len(kept) == degrees:
+            return hessian + more[:degrees, :degrees], gradient + pull[:degrees]
+        silent = np.setdiff1d(np.arange(len(pull)), kept)
+        more, pull = more.copy(), pull.copy()
+        more[silent], more[:, silent], pull[silent] = 0.0, 0.0, 0.0
+    more[:size, :size] += hessian
+    pull[:size] += gradient
+    return more, pull
 
 
 def joined(pieces: Sequence[SequenceFit]) -> SequenceFit:

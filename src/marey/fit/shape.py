@@ -1,6 +1,6 @@
 """The recipe: a person's own metaballs and motion from measured points and silhouettes, in one system."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -13,8 +13,11 @@ from marey.body.pose import Pose, PosedBody
 from marey.body.surface import Body
 from marey.errors import SettingProblem
 from marey.fit.levels import FrameLevels
-from marey.fit.sequence import SequenceFit, SequenceSettings, joined, refine_in_pieces
+from marey.fit.person_tracks import FastenedTracks, PersonTracks
+from marey.fit.pose_solver import add_dense
+from marey.fit.sequence import FrameTerms, SequenceFit, SequenceSettings, joined, refine_in_pieces
 from marey.fit.surface_points import PersonPoints
+from marey.observations.observation import Observation
 
 TRUNK = ("abdomen", "thorax", "neck", "head")
 """Segments that a preset may hold still for want of outlines, but whose surface points show how they turn."""
@@ -35,8 +38,9 @@ class ShapeSettings:
     """Distance at which a point counts a quarter, at first [m]."""
     shape_frames: int = 60
     """Frames from which the shape is learned."""
-    points_a_frame: int = 3000
-    """Points of a frame that are used: their neighbours say nearly the same."""
+    points_a_frame: int = 1000
+    """Points of a frame that are used: their neighbours say nearly the same, and more would outvote the silhouettes
+    (docs/accuracy.md)."""
     neighbours: float = 10.0
     """Pixels of a contour that lie off the model by as much: so many are worth one."""
 
@@ -154,12 +158,55 @@ class Shaped:
     """Of points, on top of their own (variance component) [m]."""
     outline_sd_px: float
     """Of outlines' matches (variance component) [px]."""
+    skin_sd_m: float = 0.006
+    """Of followed points in their segments (variance component) [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class OnSurface:
+    """What was measured on a person: points of each frame, points that were followed, and joints that were clicked."""
+
+    points: PersonPoints
+    tracks: PersonTracks | None = None
+    clicked: Mapping[int, Sequence[Observation]] = field(default_factory=dict)
+    """Joints, by frame."""
+
+    def believed(self, shaped: Shaped, scale_m: float = np.inf) -> "OnSurface":
+        """Set how well both are believed to fit, and the points' robust scale that goes with it, see `believed`."""
+        tracks = None if self.tracks is None else replace(self.tracks, skin_sd_m=shaped.skin_sd_m)
+        return replace(self, points=believed(self.points, shaped.model_sd_m, scale_m), tracks=tracks)
+
+    def of_round(self, poses: Mapping[int, Pose], body: Body) -> FrameTerms:
+        """Make it ready for a round of the refinement, see `sequence.Further`."""
+        return _OfRound(self, None if self.tracks is None else self.tracks.fastened(poses, body))
+
+
+@dataclass(frozen=True, eq=False)
+class _OfRound:
+    """All that was measured, as one sum of equations."""
+
+    measured: OnSurface
+    tracks: FastenedTracks | None
+
+    @property
+    def shared(self) -> int:
+        return 0 if self.tracks is None else self.tracks.shared
+
+    def terms(self, frame: int, posed: PosedBody) -> tuple[Floats, Floats]:
+        hessian, gradient = self.measured.points.terms(frame, posed)
+        add_dense(posed, self.measured.clicked.get(frame, ()), hessian, gradient, shape=True)
+        if self.tracks is None:
+            return hessian, gradient
+        size, (more, pull) = len(gradient), self.tracks.terms(frame, posed)
+        more[:size, :size] += hessian
+        pull[:size] += gradient
+        return more, pull
 
 
 def refine_shape(
     begun: Shaped,
     levels: FrameLevels,
-    points: PersonPoints,
+    measured: OnSurface,
     *,
     rate: float,
     repeats: int,
@@ -172,7 +219,7 @@ def refine_shape(
     Args:
         begun: a body of metaballs, poses by frame, and what is believed of the observations.
         levels: silhouettes; a frame without any has its points only.
-        points: that were measured; where they lie on the body is found anew in every round.
+        measured: points; where they lie on the body is found anew in every round.
         rate: frames in a second.
         repeats: how often.
         settings: how.
@@ -180,14 +227,15 @@ def refine_shape(
         done: told of every frame in every round.
     """
     for _ in range(repeats):
-        points = believed(points, begun.model_sd_m, scale_m)
+        measured = measured.believed(begun, scale_m)
         pieces = refine_in_pieces(
             list(begun.poses), list(begun.poses.values()), begun.body, levels, rate=rate, rounds=settings.rounds,
             shape_frames=evenly(list(begun.poses), settings.shape_frames),
-            settings=replace(settings.sequence, sigma_px=begun.outline_sd_px), also=points.terms, done=done,
+            settings=replace(settings.sequence, sigma_px=begun.outline_sd_px), also=measured.of_round,
+            done=done,
         )  # fmt: skip
-        begun = reestimated(joined(list(pieces)), points, settings)
-        scale_m = points.scale_m
+        begun = reestimated(joined(list(pieces)), measured, settings)
+        scale_m = measured.points.scale_m
     return begun
 
 
@@ -196,14 +244,16 @@ def believed(points: PersonPoints, model_sd_m: float, scale_m: float = np.inf) -
     return replace(points, model_sd_m=model_sd_m, scale_m=scale_m).narrowed(0.0)
 
 
-def reestimated(fit: SequenceFit, points: PersonPoints, settings: ShapeSettings) -> Shaped:
+def reestimated(fit: SequenceFit, measured: OnSurface, settings: ShapeSettings) -> Shaped:
     """Estimate the kinds' standard deviations from what the fit left over (variance components)."""
     poses = fit.by_frame
     bodies = {f: PosedBody(fit.body, pose) for f, pose in poses.items()}
     outline = np.sqrt(settings.neighbours) * fit.residual_px
+    tracks = None if measured.tracks is None else measured.tracks.fastened(poses, fit.body).reestimated(bodies)
     return Shaped(
-        fit.body, poses, points.reestimated(bodies).model_sd_m,
+        fit.body, poses, measured.points.reestimated(bodies).model_sd_m,
         float(outline) if np.isfinite(outline) and outline > 0 else settings.sequence.sigma_px,
+        Shaped.skin_sd_m if tracks is None else tracks.skin_sd_m,
     )  # fmt: skip
 
 

@@ -9,6 +9,7 @@ from marey.arrays import Floats
 from marey.body.pose import Pose, PosedBody
 from marey.body.skeleton import JOINT_OF_SEGMENT
 from marey.body.surface import Body
+from marey.cameras.camera import Camera
 from marey.cameras.triangulate import triangulate
 from marey.errors import MareyError
 from marey.fit.body_solver import dense_equations, fit_body
@@ -23,6 +24,8 @@ from marey.observations.prior import Habit, JointLimits, ShapePrior
 
 SIGMA_SHARE = 0.03
 """Standard deviation of a clicked joint centre, as a share of the person's height in the picture."""
+CLICKED_SD_M = 0.01
+"""How far in space a clicked joint lies beside the joint's centre, as a standard deviation by axis [m]."""
 YAWS = 12
 ROUNDS = 40
 
@@ -58,13 +61,38 @@ def start_from_joints(
     return frame, Search(level, settings.start).judge(fitted)
 
 
+def clicked_joints(
+    cameras: Sequence[Camera], joint_names: Sequence[str], pixels: Floats, posed: PosedBody
+) -> list[JointPoints]:
+    """Give clicked joints as observations, as certain as a person who clicks knows the place in the body.
+
+    Args:
+        cameras: (C,).
+        joint_names: (J,) names of results.
+        pixels: (C, J, 2), NaN where a joint is not given.
+        posed: about where it is.
+    """
+    found = []
+    for camera, own in zip(cameras, pixels, strict=True):
+        away = np.linalg.norm(posed.segment_origin.mean(0) - camera.centre)
+        sigma = CLICKED_SD_M * camera.matrix[0, 0] / away
+        found += _joint_points_of([camera], joint_names, own[None], posed.body, float(sigma))
+    return found
+
+
 def _joint_points(
     take: Take, joint_names: Sequence[str], pixels: Floats, body: Body, sigma: float
+) -> list[JointPoints]:
+    return _joint_points_of(take.cameras, joint_names, pixels, body, sigma)
+
+
+def _joint_points_of(
+    cameras: Sequence[Camera], joint_names: Sequence[str], pixels: Floats, body: Body, sigma: float
 ) -> list[JointPoints]:
     segment_of = {joint: segment for segment, joint in JOINT_OF_SEGMENT.items()}
     segments = np.array([body.skeleton.segment(segment_of[name]) for name in joint_names])
     found = []
-    for camera, own in zip(take.cameras, pixels, strict=True):
+    for camera, own in zip(cameras, pixels, strict=True):
         given = np.isfinite(own[:, 0])
         if given.any():
             found.append(JointPoints(camera=camera, segments=segments[given], pixels=own[given], sigma_px=sigma))

@@ -81,6 +81,11 @@ class PersonPoints:
             raise ValueError("points are fitted to bodies of metaballs only")
         return assign(space, posed, given.points, given.covariance, model_sd=model)
 
+    @property
+    def shared(self) -> int:
+        """Points have no unknowns of their own."""
+        return 0
+
     def terms(self, frame: int, posed: PosedBody) -> tuple[Floats, Floats]:
         """Give the normal equations (D + N, D + N), (D + N,) of a frame's points, see `sequence.FrameTerms`."""
         size = len(posed.body.skeleton) + len(posed.body.space)
@@ -90,13 +95,8 @@ class PersonPoints:
         found = point_equations(posed, observed, scale=self.scale_m)
         return found.hessian, found.gradient
 
-    def reestimated(self, bodies: Mapping[int, PosedBody], *, left: float = 1.0) -> "PersonPoints":
-        """Estimate the model's standard deviation from what points lie off the posed bodies (variance component).
-
-        Args:
-            bodies: by frame.
-            left: share of the observations that the fit left over, see `variance_components`.
-        """
+    def reestimated(self, bodies: Mapping[int, PosedBody]) -> "PersonPoints":
+        """Estimate the model's standard deviation from what points lie off posed bodies (variance component)."""
         found = [self._residuals(frame, posed) for frame, posed in bodies.items()]
         found = [parts for parts in found if parts is not None]
         if not found:
@@ -104,7 +104,7 @@ class PersonPoints:
         residual, known = (np.concatenate(parts) for parts in zip(*found, strict=True))
         weight = geman_mcclure(residual, self.scale_m)
         share = SHRINKS if np.isfinite(self.scale_m) else 1.0
-        model = component(residual / share, known, weight, left=left)
+        model = component(residual / share, known, weight)
         model = max(model, LEAST_MODEL_SD)
         return replace(self, model_sd_m=model, scale_m=min(self.scale_m, max(STEPS_OF_SCALE * model, LEAST_SCALE)))
 

@@ -11,17 +11,6 @@ import scipy.optimize
 from marey.arrays import Floats
 
 
-def redundancy(count: float, own: Floats, whole: Floats) -> float:
-    """Give how many observations of a kind the fit left over ([Foerstner1979]): n - tr(N_kind N^-1).
-
-    Args:
-        count: of the observations, n.
-        own: (P, P) what they say of the parameters.
-        whole: (P, P) what all kinds say, priors included.
-    """
-    return float(count - np.trace(np.linalg.solve(whole, own)))
-
-
 def component(residual: Floats, known: Floats, weight: Floats | None = None, *, left: float = 1.0) -> float:
     """Estimate a standard deviation that all observations of a kind have on top of a known one each.
 
@@ -31,7 +20,7 @@ def component(residual: Floats, known: Floats, weight: Floats | None = None, *, 
         residual: (n,) in any unit.
         known: (n,) variances that are known beforehand, in the unit squared.
         weight: (n,) robust weights, all one when None.
-        left: share of the observations that the fit left over, see `redundancy`.
+        left: share of the observations that the fit left over ([Foerstner1979]), what parameters took taken off.
 
     Returns:
         In the residuals' unit; zero where the known variances explain them.
