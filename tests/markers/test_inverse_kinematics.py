@@ -127,6 +127,19 @@ def test_a_frame_with_two_markers_has_no_answer_and_does_not_disturb_the_next():
     assert np.abs(found.coordinates[8] - truth[8]).max() < 1e-7
 
 
+def test_angles_go_on_beyond_half_a_turn_also_over_a_gap():
+    body = leg()
+    truth = walking(body, 40)
+    turn = body.coordinate("turn")
+    truth[:, turn] = np.linspace(0, 5.0, 40)
+    trial = filmed(body, truth, 2e-3)
+    points = np.array(trial.points)
+    points[30:32] = np.nan
+    found = inverse_kinematics(body, None, replace(trial, points=points))
+    answered = np.isfinite(found.coordinates[:, turn])
+    assert np.abs(found.coordinates - truth)[answered, turn].max() < 0.1
+
+
 def test_what_no_marker_sees_is_not_invented():
     body = leg(without=("foot",))
     found = inverse_kinematics(body, None, filmed(body, walking(body)))

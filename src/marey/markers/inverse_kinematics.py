@@ -18,6 +18,8 @@ from marey.markers.trajectories import MarkerTrajectories
 _STOP = 1e-8  # rad or m
 _STEPS = 200
 _LOST = 3.0  # times the usual residual: the posture before was no good start
+_FITS = 1e-3  # m; a frame that fits as well as this needs no other start
+_BETTER = 1 - 1e-6  # of the cost; another start that ends no lower may be the same posture in other angles
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -166,22 +168,21 @@ def _solve_all(setup: Setup, observed: Floats) -> Floats:
     """Find the posture (F, N) of every frame, each from the one before it; NaN where no marker is seen."""
     model = setup.model
     values = np.full((len(observed), len(model.coordinates)), np.nan)
-    last: Floats | None = None
+    near, lost = model.defaults, True
     usual: list[float] = []
     for f, points in enumerate(observed):
         weight = setup.weight[np.isfinite(points[:, 0])].sum()
         if weight == 0:
-            last = None
+            lost = True
             continue
-        near = model.defaults if last is None else last
-        found, cost = _descend(setup, points, setup.target[f], near)
-        limit = _LOST**2 * np.median(usual[-50:]) if usual else 0.0
-        if last is None or cost / weight > limit:
+        near, cost = _descend(setup, points, setup.target[f], near)
+        limit = max(_FITS, _LOST * float(np.median(usual[-50:]))) if usual else 0.0
+        if (lost and cost / weight > _FITS**2) or cost / weight > limit**2:
             fresh, fresh_cost = _search(setup, points, setup.target[f])
-            if fresh_cost < cost:
-                found, cost = fresh, fresh_cost
-        usual.append(cost / weight)
-        values[f] = last = found
+            if fresh_cost < _BETTER * cost:
+                near, cost = fresh, fresh_cost
+        usual.append(float(np.sqrt(cost / weight)))
+        values[f], lost = near, False
     return values
 
 
