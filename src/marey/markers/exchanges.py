@@ -1,6 +1,6 @@
 """Exchanged labels: two markers that carry each other's name, told by the distances to the rest of their clusters."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, pairwise
 
@@ -76,19 +76,24 @@ def find_exchanges(
     for proto in usual:
         for pair, frames in _in_stretches(points, proto, columns, owner, at_once).items():
             found.setdefault(pair, frames)
-    for pair, frames in _jumped(points, columns).items():
+    # Only with these put right do steps and distances tell the rest.
+    for pair, frames in _jumped(_put_right(points, found), columns).items():
         found.setdefault(pair, frames)
-    # Only with these put right do the distances tell what moves with what.
-    right = np.array(points)
-    for pair, frames in found.items():
-        right[frames] = right[frames][:, _exchanging(pair, len(inside))]
-    thinned = right[:: -(-len(points) // at_once)]
+    thinned = _put_right(points, found)[:: -(-len(points) // at_once)]
     for pair in _all_along(_distances(thinned, thinned), columns, owner):
         found.setdefault(pair, np.ones(len(points), bool))
     return tuple(
         Exchange(labels=(trajectories.labels[inside[a]], trajectories.labels[inside[b]]), frames=frames)
         for (a, b), frames in sorted(found.items())
     )
+
+
+def _put_right(points: Floats, found: Mapping[tuple[int, int], Mask]) -> Floats:
+    """Give points (F, M, 3) with pairs exchanged back."""
+    right = np.array(points)
+    for pair, frames in found.items():
+        right[frames] = right[frames][:, _exchanging(pair, points.shape[1])]
+    return right
 
 
 def _in_stretches(

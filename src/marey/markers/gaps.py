@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import Akima1DInterpolator
 
 from marey.arrays import Floats, Integers, Mask, frozen
 from marey.markers.clusters import Cluster
@@ -172,7 +172,9 @@ def _fill_group(
 
 
 def spline(points: Floats) -> Floats:
-    """Put a cubic spline through each marker's known points; NaN before the first and after the last.
+    """Put Akima's cubic spline through each marker's known points; NaN before the first and after the last.
+
+    Its slopes come from the nearest points alone ([Akima1970]), so that noise beside a gap does not swing through it.
 
     Args:
         points: (F, M, 3); NaN where missing.
@@ -183,7 +185,7 @@ def spline(points: Floats) -> Floats:
         known = np.flatnonzero(np.isfinite(points[:, m]).all(-1))
         if len(known) > 3:
             inside = slice(known[0], known[-1] + 1)
-            through[inside, m] = CubicSpline(known, points[known, m])(frames[inside])
+            through[inside, m] = Akima1DInterpolator(known, points[known, m])(frames[inside])
     return through
 
 
