@@ -100,7 +100,7 @@ def write_results(results: MarkersResults, options: MarkersOptions, out: Path, p
                 folder / "report.html", title=results.path.stem, time=time, asked=results.asked,
                 methods=[_view(run) for run in runs], anatomical=results.anatomical, notes=progress.warnings,
                 filled=int(results.used.filled.sum()), more=_cycle_group(results, cycles), timings=progress.timings,
-                settings=asked,
+                settings=asked, of_model=results.coordinates is not None,
             )  # fmt: skip
         write_record(
             folder, command="markers", settings=asked, inputs=[results.path, *options.files], root=results.path.parent,

@@ -86,8 +86,8 @@ def align(
     with the offset by least squares: angles may differ by a constant each, points in common are carried from one
     laboratory to the other, and every angle and point weighs by how well it agrees. Where only orientations are in
     common, the turning velocities stand for points: they do not depend on how a segment's frame is defined. Standard
-    deviations allow for differences that last over frames ([NeweyWest1987]) and for joint centres that the two systems
-    define differently.
+    deviations allow for differences that last over frames ([NeweyWest1987]), for angles that ask for different shifts,
+    and for joint centres that the two systems define differently.
 
     Args:
         first: A recording.
@@ -285,6 +285,8 @@ class _System:
     """(N, 7) the share of each frame in the gradient, of what varies about each number's mean difference."""
     constant: Floats
     """(7, 7) variance of the gradient by points that differ all along."""
+    disagreement: float
+    """Variance of the gradient by the shift, from how much angles and points ask for different shifts."""
     lasting: int
     """Frames over which differences last."""
     middle: Floats
@@ -313,6 +315,9 @@ def _system(pair: _Pair, smooth: tuple[Floats, Floats], shift: float, offset: Ri
     sigma = np.concatenate([s for _, _, s in parts])
     whitened, wrt = residuals / sigma, columns / sigma[:, None]
     gradient = np.einsum("nrk,nr->k", wrt, whitened)
+    pulls = np.einsum("nr,nr->r", wrt[..., 0], whitened)
+    pulls = np.concatenate([pulls[: a.shape[1]], pulls[a.shape[1] :].reshape(-1, 3).sum(1)])
+    disagreement = float((pulls**2).sum() * len(pulls) / max(len(pulls) - 1, 1))
     there = np.concatenate([np.isfinite(a - b) & np.isfinite(slope), np.repeat(known, 3, axis=1)], 1)
     counts = np.maximum(there.sum(0), 1)
     varying = np.where(there, whitened - whitened.sum(0) / counts, 0.0)
@@ -322,6 +327,7 @@ def _system(pair: _Pair, smooth: tuple[Floats, Floats], shift: float, offset: Ri
     used = max(np.count_nonzero(residuals), 1)
     return _System(
         information=np.einsum("nrk,nrl->kl", wrt, wrt), gradient=gradient, constant=constant, lasting=lasting,
+        disagreement=disagreement,
         scores=np.einsum("nrk,nr->nk", wrt, varying), middle=middle, distance=distance,
         cost=float(np.exp(np.sum((residuals != 0) * np.log(sigma)) / used)),
     )  # fmt: skip
@@ -417,6 +423,8 @@ def _with_spread(
         if np.linalg.cond(information / np.outer(scale, scale)) < 1e12 and (np.diag(information) > 1e-12).all():
             inverse = np.linalg.inv(information)
             scatter = long_run_variance(system.scores[:, free], system.lasting) + system.constant[at]
+            if free[0]:
+                scatter[0, 0] = max(scatter[0, 0], system.disagreement)
             covariance[at] = inverse @ scatter @ inverse
     # From a translation of the points' middle to one of the laboratory's origin.
     wrt = np.eye(6)

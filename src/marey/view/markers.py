@@ -44,6 +44,16 @@ _MEANING = {
     "both answer. They tell what depends on the method, not which one is right.",
 }
 
+_OF_A_MODEL = {
+    "Bone": "A body of the model. All bodies follow all markers at once, as the model's joints allow; how the model "
+    "was scaled, and where its markers sit, decides what the angles mean.",
+    "Joint angles": "The coordinates of the model, under its own names and signs. One that the markers do not "
+    "determine keeps the value that a task, a limit or the model's default gives it; the notes name it.",
+    "Translations": "The model's coordinates that are lengths.",
+    "95 % interval": "1.96 standard deviations, from the size of each marker's residual over the trial. It knows "
+    "nothing of an error that the residuals do not show, such as skin that moves with its whole segment.",
+}
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MethodView:
@@ -60,7 +70,7 @@ class MethodView:
 def write_markers_report(
     path: Path, *, title: str, time: Floats, asked: Mask, methods: Sequence[MethodView], anatomical: bool,
     notes: Sequence[str], filled: int, timings: Mapping[str, float], settings: Mapping[str, object],
-    more: Sequence[PlotGroup] = (), files: Mapping[str, str] = FILES,
+    more: Sequence[PlotGroup] = (), files: Mapping[str, str] = FILES, of_model: bool = False,
 ) -> None:  # fmt: skip
     """Write report.html of a run on markers.
 
@@ -77,6 +87,7 @@ def write_markers_report(
         settings: As run.json holds them.
         more: Further plots.
         files: What stands beside the report.
+        of_model: Whether the angles are a model's coordinates.
     """
     first = methods[0]
     keys = [(m.name, _colour(i)) for i, m in enumerate(methods)] if len(methods) > 1 else []
@@ -92,7 +103,7 @@ def write_markers_report(
     content = CurvesContent(
         kind="Bones from skin markers", title=title, time=time, tiles=_tiles(first, time, asked, filled, methods),
         notes=notes, tables=[t for t in tables if t.rows], groups=[g for g in groups if g.plots], timings=timings,
-        settings=settings, files=_present(files, path.parent), meaning=_MEANING,
+        settings=settings, files=_present(files, path.parent), meaning=_MEANING | (_OF_A_MODEL if of_model else {}),
     )  # fmt: skip
     write_curves_page(path, content)
 
