@@ -281,7 +281,10 @@ def markers(
     ] = None,
     method: Annotated[
         str | None,
-        typer.Option(metavar="NAME,...", help="Methods set apart by commas, or `all`; the files hold the first one."),
+        typer.Option(
+            metavar="NAME,...",
+            help="Methods set apart by commas, or `all`. The files hold the first one's. [default: skin]",
+        ),
     ] = None,
     model: Annotated[
         Path | None,

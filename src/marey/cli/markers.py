@@ -88,7 +88,7 @@ def markers(path: Path, options: MarkersOptions, progress: Progress) -> Path:
 def run_methods(
     trial: MarkersTrial, entries: Sequence[MethodEntry], progress: Progress, cache: StageCache, *, many: bool
 ) -> list[MethodRun]:
-    """Run methods on a trial, the default one first where it is among them.
+    """Run methods on a trial, in the order in which they were asked for; of `all` the default one first.
 
     Of `all`, those that the trial lacks something for are passed over, and said.
 
@@ -97,7 +97,7 @@ def run_methods(
         MareyError: No method could be run.
     """
     runs, problem = [], trial.problem
-    for entry in sorted(entries, key=lambda e: e.name != DEFAULT):
+    for entry in sorted(entries, key=lambda e: many and e.name != DEFAULT):
         lacking = entry.lacks(problem)
         if lacking:
             if not many:
