@@ -236,3 +236,12 @@ def test_what_cannot_be_a_joint_is_said():
         ChainJoint(parent="a", child="b", axis=np.zeros(3))
     with pytest.raises(MareyError, match="No joint is a hinge"):
         global_hinge(replace(problem, joints=(("pelvis", "thigh"),)))
+
+
+@pytest.mark.parametrize("degrees", [1, 2, 3, 4, 5, 6])
+def test_a_trial_of_one_frame_is_its_posture(degrees):
+    bones = moving(40)
+    problem = filmed((bones[0][:1], bones[1][:1]))
+    knee = ChainJoint(parent="thigh", child="shank", degrees_of_freedom=degrees)
+    found = optimise_chain(problem, [knee]).bones
+    assert np.abs(found.rotation - bones[0][:1]).max() < 1e-9

@@ -9,7 +9,7 @@ from marey.arrays import Floats, Mask
 from marey.geometry import rotations
 from marey.markers.chain import PARAMETERS, ChainJoint, JointPlace, gap
 
-_HARDLY = 1e-6  # of a standard information: keeps in place what nothing sees
+_HARDLY = 1e-3  # 1/rad2 or 1/m2: keeps in place what nothing sees
 
 
 class Shape(NamedTuple):

@@ -32,7 +32,7 @@ _REACH = 0.1  # m; how far a joint's centre lies from the middle between two clu
 _TRIAL_FRAMES = 5  # skin errs alike in neighbouring frames: a trial says no more of a joint than so many frames do
 _HINGE_SIGHTINGS = 10  # the same for a hinge, in sightings of markers: its centre lies anywhere along the axis
 _KNOWN_SD = 1e-3  # m; how well a joint held fast fits bones that were measured
-_SLACK = 10.0
+_SLACK = 10.0  # by which a joint held fast is wider at first
 _OPEN = 0.5  # rad or m; a bone that is not known better has no answer
 _LEAST_SD = 1e-6  # m
 _HINGED = ("shank", "forearm")
@@ -128,6 +128,7 @@ def optimise_chain(problem: MarkerProblem, joints: Sequence[ChainJoint]) -> Glob
         state, _ = descend(chain, state)
     # No marker is better than its measurement, however well a cluster keeps its shape.
     stated = replace(chain, shapes=tuple(s._replace(sd=np.maximum(s.sd, problem.noise_m)) for s in chain.shapes))
+    stated = _hold(stated, 1.0)
     covariance = solve(stated, build(stated, state), 0.0).covariance
     return _result(data, chain, state, covariance, _moving_together(stated, state, covariance, problem.noise_m))
 
@@ -228,10 +229,11 @@ def _joint_start(
     second = main[:, 1] - (main[:, 1] @ axis) * axis
     if np.linalg.norm(second) < 0.1:
         second = main[:, 0] - (main[:, 0] @ axis) * axis
-    moves = between + relative @ at[3:]
     held = np.eye(3)
     if joint.degrees_of_freedom in (4, 5):
-        held = np.linalg.eigh(np.cov(moves.T))[1][:, : joint.held_shifts].T
+        moves = between + relative @ at[3:]
+        moves = moves - moves.mean(0)
+        held = np.linalg.eigh(moves.T @ moves)[1][:, : joint.held_shifts].T
     return JointPlace(at[:3], at[3:], axis, second / np.linalg.norm(second), held[: joint.held_shifts], neutral)
 
 
@@ -301,7 +303,8 @@ def _result(data: Sequence[ClusterData], chain: Chain, state: State, noise: Floa
     count, segments = state.rotation.shape[:2]
     blocks = [part.reshape(count, segments, 6, segments, 6) for part in (noise, noise + skin)]
     alone, covariance = (np.stack([b[:, s, :, s] for s in range(segments)], 1) for b in blocks)
-    open_ = np.asarray((np.diagonal(alone, axis1=-2, axis2=-1) > _OPEN**2).any(-1))
+    variance = np.diagonal(alone, axis1=-2, axis2=-1)
+    open_ = ~np.asarray(((variance >= 0) & (variance <= _OPEN**2)).all(-1))
     notes = [note for d in data for note in d.notes]
     for d, lost in zip(data, open_.T, strict=True):
         if lost.any():
