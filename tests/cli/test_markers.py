@@ -194,6 +194,23 @@ def test_a_segment_of_the_reference_without_markers_is_passed_over_and_said(fold
     assert read_bones(folder / "walk_marey" / "bones.npz").motion.segments == ("thigh", "shank")
 
 
+def test_two_runs_can_be_compared_with_their_stated_deviations(folder, capsys):
+    reference = ["--reference", "frame0.npz", "-q"]
+    assert run(["markers", "walk.c3d", "--method", "rigid", "--out", "one", *reference]) == 0
+    assert run(["markers", "walk.c3d", "--method", "pct", "--out", "two", *reference]) == 0
+    assert run(["compare", "one", "two", "--shift", "0", "--same-laboratory", "--out", "both", "-q"]) == 0
+    with (folder / "both" / "compare.csv").open() as file:
+        rows = {row["quantity"]: row for row in csv.DictReader(file)}
+    assert float(rows["knee_flexion"]["rms"]) < 0.01
+    assert float(rows["knee_flexion"]["within_stated_95"]) > 0.9
+    assert {"thigh_origin distance", "shank turn"} <= set(rows)
+
+
+def test_the_help_names_the_default_method(capsys):
+    assert run(["markers", "--help"]) == 0
+    assert f"[default: {command.DEFAULT}]" in " ".join(capsys.readouterr().out.replace("│", " ").split())
+
+
 def test_an_interrupted_run_leaves_no_results_and_goes_on(folder, monkeypatch, capsys):
     def interrupted(*args, **kwargs):
         raise KeyboardInterrupt

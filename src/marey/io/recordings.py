@@ -8,7 +8,7 @@ import numpy as np
 
 from marey.arrays import Floats
 from marey.errors import FileProblem, MareyError
-from marey.io.bones import read_bones
+from marey.io.bones import BoneFile, read_bones
 from marey.io.c3d import open_c3d, point_labels
 from marey.io.markers import read_markers
 from marey.io.mot_sto import is_of_quaternions, read_orientations, read_table
@@ -156,10 +156,21 @@ def _from_npz(path: Path) -> Recording:
             segment_names=motion.segment_names, rotation=motion.segment_rotation,
         )  # fmt: skip
     bones = read_bones(path)
-    joints = [joint_of(*pair, side=bones.side) for pair in usual_joints(bones.motion.segments)]
-    angles = joint_kinematics(bones.motion, joints)
+    names, angles, angles_sd = _angles_of_bones(path, bones)
     return Recording(
-        time=bones.time, angle_names=angles.angle_names, angles=angles.angles, angles_sd=angles.angles_sd,
+        time=bones.time, angle_names=names, angles=angles, angles_sd=angles_sd,
         point_names=tuple(f"{name}_origin" for name in bones.motion.segments), points=bones.motion.origin,
         segment_names=bones.motion.segments, rotation=bones.motion.rotation,
     )  # fmt: skip
+
+
+def _angles_of_bones(path: Path, bones: BoneFile) -> tuple[tuple[str, ...], Floats, Floats]:
+    """Give the joint angles of bones: those that the run left beside them, else those of joints that names tell."""
+    beside = path.with_name("angles.mot")
+    if path.name == "bones.npz" and beside.is_file():
+        table = _from_table(beside)
+        if len(table) == len(bones.time) and np.allclose(table.time, bones.time, atol=1e-5):
+            return table.angle_names, table.angles, table.angles_sd
+    joints = [joint_of(*pair, side=bones.side) for pair in usual_joints(bones.motion.segments)]
+    found = joint_kinematics(bones.motion, joints)
+    return found.angle_names, found.angles, found.angles_sd
