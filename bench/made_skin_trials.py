@@ -48,23 +48,60 @@ class MadeTrial:
         )  # fmt: skip
 
 
-def made_trial(rng: np.random.Generator) -> MadeTrial:
-    """Draw one trial: 13 to 400 frames, 4 to 35 markers a segment."""
+@dataclass(frozen=True, kw_only=True)
+class Kind:
+    """What sort of trial: as much as is measured of one."""
+
+    frames: int
+    rate: float
+    markers: tuple[int, int]
+    """On thigh and shank."""
+    skin_mm: tuple[float, float]
+    """Root mean square motion of a marker over thigh and shank."""
+    ranges_deg: tuple[float, float, float]
+    """Of the knee's flexion, adduction and rotation."""
+
+
+KINDS = {
+    "slow bend of the knee": Kind(frames=133, rate=12, markers=(12, 4), skin_mm=(6.6, 1.3), ranges_deg=(102, 6, 8)),
+    "run": Kind(frames=115, rate=200, markers=(5, 6), skin_mm=(7.3, 5.2), ranges_deg=(23, 4, 9)),
+    "sidestep": Kind(frames=66, rate=120, markers=(4, 4), skin_mm=(7.4, 2.4), ranges_deg=(44, 11, 9)),
+    "hop": Kind(frames=125, rate=40, markers=(4, 4), skin_mm=(4.2, 1.6), ranges_deg=(34, 6, 10)),
+    "walk": Kind(frames=63, rate=30, markers=(6, 4), skin_mm=(8.1, 2.5), ranges_deg=(60, 5, 10)),
+    "deep bend of the knee": Kind(frames=120, rate=30, markers=(6, 4), skin_mm=(11.4, 6.3), ranges_deg=(119, 5, 24)),
+    "rise from a chair": Kind(frames=18, rate=6, markers=(19, 10), skin_mm=(25.6, 7.9), ranges_deg=(70, 4, 7)),
+    "bend against gravity": Kind(frames=15, rate=6, markers=(19, 10), skin_mm=(9.0, 11.9), ranges_deg=(70, 4, 7)),
+}
+"""Sorts of trials with sizes as in the collection, frames thinned."""
+
+
+def any_kind(rng: np.random.Generator) -> Kind:
+    """Draw a sort: 13 to 400 frames, 4 to 30 markers a segment."""
     rate = float(rng.choice(RATES))
-    frames = int(rng.integers(13, 20)) if rate < 10 else int(rng.integers(60, 400))
-    time = np.arange(frames) / rate
-    flexion = _flexion(rng, time)
-    bones = _bones(rng, time, flexion)
+    counts = rng.choice([4, 4, 5, 6, 8, 12, 19, 30], 2)
+    ranges = (rng.uniform(20, 110), rng.uniform(3, 11), rng.uniform(5, 12))
+    return Kind(
+        frames=int(rng.integers(13, 20)) if rate < 10 else int(rng.integers(60, 400)), rate=rate,
+        markers=(int(counts[0]), int(counts[1])), skin_mm=(rng.uniform(6, 16), rng.uniform(2, 8)), ranges_deg=ranges,
+    )  # fmt: skip
+
+
+def made_trial(rng: np.random.Generator, kind: Kind | None = None) -> MadeTrial:
+    """Draw one trial of a sort, or of any."""
+    kind = kind or any_kind(rng)
+    time = np.arange(kind.frames) / kind.rate
+    flexion = _flexion(rng, time, np.radians(kind.ranges_deg[0]))
+    bones = _bones(rng, time, flexion, np.radians(kind.ranges_deg[1:]))
     hip = rotations.log(bones["thigh"][0][0].T @ bones["thigh"][0])[:, 2]
     points = {}
-    for name, low, high in (("thigh", 0.006, 0.016), ("shank", 0.002, 0.008)):
-        places = _places(rng, name, bones)
+    for name, count, size in zip(("thigh", "shank"), kind.markers, kind.skin_mm, strict=True):
+        places = _places(rng, name, bones, count)
         drivers = _drivers(rng, time, flexion, hip)
-        moved = _skin(rng, places, drivers, rng.uniform(low, high))
+        moved = _skin(rng, places, drivers, size / 1000)
         rotation, origin = bones[name]
         points[name] = np.einsum("fij,fmj->fmi", rotation, places + moved) + origin[:, None]
         points[name] = points[name] + rng.normal(0, NOISE_M, points[name].shape)
-    return MadeTrial(bones=bones, points=points, rate=rate, flexion=flexion)
+    return MadeTrial(bones=bones, points=points, rate=kind.rate, flexion=flexion)
 
 
 def _smooth(rng: np.random.Generator, time: np.ndarray, waves: int = 3) -> np.ndarray:
@@ -76,18 +113,17 @@ def _smooth(rng: np.random.Generator, time: np.ndarray, waves: int = 3) -> np.nd
     )
 
 
-def _flexion(rng: np.random.Generator, time: np.ndarray) -> np.ndarray:
-    """Knee flexion (negative in these axes): one sweep or some cycles over 20 to 110 degrees."""
+def _flexion(rng: np.random.Generator, time: np.ndarray, ranged: float) -> np.ndarray:
+    """Knee flexion (negative in these axes): one sweep or some cycles."""
     turns = rng.choice([0.5, 1.0, 2.0, 3.0])
     course = 0.5 - 0.5 * np.cos(2 * np.pi * turns * time / max(time[-1], 1e-9) + rng.uniform(0, 6.3))
-    return -np.radians(rng.uniform(0, 20) + rng.uniform(20, 110) * course)
+    return -np.radians(rng.uniform(0, 20)) - ranged * course / np.ptp(course)
 
 
-def _bones(rng: np.random.Generator, time: np.ndarray, flexion: np.ndarray) -> dict:
+def _bones(rng: np.random.Generator, time: np.ndarray, flexion: np.ndarray, ranges: np.ndarray) -> dict:
     ranged = flexion / max(np.ptp(flexion), 1e-9)
-    adduction = np.radians(rng.uniform(3, 11)) * _mixed(rng, ranged, _smooth(rng, time))
-    rotation = np.radians(rng.uniform(5, 12)) * _mixed(rng, ranged, _smooth(rng, time))
-    rotation += rng.normal(0, 0.05) * flexion
+    adduction = ranges[0] * _mixed(rng, ranged, _smooth(rng, time))
+    rotation = ranges[1] * _mixed(rng, ranged, _smooth(rng, time))
     swing = np.stack([0.05 * _smooth(rng, time), 0.1 * _smooth(rng, time), 0.35 * _smooth(rng, time)], -1)
     thigh = rotations.exp(swing) @ rotations.exp(rng.normal(0, 0.2, 3))
     hip = 0.2 * np.stack([_smooth(rng, time) for _ in range(3)], -1) * np.array([3, 0.3, 0.3])
@@ -109,9 +145,8 @@ def _mixed(rng: np.random.Generator, first: np.ndarray, second: np.ndarray) -> n
     return course / max(np.ptp(course), 1e-9)
 
 
-def _places(rng: np.random.Generator, name: str, bones: dict) -> np.ndarray:
+def _places(rng: np.random.Generator, name: str, bones: dict, count: int) -> np.ndarray:
     """Markers on a limb: all round it, or on the side and front only, along 10 to 35 cm."""
-    count = int(np.clip(rng.choice([4, 4, 5, 6, 8, 12, 19, 30]), 4, 35))
     length, middle = rng.uniform(0.1, 0.35), 0.2 if name == "thigh" else -0.17
     height = middle + length * (np.linspace(-0.5, 0.5, count) + rng.normal(0, 0.1, count))
     around = rng.uniform(1.5, 6.3)

@@ -3,6 +3,7 @@
     python bench/markers_estimator.py SHARED --parts          random parts of real trials: other markers and references
     python bench/markers_estimator.py SHARED --leave-one-out  constants chosen on two real trials, judged on the third
     python bench/markers_estimator.py SHARED --made 60        random trials with made skin and known bones
+    python bench/markers_estimator.py SHARED --kinds 10       the same of eight sorts, with sizes as in the collection
 
 Every figure is the knee's three angles' root mean square error against that of the rigid fit of the same trial with one
 posture. The data: Cereatti et al. 2017, J Biomech, doi 10.1016/j.jbiomech.2017.02.004.
@@ -15,7 +16,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from made_skin_trials import MadeTrial, made_trial
+from made_skin_trials import KINDS, MadeTrial, made_trial
 
 from marey.geometry import rotations
 from marey.markers import estimator, joint_laxity
@@ -161,6 +162,7 @@ def main() -> None:
     parser.add_argument("--parts", action="store_true")
     parser.add_argument("--leave-one-out", action="store_true")
     parser.add_argument("--made", type=int, metavar="N")
+    parser.add_argument("--kinds", type=int, metavar="N")
     parser.add_argument("--draws", type=int, default=20)
     given = parser.parse_args()
     if given.parts:
@@ -175,6 +177,11 @@ def main() -> None:
         for name, method in (("default", estimator.skin_and_joints), ("rigid, calibration", calibrated)):
             rng = np.random.default_rng(0)
             told(name, [judge(made_trial(rng), method) for _ in range(given.made)])
+    if given.kinds:
+        print(HEAD.format(f"{given.kinds} made trials of a sort"))
+        for name, kind in KINDS.items():
+            rng = np.random.default_rng(0)
+            told(name, [judge(made_trial(rng, kind), estimator.skin_and_joints) for _ in range(given.kinds)])
 
 
 if __name__ == "__main__":
