@@ -4,6 +4,7 @@
     python bench/markers_estimator.py SHARED --leave-one-out  constants chosen on two real trials, judged on the third
     python bench/markers_estimator.py SHARED --made 60        random trials with made skin and known bones
     python bench/markers_estimator.py SHARED --kinds 10       the same of eight sorts, with sizes as in the collection
+    python bench/markers_estimator.py SHARED --without        what it measures without one of its parts
 
 Every figure is the knee's three angles' root mean square error against that of the rigid fit of the same trial with one
 posture. The data: Cereatti et al. 2017, J Biomech, doi 10.1016/j.jbiomech.2017.02.004.
@@ -19,12 +20,13 @@ import numpy as np
 from made_skin_trials import KINDS, MadeTrial, made_trial
 
 from marey.geometry import rotations
-from marey.markers import estimator, joint_laxity
+from marey.markers import estimator, joint_laxity, skin_motion
 from marey.markers.bone_motion import BoneMotion
 from marey.markers.joint_laxity import Give
 from marey.markers.multiple_calibration import multiple_calibration
 from marey.markers.problem import MarkerProblem
 from marey.markers.rigid_fit import rigid
+from marey.markers.skin_motion import SkinForm
 from marey.motion.anatomical import euler_angles
 
 TRIALS = ("lmam_treadmill_walking", "ottawa_walking", "unibo_step_up")
@@ -137,6 +139,32 @@ def scaled(joint: float, skin: float) -> Iterator[None]:
         table[pair], estimator._COMMON_TURN, estimator._COMMON_SHIFT = before
 
 
+def without(shared: Path) -> None:
+    """Take one part away at a time, on the real trials."""
+    trials = [real_trial(shared, name) for name in TRIALS]
+    table, forms, skin = joint_laxity._LAXITY, skin_motion.FORMS, estimator.skin_and_joints
+    knee = table[KNEE]
+
+    def alone(problem: MarkerProblem) -> BoneMotion:
+        return skin(replace(problem, joints=()))
+
+    cases = {
+        "all of it": (skin, knee, forms),
+        "no joint": (alone, knee, forms),
+        "joint's centre only": (skin, replace(knee, adduction=None, rotation=None), forms),
+        "joint's small turns only": (skin, replace(knee, translation=Give(anyway=1.0, turned=1.0)), forms),
+        "one form for every skin": (skin, knee, (SkinForm(),)),
+    }
+    print("| | " + " | ".join(f"{name}: one, two" for name in TRIALS) + " | mean: one, two |")
+    print("| --- | --- | --- | --- | --- |")
+    for name, (method, joint, offered) in cases.items():
+        table[KNEE], skin_motion.FORMS = joint, offered
+        both = np.array([[each.against_rigid for each in judge(trial, method)] for trial in trials])
+        cells = " | ".join(f"{one:.2f}, {two:.2f}" for one, two in [*both, both.mean(0)])
+        print(f"| {name} | {cells} |", flush=True)
+    table[KNEE], skin_motion.FORMS = knee, forms
+
+
 def leave_one_out(shared: Path) -> None:
     """Choose both factors on two trials, judge them on the third."""
     trials = {name: real_trial(shared, name) for name in TRIALS}
@@ -161,6 +189,7 @@ def main() -> None:
     parser.add_argument("shared", type=Path)
     parser.add_argument("--parts", action="store_true")
     parser.add_argument("--leave-one-out", action="store_true")
+    parser.add_argument("--without", action="store_true")
     parser.add_argument("--made", type=int, metavar="N")
     parser.add_argument("--kinds", type=int, metavar="N")
     parser.add_argument("--draws", type=int, default=20)
@@ -170,13 +199,19 @@ def main() -> None:
         for name in TRIALS:
             rng, trial = np.random.default_rng(0), real_trial(given.shared, name)
             told(name, [judge(part_of(rng, trial), estimator.skin_and_joints) for _ in range(given.draws)])
+    if given.without:
+        without(given.shared)
     if given.leave_one_out:
         leave_one_out(given.shared)
     if given.made:
         print(HEAD.format(f"{given.made} made trials"))
-        for name, method in (("default", estimator.skin_and_joints), ("rigid, calibration", calibrated)):
+        skin = estimator.skin_and_joints
+        for name, method, joint in (
+            ("default", skin, 1.0), ("knee twice as tight", skin, 0.5), ("rigid, calibration", calibrated, 1.0)
+        ):  # fmt: skip
             rng = np.random.default_rng(0)
-            told(name, [judge(made_trial(rng), method) for _ in range(given.made)])
+            with scaled(joint, 1.0):
+                told(name, [judge(made_trial(rng), method) for _ in range(given.made)])
     if given.kinds:
         print(HEAD.format(f"{given.kinds} made trials of a sort"))
         for name, kind in KINDS.items():
