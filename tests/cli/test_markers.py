@@ -163,6 +163,18 @@ def test_bones_that_are_known_in_a_frame_that_was_not_asked_for_are_used(folder)
     np.testing.assert_allclose(found.bone("shank")[0][60:90], true_bones()["shank"][0][60:90], atol=1e-5)
 
 
+@pytest.mark.parametrize("reference", [[], ["--reference", "frame0.npz"]])
+def test_a_segment_that_never_has_three_markers_is_said_and_the_others_go_on(folder, capsys, reference):
+    points = marker_points()
+    for label in [label for label in points if label.startswith("shank")][1:]:
+        points[label][:] = np.nan
+    write_trial(folder / "half.c3d", points)
+    assert run(["markers", "half.c3d", "--method", "rigid", *reference]) == 0
+    assert "shank: no frame has 3 of its markers" in capsys.readouterr().err
+    found = read_bones(folder / "half_marey" / "bones.npz").motion
+    assert found.answered[:, found.segments.index("thigh")].all()
+
+
 def test_without_a_calibration_turns_since_the_reference_frame_are_given_and_said(folder, capsys):
     assert run(["markers", "walk.c3d", "--method", "rigid"]) == 0
     assert "Nothing tells how the bones lie" in capsys.readouterr().err

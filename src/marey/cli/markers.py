@@ -40,11 +40,6 @@ class MethodRun:
     seconds: float
     """How long it took; of the run in which it was computed."""
 
-    @property
-    def answered(self) -> float:
-        """Share of frames and bones with an answer."""
-        return float(self.motion.answered.mean()) if self.motion.answered.size else 0.0
-
 
 def markers(path: Path, options: MarkersOptions, progress: Progress) -> Path:
     """Estimate the motion of the bones beneath the markers of a trial, and write it.
@@ -97,12 +92,13 @@ def run_methods(
         MareyError: No method could be run.
     """
     runs, problem = [], trial.problem
+    lacking = {entry.name: entry.lacks(problem) for entry in entries}
+    for name, what in lacking.items():
+        if what and not many:
+            raise SettingProblem(f"--method {name} {what}. {_remedy(what)}")
     for entry in sorted(entries, key=lambda e: many and e.name != DEFAULT):
-        lacking = entry.lacks(problem)
-        if lacking:
-            if not many:
-                raise SettingProblem(f"--method {entry.name} {lacking}. {_remedy(lacking)}")
-            progress.warn(f"Method {entry.name}: {lacking}; passed over.")
+        if lacking[entry.name]:
+            progress.warn(f"Method {entry.name}: {lacking[entry.name]}; passed over.")
             continue
         try:
             runs.append(_run(entry, trial, problem, progress, cache))

@@ -17,7 +17,7 @@ from marey.markers.clusters import AnatomicalCalibration, Cluster
 from marey.markers.faults import find_faults
 from marey.markers.gaps import FROM_CLUSTER, SPLINE, FilledGaps, fill_gaps
 from marey.markers.joint_angles import usual_joints
-from marey.markers.labels import FoundClusters, clusters_named, find_clusters
+from marey.markers.labels import NEEDED, FoundClusters, clusters_named, find_clusters
 from marey.markers.own_frames import own_calibration
 from marey.markers.problem import MarkerProblem
 from marey.markers.setup import MarkerSetup
@@ -71,8 +71,9 @@ def read_trial(path: Path, options: MarkersOptions) -> MarkersTrial:
     filling = filled(used, found.clusters, options)
     used = used if filling is None else cut(filling.trajectories, asked)
     notes = [*measured.notes, *found.notes, *(() if filling is None else filling.notes)]
-    static = None if options.static is None else from_static(used, found.clusters, setup, options)
-    calibration, anatomical, said = _calibration(path, measured, used, found.clusters, static, options)
+    seen = _seen(used, found.clusters)
+    static = None if options.static is None else from_static(used, seen, setup, options)
+    calibration, anatomical, said = _calibration(path, measured, used, seen, static, options)
     used = with_frames(used, measured, calibration)
     notes += said
     # Frames that were not asked for are empty in what is used; that is no fault of the markers.
@@ -104,6 +105,11 @@ def read_trial(path: Path, options: MarkersOptions) -> MarkersTrial:
         path=path, measured=measured, used=used, filling=filling, asked=asked, problem=problem,
         anatomical=anatomical, side=side, notes=tuple(notes),
     )  # fmt: skip
+
+
+def _seen(trajectories: MarkerTrajectories, clusters: Sequence[Cluster]) -> tuple[Cluster, ...]:
+    """Give the clusters of which some frame shows enough markers; the others have no answer in any."""
+    return tuple(c for c in clusters if (trajectories.select(c.labels).present.sum(1) >= NEEDED).any())
 
 
 def found_clusters(
@@ -179,6 +185,8 @@ def _calibration(
 ) -> tuple[AnatomicalCalibration, bool, list[str]]:  # fmt: skip
     """Find where the bones are: as a file says, as a static trial says, or by the clusters' own axes."""
     segments = tuple(cluster.segment for cluster in clusters)
+    if not segments:
+        raise FileProblem(path, "shows three markers of no segment in any frame", "See the gaps of the trial.")
     if options.reference is not None:
         calibration, notes = read_reference(options.reference, segments, frames=len(measured))
         return calibration, True, list(notes)
