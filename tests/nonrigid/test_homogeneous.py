@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from tests.nonrigid.made_shapes import without_motion
 
 from marey.errors import MareyError
 from marey.geometry import rotations
@@ -9,14 +10,6 @@ from marey.nonrigid.alignment import mean_shape, rigid_fits
 from marey.nonrigid.homogeneous import factorise_points
 
 FRAMES, POINTS = 80, 12
-
-
-def without_motion(modes, mean):
-    """Take translation and turn of the mean out of displacements (M, P, 3)."""
-    motions = np.concatenate([np.tile(np.eye(3), (len(mean), 1, 1)), rotations.hat(mean)], 2).reshape(-1, 6)
-    q = np.linalg.qr(motions)[0]
-    flat = modes.reshape(len(modes), -1)
-    return (flat - flat @ q @ q.T).reshape(modes.shape)
 
 
 @pytest.fixture

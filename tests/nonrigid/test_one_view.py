@@ -57,6 +57,29 @@ def test_gaps_and_noise_are_borne_and_said(made, rng):
     assert np.isnan(found.residuals[missing]).all()
 
 
+def test_a_rigid_object_is_said_to_be_rigid(made):
+    shape = np.asarray(made[1][0])
+    found = factorise_tracks((made[0] @ shape)[:, :2])
+    assert found.rank == 1
+    assert any("rigid" in note for note in found.notes)
+    assert error_of(found, made[0], np.broadcast_to(shape, made[1].shape)) < 1e-3
+
+
+def test_a_basis_shape_of_fewer_dimensions_is_said(made, rng):
+    flat = np.outer([0.3, 0.2, 0.4], rng.normal(size=POINTS))
+    shapes = made[1][0] + 100 * np.sin(np.arange(FRAMES) / 9)[:, None, None] * flat
+    found = factorise_tracks((made[0] @ (shapes - shapes.mean(2, keepdims=True)))[:, :2])
+    assert any("rank 4" in note for note in found.notes)
+
+
+def test_a_camera_that_does_not_go_round_tells_no_depth(made, rng):
+    flat = np.tile(made[1][0][:2], (FRAMES, 1, 1)) + rng.normal(size=(FRAMES, 2, 1))
+    with pytest.raises(MareyError, match="one side only"):
+        factorise_tracks(flat)
+    with pytest.raises(MareyError, match="one side only"):
+        factorise_tracks(flat + rng.normal(size=flat.shape))
+
+
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [

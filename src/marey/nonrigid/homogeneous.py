@@ -21,8 +21,8 @@ from marey.errors import MareyError
 from marey.geometry import rotations
 from marey.nonrigid.alignment import mean_shape
 
-ROUNDS = 300
-STILL = 1e-7
+ROUNDS = 100
+STILL = 1e-6
 """The change of the fit's root mean square, as a share of it, at which the rounds end."""
 LEAST_SPREAD = 1e-12
 """Least variance, as a share of the mean shape's, of a weight and of the noise; keeps exact data solvable."""

@@ -38,15 +38,16 @@ def rotation_candidates(tracks: Floats) -> Iterator[tuple[int, Floats]]:
         count = min(3 * rank, most)
         half = u[:, :count] * np.sqrt(d[:count])
         rows = half[0::2], half[1::2]
-        starts = [_rigid_start(*rows)]
+        rigid = orthonormal_triple(rows[0][:, :3], rows[1][:, :3])
+        starts = [np.concatenate([rigid, np.zeros((count - 3, 3))])]
         if before is not None:
             starts.append(np.concatenate([before, np.zeros((count - len(before), 3))]))
         before = min((_orthonormal(*rows, start) for start in starts), key=lambda found: found[1])[0]
         yield rank, _continuous(rows[0] @ before, rows[1] @ before)
 
 
-def _rigid_start(x: Floats, y: Floats) -> Floats:
-    """Give G (n, 3) from the first three columns alone ([Tomasi1992])."""
+def orthonormal_triple(x: Floats, y: Floats) -> Floats:
+    """Find G (3, 3) that makes the rows x G and y G (F, 3) orthonormal in the sense of least squares ([Tomasi1992])."""
     pairs = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]
 
     def row(a: Floats, b: Floats) -> Floats:
@@ -58,9 +59,7 @@ def _rigid_start(x: Floats, y: Floats) -> Floats:
     for (i, j), value in zip(pairs, np.linalg.lstsq(conditions, wanted, rcond=None)[0], strict=True):
         square[i, j] = square[j, i] = value
     size, axes = np.linalg.eigh(square)
-    start = np.zeros((x.shape[1], 3))
-    start[:3] = axes * np.sqrt(np.maximum(size, 1e-3 * np.abs(size).max()))
-    return start
+    return np.asarray(axes * np.sqrt(np.maximum(size, 1e-3 * np.abs(size).max())))
 
 
 def _residual(x: Floats, y: Floats, triple: Floats) -> tuple[Floats, Floats, Floats]:

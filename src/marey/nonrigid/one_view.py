@@ -5,7 +5,7 @@ is taken: rotations for several numbers of shapes, each also with steadier camer
 make the tracks under one Gaussian model of a deforming shape, and the best is refined by that model.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from marey.errors import MareyError
 from marey.nonrigid.completion import complete_tracks
 from marey.nonrigid.deforming_model import SHIFT, DeformingModel, basis_cost, begin, improve
 from marey.nonrigid.metric_upgrade import rotation_candidates
+from marey.nonrigid.rank import significant_singular_values
 from marey.nonrigid.rotation_paths import accelerations, mirrored_after, steadier
 from marey.nonrigid.smooth_shapes import nuclear_norm, smooth_shapes
 
@@ -41,6 +42,9 @@ FRAMES_A_MODE = 8
 """Fewer frames a mode would tell too little about it."""
 ROUNDS = 12
 FIRST_NOISE = 0.005
+EXACT = 1e-9
+"""Singular values below this share of the largest are none."""
+RIGID = "The object is rigid as far as these tracks tell: its mean shape alone explains them."
 KEPT = 1e-3
 """A mode whose weights are below this share of the object's size is not told."""
 
@@ -117,7 +121,8 @@ def factorise_tracks(tracks: Floats) -> NonRigidShapes:
         The shapes.
 
     Raises:
-        MareyError: There are too few frames or points, or a frame or point is never seen.
+        MareyError: There are too few frames or points, a frame or point is never seen, or the camera sees the object
+            from one side only.
     """
     tracks = np.asarray(tracks, float)
     seen = _checked(tracks)
@@ -130,10 +135,12 @@ def factorise_tracks(tracks: Floats) -> NonRigidShapes:
         raise MareyError("All points lie in one place in every frame: there is nothing to see.")
     known = known / size
     complete, noise = (known, 0.0) if seen.all() else complete_tracks(known, seen, COMPLETING_RANK)
+    notes = _told_by_rank(complete, noise)
     best, rivals = _judge(known, weight, complete)
     model = _refined(known, weight, best, max(noise, FIRST_NOISE))
     doubt = _disagreement(model.shapes, [rival.found for rival in rivals])
-    return _tell(model, doubt, tracks, seen, size, middle, best.span)
+    found = _tell(model, doubt, tracks, seen, size, middle, best.span)
+    return replace(found, notes=(*notes, RIGID) if found.rank == 1 else notes)
 
 
 def _checked(tracks: Floats) -> Mask:
@@ -156,6 +163,25 @@ def _checked(tracks: Floats) -> Mask:
     if len(lost):
         raise MareyError(f"Point {lost[0]} is seen in fewer than {FEWEST_FRAMES} frames; leave such points out.")
     return seen
+
+
+def _told_by_rank(complete: Floats, noise: float) -> tuple[str, ...]:
+    """Say what the singular values tell beforehand: no parallax (an error), or a flat basis shape."""
+    frames, _, points = complete.shape
+    values = np.linalg.svd(complete.reshape(2 * frames, points), compute_uv=False)
+    least = max(EXACT * values[0], noise * (np.sqrt(2 * frames) + np.sqrt(points)))
+    if values[2] < least or significant_singular_values(values[:-1], (2 * frames, points - 1)) < 3:
+        raise MareyError(
+            "The tracks move as a flat picture does: the camera sees the object from one side only, "
+            "and depth cannot be told."
+        )
+    count = int((values > EXACT * values[0]).sum())
+    if count < min(points - 1, 2 * frames) and count % 3:
+        return (
+            f"The tracks are exact and of rank {count}, not a multiple of 3: a basis shape has fewer than three "
+            "dimensions. Then many rotations and shapes explain the tracks equally well, and one of them is given.",
+        )
+    return ()
 
 
 def _refined(known: Floats, weight: Floats, best: _Judged, noise: float) -> DeformingModel:

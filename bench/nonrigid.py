@@ -1,0 +1,89 @@
+"""Shapes from the tracks of one camera against the true ones, by the agreed score, with one default for all.
+
+    python bench/nonrigid.py SHARED OUT [NAME ...] [--degraded] [--plain]
+
+NAME is a sequence of SHARED/data/nonrigid (by default all with tracks). `--degraded` adds noise and gaps first, by
+SHARED/score/degrade.py with seeds 0 to 2; `--plain` is the paper's own method instead,
+for 1 to 5 basis shapes. Prints a row a sequence: metric A, the
+number of basis shapes, the share of coordinates that the stated 95 % intervals hold, and the time taken.
+"""
+
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from marey.nonrigid.one_view import NonRigidShapes, factorise_tracks
+from marey.nonrigid.plain import PlainShapes, factorise_plainly
+
+NAMES = ("drink", "pickup", "stretch", "face", "shark_exact")
+SEEDS = (0, 1, 2)
+PLAIN_RANKS = (1, 2, 3, 4, 5)
+
+
+def degraded(shared: Path, source: Path, out: Path, seed: int) -> Path:
+    path = out / f"{source.stem}_{seed}.npz"
+    subprocess.run([sys.executable, shared / "score" / "degrade.py", source, path, "--seed", str(seed)], check=True)
+    return path
+
+
+def intervals_hold(found: NonRigidShapes, truth: dict) -> float:
+    """Give the share of the truth's coordinates that 1.96 standard deviations hold, after one turn for all frames."""
+    in_camera = str(truth.get("shape_frame", "")) == "camera"
+    shape = found.rotation @ found.shape if in_camera else np.asarray(found.shape)
+    sd = np.sqrt(found.rotation**2 @ found.shape_sd**2) if in_camera else np.asarray(found.shape_sd)
+    true = np.asarray(truth["shape"], float)
+    true, shape = true - true.mean(2, keepdims=True), shape - shape.mean(2, keepdims=True)
+    share = []
+    for sign in (1.0, -1.0):
+        turned = shape * np.array([1.0, 1.0, sign])[:, None]
+        a, b = (np.concatenate(list(x), 1) for x in (true, turned))
+        u, _, vt = np.linalg.svd(a @ np.linalg.pinv(b))
+        wrong = np.einsum("ji,fjp->fip", u @ vt, true) - turned
+        share.append((float(np.square(wrong).sum()), float(np.mean(np.abs(wrong) < 1.96 * sd))))
+    return min(share)[1]
+
+
+def row(shared: Path, source: Path, name: str, found: NonRigidShapes | PlainShapes, out: Path) -> str:
+    path = out / f"{name}_shapes.npz"
+    np.savez(path, shape=found.shape, rotation=found.rotation)
+    command = [sys.executable, shared / "score" / "nonrigid.py", path, source]
+    result = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+    return f"{name}: A {result['metric_a']:.4f}, framewise {result['framewise']:.4f}, K {found.rank}"
+
+
+def score(shared: Path, source: Path, tracks: Path, out: Path) -> str:
+    started = time.perf_counter()
+    found = factorise_tracks(np.load(tracks)["tracks"])
+    seconds = time.perf_counter() - started
+    held = intervals_hold(found, dict(np.load(source)))
+    return f"{row(shared, source, tracks.stem, found, out)}, 95 % intervals hold {held:.3f}, {seconds:.0f} s\n"
+
+
+def main() -> None:
+    options = {argument for argument in sys.argv[1:] if argument.startswith("--")}
+    shared, out, *names = (argument for argument in sys.argv[1:] if argument not in options)
+    folder = Path(out)
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in names or NAMES:
+        source = Path(shared) / "data" / "nonrigid" / f"{name}.npz"
+        given = [source]
+        if "--plain" in options:
+            for rank in PLAIN_RANKS:
+                found = factorise_plainly(np.load(source)["tracks"], rank)
+                sys.stdout.write(row(Path(shared), source, name, found, folder) + "\n")
+            continue
+        if "--degraded" in options:
+            given = [degraded(Path(shared), source, folder, seed) for seed in SEEDS]
+        for tracks in given:
+            sys.stdout.write(score(Path(shared), source, tracks, folder))
+            sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    with threadpool_limits(1):
+        main()
