@@ -2,10 +2,16 @@
 
     python bench/shape.py                        a whole person and 100,000 points in a frame; an arm in three frames
     python bench/shape.py points TRUTH.npz DIR   DIR/surface.npz: vertices that all cameras see, with 0.3 mm of noise
+    python bench/shape.py arm SHARED OUT [TRIAL PRESET [FRAMES]]
 
 The second form takes a rendered take's truth (people/arm3), so that `marey shape` can be judged without the matching.
+The third runs `marey shape` on arm3 as a right arm (or on TRIAL, such as the mirrored one of bench/tracking.py, or its
+first FRAMES frames), over what `marey surface TRIAL --out OUT` left: how long each stage took, and the scores of skin,
+joints and tracks, those of the tracks before it too.
 """
 
+import json
+import subprocess
 import sys
 import time
 from dataclasses import replace
@@ -17,6 +23,9 @@ from threadpoolctl import threadpool_limits
 from marey.body.metaball_person import metaball_body, metaball_space, single_radii, vertex_limbs
 from marey.body.metaballs import PosedMetaballs
 from marey.body.pose import Pose, PosedBody
+from marey.cli.progress import Progress
+from marey.cli.settings import CaptureSettings
+from marey.cli.shape import shape
 from marey.fit.levenberg import LevenbergSettings, fit_points
 from marey.fit.surface_points import FramePoints, PersonPoints
 from marey.io.surface import write_surface
@@ -126,7 +135,35 @@ def write_points(truth, folder):
     write_surface(folder / "surface.npz", parts, names)
 
 
+def arm(shared, out, trial, preset, frames):
+    truth, score = trial / "truth" / "truth.npz", shared / "score"
+
+    def told(script, *arguments):
+        command = [sys.executable, score / script, *map(str, arguments)]
+        lines = subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip().splitlines()
+        sys.stdout.write(f"  {script} {arguments[0] if script == 'surface.py' else ''}: {lines[-1]}\n")
+
+    if (out / "trajectories.npz").is_file():
+        sys.stdout.write("before\n")
+        told("surface.py", "--tracks", out / "trajectories.npz", truth)
+    began = time.perf_counter()
+    options = CaptureSettings(out=out, preset=preset, frames=(0, frames) if frames else None, overlay=False)
+    shape(trial, options, Progress(quiet=True))
+    took = json.loads((out / "run.json").read_text())["timings_s"]
+    sys.stdout.write(f"marey shape {trial.name} --preset {preset}: {time.perf_counter() - began:.0f} s, {took}\n")
+    told("surface.py", "--skin", out / "skin.npz", truth)
+    if (out / "trajectories.npz").is_file():
+        told("surface.py", "--tracks", out / "trajectories.npz", truth)
+    told("capture.py", out, truth, "--joints", f"{preset.partition('_')[0]}_(shoulder|elbow|wrist)")
+
+
 def main() -> None:
+    if sys.argv[1:2] == ["arm"]:
+        shared, out, *rest = sys.argv[2:]
+        trial = Path(rest[0]) if rest else Path(shared) / "data" / "people" / "arm3"
+        preset, frames = (rest[1] if len(rest) > 1 else "right_arm"), (int(rest[2]) if len(rest) > 2 else 0)
+        arm(Path(shared), Path(out), trial, preset, frames)
+        return
     if sys.argv[1:2] == ["points"]:
         write_points(Path(sys.argv[2]), Path(sys.argv[3]))
         return

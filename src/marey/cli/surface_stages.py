@@ -20,7 +20,7 @@ from marey.io.stages import Arrays, FrameLog
 from marey.io.trial import Trial
 from marey.surface.clicked import clicked_seeds
 from marey.surface.dense import GivenSeeds, Tuples, match_tuples
-from marey.surface.intersection import intersect, match_sigma
+from marey.surface.intersection import FLOOR_PX, intersect
 from marey.surface.measured import MeasuredPoints, joined, shapes
 from marey.surface.refine_rig import RigRefinement, Sighting, refine_rig
 from marey.surface.settings import SurfaceSettings
@@ -124,7 +124,7 @@ def checked_rig(run: Measurement) -> RigRefinement | None:
             found = run.tuples(run.views(trial.rig, frame, images), frame)
             run.remembered[frame] = found
             for number, tuples in enumerate(found):
-                sighting = Sighting(pixels=tuples.pixels, sigma=match_sigma(tuples))
+                sighting = Sighting(pixels=tuples.pixels, sigma=np.hypot(tuples.sd, FLOOR_PX))
                 sightings.setdefault(number, []).append(sighting)
             step()
     every = [sighting for several in sightings.values() for sighting in several]

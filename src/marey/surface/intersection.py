@@ -40,35 +40,15 @@ def intersect(views: Sequence[View], tuples: Tuples, settings: SurfaceSettings, 
     Returns:
         The points, with a covariance that holds what their own residuals show, and what the surface's bend does.
     """
-    cameras, pixels = [view.camera for view in views], np.array(tuples.pixels)
+    cameras = [view.camera for view in views]
+    pixels, kept = np.array(tuples.pixels), np.ones(len(tuples), bool)
+    sigma = np.hypot(tuples.sd, FLOOR_PX)
     pixels[_off_their_lines(views, tuples, settings)] = np.nan
-    kept = np.flatnonzero(_accepted(views, tuples, pixels, settings))
-    pixels = pixels[kept]
     # Of many cameras all around, a template is compared with a few.
     used = np.flatnonzero(np.isfinite(pixels[..., 0]).any(axis=0))
-    own, there, sigma = [cameras[i] for i in used], pixels[:, used], match_sigma(tuples)[kept][:, used]
-    solved = triangulate(own, there.swapaxes(0, 1), sigma_px=sigma.T) if len(used) else _nothing()
-    factor = variance_factor(own, solved, there, sigma, np.ones(len(kept), bool))
-    bend = np.where(np.isfinite(there), tuples.bend[kept][:, used], np.nan)
-    aside = drawn_aside(own, solved.points, bend, sigma)
-    return MeasuredPoints(
-        frame=np.full(len(kept), frame), points=solved.points,
-        covariance=factor * solved.covariance + aside[:, :, None] * aside[:, None, :],
-        camera_names=tuple(camera.name for camera in cameras), pixels=pixels,
-        correlation=np.where(np.isfinite(pixels[..., 0]), tuples.correlation[kept], np.nan),
-        residual_px=solved.residual_px, colour=tuples.colour[kept],
-    )  # fmt: skip
-
-
-def _accepted(views: Sequence[View], tuples: Tuples, pixels: Floats, settings: SurfaceSettings) -> Mask:
-    """Tell which tuples (n,), with pixels (n, C, 2), three rays or two and the way back bear out."""
-    used = np.flatnonzero(np.isfinite(pixels[..., 0]).any(axis=0))
-    if not len(used):
-        return np.zeros(len(tuples), bool)
-    sigma = np.hypot(tuples.sd, FLOOR_PX)[:, used]
-    own = [view.camera for i, view in enumerate(views) if i in used]
-    solved = triangulate(own, pixels[:, used].swapaxes(0, 1), sigma_px=sigma.T)
-    kept = np.asarray(solved.views >= 2)
+    own, there, spread = [cameras[i] for i in used], pixels[:, used], sigma[:, used]
+    solved = triangulate(own, there.swapaxes(0, 1), sigma_px=spread.T) if len(used) else _nothing()
+    kept &= solved.views >= 2
     most = kept & (solved.views >= min(3, solved.views.max(initial=0)))
     kept &= solved.residual_px <= _limit(solved.residual_px[most], settings.residual_px)
     if most.any() and np.median(solved.residual_px[most]) > _UNMET * settings.residual_px:
@@ -77,13 +57,18 @@ def _accepted(views: Sequence[View], tuples: Tuples, pixels: Floats, settings: S
     kept[two] = _borne_out(views, tuples, pixels, two)
     whole = np.zeros(len(tuples.grid), bool)
     whole[tuples.nodes[kept]] = True
-    return kept & in_large_pieces(whole, tuples.grid)[tuples.nodes]
-
-
-def match_sigma(tuples: Tuples) -> Floats:
-    """Give the standard deviations (n, C) of matches by which each view differs from the others [px]."""
-    unsure = UNSURE_BEND * np.linalg.norm(tuples.bend, axis=-1)
-    return np.asarray(np.sqrt(tuples.sd**2 + FLOOR_PX**2 + unsure**2))
+    kept &= in_large_pieces(whole, tuples.grid)[tuples.nodes]
+    factor = variance_factor(own, solved, there, spread, kept)
+    bend = np.where(np.isfinite(there), tuples.bend[:, used], np.nan)[kept]
+    aside = drawn_aside(own, solved.points[kept], bend, spread[kept])
+    squares = (1 + UNSURE_BEND**2) * aside[:, :, None] * aside[:, None, :]
+    return MeasuredPoints(
+        frame=np.full(kept.sum(), frame), points=solved.points[kept],
+        covariance=factor * solved.covariance[kept] + squares,
+        camera_names=tuple(camera.name for camera in cameras), pixels=pixels[kept],
+        correlation=np.where(np.isfinite(pixels[kept, :, 0]), tuples.correlation[kept], np.nan),
+        residual_px=solved.residual_px[kept], colour=tuples.colour[kept],
+    )  # fmt: skip
 
 
 def drawn_aside(cameras: Sequence[Camera], points: Floats, bend: Floats, sigma: Floats) -> Floats:
