@@ -106,6 +106,22 @@ def test_files_without_markers_are_refused(tmp_path, cloud):
         read_markers(empty, unit="inch")
 
 
+@pytest.mark.parametrize("length", [0, 3, 513, 700, 1500, -1])
+def test_a_c3d_that_is_cut_off_anywhere_is_refused(tmp_path, cloud, length: int):
+    whole = c3d_of(tmp_path / "whole.c3d", list("abcd"), np.concatenate([cloud] * 30)).read_bytes()
+    path = tmp_path / "cut.c3d"
+    path.write_bytes(whole[:length] if length >= 0 else whole[:-600])
+    with pytest.raises(FileProblem, match=r"ends before|too short|cannot be read"):
+        read_markers(path)
+
+
+def test_what_is_no_c3d_is_refused(tmp_path):
+    path = tmp_path / "a.c3d"
+    path.write_bytes(b"hello" * 500)
+    with pytest.raises(FileProblem, match="second byte"):
+        read_markers(path)
+
+
 def test_a_csv_says_its_unit_in_its_columns(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("time_s,a_x_mm,a_y_mm,a_z_mm,b_2_x_mm,b_2_y_mm,b_2_z_mm\n1.0,1,2,3,400,5,6\n1.1,7,8,9,,,\n")
@@ -143,6 +159,7 @@ def test_a_vicon_csv_is_read(tmp_path):
         ("a_x_mm,a_y_mm,a_z_mm\n1,2,3\n", "no column of times"),
         ("time,a_x_mm,a_y_mm,a_z_mm\n0,1,2,3\n0.1,1,2,3\n0.5,1,2,3\n", "uneven times"),
         ("time,a_x_mm,a_y_m,a_z_mm\n0,1,2,3\n", "mixes"),
+        ("time,a_x,a_y,a_z,a_x\n0,1,2,3,4\n", "a_x twice"),
         ("time,a_x_mm,a_y_mm,a_z_mm\n0,one,2,3\n1,1,2,3\n", "no number"),
     ],
 )

@@ -12,6 +12,7 @@ from marey.errors import FileProblem
 from marey.io.atomic import replacing
 from marey.io.trc import PointPaths
 
+_KEY = 0x50
 _INTEL = 84
 _MOST_FRAMES = 65535
 _BYTES_OF_A_ROTATION = 17 * 4
@@ -86,13 +87,20 @@ def add_rotations(c3d: ezc3d.c3d, names: tuple[str, ...], rotation: Floats, orig
 def _is_cut_off(path: Path) -> bool:
     """Tell whether the file is shorter than it says; ezc3d would read zeros, or end the whole program."""
     data = path.read_bytes()
+    if data[1] != _KEY:
+        raise ValueError("its second byte is not that of a C3D")
     points, analogs, first, last = struct.unpack_from("<4H", data, 2)
     scale, start = struct.unpack_from("<fH", data, 12)
-    processor = data[(data[0] - 1) * 512 + 3]
+    parameters = (data[0] - 1) * 512
+    if len(data) < parameters + 512 * data[parameters + 2]:
+        return True
+    processor = data[parameters + 3]
     if processor != _INTEL:
         return False  # other byte orders are read by ezc3d alone
     frames = last - first + 1
     end = (start - 1) * 512 + frames * (4 * points + analogs) * (4 if scale < 0 else 2)
+    if len(data) < end:
+        return True
     low_level = ezc3d.ezc3d.c3d(str(path))
     rotation = ezc3d.ezc3d.RotationsInfo(low_level)
     if rotation.used():

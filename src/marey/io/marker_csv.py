@@ -70,6 +70,8 @@ def _from_columns(path: Path, rows: list[list[str]], unit: str | None) -> Raw:
     units: set[str] = set()
     for n, cell in enumerate(head):
         if (column := _COLUMN.fullmatch(cell)) is not None:
+            if column["axis"].lower() in found.get(column["label"], {}):
+                raise FileProblem(path, f"has the column {cell} twice", "Give each marker a label of its own.")
             found.setdefault(column["label"], {})[column["axis"].lower()] = n
             units |= {column["unit"]} - {None}
     labels = [label for label, axes in found.items() if len(axes) == 3]

@@ -102,7 +102,7 @@ def _from_trc(path: Path, unit: str | None) -> Raw:
 
 def _trc_unit(path: Path) -> str:
     lines = path.read_text().splitlines()
-    return dict(zip(lines[1].split(), lines[2].split(), strict=False))["Units"]
+    return dict(zip(lines[1].split(), lines[2].split(), strict=False))["Units"].lower()
 
 
 def _require_possible(path: Path, points: Floats, unit: str) -> None:

@@ -75,7 +75,7 @@ def read_trc(path: Path | str, *, file_from_world: Floats = OPENSIM_FROM_WORLD) 
     if len(lines) < 5 or not lines[0].startswith("PathFileType"):
         raise FileProblem(path, "is no TRC file: its first line does not begin with PathFileType", "Give a TRC file.")
     head = dict(zip(lines[1].split(), lines[2].split(), strict=False))
-    unit = head.get("Units", "").strip()
+    unit = head.get("Units", "").strip().lower()
     if unit not in _METRES:
         raise FileProblem(path, f"has the unit {unit!r}", f"Write one of {', '.join(_METRES)} under Units.")
     names = tuple(n.strip() for n in lines[3].split("\t")[2:] if n.strip())
