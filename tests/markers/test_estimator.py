@@ -112,6 +112,19 @@ def test_frames_without_a_cluster_stay_empty_and_the_other_bone_still_answers(rn
     assert any("thigh: 5 of 60 frames" in note for note in motion.notes)
 
 
+def test_two_markers_swapped_in_one_frame_make_that_frame_uncertain_and_change_the_others_within_their_uncertainty(rng):
+    leg, _ = skin_trial(rng)
+    points = np.array(leg.trajectories.points)
+    points[25, [0, 7]] = points[25, [7, 0]]
+    swapped = skin_and_joints(replace(leg, trajectories=trajectories(leg.trajectories.labels, points, 100.0)))
+    plain = skin_and_joints(leg)
+    others = np.arange(60) != 25
+    assert (swapped.rotation_sd[25, 0] > 2 * plain.rotation_sd[25, 0]).all()
+    np.testing.assert_allclose(swapped.rotation_sd[others], plain.rotation_sd[others], rtol=0.5, atol=1e-9)
+    changed = turns(swapped.rotation[others], plain.rotation[others])
+    assert (changed <= np.linalg.norm(plain.rotation_sd[others], axis=-1)).all()
+
+
 def test_a_single_frame_and_postures_known_twice_are_answered(rng):
     leg, bones = leg_and_bones(rng, frames=1)
     assert np.abs(errors(skin_and_joints(leg), bones)).max() < 1e-9

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from marey.arrays import Floats
+from marey.arrays import Floats, Mask
 from marey.geometry import rotations
 from marey.markers.bone_motion import BoneMotion, side_by_side
 from marey.markers.cluster_data import ClusterData, cluster_data, counted
@@ -29,6 +29,7 @@ _STEPS = 4
 _CHUNK = 256
 _COMMON_TURN = 0.75  # what all markers do together, as a multiple of what they do against each other;
 _COMMON_SHIFT = 1.5  # from three trials with known bones, rounded (docs/marker-methods.md)
+_SURPRISING = 5.0  # times the variance expected of a frame's visible motion
 _SLENDEREST = 1e-6  # of a cluster's spread, so that markers in a line have some
 _FLOOR = 1e-12  # variance that keeps a row finite where both joint and skin are known exactly
 
@@ -131,10 +132,20 @@ def _leg(data: ClusterData, skin: SkinMotion, noise_m: float) -> _Leg:
     places = np.einsum("fk,kmi->fmi", weights, filled_postures(data))
     fit = fit_rigid(places, data.points, noise_m * np.sqrt(2) * skin.looseness)
     reference = places[data.frames[0]]
+    variance = variance * _excess(fit, skin, variance, noise_m)
     return _Leg(data=data, skin=skin, fit=fit, bed=Bed(
         rotation=fit.rotation, origin=fit.translation, centre=_centre(reference, skin.looseness),
         prior=_common_motion(reference, skin.size) * variance[:, None, None],
     ))  # fmt: skip
+
+
+def _excess(fit: RigidFit, skin: SkinMotion, variance: Floats, noise_m: float) -> Floats:
+    """Give (F,) by what factor a frame shows more motion than is expected there, as where a marker has gone wild."""
+    used: Mask = np.asarray(np.isfinite(fit.residuals).all(-1))
+    free = np.maximum(3 * used.sum(1) - 6, 1)
+    seen = np.where(used[..., None], np.nan_to_num(fit.residuals) ** 2, 0.0).sum((1, 2)) / free
+    expected = skin.size**2 / 3 * variance + 2 * noise_m**2
+    return np.asarray(np.maximum(seen / (_SURPRISING * expected), 1.0))
 
 
 def _centre(places: Floats, looseness: Floats) -> Floats:

@@ -21,6 +21,7 @@ _MARKERS_LEFT_OUT = 6
 _MOST_MODES = 4
 _MARKERS_TO_WEIGH = 5
 _LOOSEST = 3.0
+_WILD = 10.0  # times the median frame's variance; what is more counts as no more
 _LEAST_TURN = 1e-6  # rad; below these on the mean neither turn nor courses say anything
 _LEAST_COURSE = 1e-9  # m
 _THIGH = np.log(1.5)  # the thigh's skin moves about twice as far as the shank's ([Cereatti2017])
@@ -198,9 +199,10 @@ def _size(moved: Floats, first: int, noise_m: float) -> tuple[float, int]:
     told = free > 0
     if not told.any():
         return 0.0, 0
-    squared = (np.nan_to_num(moved[told]) ** 2 * present[told][..., None]).sum()
+    squared = (np.nan_to_num(moved[told]) ** 2 * present[told][..., None]).sum((1, 2))
+    most = _WILD * np.median(squared / free[told])
     # The reference is as noisy as the frame compared with it.
-    skin = 3 * (squared / free[told].sum() - 2 * noise_m**2)
+    skin = 3 * (np.minimum(squared, most * free[told]).sum() / free[told].sum() - 2 * noise_m**2)
     return float(np.sqrt(max(skin, 0.0))), int(np.median(free[told]))
 
 
