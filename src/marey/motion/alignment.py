@@ -9,6 +9,7 @@ from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
 from marey.motion.filters import low_pass
 from marey.motion.recording import Recording, continuous_angles, interpolated
+from marey.motion.shift_search import agreement_by_lag
 
 SEARCH_HZ = 50.0
 """The shift is looked for on a grid of this rate, and made finer afterwards [Hz]."""
@@ -151,13 +152,12 @@ def _search(pair: _Pair) -> tuple[float, float] | None:
     vectors = [interpolated(t, v, g) for t, v, g in zip(pair.time, pair.vectors, grids, strict=True)]
     n, m = (len(g) for g in grids)
     least = max(_LEAST_FRAMES, int(LEAST_OVERLAP * min(n, m)))
-    lags = np.arange(least - n, m - least + 1)
-    costs, totals = np.full(len(lags), np.inf), np.full(len(lags), np.inf)
-    for k, lag in enumerate(lags):
-        own, other = slice(max(0, -lag), min(n, m - lag)), slice(max(0, lag), min(m, n + lag))
-        costs[k], totals[k] = _disagreement(
-            scalars[0][own], scalars[1][other], vectors[0][own], vectors[1][other], pair.places, least
-        )
+    costs, totals = agreement_by_lag(
+        (scalars[0], scalars[1]), (vectors[0], vectors[1]), places=pair.places, least=least
+    )  # fmt: skip
+    lags = np.arange(1 - n, m)
+    overlap = np.minimum(n, m - lags) - np.maximum(0, -lags)
+    costs, totals = (np.where(overlap >= least, values, np.inf) for values in (costs, totals))
     if not np.isfinite(costs).any():
         return None
     best = int(np.argmin(totals))
@@ -168,47 +168,9 @@ def _search(pair: _Pair) -> tuple[float, float] | None:
     return float(zero + lags[best] * step), float(rival)
 
 
-def _disagreement(a: Floats, b: Floats, p: Floats, q: Floats, places: bool, least: int) -> tuple[float, float]:
-    """Measure how badly two recordings agree at one shift: the logarithm of what is left of the variance.
-
-    Dividing by the variance keeps two spans in which nothing moves from passing for a good fit. The mean over all
-    numbers says how good a fit is; their sum, as in a likelihood, says how much speaks for it: where a motion repeats
-    itself, the shift that leaves more in common.
-    """
-    logs, weights = [], []
-    for left, right in zip(a.T, b.T, strict=True):
-        both = np.isfinite(left) & np.isfinite(right)
-        if both.sum() >= least:
-            spread = left[both].var() + right[both].var()
-            if spread > 0:
-                logs.append(np.log((left[both] - right[both]).var() / spread + 1e-9))
-                weights.append(both.sum())
-    both = _both(p, q)
-    if both.sum() >= least:
-        moved = _moved(p, both)
-        spread = moved + _moved(q, both)
-        offset = _kabsch(p[both], q[both], places)
-        if spread > 0 and offset is not None:
-            left_over = np.mean(np.sum((p[both] - offset.apply(q[both])) ** 2, -1))
-            logs.append(np.log(left_over / spread + 1e-9))
-            weights.append(both.sum())
-    if not logs:
-        return np.inf, np.inf
-    mean = float(np.average(logs, weights=weights))
-    return mean, mean * float(np.sum(weights))
-
-
 def _both(p: Floats, q: Floats) -> Mask:
     """Tell where vectors (..., 3) are known on both sides."""
     return np.asarray(np.isfinite(p + q).all(-1))
-
-
-def _moved(points: Floats, known: Mask) -> float:
-    """Give how far points (F, P, 3) scatter about their own mean places [m2]."""
-    kept = np.where(known[..., None], points, np.nan)
-    seen = known.any(0)
-    kept = kept[:, seen]
-    return float(np.nansum((kept - np.nanmean(kept, 0)) ** 2) / max(known.sum(), 1))
 
 
 def _kabsch(p: Floats, q: Floats, places: bool) -> RigidTransform | None:
