@@ -64,6 +64,14 @@ def test_rates_that_disagree_are_said(tmp_path):
     assert "100 Hz" in markers.notes[0]
 
 
+def test_a_trc_that_lacks_a_frame_is_refused(tmp_path):
+    path = tmp_path / "a.trc"
+    points = np.array([[[1.0, 2.0, 3.0], [1.5, 2.0, 3.0]]] * 4)
+    write_trc(path, PointPaths(names=("a", "b"), time=[0, 0.01, 0.03, 0.04], rate=100, points=points))
+    with pytest.raises(FileProblem, match="uneven times"):
+        read_markers(path)
+
+
 def test_a_subjects_prefix_is_taken_off_and_said(tmp_path, cloud):
     markers = read_markers(c3d_of(tmp_path / "a.c3d", ["Ann:a", "Ann:b", "Ann:c", "*110"], cloud))
     assert markers.labels == ("a", "b", "c", "*110")

@@ -14,6 +14,8 @@ _COLUMN = re.compile(r"(?P<label>.+?)[ _.:]*[_ .:]\(?(?P<axis>[xyzXYZ])\)?(?:[ _
 _TIME = re.compile(r"time(?:[ _]*[\[(]?s(?:ec(?:onds)?)?[\])]?)?", re.IGNORECASE)
 _BODY_M = (0.1, 3.0)
 """What markers on a body spread over [m], to tell a unit that the file does not say."""
+_ROUNDED_S = 1.1e-3
+"""Many programs write times to the millisecond."""
 _REMEDY = "Give columns time, LABEL_x_mm, LABEL_y_mm, LABEL_z_mm (or _m), or what Vicon Nexus writes as Trajectories."
 
 Raw = tuple[list[str], Floats, Floats, float, float, str, list[str]]
@@ -83,20 +85,26 @@ def _from_columns(path: Path, rows: list[list[str]], unit: str | None) -> Raw:
         raise FileProblem(path, f"mixes the units {', '.join(sorted(units))}", "Write all columns in one.")
     points = _numbers(path, rows[1:], [found[label][axis] for label in labels for axis in "xyz"])
     points = points.reshape(len(points), -1, 3)
-    rate, start = _rate(path, _numbers(path, rows[1:], [time])[:, 0])
+    rate, start = even_rate(path, _numbers(path, rows[1:], [time])[:, 0])
     unit, notes = (unit or next(iter(units)), []) if unit or units else _unit_of_a_body(path, points)
     return labels, points * METRES[unit], np.full(points.shape[:2], np.nan), rate, start, unit, notes
 
 
-def _rate(path: Path, time: Floats) -> tuple[float, float]:
-    """Give the rate of even times, and the first."""
+def even_rate(path: Path, time: Floats) -> tuple[float, float]:
+    """Give the rate of even times (F,) [Hz], and the first of them [s].
+
+    Raises:
+        FileProblem: There are fewer than two, one is missing, or a step differs from the usual one by half of it.
+    """
     if len(time) < 2 or not np.isfinite(time).all():
         raise FileProblem(path, "has times that are missing, or fewer than two", "Give each row its time in seconds.")
-    rate = (len(time) - 1) / (time[-1] - time[0]) if time[-1] > time[0] else 0.0
-    off = np.abs(time - time[0] - np.arange(len(time)) / rate) * rate if rate else np.full(len(time), np.inf)
-    if not (off < 0.5).all():
-        row = int(np.argmax(off >= 0.5)) + 2
-        raise FileProblem(path, f"has uneven times (row {row})", "Give a row a frame; leave cells of gaps empty.")
+    steps = np.diff(time)
+    usual = float(np.median(steps))
+    uneven = np.abs(steps - usual) > 0.5 * abs(usual) + _ROUNDED_S
+    if uneven.any() or time[-1] <= time[0]:
+        row = int(np.argmax(uneven)) + 2
+        raise FileProblem(path, f"has uneven times (row {row} of its frames)", "Give a row a frame, also in gaps.")
+    rate = (len(time) - 1) / (time[-1] - time[0])
     return float(rate), float(time[0])
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from marey.arrays import Floats
 from marey.errors import FileProblem, MareyError
 from marey.io.c3d import METRES, open_c3d, point_labels, point_unit
-from marey.io.marker_csv import read_marker_csv
+from marey.io.marker_csv import even_rate, read_marker_csv
 from marey.io.trc import read_trc
 from marey.markers.trajectories import MarkerTrajectories
 
@@ -92,10 +92,10 @@ def _from_trc(path: Path, unit: str | None) -> Raw:
     points = paths.points * (METRES[unit] / METRES[own] if unit else 1.0)
     rate, notes = paths.rate, []
     if len(paths.time) > 1:
-        measured = (len(paths.time) - 1) / (paths.time[-1] - paths.time[0]) if paths.time[-1] > paths.time[0] else 0
+        measured, _ = even_rate(path, paths.time)
         if not abs(measured - rate) <= 0.01 * rate:
             notes = [f"The header says {rate:g} Hz, the times {measured:g} Hz; the times are taken."]
-            rate = float(measured)
+            rate = measured
     start = float(paths.time[0]) if len(paths.time) else 0.0
     return list(paths.names), points, np.full(points.shape[:2], np.nan), rate, start, unit or own, notes
 

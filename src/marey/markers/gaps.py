@@ -47,6 +47,10 @@ class HeldOut:
 
         Between the lengths that were tried the distance is interpolated over the logarithm of the length; a longer gap
         than any of them is not answered for.
+
+        Args:
+            length: Of the gap, in frames.
+            ways: SPLINE, FROM_CLUSTER, or both.
         """
         options = {SPLINE: self.spline_rms, FROM_CLUSTER: self.cluster_rms}
         rms = {way: _at(self.lengths, options[way], length) for way in ways}
