@@ -11,6 +11,7 @@ import numpy as np
 
 from marey.arrays import Floats, Mask, frozen
 from marey.errors import MareyError
+from marey.geometry import rotations
 from marey.nonrigid.completion import complete_tracks
 from marey.nonrigid.deforming_model import SHIFT, DeformingModel, basis_cost, begin, improve
 from marey.nonrigid.metric_upgrade import rotation_candidates
@@ -35,7 +36,7 @@ JUDGING_MODES = 12
 JUDGING_ROUNDS = 10
 MODES = (3, 6, 12, 20, 36)
 """Numbers of modes with which the answer is refined; one is told."""
-PRICE = 0.5
+PRICE = 0.3
 """Share of `basis_cost` that a refined answer pays for its modes. All of it (near the Bayesian information criterion) 
 keeps fewer modes than are of use, none of it too many of a simple shape (docs/nonrigid-methods.md)."""
 FRAMES_A_MODE = 8
@@ -105,8 +106,7 @@ class _Judged:
     rotation: Floats
     shapes: Floats
     """(F, 3, P) in closed form."""
-    found: Floats
-    """(F, 3, P) by the model."""
+    model: DeformingModel
     span: float
     cost: float
 
@@ -138,8 +138,7 @@ def factorise_tracks(tracks: Floats) -> NonRigidShapes:
     notes = _told_by_rank(complete, noise)
     best, rivals = _judge(known, weight, complete)
     model = _refined(known, weight, best, max(noise, FIRST_NOISE))
-    doubt = _disagreement(model.shapes, [rival.found for rival in rivals])
-    found = _tell(model, doubt, tracks, seen, size, middle, best.span)
+    found = _tell(model, _disagreement(model, [rival.model for rival in rivals]), tracks, seen, size, middle, best.span)
     return replace(found, notes=(*notes, RIGID) if found.rank == 1 else notes)
 
 
@@ -192,13 +191,25 @@ def _refined(known: Floats, weight: Floats, best: _Judged, noise: float) -> Defo
     return min(models, key=lambda model: model.cost + PRICE * basis_cost(model))
 
 
-def _disagreement(shapes: Floats, others: list[Floats]) -> Floats:
-    """Give the mean square (F, 3, P) by which other answers differ, each turned and mirrored to fit best."""
-    total, rows = np.zeros(shapes.shape), shapes.transpose(1, 0, 2).reshape(3, -1)
+def _disagreement(model: DeformingModel, others: list[DeformingModel]) -> tuple[Floats, Floats]:
+    """Say how far other answers differ, each turned and mirrored to fit the shapes best.
+
+    Returns:
+        Mean squares of the shapes' differences (F, 3, P) and of the turns' about the camera's axes (F, 3).
+    """
+    shapes = model.shapes
+    of_shape, of_turn = np.zeros(shapes.shape), np.zeros((len(shapes), 3))
+    rows = shapes.transpose(1, 0, 2).reshape(3, -1)
     for other in others:
-        u, _, vt = np.linalg.svd(rows @ other.transpose(1, 0, 2).reshape(3, -1).T)
-        total += ((u @ vt) @ other - shapes) ** 2
-    return total / max(len(others), 1)
+        theirs = other.shapes
+        u, _, vt = np.linalg.svd(rows @ theirs.transpose(1, 0, 2).reshape(3, -1).T)
+        axes = u @ vt
+        of_shape += (axes @ theirs - shapes) ** 2
+        rotation = other.rotation @ axes.T
+        rotation[:, 2] *= np.sign(np.linalg.det(axes))
+        of_turn += rotations.log(rotation @ np.swapaxes(model.rotation, 1, 2)) ** 2
+    count = max(len(others), 1)
+    return of_shape / count, of_turn / count
 
 
 def _judge(known: Floats, weight: Floats, complete: Floats) -> tuple[_Judged, list[_Judged]]:
@@ -222,7 +233,7 @@ def _judged(known: Floats, weight: Floats, complete: Floats, path: Floats, span:
     shapes = smooth_shapes(complete, path)
     model = begin(known, weight, path, shapes, _most(JUDGING_MODES, len(known)), JUDGING_NOISE)
     improve(model, known, weight, JUDGING_ROUNDS, JUDGING_NOISE)
-    return _Judged(path, shapes, model.shapes, span, model.cost + basis_cost(model))
+    return _Judged(path, shapes, model, span, model.cost + basis_cost(model))
 
 
 def _most(modes: int, frames: int) -> int:
@@ -244,7 +255,13 @@ def _without_mirrors(complete: Floats, rotation: Floats, most: int = 6, tried: i
 
 
 def _tell(
-    model: DeformingModel, doubt: Floats, tracks: Floats, seen: Mask, size: float, middle: Floats, span: float
+    model: DeformingModel,
+    doubt: tuple[Floats, Floats],
+    tracks: Floats,
+    seen: Mask,
+    size: float,
+    middle: Floats,
+    span: float,
 ) -> NonRigidShapes:
     """Give the answer in the tracks' unit, in the axes of the first frame's camera."""
     turn = model.rotation[0]
@@ -262,11 +279,11 @@ def _tell(
     translation = model.shift * size + middle
     of_weights = model.covariance[0][:, SHIFT:, SHIFT:]
     turned = np.einsum("ij,mjp->mip", turn, model.modes)
-    variance = np.einsum("mip,fmn,nip->fip", turned, of_weights, turned, optimize=True) + turn**2 @ doubt
+    variance = np.einsum("mip,fmn,nip->fip", turned, of_weights, turned, optimize=True) + turn**2 @ doubt[0]
     fit = (rotation @ shape)[:, :2] + translation[:, :, None]
     return NonRigidShapes(
-        shape=shape, shape_sd=np.sqrt(variance + model.variance) * size, rotation=rotation,
-        rotation_sd=np.sqrt(np.einsum("fii->fi", model.covariance[0][:, :3, :3])), translation=translation, basis=basis,
+        shape=shape, shape_sd=np.sqrt(variance) * size, rotation=rotation, translation=translation, basis=basis,
+        rotation_sd=np.sqrt(np.einsum("fii->fi", model.covariance[0][:, :3, :3]) + doubt[1]),
         coefficients=coefficients, noise_sd=float(np.sqrt(model.variance)) * size,
         residuals=np.linalg.norm(tracks - fit, axis=1), predicted=~seen, steadiness=span, notes=(),
     )  # fmt: skip
