@@ -126,9 +126,9 @@ def open_c3d(path: Path | str) -> ezc3d.c3d:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # ezc3d warns of parameters that do not matter for points
             return ezc3d.c3d(str(path))
-    except struct.error as error:
+    except (struct.error, IndexError) as error:
         raise FileProblem(path, "is no C3D: it is too short for one", "Export it again.") from error
-    except (OSError, RuntimeError, ValueError, IndexError) as error:
+    except (OSError, RuntimeError, ValueError) as error:
         raise FileProblem(path, f"cannot be read as C3D ({error})", "Export it again.") from error
 
 
