@@ -195,6 +195,10 @@ def test_a_trc_and_a_toml_do_as_well(folder):
     )
     assert run(["markers", "walk.trc", "--clusters", "who.toml", "--method", "rigid", "-q"]) == 0
     assert read_table(folder / "walk_marey" / "angles.mot").columns[0] == "right_knee_turn"
+    assert run(["markers", "walk.trc", "--clusters", "who.toml", "--method", "rigid", "--frames", ":20", "-q"]) == 0
+    kept = read_markers(folder / "walk_marey" / "motion.c3d")
+    assert kept.labels == tuple(names.values())
+    assert kept.present.all()
 
 
 def test_a_segment_of_the_reference_without_markers_is_passed_over_and_said(folder, capsys):

@@ -1,9 +1,11 @@
 """The files of a run on markers."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from marey.arrays import Mask
 from marey.cli.markers_events import CycleCurves, Gait, cycle_curves
@@ -92,7 +94,7 @@ def write_results(results: MarkersResults, options: MarkersOptions, out: Path, p
                 write_cycle_csv(folder / "cycles.csv", cycles[0].names, cycles[0].mean, cycles[0].spread)
             if results.filling is not None:
                 write_filled(folder / "filled.csv", results.filling)
-            write_motion_c3d(folder / "motion.c3d", results.path, results.used, first.motion)
+            write_motion_c3d(folder / "motion.c3d", results.path, _all_points(results), first.motion)
             write_bone_orientations(
                 folder / "orientations.sto", time, rate, first.motion, y_up=is_y_up(results.path)
             )  # fmt: skip
@@ -106,6 +108,12 @@ def write_results(results: MarkersResults, options: MarkersOptions, out: Path, p
             folder, command="markers", settings=asked, inputs=[results.path, *options.files], root=results.path.parent,
             progress=progress,
         )  # fmt: skip
+
+
+def _all_points(results: MarkersResults) -> MarkerTrajectories:
+    """Give what was filled, and what was measured also in frames that were not asked for."""
+    known = np.isfinite(results.used.points)
+    return replace(results.used, points=np.where(known, results.used.points, results.measured.points))
 
 
 def _cycles(results: MarkersResults) -> list[CycleCurves | None]:
