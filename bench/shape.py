@@ -1,6 +1,6 @@
 """Fits of metaballs to points: how fast, in which order, by which residual; and points as a perfect matcher gives them.
 
-    python bench/shape.py                        a whole person and 100,000 points in a frame; an arm in three frames
+    python bench/shape.py                        a whole person and 100,000 points; edges; an arm in three frames
     python bench/shape.py points TRUTH.npz DIR   DIR/surface.npz: vertices that all cameras see, with 0.3 mm of noise
     python bench/shape.py arm SHARED OUT [TRIAL PRESET [FRAMES]]
 
@@ -87,7 +87,7 @@ def whole_person():
     space = metaball_space("simple")
     segments = [name.rpartition("_")[2] for name in space.mean.skeleton.segment_names]
     single = single_radii(space, segments)
-    for what, numbers in (("lengths and widths", space), ("and every radius", single)):
+    for what, numbers in (("lengths and widths", space), ("and every radius and weight", single)):
         body, poses, start = people(rng, numbers, 1, spread=0.03)
         points = {f: sample(body, p, 100_000, rng) for f, p in poses.items()}
         given = PersonPoints(by_frame=points, model_sd_m=1e-3, scale_m=0.05)
@@ -114,6 +114,32 @@ def orders():
         ):  # fmt: skip
             name = f"seed {seed}, 3 frames seen from one side, {', '.join(changes.values())}"
             fitted(name, given, space, body, poses, start, iterations=60, stop=1e-5, **changes)
+
+
+def edges():
+    """An arm with sharper and softer edges than the paper's, fitted with its weights and without."""
+    space = metaball_space("simple")
+    sharp = single_radii(space, ["upperarm", "forearm", "hand"])
+    for seed in (1, 2, 3):
+        rng = np.random.default_rng(seed)
+        numbers = np.zeros(len(sharp))
+        numbers[[n.endswith("sharpness") for n in sharp.names]] = rng.choice([-0.4, 0.4], 9)
+        body = replace(metaball_body(sharp, numbers), skeleton=sharp.mean.skeleton)
+        poses = {0: Pose(np.zeros(3), np.eye(3), np.zeros(len(body.skeleton) - 6))}
+        arm = [sample(body, poses[0], 60_000, rng)]
+        near = PosedBody(body, poses[0]).segment_origin[body.skeleton.segment("left_upperarm")]
+        points = {0: arm[0][arm[0].points[:, 0] > near[0] + 0.05]}
+        given = PersonPoints(by_frame=points, model_sd_m=3e-4, scale_m=0.02)
+        for what, kept in (("radii alone", None), ("radii and weights", 0.1)):
+            free = single_radii(space, ["upperarm", "forearm", "hand"], sharpness_sd=kept)
+            start = replace(metaball_body(free), skeleton=free.mean.skeleton)
+            fit = fit_points(given, start, poses)
+            surface = PosedMetaballs(fit.body.metaballs.balls(fit.body.numbers), fit.poses[0])
+            off = surface.distance(points[0].points)
+            sys.stdout.write(
+                f"an arm of other edges, seed {seed}, {what}: {len(off)} points, "
+                f"{1e3 * np.sqrt(np.mean(off**2)):.2f} mm rms, 95 % within {1e3 * np.quantile(np.abs(off), 0.95):.2f}\n"
+            )
 
 
 def write_points(truth, folder):
@@ -169,6 +195,7 @@ def main() -> None:
         return
     with threadpool_limits(1):
         whole_person()
+        edges()
         orders()
 
 

@@ -13,6 +13,7 @@ from marey.body.pose import Pose, PosedBody
 from marey.errors import SettingProblem
 from marey.fit.levels import FrameLevels
 from marey.fit.person_tracks import PersonTracks
+from marey.fit.sequence import refine_sequence
 from marey.fit.shape import (
     OnSurface,
     Shaped,
@@ -23,6 +24,7 @@ from marey.fit.shape import (
     more_detailed,
     refine_shape,
     simplified,
+    stated,
     with_coordinates,
 )
 from marey.fit.shape_start import begun_from_clicks
@@ -189,6 +191,23 @@ def test_followed_points_show_a_limbs_turn_about_itself(scene):
     # What all frames have in common, points alone must tell; how the limb turns from frame to frame, tracks do.
     assert change[1] < 0.75 * change[0]
     assert change[1] < np.deg2rad(0.1)
+
+
+def test_what_is_stated_counts_points_that_lie_off_alike_as_one(scene):
+    space, truth, body, poses, points, _ = scene
+    blank = FrameLevels(worlds.ring(2), lambda f: [np.zeros((240, 200), bool)] * 2, 1.0)
+    found = Shaped(body, poses, 0.002, 3.2)
+    measured = OnSurface(PersonPoints(by_frame=points)).believed(found)
+    plain = refine_sequence(
+        list(poses), list(poses.values()), body, blank, rate=30.0, rounds=1, shape_frames=list(poses),
+        settings=ShapeSettings().sequence, also=measured.of_round,
+    )  # fmt: skip
+    said = list(stated(found, blank, measured, rate=30.0, settings=ShapeSettings()))
+    assert [p for fit in said for p in fit.poses] == list(poses.values())
+    np.testing.assert_array_equal(said[-1].body.numbers, truth)
+    at = space.names.index("forearm_width")
+    sds = [np.sqrt(fit.body.numbers_covariance[at, at]) for fit in (plain, said[-1])]
+    assert 1.5 * sds[0] < sds[1] < np.sqrt(space.prior_covariance[at, at])
 
 
 def test_clicked_joints_hold_a_start_that_points_of_one_side_leave_open(arm):

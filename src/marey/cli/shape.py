@@ -30,7 +30,7 @@ from marey.errors import FileProblem, MareyError
 from marey.fit.lost_points import expected_by_skin
 from marey.fit.person import Take
 from marey.fit.person_tracks import PersonTracks
-from marey.fit.sequence import SequenceFit, refine_in_pieces
+from marey.fit.sequence import refine_in_pieces
 from marey.fit.shape import (
     DETAILS_IN_TURN,
     OnSurface,
@@ -41,6 +41,7 @@ from marey.fit.shape import (
     more_detailed,
     refine_shape,
     simplified,
+    stated,
 )
 from marey.fit.shape_start import begun_from_clicks, begun_from_person, carried_on
 from marey.fit.start_joints import clicked_joints, start_from_joints
@@ -222,23 +223,28 @@ NAMES = {"simple": "simplified limbs", "full": "whole body", "single": "single b
 
 def _last(run: Run, take: Take, begun: Shaped, given: OnSurface, settings: ShapeSettings) -> Fitted:
     measured_there = given.believed(begun)
+    levels = take.levels(run.person.fine_height)
     poses: dict[int, Pose] = {}
-    pieces: list[Measured] = []
-    fit: SequenceFit | None = None
+    body = begun.body
     with (
         rounds_of(run, "last") as memory,
         run.progress.stage("Motion and shape", LAST_ROUNDS * len(begun.poses)) as step,
     ):
         for fit in refine_in_pieces(
-            list(begun.poses), list(begun.poses.values()), begun.body, take.levels(run.person.fine_height),
+            list(begun.poses), list(begun.poses.values()), begun.body, levels,
             rate=take.rate, rounds=LAST_ROUNDS, shape_frames=evenly(list(begun.poses), settings.shape_frames),
             settings=replace(settings.sequence, sigma_px=begun.outline_sd_px), also=measured_there.of_round,
             done=lambda frame: step(), memory=memory,
         ):  # fmt: skip
             poses |= fit.by_frame
+            body = fit.body
+    found = replace(begun, body=body, poses=poses)
+    pieces: list[Measured] = []
+    with run.progress.stage("Standard deviations"):
+        for fit in stated(found, levels, measured_there, rate=take.rate, settings=settings):
             pieces.append(measured(fit))
-    body = begun.body if fit is None else fit.body
-    return Fitted(body, poses, pieces, replace(begun, body=body, poses=poses))
+            body = fit.body
+    return Fitted(body, poses, pieces, replace(found, body=body))
 
 
 def _packed(found: Shaped) -> Arrays:

@@ -44,7 +44,7 @@ class PersonTracks:
     skin_sd_m: float = 0.006
     """How far a place of the skin moves about in its segment, as a standard deviation of a coordinate [m]; the fit's
     residuals say it."""
-    patch_m: float = 0.02
+    patch_m: float = 0.06
     """Over how many metres it moves alike: points in a cell of so many count as one."""
 
     @staticmethod

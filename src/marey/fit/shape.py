@@ -1,6 +1,6 @@
 """The recipe: a person's own metaballs and motion from measured points and silhouettes, in one system."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -44,6 +44,10 @@ class ShapeSettings:
     neighbours: float = 10.0
     """Pixels of a contour that lie off the model by as much: so many are worth one."""
 
+
+ALIKE_M = 0.075
+"""Over how many metres a person lies off fitted metaballs alike [m]: on the arm of docs/accuracy.md the residuals'
+correlation is 0.8 within a centimetre, 0.5 at 2.5, 0.2 at five and none beyond 12, in all as in such a square."""
 
 DETAILS_IN_TURN: tuple[str, ...] = ("simple", "full", "single")
 """The bodies in the order of the fit ([Plaenkers1999] section 4.4): the simplified limbs where a start is rough; all
@@ -176,6 +180,15 @@ class OnSurface:
         tracks = None if self.tracks is None else replace(self.tracks, skin_sd_m=shaped.skin_sd_m)
         return replace(self, points=believed(self.points, shaped.model_sd_m, scale_m), tracks=tracks)
 
+    def as_alike(self) -> "OnSurface":
+        """Count points as one over as many metres as a person lies off the metaballs alike (`ALIKE_M`).
+
+        The fit itself counts them over a centimetre only, so that radii follow what is smaller than that; what it would
+        state then is several times too certain.
+        """
+        tracks = None if self.tracks is None else replace(self.tracks, patch_m=ALIKE_M)
+        return replace(self, points=replace(self.points, patch_m=ALIKE_M), tracks=tracks)
+
     def of_round(self, poses: Mapping[int, Pose], body: Body) -> FrameTerms:
         """Make it ready for a round of the refinement, see `sequence.Further`."""
         return _OfRound(self, None if self.tracks is None else self.tracks.fastened(poses, body))
@@ -201,6 +214,28 @@ class _OfRound:
         more[:size, :size] += hessian
         pull[:size] += gradient
         return more, pull
+
+
+def stated(
+    found: Shaped, levels: FrameLevels, measured: OnSurface, *, rate: float, settings: ShapeSettings
+) -> Iterator[SequenceFit]:
+    """Say how certain a refined motion and shape are, with points that lie off alike counted as one.
+
+    Args:
+        found: whose poses and body stay.
+        levels: silhouettes.
+        measured: as the refinement believed it.
+        rate: frames in a second.
+        settings: as there.
+    """
+    frames = list(found.poses)
+    for fit in refine_in_pieces(
+        frames, list(found.poses.values()), found.body, levels, rate=rate, rounds=1,
+        shape_frames=evenly(frames, settings.shape_frames),
+        settings=replace(settings.sequence, sigma_px=found.outline_sd_px), also=measured.as_alike().of_round,
+    ):  # fmt: skip
+        body = replace(found.body, numbers_covariance=fit.body.numbers_covariance)
+        yield replace(fit, poses=tuple(found.poses[int(frame)] for frame in fit.frames), body=body)
 
 
 def refine_shape(
