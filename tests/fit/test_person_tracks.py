@@ -9,6 +9,7 @@ from tests.fit import metaball_worlds as world
 from marey.body.pose import PosedBody
 from marey.fit.person_tracks import PersonTracks
 from marey.observations.carried_points import CarriedPoints
+from marey.surface.trajectories import Trajectories
 
 NOISE = 2e-4
 
@@ -92,6 +93,29 @@ def test_a_frame_without_points_says_nothing(scene):
     hessian, gradient = tracks.fastened(poses, body).terms(99, PosedBody(body, poses[0]))
     assert not hessian.any()
     assert not gradient.any()
+
+
+def test_trajectories_of_other_frames_say_nothing(scene):
+    body, poses, tracks, _ = scene
+    other = replace(tracks, frames=tracks.frames + 100)
+    fastened = other.fastened(poses, body)
+    assert (fastened.segment == -1).all()
+    assert fastened.reestimated({f: PosedBody(body, pose) for f, pose in poses.items()}).skin_sd_m == other.skin_sd_m
+
+
+def test_trajectories_are_taken_without_those_that_were_removed():
+    covariance = np.broadcast_to(np.eye(3) * 4e-8, (2, 3, 3, 3)).copy()
+    covariance[0, 2] = np.nan
+    nothing = np.full((2, 3, 3), np.nan)
+    found = PersonTracks.of(
+        Trajectories(
+            frames=np.array([4, 5]), rate=30.0, position=np.arange(18.0).reshape(2, 3, 3), velocity=nothing,
+            acceleration=nothing, covariance=covariance, camera_names=("a", "b"), pixels=np.zeros((2, 3, 2, 2)),
+            removed=np.array([False, True, False]),
+        )
+    )  # fmt: skip
+    np.testing.assert_array_equal(found.position[1], [[9, 10, 11], [15, 16, 17]])
+    np.testing.assert_allclose(found.variance, [[4e-8, 0.0], [4e-8, 4e-8]], rtol=1e-6)
 
 
 def test_how_far_skin_moves_about_is_found_again(scene):

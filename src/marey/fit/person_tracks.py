@@ -49,11 +49,12 @@ class PersonTracks:
 
     @staticmethod
     def of(trajectories: Trajectories) -> "PersonTracks":
-        """Take trajectories that were not taken out, with the mean variance of their coordinates."""
+        """Take trajectories that were not taken out, with the mean variance of their coordinates (zero if unknown)."""
         kept = np.flatnonzero(~trajectories.removed)
+        variance = np.trace(trajectories.covariance[:, kept], axis1=2, axis2=3).astype(float) / 3.0
         return PersonTracks(
             frames=np.array(trajectories.frames), position=trajectories.position[:, kept].astype(float),
-            variance=np.trace(trajectories.covariance[:, kept], axis1=2, axis2=3).astype(float) / 3.0,
+            variance=np.nan_to_num(variance),
         )  # fmt: skip
 
     def fastened(self, poses: Mapping[int, Pose], body: Body) -> "FastenedTracks":
@@ -64,6 +65,9 @@ class PersonTracks:
             body: in these poses.
         """
         rows = [row for row, frame in enumerate(self.frames) if int(frame) in poses]
+        if not rows:
+            count = self.position.shape[1]
+            return FastenedTracks(self, body, np.full(count, -1), np.zeros((count, 3)))
         posed = [PosedBody(body, poses[int(self.frames[row])]) for row in rows]
         position = self.position[rows]
         near = _nearest_segments(posed, position)

@@ -355,29 +355,34 @@ class _Work:
 
     def _shape_step(self, poses: Sequence[Pose], body: Body, round_: int) -> Floats:
         """Give the step (M + G,) of the shape's numbers and of what else all frames share."""
-        parts, numbers = list(self._parts(round_)), len(body.space)
-        count = max(len(part["corner"]) for part in parts)
+        numbers, count = len(body.space), self._shared(body, round_)
         if not self.free and count == numbers:
             return np.zeros(numbers)
         information, gradient = _shape_prior(body, poses[0], count)
         if not self.free:
             gradient[:] = 0.0
-        for part in parts:
+        for part in self._parts(round_):
             information, gradient = information + part["corner"], gradient + part["shape_gradient"]
             if part["by_shape"].shape[1]:
                 information, gradient = information - part["taken"], gradient - part["taken_gradient"]
         trusted = np.concatenate([_trusted(body.space), np.full(count - numbers, TRUST_M**2)])
         information = 0.5 * (information + information.T) + np.diag(1.0 / trusted)
-        reach = [np.append(own, np.full(count - numbers, at)) for own, at in zip(
-            shape_reach(body, self.settings.clip), (-_FAR, _FAR), strict=True)]  # fmt: skip
-        return bounded_step(information, gradient, *reach)
+        least, greatest = shape_reach(body, self.settings.clip)
+        anywhere = np.full(count - numbers, _FAR)
+        return bounded_step(information, gradient, np.append(least, -anywhere), np.append(greatest, anywhere))
+
+    def _shared(self, body: Body, round_: int) -> int:
+        """Count the shape's numbers and what else all frames share."""
+        if self.also is None:
+            return len(body.space)
+        return max(len(part["corner"]) for part in self._parts(round_))
 
     def pieces(self, poses: Sequence[Pose], body: Body) -> Iterator[SequenceFit]:
         """Step for the last time, and give each window's answer with its covariances."""
         round_ = self.rounds - 1
         moved, stepped = self.stepped(poses, body, round_)
         numbers, degrees = len(body.space), len(body.skeleton)
-        information, _ = _shape_prior(body, poses[0], max(len(part["corner"]) for part in self._parts(round_)))
+        information, _ = _shape_prior(body, poses[0], self._shared(body, round_))
         squares = total = 0.0
         for part in self._parts(round_):
             squares, total = squares + float(part["squares"]), total + float(part["total"])
