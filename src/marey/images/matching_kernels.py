@@ -181,7 +181,7 @@ def _take_values(picture, x, y, half, columns, grey):
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST)
-def _take_search(picture, to_search, half, found):
+def take_search(picture, to_search, half, found):
     """Write a search picture's values where a map carries the patch; give their mean."""
     height, width = picture.shape
     flat = picture.reshape(height * width)
@@ -224,8 +224,8 @@ def _iterate(
         outcome = _misplaced(search, to_search, half, reach, stretch, start_x, start_y)
         if outcome != CONVERGED:
             return outcome
-        found_mean = _take_search(search, to_search, half, found)
-        along, power = _compare(columns, grey, found, found_mean, projected)
+        found_mean = take_search(search, to_search, half, found)
+        along, power = compare(columns, grey, found, found_mean, projected)
         if not math.isfinite(power):
             return MISSING
         if power <= 1e-9 * size:
@@ -277,7 +277,7 @@ def _misplaced(search, to_search, half, reach, stretch, start_x, start_y):
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST)
-def _compare(columns, grey, found, mean, projected):
+def compare(columns, grey, found, mean, projected):
     """Project the found values on the template's derivatives; give their product with the template, and their power."""
     along, power = 0.0, 0.0
     for i in range(found.shape[0]):
