@@ -1,7 +1,7 @@
 """Points followed through a video: Lucas-Kanade from frame to frame, then affine matching with an early reference."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import cv2
@@ -17,6 +17,8 @@ _NEIGHBOURS = 8
 """Points whose motion says where a lost one may be."""
 _LEAST_SD = 0.02
 """No match is trusted more than this [px]."""
+_GROWTH = 3
+"""How often points that were not found are looked for again beside those that were."""
 
 Pictures = Sequence[np.ndarray]
 """Grey pictures (H, W) of one size, one a frame."""
@@ -147,7 +149,8 @@ def follow_points(
         progress: Is told of each frame.
 
     Returns:
-        The tracks. A point whose patch reaches beyond the picture, or is flat, in the first frame stays unseen in all.
+        The tracks. Points along edges are seen in the first frame only, and guessed from the others in the rest. A
+        point whose patch reaches beyond the picture, or is flat, in the first frame stays unseen in all.
 
     Raises:
         SettingProblem: There are no points, or the frame or a point is not in the video.
@@ -162,13 +165,13 @@ def follow_points(
         tracks=np.full((total, 2, count), np.nan), tracks_sd=np.full((total, 2, count), np.nan),
         guesses=np.full((total, 2, count), np.nan), used=np.full((total, count), -1), start=frame,
         maps=np.tile(np.eye(2), (total, count, 1, 1)), references=references, drift=np.zeros((count, 2)),
-        ahead=np.tile(np.eye(2), (count, 1, 1)),
+        singly=np.ones(count, bool), ahead=np.tile(np.eye(2), (count, 1, 1)),
     )  # fmt: skip
-    _write_start(book, first, points, frame, settings)
+    book.singly = _write_start(book, first, points, frame, settings)
     done = 0
     for frames in (range(frame + 1, total), range(frame - 1, -1, -1)):
         done = _follow_one_way(pictures, frame, frames, book, settings, progress, done)
-    seen = np.isfinite(book.tracks).all(axis=1)
+    seen = np.all(np.isfinite(book.tracks), axis=1)
     found = FeatureTracks(
         tracks=book.tracks, tracks_sd=book.tracks_sd, visible=seen, predicted=np.zeros((total, count), bool)
     )
@@ -204,6 +207,8 @@ class _Book:
     ahead: Floats
     """(R, 2, 2) linear part of each reference's own map, from the first."""
     start: int
+    singly: Mask
+    """(P,) which points have texture in both directions; the others only move along with them."""
 
 
 class _Now(NamedTuple):
@@ -216,15 +221,19 @@ class _Now(NamedTuple):
     """(P,) the reference that was made last."""
 
 
-def _write_start(book: _Book, first: SplinePicture, points: Floats, frame: int, settings: FollowSettings) -> None:
-    """Keep the points with texture; their standard deviation is that of matching them with themselves: none."""
-    everywhere = np.arange(len(points))
-    maps = np.tile(np.eye(2), (len(points), 1, 1))
-    flat = ~book.references.match(first, everywhere, points, points, maps, settings.matching()).converged
+def _write_start(book: _Book, first: SplinePicture, points: Floats, frame: int, settings: FollowSettings) -> Mask:
+    """Keep the points with any texture; tell which (P,) have enough in both directions to be followed singly."""
+    count, matching = len(points), settings.matching()
+    everywhere, maps = np.arange(count), np.tile(np.eye(2), (count, 1, 1))
+    singly = book.references.match(first, everywhere, points, points, maps, matching).converged
+    information, _, _ = book.references.equations(first, everywhere, points, points, maps, 1.0)
+    least = matching.texture * matching.noise**2 * matching.size**2
+    flat = ~(singly | (np.linalg.eigvalsh(information)[:, 1] > least))
     book.tracks[frame] = np.where(flat, np.nan, points.T)
     book.tracks_sd[frame] = np.where(flat, np.nan, 0.0)
     book.guesses[frame] = points.T
     book.used[frame] = np.where(flat, -1, everywhere)
+    return singly
 
 
 def _follow_one_way(
@@ -237,7 +246,7 @@ def _follow_one_way(
     done: int,
 ) -> int:
     points = book.guesses[start].T.copy()
-    now = _Now(points, np.isfinite(book.tracks[start]).all(axis=0), np.arange(len(points)))
+    now = _Now(points, book.singly, np.arange(len(points)))
     before, earlier, last = pictures[start], spline_of(pictures[start]), start
     for t in frames:
         picture = pictures[t]
@@ -251,16 +260,24 @@ def _follow_one_way(
 
 def _carried(before: np.ndarray, picture: np.ndarray, now: _Now, points: Floats, settings: FollowSettings) -> Floats:
     """Bring the points (P, 2) to the next frame: by Lucas-Kanade where it comes back, else with their neighbours."""
-    size = (settings.window, settings.window)
-    a = np.asarray(now.place, np.float32).reshape(-1, 1, 2)
-    b, there, _ = cv2.calcOpticalFlowPyrLK(before, picture, a, None, winSize=size, maxLevel=settings.levels)  # type: ignore[call-overload]
-    back, here, _ = cv2.calcOpticalFlowPyrLK(picture, before, b, None, winSize=size, maxLevel=settings.levels)
-    returned = np.linalg.norm((back - a)[:, 0], axis=1) <= settings.returned
-    good = now.seen & (there[:, 0] > 0) & (here[:, 0] > 0) & returned
-    return extrapolated(points, np.where(good[:, None], b[:, 0].astype(float), np.nan), now.place)
+    start = np.asarray(now.place, np.float32)
+    there, forward = _flow(before, picture, start, settings)
+    here, backward = _flow(picture, before, there, settings)
+    returned = np.linalg.norm(here - start, axis=1) <= settings.returned
+    good = now.seen & forward & backward & returned
+    return extrapolated(points, np.where(good[:, None], there, np.nan), now.place)[0]
 
 
-def extrapolated(points: Floats, places: Floats, otherwise: Floats) -> Floats:
+def _flow(before: np.ndarray, after: np.ndarray, places: Floats, settings: FollowSettings) -> tuple[Floats, Mask]:
+    """Carry places (P, 2) from one picture to another by pyramidal Lucas-Kanade; tell where that went well."""
+    moved, status, _ = cv2.calcOpticalFlowPyrLK(
+        before, after, places[:, None], np.zeros_like(places[:, None]),
+        winSize=(settings.window, settings.window), maxLevel=settings.levels,
+    )  # fmt: skip
+    return np.asarray(moved)[:, 0], np.asarray(status)[:, 0] > 0
+
+
+def extrapolated(points: Floats, places: Floats, otherwise: Floats) -> tuple[Floats, Floats]:
     """Fill in places that are not known: from the affine motion of the nearest points whose places are.
 
     Args:
@@ -269,12 +286,12 @@ def extrapolated(points: Floats, places: Floats, otherwise: Floats) -> Floats:
         otherwise: (P, 2) what to say where too few are known [px].
 
     Returns:
-        (P, 2).
+        The places (P, 2), and the linear parts (P, 2, 2) of the motions that filled them; NaN for the others.
     """
-    known = np.isfinite(places).all(axis=1)
-    filled = np.where(known[:, None], places, otherwise)
+    known = np.all(np.isfinite(places), axis=1)
+    filled, maps = np.where(known[:, None], places, otherwise), np.full((len(places), 2, 2), np.nan)
     if np.count_nonzero(known) < 3:
-        return filled
+        return filled, maps
     rows = np.flatnonzero(~known)
     distance = np.linalg.norm(points[rows, None] - points[known], axis=2)
     nearest = np.argsort(distance, axis=1)[:, :_NEIGHBOURS]
@@ -288,8 +305,10 @@ def extrapolated(points: Floats, places: Floats, otherwise: Floats) -> Floats:
     size = np.einsum("nk,nki->n", weight, offsets**2)[:, None]
     normal[:, [1, 2], [1, 2]] += 0.05 * size + 1e-9
     right = np.einsum("nka,nk,nki->nai", columns, weight, shifts)
-    filled[rows] = points[rows] + np.linalg.solve(normal, right)[:, 0]
-    return filled
+    motion = np.linalg.solve(normal, right)
+    filled[rows] = points[rows] + motion[:, 0]
+    maps[rows] = np.eye(2) + np.swapaxes(motion[:, 1:], 1, 2)
+    return filled, maps
 
 
 def _found(
@@ -306,22 +325,35 @@ def _found(
     count = len(guess)
     place, maps = guess.copy(), book.maps[last].copy()
     seen, youngest = np.zeros(count, bool), now.youngest.copy()
-    attempts = (np.arange(count), now.youngest, None)
-    for attempt in attempts:
-        left = ~seen & (book.used[book.start] >= 0)
+    first = np.arange(count)
+    for attempt in (first, now.youngest, None, *_GROWTH * (first, youngest)):
+        if seen[book.singly].all():
+            break
+        if attempt is first and seen.any():
+            _carry_along(book, place, maps, seen)
+        left = ~seen & book.singly
         if attempt is None:
             left &= now.seen
             rows = np.flatnonzero(left)
             youngest[rows] = _renewed(book, earlier, rows, last)
             chosen = youngest[rows]
         else:
-            left &= attempt >= (count if attempt is now.youngest else 0)
-            rows = np.flatnonzero(left)
+            rows = np.flatnonzero(left & ((attempt is first) | (attempt >= count)))
             chosen = attempt[rows]
         if len(rows):
             _match_rows(book, spline, rows, chosen, place, maps, seen, frame, settings)
+    if seen.any() and not seen.all():
+        _carry_along(book, place, maps, seen)
     book.guesses[frame], book.maps[frame] = place.T, maps
     return _Now(place, seen, youngest)
+
+
+def _carry_along(book: _Book, place: Floats, maps: Floats, seen: Mask) -> None:
+    """Move what was not found with what was; nothing changes before anything was."""
+    points = book.guesses[book.start].T
+    filled, turned = extrapolated(points, np.where(seen[:, None], place, np.nan), place)
+    known = np.all(np.isfinite(turned), axis=(1, 2))
+    place[known], maps[known] = filled[known], turned[known]
 
 
 def _renewed(book: _Book, earlier: SplinePicture, rows: Integers, last: int) -> Integers:
@@ -355,23 +387,3 @@ def _match_rows(
     book.tracks[frame][:, hit] = place[hit].T
     book.tracks_sd[frame][:, hit] = np.sqrt(variance).T
     book.used[frame, hit] = chosen[good]
-
-
-def without_doubtful(followed: FollowedPoints, doubtful: Mask) -> FollowedPoints:
-    """Take out places that are thought to be wrong.
-
-    Args:
-        followed: The tracks.
-        doubtful: (F, P) which.
-
-    Returns:
-        The tracks without them.
-    """
-    hidden = doubtful[:, None]
-    found = FeatureTracks(
-        tracks=np.where(hidden, np.nan, followed.found.tracks),
-        tracks_sd=np.where(hidden, np.nan, followed.found.tracks_sd),
-        visible=followed.found.visible & ~doubtful,
-        predicted=followed.found.predicted,
-    )
-    return replace(followed, found=found)

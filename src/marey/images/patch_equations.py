@@ -13,7 +13,7 @@ def write_equations(windows, chosen, pixels, search, carried, half, least, infor
     """Linearise the squared difference of a patch and a picture about where the patch is thought to be.
 
     Gain and offset of the grey values are fitted first; the gradients are the template's, carried by the affine map
-    ([Irani1999] eq. (6) with the gradients of [Baker2004]). What the shift leaves unexplained is taken as the noise.
+    ([Irani1999] with the gradients of [Baker2004]). What the shift leaves unexplained is taken as the noise.
 
     Args:
         windows: (R, S, S) float32 coefficients of the references' splines.

@@ -1,0 +1,193 @@
+"""Low-rank tracks from what grey values know about each place, in both directions of the picture at once."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from marey.arrays import Floats, Mask
+
+_TINY = 1e-9
+_TAIL = 4.0
+"""Degrees of freedom of the t distribution that places follow about the model; few of them forgive outliers."""
+LEAST_SEEN = 3
+"""A frame in which fewer points are seen says nothing."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PlaceEquations:
+    """What is known about the place of each point in each frame, before anything is known of the others."""
+
+    information: Floats
+    """(F, P, 2, 2) inverse covariance [1/px2]; zero where nothing is known."""
+    right: Floats
+    """(F, P, 2) information times place [1/px]."""
+
+    @property
+    def known(self) -> Mask:
+        """(F, P) whether anything is known."""
+        return np.trace(self.information, axis1=2, axis2=3) > 0
+
+    def without(self, hidden: Mask) -> "PlaceEquations":
+        """Give the equations with some places (F, P) taken out."""
+        return PlaceEquations(
+            information=np.where(hidden[..., None, None], 0, self.information),
+            right=np.where(hidden[..., None], 0, self.right),
+        )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LowRankTracks:
+    """Tracks of low rank, W = Q B and a translation ([Alexander2003] eq. (12))."""
+
+    rows: Floats
+    """(F, 2, 1 + r) translation [px] and weights Q; NaN in frames that say nothing."""
+    columns: Floats
+    """(P, 1 + r) ones and the basis B, centred and with unit covariance over the points."""
+    covariance: Floats
+    """(F, 2 (1 + r), 2 (1 + r)) of the rows, x before y."""
+    spread: float
+    """Standard deviation of a coordinate about the model, beyond what grey values leave open [px]."""
+    weight: Floats
+    """(F, P) share at which a place counted; near nothing for outliers."""
+
+    @property
+    def rank(self) -> int:
+        """Rank r, beside the translation."""
+        return self.columns.shape[1] - 1
+
+    def places(self) -> Floats:
+        """Give the model's tracks (F, P, 2) [px]."""
+        return np.swapaxes(self.rows @ self.columns.T, 1, 2)
+
+    def place_covariance(self) -> Floats:
+        """Give the covariance (F, P, 2, 2) of a point about the model's tracks, given the other points [px2]."""
+        count = self.columns.shape[1]
+        blocks = self.covariance.reshape(-1, 2, count, 2, count)
+        both = np.einsum("pa,fiajb,pb->fpij", self.columns, blocks, self.columns, optimize=True)
+        return both + self.spread**2 * np.eye(2)
+
+
+def factorise(equations: PlaceEquations, tracks: Floats, rank: int, *, rounds: int = 25) -> LowRankTracks:
+    """Solve for the tracks of all points in all frames together, at a given rank.
+
+    Translation, weights and basis are solved in turn, each by linear least squares from the 2x2 structure matrices
+    ([Irani1999], [Torresani2001]). Unlike there, what is left of a point beyond the rank has a
+    standard deviation of its own, found from the data, so that strong corners need not be of low rank exactly, and
+    outliers lose their weight.
+
+    Args:
+        equations: What is known of each place.
+        tracks: (F, P, 2) to begin with, finite in every frame that has equations [px].
+        rank: Beside the translation.
+        rounds: How often the three are solved.
+
+    Returns:
+        The model; frames with fewer than three points known are NaN.
+    """
+    known = equations.known
+    used = known.sum(axis=1) >= LEAST_SEEN
+    information, right, known = equations.information[used], equations.right[used], known[used]
+    columns, start = _start(tracks[used], rank)
+    spread, ridge = 1.0, np.zeros(rank + 1)
+    weight = known.astype(float)
+    middle, places = tracks[used].mean(axis=1), start
+    for turn in range(rounds):
+        weight = _weights(information, right, places, spread) * known if turn > 2 else weight
+        dull, pulled = _dulled(information * weight[..., None, None], right * weight[..., None], spread)
+        rows, covariance = _solve_frames(dull, pulled, columns, ridge, middle)
+        columns, rows = _normalised(_solve_points(dull, pulled, rows), rows)
+        ridge = np.concatenate([[0], 1 / (np.mean(rows[..., 1:] ** 2, axis=(0, 1)) + 1e-6)])
+        middle, places = rows[..., 0], np.swapaxes(rows @ columns.T, 1, 2)
+        spread = _spread(information, right, places, weight, spread)
+    dull, pulled = _dulled(information * weight[..., None, None], right * weight[..., None], spread)
+    rows, covariance = _solve_frames(dull, pulled, columns, ridge, middle)
+    return _whole(used, rows, columns, covariance, spread, weight)
+
+
+def _whole(
+    used: Mask, rows: Floats, columns: Floats, covariance: Floats, spread: float, weight: Floats
+) -> LowRankTracks:
+    """Put the frames that say something back among the others."""
+    all_rows = np.full((len(used), *rows.shape[1:]), np.nan)
+    all_covariance = np.full((len(used), *covariance.shape[1:]), np.nan)
+    all_weight = np.zeros((len(used), weight.shape[1]))
+    all_rows[used], all_covariance[used], all_weight[used] = rows, covariance, weight
+    return LowRankTracks(rows=all_rows, columns=columns, covariance=all_covariance, spread=spread, weight=all_weight)
+
+
+def _start(tracks: Floats, rank: int) -> tuple[Floats, Floats]:
+    """Give the columns (P, 1 + r) and the places (F, P, 2) of the nearest tracks of low rank."""
+    centred = tracks - tracks.mean(axis=1, keepdims=True)
+    stacked = np.swapaxes(centred, 1, 2).reshape(-1, tracks.shape[1])
+    _, _, basis = np.linalg.svd(stacked, full_matrices=False)
+    basis = basis[:rank].T
+    near = np.swapaxes((stacked @ basis @ basis.T).reshape(len(tracks), 2, -1), 1, 2)
+    columns = np.concatenate([np.ones((len(basis), 1)), basis * np.sqrt(len(basis))], axis=1)
+    return columns, near + tracks.mean(axis=1, keepdims=True)
+
+
+def _dulled(information: Floats, right: Floats, spread: float) -> tuple[Floats, Floats]:
+    """Give information and right-hand side about the model's place rather than the point's own."""
+    mixed = np.eye(2) + spread**2 * information
+    both = np.linalg.solve(mixed, np.concatenate([information, right[..., None]], axis=-1))
+    return both[..., :2], both[..., 2]
+
+
+def _weights(information: Floats, right: Floats, places: Floats, spread: float) -> Floats:
+    """Weigh each place (F, P) by how far it lies from the model, against its covariance."""
+    pull = right - np.einsum("fpij,fpj->fpi", information, places)
+    firm = information + _TINY * np.eye(2)
+    away = np.linalg.solve(firm, pull[..., None])[..., 0]
+    pulled = np.linalg.solve(np.eye(2) + spread**2 * firm, pull[..., None])[..., 0]
+    square = np.einsum("fpi,fpi->fp", away, pulled)
+    return (_TAIL + 2) / (_TAIL + np.maximum(square, 0))
+
+
+def _solve_frames(
+    information: Floats, right: Floats, columns: Floats, ridge: Floats, middle: Floats
+) -> tuple[Floats, Floats]:
+    """Give the rows (F, 2, k) of every frame given the columns, and their covariance (F, 2k, 2k)."""
+    frames, count = len(information), columns.shape[1]
+    pairs = (columns[:, :, None] * columns[:, None]).reshape(len(columns), -1)
+    xx, xy, yy = ((information[..., i, j] @ pairs).reshape(frames, count, count) for i, j in ((0, 0), (0, 1), (1, 1)))
+    normal = np.concatenate([np.concatenate([xx, xy], axis=2), np.concatenate([xy, yy], axis=2)], axis=1)
+    # So weak a pull that it only settles translations that no point sees: towards where they were.
+    held = np.tile(ridge, 2) + _TINY
+    normal[:, range(2 * count), range(2 * count)] += held
+    side = np.concatenate([right[..., 0] @ columns, right[..., 1] @ columns], axis=1)
+    side[:, [0, count]] += _TINY * middle
+    covariance = np.linalg.inv(normal)
+    return np.einsum("fab,fb->fa", covariance, side).reshape(frames, 2, count), covariance
+
+
+def _solve_points(information: Floats, right: Floats, rows: Floats) -> Floats:
+    """Give the basis (P, r) given the frames."""
+    weights, middle = rows[..., 1:], rows[..., 0]
+    rank = weights.shape[2]
+    left = right - np.einsum("fpij,fj->fpi", information, middle)
+    normal = np.zeros((information.shape[1], rank * rank))
+    for i, j in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        pairs = (weights[:, i, :, None] * weights[:, j, None]).reshape(len(rows), -1)
+        normal += information[..., i, j].T @ pairs
+    square = normal.reshape(-1, rank, rank) + np.eye(rank)
+    side = np.einsum("fpi,fia->pa", left, weights, optimize=True)
+    return np.linalg.solve(square, side[..., None])[..., 0]
+
+
+def _normalised(basis: Floats, rows: Floats) -> tuple[Floats, Floats]:
+    """Centre the basis and give it unit covariance; the rows change so that the tracks stay."""
+    middle = basis.mean(axis=0)
+    scale, turn = np.linalg.eigh(np.cov(basis.T, bias=True).reshape(len(middle), -1))
+    scale = np.sqrt(np.maximum(scale, 1e-12 * scale[-1] + 1e-300))
+    weights = rows[..., 1:]
+    translation = rows[..., :1] + (weights @ middle)[..., None]
+    columns = np.concatenate([np.ones((len(basis), 1)), (basis - middle) @ turn / scale], axis=1)
+    return columns, np.concatenate([translation, weights @ turn * scale], axis=2)
+
+
+def _spread(information: Floats, right: Floats, places: Floats, weight: Floats, spread: float) -> float:
+    """Give the next standard deviation of a coordinate about the model: one step of expectation and maximisation."""
+    variance = np.linalg.inv(information + np.eye(2) / spread**2)
+    moved = np.einsum("fpij,fpj->fpi", variance, right - np.einsum("fpij,fpj->fpi", information, places))
+    square = np.sum(moved**2, axis=2) + np.trace(variance, axis1=2, axis2=3)
+    return float(np.sqrt(max(np.sum(weight * square) / (2 * np.sum(weight)), 1e-6)))
