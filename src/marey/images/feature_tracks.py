@@ -274,7 +274,7 @@ def _flow(before: np.ndarray, after: np.ndarray, places: Floats, settings: Follo
         before, after, places[:, None], np.zeros_like(places[:, None]),
         winSize=(settings.window, settings.window), maxLevel=settings.levels,
     )  # fmt: skip
-    return np.asarray(moved)[:, 0], np.asarray(status)[:, 0] > 0
+    return np.asarray(moved, np.float32)[:, 0], np.asarray(status)[:, 0] > 0
 
 
 def extrapolated(points: Floats, places: Floats, otherwise: Floats) -> tuple[Floats, Floats]:
