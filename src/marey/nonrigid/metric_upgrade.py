@@ -9,6 +9,8 @@ from marey.arrays import Floats
 RANKS = (2, 3, 4, 6, 8, 12)
 """Numbers of basis shapes that are tried."""
 STEPS = 200
+CHANCES = 8
+"""Starts by chance of every K: half of them or more find the least sum where the others fail."""
 STILL = 1e-10
 SLIGHTEST = 1e-9
 """A singular value below this share of the largest tells nothing."""
@@ -20,7 +22,7 @@ def rotation_candidates(tracks: Floats) -> Iterator[tuple[int, Floats]]:
     W = Q B has rank 3K ([Alexander2003] eq. (12)); some three columns of Q are the rotations themselves, times one
     shape's weight. Unlike the paper, one 3K x 3 matrix G is sought that makes the rows Q_f G of every frame
     orthonormal and of length 1 ([Xiao2004], [Akhter2008]): with the length left free it would shrink to nothing. Each
-    K begins with the last one's answer, and with the rigid one.
+    K begins with the last one's answer, with the rigid one, and by chance.
 
     Args:
         tracks: (F, 2, P) complete, centred in each frame, orthographic.
@@ -32,6 +34,7 @@ def rotation_candidates(tracks: Floats) -> Iterator[tuple[int, Floats]]:
     u, d, _ = np.linalg.svd(tracks.reshape(2 * frames, points), full_matrices=False)
     most = int((d > SLIGHTEST * d[0]).sum())
     before: Floats | None = None
+    rng = np.random.default_rng(0)
     for rank in RANKS:
         if 3 * rank > min(points, 2 * frames) or (before is not None and len(before) >= most):
             return
@@ -42,6 +45,9 @@ def rotation_candidates(tracks: Floats) -> Iterator[tuple[int, Floats]]:
         starts = [np.concatenate([rigid, np.zeros((count - 3, 3))])]
         if before is not None:
             starts.append(np.concatenate([before, np.zeros((count - len(before), 3))]))
+        for _ in range(CHANCES):
+            start = rng.normal(size=(count, 3))
+            starts.append(start / np.sqrt(((rows[0] @ start) ** 2).sum(1).mean() / 3))
         before = min((_orthonormal(*rows, start) for start in starts), key=lambda found: found[1])[0]
         yield rank, _continuous(rows[0] @ before, rows[1] @ before)
 
