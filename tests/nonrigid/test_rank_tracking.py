@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from tests.warped_video import place, texture, video
+from tests.warped_video import picture, place, texture, video
 
 from marey.errors import SettingProblem
 from marey.images.feature_tracks import follow_points
@@ -10,13 +10,17 @@ from marey.nonrigid.rank_tracking import RankSettings, refine_tracks
 FRAMES = 24
 
 
+def inner(image: np.ndarray) -> np.ndarray:
+    within = np.zeros(image.shape, bool)
+    within[35:-35, 35:-35] = True
+    return within
+
+
 @pytest.fixture(scope="module")
 def made():
-    """A video with a bar drawn on it, points at corners and one on the bar, and a cover over a point."""
+    """A video, points at its corners, and a cover that passes before one of them."""
     pictures = video(FRAMES)
-    within = np.zeros(pictures[0].shape, bool)
-    within[35:-35, 35:-35] = True
-    points = good_features(pictures[0], count=40, spacing=8, within=within)
+    points = good_features(pictures[0], count=40, spacing=8, within=inner(pictures[0]))
     grey = np.clip(np.round(texture(seed=9)), 0, 255).astype(np.uint8)
     for t in (8, 9, 10):
         x, y = np.round(place(points[:1], t)[0]).astype(int)
@@ -46,6 +50,46 @@ def test_stated_deviations_hold_the_truth(made):
     tracks = refine_tracks(pictures, followed).tracks
     inside = np.abs(tracks.tracks - truth)[1:] < 1.96 * tracks.tracks_sd[1:]
     assert 0.85 < inside.mean() <= 1
+
+
+def test_points_on_an_edge_are_held_by_the_corners():
+    grey = texture()
+    grey[60:105] = 60
+    grey[60:82] = 190
+    pictures = [picture(t, grey) for t in range(FRAMES)]
+    within = np.zeros(grey.shape, bool)
+    within[30:50, 30:-30] = within[112:-30, 30:-30] = True
+    corners = good_features(pictures[0], count=30, spacing=8, within=within)
+    edges = np.stack([np.arange(50.0, 110.0, 12.0), np.full(5, 81.5)], axis=1)
+    followed = follow_points(pictures, np.concatenate([corners, edges]))
+    assert not followed.found.visible[1:, -5:].any()
+    result = refine_tracks(pictures, followed)
+    truth = np.stack([place(edges, t).T for t in range(FRAMES)])
+    away = np.linalg.norm(result.tracks.tracks[:, :, -5:] - truth, axis=1)
+    start = np.linalg.norm(followed.guesses[:, :, -5:] - truth, axis=1)
+    assert result.tracks.visible[:, -5:].mean() > 0.9
+    assert np.mean(away) < 0.5 * np.mean(start)
+
+
+def test_drift_of_younger_references_is_recovered():
+    one, other = texture(), texture(seed=5)
+    points = good_features(one, count=40, spacing=8, within=inner(one))
+    rows, columns = np.mgrid[: one.shape[0], : one.shape[1]]
+    changing = np.zeros(one.shape)
+    for x, y in points[::8]:
+        changing += np.exp(-((columns - x) ** 2 + (rows - y) ** 2) / (2 * 6**2))
+    pictures = []
+    for t in range(FRAMES):
+        share = np.clip(0.06 * (t - 10), 0, 0.6) * np.clip(changing, 0, 1)
+        pictures.append(picture(t, 128 + (1 - share) * (one - 128) + share * (other - 128)))
+    followed = follow_points(pictures, points)
+    younger = followed.used >= len(points)
+    assert younger.any()
+    result = refine_tracks(pictures, followed)
+    truth = np.stack([place(points, t).T for t in range(FRAMES)])
+    before = np.linalg.norm(followed.found.tracks - truth, axis=1)[younger]
+    after = np.linalg.norm(result.tracks.tracks - truth, axis=1)[younger]
+    assert np.mean(after**2) < np.mean(before**2)
 
 
 def test_too_few_points_for_a_rank_are_refused(made):

@@ -13,20 +13,33 @@ from marey.images.feature_tracks import (
     FollowSettings,
     Pictures,
     extrapolated,
+    follow_points,
 )
+from marey.images.features import edge_features, good_features
 from marey.images.splines import SplinePicture, spline_of
-from marey.nonrigid.weighted_factorisation import LEAST_SEEN, LowRankTracks, PlaceEquations, factorise
+from marey.nonrigid.weighted_factorisation import (
+    LEAST_SEEN,
+    LowRankTracks,
+    PlaceEquations,
+    factorise,
+    inverse_of_symmetric,
+    times,
+)
 
 _RANKS = (2, 3, 4, 5, 6, 7, 8, 9, 10, 12, 14)
 """Ranks that are tried, beside the translation."""
 _HELD_OUT = 0.1
 """Share of the well-known places that are hidden to choose the rank."""
+_CLUMP = 0.1
+"""Share of the points, and of the frames, that are hidden together."""
 _FIRM = 4.0
 """A place is well known where its weakest direction has a standard deviation below 1 / sqrt of this [1/px2]."""
 _AS_GOOD = 1.02
 """The least rank whose held-out error is within this factor of the best is taken."""
 _LEAST_SD = 0.05
 """No place is trusted more than this [px]: what patches that bend, blur and compress leave."""
+_USUAL = 1.96
+"""Deviations within which 95 % of the places held out shall lie."""
 _UNUSUAL = 0.25
 """A place with less weight than this was an outlier, and is not called visible."""
 
@@ -105,11 +118,50 @@ def refine_tracks(
         model = factorise(equations, places, rank)
         refined, covariance = combined(equations, model)
         lost = ~np.all(np.isfinite(refined), axis=2)
-        places = np.where(lost[..., None], places, refined)
+        before, places = places, np.where(lost[..., None], places, refined)
     assert rank is not None
+    doubt = _doubt(equations, before, rank)
     return RankTracks(
-        tracks=_tracks(followed, equations, model, refined, covariance), rank=rank, curve=curve, spread=model.spread
+        tracks=_tracks(followed, equations, model, refined, covariance, doubt),
+        rank=rank,
+        curve=curve,
+        spread=model.spread,
     )
+
+
+def track_features(
+    pictures: Pictures,
+    *,
+    frame: int = 0,
+    corners: int = 30,
+    edges: int = 80,
+    within: Mask | None = None,
+    settings: RankSettings | None = None,
+    patches: FollowSettings = DEFAULT,
+) -> RankTracks:
+    """Choose corners and places along edges in one frame and track them through a video.
+
+    The numbers are those of [Alexander2003] section 3.2.
+
+    Args:
+        pictures: The video's grey pictures.
+        frame: The frame in which points are chosen.
+        corners: How many corners at most.
+        edges: How many places along edges at most.
+        within: (H, W) where points may lie; everywhere when None.
+        settings: Rank and passes.
+        patches: How corners are followed.
+
+    Returns:
+        The refined tracks, corners first.
+
+    Raises:
+        SettingProblem: There are too few corners to hold the rest.
+    """
+    strong = good_features(pictures[frame], count=corners, size=patches.size, within=within)
+    weak = edge_features(pictures[frame], count=edges, taken=strong, size=patches.size, within=within)
+    followed = follow_points(pictures, np.concatenate([strong, weak]), frame=frame, settings=patches)
+    return refine_tracks(pictures, followed, settings=settings, patches=patches)
 
 
 def _require_enough(equations: PlaceEquations, rank: int) -> None:
@@ -191,7 +243,7 @@ def _maps(followed: FollowedPoints, places: Floats) -> Floats:
 
 
 def combined(equations: PlaceEquations, model: LowRankTracks) -> tuple[Floats, Floats]:
-    """Put together what the grey values and the other points say about each place.
+    """Put together what the grey values and the other points say about each place; outliers among the first are left.
 
     Args:
         equations: What the grey values say.
@@ -201,19 +253,19 @@ def combined(equations: PlaceEquations, model: LowRankTracks) -> tuple[Floats, F
         Places (F, P, 2) [px] and their covariance (F, P, 2, 2) [px2].
     """
     places, prior = model.places(), model.place_covariance()
-    weight = model.weight[..., None, None]
+    weight = np.where(model.weight > _UNUSUAL, model.weight, 0)[..., None, None]
     information = equations.information * weight
-    pull = equations.right * weight[..., 0] - np.einsum("fpij,fpj->fpi", information, places)
+    pull = equations.right * weight[..., 0] - times(information, places)
     finite = np.all(np.isfinite(prior), axis=(2, 3))
     prior = np.where(finite[..., None, None], prior, np.eye(2))
-    covariance = prior @ np.linalg.inv(np.eye(2) + information @ prior)
-    refined = places + np.einsum("fpij,fpj->fpi", covariance, np.nan_to_num(pull))
+    covariance = inverse_of_symmetric(inverse_of_symmetric(prior) + information)
+    refined = places + times(covariance, np.nan_to_num(pull))
     covariance = np.where(finite[..., None, None], covariance, np.nan)
     return refined, covariance
 
 
 def choose_rank(equations: PlaceEquations, places: Floats) -> tuple[int, Floats]:
-    """Choose the rank by hiding well-known places and seeing how far from them the model comes.
+    """Choose the rank by hiding well-known places and seeing how far from the model comes.
 
     Args:
         equations: What the grey values say.
@@ -226,12 +278,7 @@ def choose_rank(equations: PlaceEquations, places: Floats) -> tuple[int, Floats]
         SettingProblem: There are too few points or frames for any rank.
     """
     _require_enough(equations, _RANKS[0])
-    weakest = np.linalg.eigvalsh(equations.information)[..., 0]
-    hidden = (weakest > _FIRM) & (np.random.default_rng(0).random(weakest.shape) < _HELD_OUT)
-    kept = equations.without(hidden)
-    if not hidden.any():
-        raise SettingProblem("No point is known well enough to choose a rank; give the rank.")
-    truth = np.linalg.solve(equations.information[hidden], equations.right[hidden][..., None])[..., 0]
+    hidden, kept, truth = _held_out(equations, places)
     points = int((kept.known.sum(axis=0) > 0).sum())
     curve = []
     for rank in _RANKS:
@@ -248,20 +295,60 @@ def choose_rank(equations: PlaceEquations, places: Floats) -> tuple[int, Floats]
     return int(errors[np.argmax(errors[:, 1] <= _AS_GOOD * errors[:, 1].min()), 0]), errors
 
 
+def _held_out(equations: PlaceEquations, places: Floats) -> tuple[Mask, PlaceEquations, Floats]:
+    """Hide well-known places: which (F, P), the equations of the rest, and where the hidden ones (n, 2) are."""
+    weakest = np.linalg.eigvalsh(equations.information)[..., 0]
+    hidden = (weakest > _FIRM) & _clumps(places)
+    if not hidden.any():
+        raise SettingProblem("No point is known well enough to judge a rank by it.")
+    truth = times(inverse_of_symmetric(equations.information[hidden]), equations.right[hidden])
+    return hidden, equations.without(hidden), truth
+
+
+def _doubt(equations: PlaceEquations, places: Floats, rank: int) -> float:
+    """Say by how much predicted places are less certain than the model states, from places held out.
+
+    What the rank leaves of a deformation is alike in neighbours; the model takes each point's share for its own.
+    """
+    hidden, kept, truth = _held_out(equations, places)
+    model = factorise(kept, places, rank, rounds=15)
+    covariance = model.place_covariance()[hidden] + inverse_of_symmetric(equations.information[hidden])
+    sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2) + _LEAST_SD**2)
+    away = np.abs(model.places()[hidden] - truth) / sd
+    return max(1.0, float(np.nanpercentile(away, 95)) / _USUAL)
+
+
+def _clumps(places: Floats) -> Mask:
+    """Choose places (F, P) to hide as things before the surface would: neighbours together, for some frames."""
+    frames, count = places.shape[:2]
+    random, hidden = np.random.default_rng(0), np.zeros(places.shape[:2], bool)
+    near, length = max(1, round(_CLUMP * count)), max(1, round(_CLUMP * frames))
+    while hidden.mean() < _HELD_OUT:
+        start = random.integers(frames)
+        away = np.linalg.norm(places[start] - places[start, random.integers(count)], axis=1)
+        hidden[start : start + length, np.argsort(away)[:near]] = True
+    return hidden
+
+
 def _tracks(
-    followed: FollowedPoints, equations: PlaceEquations, model: LowRankTracks, refined: Floats, covariance: Floats
+    followed: FollowedPoints,
+    equations: PlaceEquations,
+    model: LowRankTracks,
+    refined: Floats,
+    covariance: Floats,
+    doubt: float,
 ) -> FeatureTracks:
     """Give the result; places that are no good against the model are predicted by it instead."""
-    known = np.all(np.isfinite(refined), axis=2)
-    ever = equations.known.any(axis=0)
-    known &= ever
+    known = np.all(np.isfinite(refined), axis=2) & equations.known.any(axis=0)
     seen: Mask = equations.known & (model.weight > _UNUSUAL) & known
     variance = np.diagonal(covariance, axis1=2, axis2=3) + _LEAST_SD**2
-    hidden = ~known[..., None]
-    places, sd = np.where(hidden, np.nan, refined), np.where(hidden, np.nan, np.sqrt(variance))
-    start = followed.start
-    given = followed.used[start] >= 0
-    places[start] = np.where(given[:, None], followed.guesses[start].T, places[start])
+    variance = np.where(seen[..., None], variance, doubt**2 * variance)
+    places = np.where(known[..., None], refined, np.nan)
+    sd = np.where(known[..., None], np.sqrt(variance), np.nan)
+    # The points are what they were given as: there they are certain.
+    start, given = followed.start, followed.used[followed.start] >= 0
+    places[start, given], sd[start, given] = followed.guesses[start].T[given], 0.0
+    seen[start], known[start] = given, known[start] | given
     return FeatureTracks(
         tracks=np.swapaxes(places, 1, 2), tracks_sd=np.swapaxes(sd, 1, 2), visible=seen, predicted=known & ~seen
     )

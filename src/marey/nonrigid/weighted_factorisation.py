@@ -128,17 +128,31 @@ def _start(tracks: Floats, rank: int) -> tuple[Floats, Floats]:
 
 def _dulled(information: Floats, right: Floats, spread: float) -> tuple[Floats, Floats]:
     """Give information and right-hand side about the model's place rather than the point's own."""
-    mixed = np.eye(2) + spread**2 * information
-    both = np.linalg.solve(mixed, np.concatenate([information, right[..., None]], axis=-1))
-    return both[..., :2], both[..., 2]
+    mixed = inverse_of_symmetric(np.eye(2) + spread**2 * information)
+    return mixed @ information, times(mixed, right)
+
+
+def times(matrices: Floats, vectors: Floats) -> Floats:
+    """Multiply matrices (..., 2, 2) and vectors (..., 2)."""
+    x, y = vectors[..., 0], vectors[..., 1]
+    first, second = matrices[..., 0, 0] * x + matrices[..., 0, 1] * y, matrices[..., 1, 0] * x + matrices[..., 1, 1] * y
+    return np.stack([first, second], axis=-1)
+
+
+def inverse_of_symmetric(matrices: Floats) -> Floats:
+    """Invert symmetric matrices (..., 2, 2); far faster than the general way for so many small ones."""
+    xx, xy, yy = matrices[..., 0, 0], matrices[..., 0, 1], matrices[..., 1, 1]
+    determinant = xx * yy - xy * xy
+    rows = np.stack([yy, -xy, -xy, xx], axis=-1) / determinant[..., None]
+    return rows.reshape(matrices.shape)
 
 
 def _weights(information: Floats, right: Floats, places: Floats, spread: float) -> Floats:
     """Weigh each place (F, P) by how far it lies from the model, against its covariance."""
-    pull = right - np.einsum("fpij,fpj->fpi", information, places)
+    pull = right - times(information, places)
     firm = information + _TINY * np.eye(2)
-    away = np.linalg.solve(firm, pull[..., None])[..., 0]
-    pulled = np.linalg.solve(np.eye(2) + spread**2 * firm, pull[..., None])[..., 0]
+    away = times(inverse_of_symmetric(firm), pull)
+    pulled = times(inverse_of_symmetric(np.eye(2) + spread**2 * firm), pull)
     square = np.einsum("fpi,fpi->fp", away, pulled)
     return (_TAIL + 2) / (_TAIL + np.maximum(square, 0))
 
@@ -164,7 +178,7 @@ def _solve_points(information: Floats, right: Floats, rows: Floats) -> Floats:
     """Give the basis (P, r) given the frames."""
     weights, middle = rows[..., 1:], rows[..., 0]
     rank = weights.shape[2]
-    left = right - np.einsum("fpij,fj->fpi", information, middle)
+    left = right - times(information, middle[:, None])
     normal = np.zeros((information.shape[1], rank * rank))
     for i, j in ((0, 0), (0, 1), (1, 0), (1, 1)):
         pairs = (weights[:, i, :, None] * weights[:, j, None]).reshape(len(rows), -1)
@@ -187,7 +201,7 @@ def _normalised(basis: Floats, rows: Floats) -> tuple[Floats, Floats]:
 
 def _spread(information: Floats, right: Floats, places: Floats, weight: Floats, spread: float) -> float:
     """Give the next standard deviation of a coordinate about the model: one step of expectation and maximisation."""
-    variance = np.linalg.inv(information + np.eye(2) / spread**2)
-    moved = np.einsum("fpij,fpj->fpi", variance, right - np.einsum("fpij,fpj->fpi", information, places))
+    variance = inverse_of_symmetric(information + np.eye(2) / spread**2)
+    moved = times(variance, right - times(information, places))
     square = np.sum(moved**2, axis=2) + np.trace(variance, axis1=2, axis2=3)
     return float(np.sqrt(max(np.sum(weight * square) / (2 * np.sum(weight)), 1e-6)))
