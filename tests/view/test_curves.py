@@ -15,7 +15,7 @@ from marey.view.curves import (
     ScatterPlot,
     curves_html,
 )
-from marey.view.report import MOST_FRAMES
+from marey.view.html import MOST_FRAMES
 
 
 def content(frames=50, **changes):

@@ -8,9 +8,10 @@ import pytest
 from tests.takes import FRAMES, rig, small_take
 
 from marey.view import report
+from marey.view.html import Still
 from marey.view.palette import SEGMENTS, bone_pairs, segment_colours
 from marey.view.problems import find_problems
-from marey.view.report import ReportContent, Size, Still, report_html, write_report
+from marey.view.report import ReportContent, Size, report_html, write_report
 
 
 @pytest.fixture

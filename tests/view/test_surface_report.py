@@ -9,7 +9,7 @@ from marey.surface.filters import FilterSettings, filtered
 from marey.surface.measured import no_points
 from marey.surface.refine_rig import RigRefinement
 from marey.surface.trajectories import Sightings, gathered
-from marey.view.report import Still
+from marey.view.html import Still
 from marey.view.surface_report import SurfaceReport, write_surface_report
 
 RIG = Rig(tuple(scenes.rig(-10, 0, 10)))

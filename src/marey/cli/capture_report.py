@@ -15,9 +15,10 @@ from marey.cli.progress import Progress
 from marey.io.body import segment_lengths
 from marey.io.trial import Trial
 from marey.motion.motion import MEASURED, Motion
+from marey.view.html import Still
 from marey.view.overlay import Looks, OverlayVideo, Scene
 from marey.view.problems import find_problems, readable, touches_border
-from marey.view.report import ReportContent, Size, Still, write_report
+from marey.view.report import ReportContent, Size, write_report
 
 Silhouettes = Callable[[int], Sequence[Mask] | None]
 """Gives the silhouettes (height, width) of a frame, one a camera; None where there are none."""

@@ -35,7 +35,7 @@ from marey.surface.filters import Filtered
 from marey.surface.measured import MeasuredPoints
 from marey.surface.refine_rig import RigRefinement
 from marey.surface.settings import SurfaceSettings
-from marey.view.report import Still
+from marey.view.html import Still
 from marey.view.surface import depth_picture, lit_picture
 from marey.view.surface_report import SurfaceReport, write_surface_report
 

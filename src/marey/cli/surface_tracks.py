@@ -23,7 +23,7 @@ from marey.surface.following import FollowSettings
 from marey.surface.measured import MeasuredPoints
 from marey.surface.tracking import SPACING, Expected, Tracks, fitting_size, track, tracks_from
 from marey.surface.trajectories import Sightings, Trajectories, gathered, sightings_of
-from marey.view.report import Still
+from marey.view.html import Still
 from marey.view.vector_field import vector_field
 
 _KEPT_EVERY = 10

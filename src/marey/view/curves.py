@@ -4,14 +4,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import jinja2
 import numpy as np
 
-import marey
 from marey.arrays import Floats
 from marey.io.atomic import replacing
-from marey.view.problems import readable
-from marey.view.report import MOST_FRAMES, Still, embedded, jpeg, packed, setting_text, shares
+from marey.view.html import MOST_FRAMES, Still, packed, rendered
 
 COLOURS = (
     "#2f5d8a", "#c0453f", "#3b7d4f", "#b5651d", "#7a4fb0", "#2f8a86", "#8a3b6b", "#6b6b1f", "#4c4f57", "#d39a2f",
@@ -118,23 +115,13 @@ def write_curves_page(path: Path, content: CurvesContent) -> None:
 
 def curves_html(content: CurvesContent) -> str:
     """Give the page's text: one HTML document that loads nothing from elsewhere."""
-    loader = jinja2.PackageLoader("marey.view", "page")
-    pages = jinja2.Environment(loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True)
     stride = max(1, -(-len(content.time) // MOST_FRAMES))
-    return pages.get_template("curves.html").render(
-        content=content,
-        version=marey.__version__,
-        data=embedded(
-            {
-                "time": packed(content.time[::stride], "f4"),
-                "state": packed(np.ones(len(content.time[::stride])), "u1"),
-                "groups": [{"plots": [_plot(plot, stride) for plot in group.plots]} for group in content.groups],
-            }
-        ),
-        settings=[(readable(k), setting_text(v)) for k, v in content.settings.items() if v is not None],
-        timings=shares(content.timings),
-        stills=[(still.caption, jpeg(still.image)) for still in content.stills],
-    )
+    data = {
+        "time": packed(content.time[::stride], "f4"),
+        "state": packed(np.ones(len(content.time[::stride])), "u1"),
+        "groups": [{"plots": [_plot(plot, stride) for plot in group.plots]} for group in content.groups],
+    }
+    return rendered("curves.html", content, data=data)
 
 
 def _plot(plot: CurvePlot | ScatterPlot, stride: int) -> dict[str, object]:

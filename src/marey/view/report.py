@@ -1,27 +1,20 @@
 """The report: one HTML file with curves, replay, pictures and doubts, that opens anywhere without a network."""
 
-import base64
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import cv2
-import jinja2
 import numpy as np
 
-import marey
-from marey.arrays import Floats, Image, Mask
+from marey.arrays import Floats, Mask
 from marey.body.surface import Body
 from marey.cameras.rig import Rig
 from marey.io.atomic import replacing
 from marey.motion.motion import FILLED, LOST, MEASURED, NOBODY, Motion
+from marey.view.html import MOST_FRAMES, Still, packed, rendered
 from marey.view.palette import OTHER, SEGMENTS, bone_pairs, side_colour
 from marey.view.problems import Problem, readable
 
-MOST_FRAMES = 3000
-"""Longer takes are shown by every second, third ... frame, so that the file stays small."""
-STILL_WIDTH = 640
 _GROUPS = ("pelvis", "thorax", "trunk", "head", "hip", "knee", "ankle", "toe", "clavicle", "shoulder", "elbow")
 _GROUPS_AFTER = {"forearm": "elbow"}
 
@@ -33,15 +26,6 @@ class Size:
     name: str
     value_m: float
     sd_m: float
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Still:
-    """A picture that is worth a look."""
-
-    caption: str
-    image: Image
-    """(height, width, 3) blue, green, red."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -79,16 +63,11 @@ def write_report(path: Path, content: ReportContent) -> None:
 
 def report_html(content: ReportContent) -> str:
     """Give the report's text: one HTML document that loads nothing from elsewhere."""
-    loader = jinja2.PackageLoader("marey.view", "page")
-    pages = jinja2.Environment(loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    return pages.get_template("report.html").render(
-        content=content,
-        version=marey.__version__,
+    return rendered(
+        "report.html",
+        content,
+        data=_data(content),
         tiles=_tiles(content),
-        data=embedded(_data(content)),
-        settings=[(readable(k), setting_text(v)) for k, v in content.settings.items() if v is not None],
-        stills=[(still.caption, jpeg(still.image)) for still in content.stills],
-        timings=shares(content.timings),
         sizes=_sizes(content.sizes),
         joints=[readable(name) for name in content.motion.joint_names],
     )
@@ -130,39 +109,6 @@ def _sizes(sizes: Sequence[Size]) -> list[tuple[str, tuple[Size | None, Size | N
         name = rest if side in ("left", "right") else size.name
         rows.setdefault(name, [None, None])[int(side == "right")] = size
     return [(name, (left, right)) for name, (left, right) in rows.items()]
-
-
-def shares(timings: Mapping[str, float]) -> list[tuple[str, float, float]]:
-    """List stages with their seconds and their share of all."""
-    total = sum(timings.values())
-    return [(name, seconds, seconds / total if total else 0.0) for name, seconds in timings.items()]
-
-
-def setting_text(value: object) -> str:
-    """Write a setting as people read it."""
-    if isinstance(value, list | tuple):
-        return ", ".join(map(str, value))
-    return {True: "yes", False: "no"}.get(value, str(value)) if isinstance(value, bool) else str(value)
-
-
-def jpeg(image: Image) -> str:
-    """Give a picture as the address of an embedded JPEG."""
-    height, width = image.shape[:2]
-    if width > STILL_WIDTH:
-        size = (STILL_WIDTH, round(height * STILL_WIDTH / width))
-        image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
-    _, coded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 82])
-    return "data:image/jpeg;base64," + base64.b64encode(coded.tobytes()).decode()
-
-
-def embedded(data: Mapping[str, object]) -> str:
-    """Write data as JSON that may stand inside a script element."""
-    return json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
-
-
-def packed(array: np.ndarray, dtype: str) -> str:
-    """Write an array as text that the page's scripts unpack."""
-    return base64.b64encode(np.ascontiguousarray(array, dtype=np.dtype(dtype).newbyteorder("<")).tobytes()).decode()
 
 
 def _data(content: ReportContent) -> dict[str, object]:

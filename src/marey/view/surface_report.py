@@ -12,7 +12,7 @@ from marey.surface.filters import Filtered
 from marey.surface.measured import MeasuredPoints
 from marey.surface.refine_rig import RigRefinement
 from marey.view.curves import COLOURS, Curve, CurvePlot, CurvesContent, NumberTable, PlotGroup, write_curves_page
-from marey.view.report import Still
+from marey.view.html import Still
 
 FILES = {
     "surface.npz": "all points with covariance, pixels, correlations and residual",
