@@ -4,15 +4,19 @@ BIN := .venv/bin
 
 .PHONY: test demo lint clean
 
-# A .venv without .ready is what an interrupted set-up left: begin anew.
+# A .venv without .ready is what an interrupted set-up left: begin anew. The checks need more than the program does.
 .venv/.ready: pyproject.toml constraints.txt
 	test -e $@ || rm -rf .venv
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --upgrade pip
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[test]"
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable .
 	touch $@
 
-lint: .venv/.ready
+.venv/.checks: .venv/.ready
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[test,knee]"
+	touch $@
+
+lint: .venv/.checks
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 

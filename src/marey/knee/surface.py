@@ -1,0 +1,51 @@
+"""A closed surface of triangles: a bone, or a sheet of cartilage."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from marey.arrays import Floats, Integers, frozen
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Surface:
+    """Triangles whose corners turn against the clock as seen from outside."""
+
+    vertices_mm: Floats
+    """(V, 3) LPS."""
+    faces: Integers
+    """(T, 3)."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "vertices_mm", frozen(self.vertices_mm))
+        object.__setattr__(self, "faces", frozen(self.faces, np.int64))
+
+    @cached_property
+    def corners_mm(self) -> Floats:
+        """(T, 3, 3) the three corners of each face."""
+        return self.vertices_mm[self.faces]
+
+    @cached_property
+    def vertex_normals(self) -> Floats:
+        """(V, 3) unit normals, outward: those of the faces about, by their areas; zero where no face is."""
+        sums = np.zeros_like(self.vertices_mm)
+        for corner in range(3):
+            np.add.at(sums, self.faces[:, corner], self._twice_areas)
+        length = np.linalg.norm(sums, axis=1, keepdims=True)
+        return np.divide(sums, length, out=np.zeros_like(sums), where=length > 0)
+
+    @cached_property
+    def _twice_areas(self) -> Floats:
+        first, second, third = np.moveaxis(self.corners_mm, 1, 0)
+        return np.cross(second - first, third - first)
+
+    @property
+    def area_mm2(self) -> float:
+        """Area of all faces."""
+        return float(np.linalg.norm(self._twice_areas, axis=1).sum() / 2)
+
+    @property
+    def volume_mm3(self) -> float:
+        """Volume within; positive when the faces turn outward."""
+        return float(np.einsum("ti,ti->", self.corners_mm[:, 0], self._twice_areas) / 6)
