@@ -1,10 +1,11 @@
-"""A deforming shape before one camera as a Gaussian model, fitted by expectation and maximisation.
+"""A deforming shape before one camera or more as a Gaussian model, fitted by expectation and maximisation.
 
-Frame f shows the first two rows of R_f (M + c_f1 B_1 + ...) + t_f with white noise. The weights c are processes that
-each remember two frames (autoregressive, learned); turns of the camera change their rate at random by a learned
-amount. Every frame's turn, shift and weights are solved together over the whole sequence by Gauss-Newton, with their
-covariance; the shapes then point by point; then the noise and the processes ([Torresani2008], there with a memory of
-one frame and without the camera in the same equations).
+Frame f shows P R_f (M + c_f1 B_1 + ...) + t_f with white noise; P is the first two rows of the identity for one camera,
+and the rows of all of them for several that stand fixed to each other. The weights c are processes that each remember
+two frames (autoregressive, learned); turns of the camera change their rate at random by a learned amount. Every
+frame's turn, shift and weights are solved together over the whole sequence by Gauss-Newton, with their covariance; the
+shapes then point by point; then the noise and the processes ([Torresani2008], there with a memory of one frame and
+without the camera in the same equations).
 """
 
 from dataclasses import dataclass
@@ -16,8 +17,9 @@ from marey.geometry import rotations
 from marey.nonrigid.block_banded import solve_banded
 from marey.nonrigid.rotation_paths import acceleration_jacobians, accelerations, add_steadiness
 
-SHIFT = 5
-"""Unknowns of a frame before its weights: three of the turn, two of the shift."""
+ONE_CAMERA = np.eye(2, 3)
+TURN = 3
+"""Unknowns of a frame that come first; its shifts follow, two a camera, then the weights."""
 LONGEST_TURN = 0.3
 FIRST_MEMORY = (1.9, -0.95)
 STEADIEST = 1e-5
@@ -32,7 +34,7 @@ class DeformingModel:
     rotation: Floats
     """(F, 3, 3)."""
     shift: Floats
-    """(F, 2)."""
+    """(F, 2C)."""
     mean: Floats
     """(3, P)."""
     modes: Floats
@@ -50,7 +52,9 @@ class DeformingModel:
     variance: float
     """Of a coordinate of the tracks about the model."""
     covariance: tuple[Floats, Floats, Floats]
-    """(F, 5 + M, 5 + M) of each frame's unknowns, and with the next and the next but one."""
+    """(F, D, D) of each frame's unknowns, and with the next and the next but one; D = 3 + 2C + M."""
+    projection: Floats
+    """(2C, 3) P, what the cameras show of the first camera's axes."""
     cost: float = np.inf
     """Minus the logarithm of the tracks' probability, up to a constant."""
 
@@ -59,9 +63,32 @@ class DeformingModel:
         """(F, 3, P)."""
         return np.asarray(self.mean + np.einsum("fm,mip->fip", self.weights, self.modes))
 
+    @property
+    def first_weight(self) -> int:
+        """Place of the first weight among a frame's unknowns."""
+        return TURN + len(self.projection)
 
-def begin(tracks: Floats, seen: Floats, rotation: Floats, shapes: Floats, modes: int, noise: float) -> DeformingModel:
-    """Start from rotations (F, 3, 3) and shapes (F, 3, P); the noise is a first guess, in the tracks' unit."""
+
+def begin(
+    tracks: Floats,
+    seen: Floats,
+    rotation: Floats,
+    shapes: Floats,
+    modes: int,
+    noise: float,
+    projection: Floats = ONE_CAMERA,
+) -> DeformingModel:
+    """Start from rotations and shapes.
+
+    Args:
+        tracks: (F, 2C, P), of any finite value where not seen.
+        seen: (F, P), or (F, C, P) for several cameras.
+        rotation: (F, 3, 3) first camera from object.
+        shapes: (F, 3, P).
+        modes: their number at most.
+        noise: a first guess of its standard deviation, in the tracks' unit.
+        projection: (2C, 3).
+    """
     shapes = shapes - shapes.mean(2, keepdims=True)
     frames, _, points = shapes.shape
     mean = shapes.mean(0)
@@ -71,31 +98,39 @@ def begin(tracks: Floats, seen: Floats, rotation: Floats, shapes: Floats, modes:
     memory = np.tile(FIRST_MEMORY, (modes, 1))
     foretold = memory[:, 0] * weights[1:-1] + memory[:, 1] * weights[:-2]
     floor = LEAST * float(np.mean(mean**2))
-    unknowns = SHIFT + modes
+    unknowns = TURN + len(projection) + modes
     model = DeformingModel(
-        rotation=rotation, shift=np.zeros((frames, 2)), mean=mean, weights=weights, memory=memory,
+        rotation=rotation, projection=projection, shift=np.zeros((frames, len(projection))),
+        mean=mean, weights=weights, memory=memory,
         modes=(vt[:modes] * np.sqrt(points)).reshape(modes, 3, points), spread=(weights**2).mean(0) + floor,
         surprise=((weights[2:] - foretold) ** 2).mean(0) + floor,
         unsteadiness=max(float((accelerations(rotation) ** 2).mean()), STEADIEST**2),
         variance=noise**2, covariance=(np.zeros((frames, unknowns, unknowns)),) * 3,
     )  # fmt: skip
-    left = (tracks - (rotation @ shapes)[:, :2]) * seen[:, None]
-    model.shift = left.sum(2) / seen.sum(1)[:, None]
+    rows = by_row(seen)
+    model.shift = ((tracks - projection @ rotation @ shapes) * rows).sum(2) / np.maximum(rows.sum(2), 1)
     return model
 
 
+def by_row(seen: Floats) -> Floats:
+    """Say of both coordinates (F, 2C, P) what is said of the points (F, P) or (F, C, P)."""
+    return np.repeat(seen.reshape(len(seen), -1, seen.shape[-1]), 2, axis=1)
+
+
 def residuals_and_jacobians(model: DeformingModel, tracks: Floats, seen: Floats) -> tuple[Floats, Floats]:
-    """Give the residuals (F, 2, P) and the model's derivative (F, 2, P, 5 + M) by left turn, shift and weights."""
-    frames, _, points = tracks.shape
+    """Give the residuals (F, 2C, P) and the model's derivative (F, 2C, P, D) by left turn, shift and weights."""
+    frames, count, points = tracks.shape
+    known = by_row(seen)
     carried = model.rotation @ model.shapes
-    residual = (tracks - carried[:, :2] - model.shift[:, :, None]) * seen[:, None]
-    jacobian = np.zeros((frames, 2, points, SHIFT + len(model.modes)))
-    jacobian[:, 0, :, 1], jacobian[:, 0, :, 2] = carried[:, 2], -carried[:, 1]
-    jacobian[:, 1, :, 0], jacobian[:, 1, :, 2] = -carried[:, 2], carried[:, 0]
-    jacobian[:, 0, :, 3] = jacobian[:, 1, :, 4] = 1
-    by_weight = model.rotation[:, :2] @ model.modes.transpose(1, 2, 0).reshape(3, -1)
-    jacobian[..., SHIFT:] = by_weight.reshape(frames, 2, points, -1)
-    jacobian *= seen[:, None, :, None]
+    residual = (tracks - model.projection @ carried - model.shift[:, :, None]) * known
+    jacobian = np.zeros((frames, count, points, model.first_weight + len(model.modes)))
+    for row, sight in enumerate(model.projection):
+        # a turn d moves the point y by d x y, and what a row p shows of it by p . (d x y) = d . (y x p)
+        jacobian[:, row, :, :TURN] = np.cross(np.swapaxes(carried, 1, 2), sight)
+        jacobian[:, row, :, TURN + row] = 1
+    by_weight = model.projection @ model.rotation @ model.modes.transpose(1, 2, 0).reshape(3, -1)
+    jacobian[..., model.first_weight :] = by_weight.reshape(frames, count, points, -1)
+    jacobian *= known[..., None]
     return residual, jacobian
 
 
@@ -106,7 +141,8 @@ def solve_frames(model: DeformingModel, tracks: Floats, seen: Floats) -> None:
     flat = jacobian.reshape(frames, -1, unknowns)
     diagonal = np.swapaxes(flat, 1, 2) @ flat / model.variance
     right = np.einsum("fnd,fn->fd", flat, residual.reshape(frames, -1)) / model.variance
-    diagonal[:, range(3), range(3)] += 1e-8
+    # of what nothing is seen, a camera's shift too, nothing is learned, and the equations stay solvable
+    diagonal[:, range(model.first_weight), range(model.first_weight)] += 1e-8
     first, second = np.zeros_like(diagonal), np.zeros_like(diagonal)
     add_steadiness(diagonal, first, second, right, model.rotation, 1 / model.unsteadiness)
     surprise = _add_memory(model, diagonal, first, second, right)
@@ -121,25 +157,25 @@ def solve_frames(model: DeformingModel, tracks: Floats, seen: Floats) -> None:
     )  # fmt: skip
     share = min(1.0, LONGEST_TURN / max(float(np.abs(step[:, :3]).max()), 1e-300))
     model.rotation = rotations.exp(share * step[:, :3]) @ model.rotation
-    model.shift = model.shift + share * step[:, 3:SHIFT]
-    model.weights = model.weights + share * step[:, SHIFT:]
+    model.shift = model.shift + share * step[:, TURN : model.first_weight]
+    model.weights = model.weights + share * step[:, model.first_weight :]
 
 
 def _add_memory(model: DeformingModel, diagonal: Floats, first: Floats, second: Floats, right: Floats) -> float:
     """Add the weights' processes to the normal equations; give their squared surprises over the variances."""
-    frames, own = len(right), np.arange(SHIFT, right.shape[1])
+    frames, own = len(right), np.arange(model.first_weight, right.shape[1])
     left = model.weights[2:] - model.memory[:, 0] * model.weights[1:-1] - model.memory[:, 1] * model.weights[:-2]
     precision = 1 / model.surprise
     by = (-model.memory[:, 1], -model.memory[:, 0], np.ones(len(own)))
     for k in range(3):
         span = slice(k, frames - 2 + k)
         diagonal[span, own, own] += precision * by[k] ** 2
-        right[span, SHIFT:] -= precision * by[k] * left
+        right[span, model.first_weight :] -= precision * by[k] * left
     first[:-2, own, own] += precision * by[0] * by[1]
     first[1:-1, own, own] += precision * by[1] * by[2]
     second[:-2, own, own] += precision * by[0] * by[2]
     diagonal[:2, own, own] += 1 / model.spread
-    right[:2, SHIFT:] -= model.weights[:2] / model.spread
+    right[:2, model.first_weight :] -= model.weights[:2] / model.spread
     return float((left**2 * precision).sum() + (model.weights[:2] ** 2 / model.spread).sum())
 
 
@@ -147,14 +183,19 @@ def solve_shapes(model: DeformingModel, tracks: Floats, seen: Floats) -> None:
     """Solve for the mean shape and the modes of every point, given what is known of the frames."""
     frames, _, points = tracks.shape
     count = len(model.modes) + 1
+    known = by_row(seen)
     row = np.concatenate([np.ones((frames, 1)), model.weights], 1)
     square = row[:, :, None] * row[:, None]
-    square[:, 1:, 1:] += model.covariance[0][:, SHIFT:, SHIFT:]
-    rows = model.rotation[:, :2]
-    seen_of = np.einsum("fki,fkj->fij", rows, rows)
-    pairs = (square[:, :, None, :, None] * seen_of[:, None, :, None, :]).reshape(frames, -1)
-    normal = (seen.T @ pairs).reshape(points, 3 * count, 3 * count)
-    back = np.einsum("fki,fkp->fip", rows, (tracks - model.shift[:, :, None]) * seen[:, None])
+    square[:, 1:, 1:] += model.covariance[0][:, model.first_weight :, model.first_weight :]
+    rows = model.projection @ model.rotation
+    sums = np.zeros((points, (3 * count) ** 2))
+    for camera in range(0, len(model.projection), 2):
+        own = rows[:, camera : camera + 2]
+        seen_of = np.einsum("fki,fkj->fij", own, own)
+        pairs = (square[:, :, None, :, None] * seen_of[:, None, :, None, :]).reshape(frames, -1)
+        sums += known[:, camera].T @ pairs
+    normal = sums.reshape(points, 3 * count, 3 * count)
+    back = np.einsum("fki,fkp->fip", rows, (tracks - model.shift[:, :, None]) * known)
     right = np.einsum("fa,fip->pai", row, back).reshape(points, -1, 1)
     normal[:, range(3 * count), range(3 * count)] += 1e-9 * np.einsum("pnn->p", normal)[:, None] / (3 * count)
     solved = np.linalg.solve(normal, right).reshape(points, count, 3)
@@ -171,7 +212,9 @@ def solve_processes(model: DeformingModel, tracks: Floats, seen: Floats, least_n
     flat = jacobian.reshape(frames, -1, jacobian.shape[-1])
     doubt = float(np.einsum("fde,fde->", np.swapaxes(flat, 1, 2) @ flat, model.covariance[0]))
     model.variance = max((float((residual**2).sum()) + doubt) / (2 * float(seen.sum())), least_noise**2)
-    here, near, far = (np.einsum("fmm->fm", part[:, SHIFT:, SHIFT:]) for part in model.covariance)
+    here, near, far = (
+        np.einsum("fmm->fm", part[:, model.first_weight :, model.first_weight :]) for part in model.covariance
+    )
     c = model.weights
     now, last, before = ((c[k:][: frames - 2] ** 2 + here[k:][: frames - 2]).sum(0) for k in (2, 1, 0))
     now_last, last_before = (c[2:] * c[1:-1] + near[1:-1]).sum(0), (c[1:-1] * c[:-2] + near[:-2]).sum(0)

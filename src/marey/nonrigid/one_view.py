@@ -13,7 +13,7 @@ from marey.arrays import Floats, Mask, frozen
 from marey.errors import MareyError
 from marey.geometry import rotations
 from marey.nonrigid.completion import complete_tracks
-from marey.nonrigid.deforming_model import SHIFT, DeformingModel, basis_cost, begin, improve
+from marey.nonrigid.deforming_model import DeformingModel, basis_cost, begin, improve
 from marey.nonrigid.metric_upgrade import rotation_candidates
 from marey.nonrigid.rank import significant_singular_values
 from marey.nonrigid.rotation_paths import accelerations, mirrored_after, steadier
@@ -277,7 +277,7 @@ def _tell(
     shape = np.einsum("fk,kip->fip", coefficients, basis)
     rotation = model.rotation @ turn.T
     translation = model.shift * size + middle
-    of_weights = model.covariance[0][:, SHIFT:, SHIFT:]
+    of_weights = model.covariance[0][:, model.first_weight :, model.first_weight :]
     turned = np.einsum("ij,mjp->mip", turn, model.modes)
     variance = np.einsum("mip,fmn,nip->fip", turned, of_weights, turned, optimize=True) + turn**2 @ doubt[0]
     fit = (rotation @ shape)[:, :2] + translation[:, :, None]
