@@ -1,0 +1,277 @@
+"""MR volumes and volumes of labels: DICOM series, NIfTI, NRRD and MetaImage, with their place in the scanner."""
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from marey.arrays import Floats
+from marey.errors import FileProblem, MareyError
+from marey.io.atomic import replacing
+from marey.knee.structures import LABELS, structure_named
+from marey.knee.volume import Grid, Labels, Volume
+
+FORMATS = (".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd", ".dcm")
+_NAME_FILES = ("labels.json", "names.json")
+_UNEVEN = 0.05
+"""Share of a slice distance by which it may differ from the usual one; a missing slice differs by 1."""
+_FEWEST = 4
+
+
+def read_volume(path: Path | str) -> Volume:
+    """Read an MR image.
+
+    Args:
+        path: A file of `FORMATS`, or a folder with one DICOM series.
+
+    Raises:
+        FileProblem: It is missing or of an unknown format, has colours or four dimensions, is another modality than
+            MR, or its slices lie at uneven distances.
+        MareyError: SimpleITK is not installed.
+    """
+    path = Path(path)
+    image = _read_series(path) if path.is_dir() else _read_file(path)
+    intensity = _itk().GetArrayFromImage(image).astype(np.float32)
+    if not np.isfinite(intensity).all():
+        raise FileProblem(path, "holds values that are not numbers", "Replace them, by 0 for instance.")
+    return Volume(intensity=intensity, grid=_grid(image))
+
+
+def read_labels(path: Path | str) -> Labels:
+    """Read a volume of labels with the names of its values; structures are found by name, medial and lateral are one.
+
+    Args:
+        path: A file with `<its name>.json`, `labels.json` or `names.json` beside it, or a folder in which such a file
+            is named `labels.nii.gz`: a template, or what `marey knee segment` leaves.
+
+    Raises:
+        FileProblem: The volume or the names are missing or damaged, or none of the names is a structure of the knee.
+    """
+    path = Path(path)
+    path = path / "labels.nii.gz" if path.is_dir() else path
+    image = _read_file(path)
+    values = _itk().GetArrayFromImage(image)
+    number_of = _numbers_by_value(_names_beside(path))
+    labels = np.zeros(values.shape, dtype=np.uint8)
+    for value, number in number_of.items():
+        labels[values == value] = number
+    if not labels.any():
+        raise FileProblem(path, "holds no voxel of any bone or cartilage", f"Known are {', '.join(LABELS)}.")
+    return Labels(labels=labels, grid=_grid(image))
+
+
+def read_template(folder: Path | str) -> Labels:
+    """Read a template: a folder with `labels.nii.gz` and the names of its values in `names.json` or `labels.json`.
+
+    Raises:
+        FileProblem: As `read_labels`, or the path is no folder.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise FileProblem(folder, "is no folder", "A template is a folder with labels.nii.gz and names.json.")
+    return read_labels(folder)
+
+
+def write_labels(folder: Path | str, labels: Labels) -> None:
+    """Write `labels.nii.gz` and, with the names of its values, `labels.json`.
+
+    Args:
+        folder: Made where it is missing.
+        labels: On the image's own grid.
+    """
+    image = _image(labels.labels, labels.grid)
+    folder = Path(folder)
+    # An ending that SimpleITK knows: `replacing` keeps the last one only.
+    with replacing(folder / "labels.nii.gz") as beside:
+        whole = beside.with_name(f"{beside.name}.nii.gz")
+        try:
+            _itk().WriteImage(image, str(whole), useCompression=True)
+            whole.replace(beside)
+        finally:
+            whole.unlink(missing_ok=True)
+    names = {"labels": {"0": "background"} | {str(number): name for name, number in LABELS.items()}}
+    with replacing(folder / "labels.json") as beside:
+        beside.write_text(json.dumps(names, indent=1) + "\n")
+
+
+def write_volume(path: Path | str, volume: Volume) -> None:
+    """Write an image to a file of one of the formats that its ending names."""
+    with _quiet():
+        _itk().WriteImage(_image(volume.intensity, volume.grid), str(path))
+
+
+def _itk() -> Any:
+    try:
+        import SimpleITK
+    except ModuleNotFoundError as error:
+        raise MareyError('Volumes are read by SimpleITK, which is missing: pip install "marey[knee]".') from error
+    return SimpleITK
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep ITK's warnings off the terminal: what they say is checked here, and said in words."""
+    process = _itk().ProcessObject
+    before = process.GetGlobalWarningDisplay()
+    process.SetGlobalWarningDisplay(False)
+    try:
+        yield
+    finally:
+        process.SetGlobalWarningDisplay(before)
+
+
+def _grid(image: Any) -> Grid:
+    lps_from_voxel = np.eye(4)
+    lps_from_voxel[:3, :3] = np.reshape(image.GetDirection(), (3, 3)) * image.GetSpacing()
+    lps_from_voxel[:3, 3] = image.GetOrigin()
+    i, j, k = image.GetSize()
+    return Grid(shape=(k, j, i), lps_from_voxel=lps_from_voxel)
+
+
+def _image(array: np.ndarray, grid: Grid) -> Any:
+    image = _itk().GetImageFromArray(array)
+    image.SetSpacing(grid.spacing_mm.tolist())
+    image.SetDirection((grid.lps_from_voxel[:3, :3] / grid.spacing_mm).ravel().tolist())
+    image.SetOrigin(grid.lps_from_voxel[:3, 3].tolist())
+    return image
+
+
+def _read_file(path: Path) -> Any:
+    if not path.exists():
+        raise FileProblem(path, "is not there")
+    if not path.name.lower().endswith(FORMATS):
+        raise FileProblem(path, "is of no known format", f"Known are {', '.join(FORMATS)} and folders of DICOM slices.")
+    with _quiet():
+        try:
+            image = _itk().ReadImage(str(path))
+        except RuntimeError as error:
+            raise FileProblem(path, f"cannot be read ({_last_line(error)})", "Write it again.") from error
+    return _checked(path, image)
+
+
+def _last_line(error: Exception) -> str:
+    return str(error).strip().splitlines()[-1].removeprefix("ITK ERROR: ").rstrip(". ")
+
+
+def _checked(path: Path, image: Any) -> Any:
+    """Give the image as three-dimensional and grey; anything else is an error."""
+    if image.GetDimension() == 4 and image.GetSize()[3] == 1:
+        image = image[:, :, :, 0]
+    if image.GetDimension() != 3:
+        raise FileProblem(path, f"has {image.GetDimension()} dimensions", "Give one volume of three dimensions.")
+    if image.GetNumberOfComponentsPerPixel() != 1:
+        raise FileProblem(path, "has colours or several values a voxel", "Give the grey volume.")
+    if image.HasMetaDataKey("0008|0060"):
+        _check_modality(path, image.GetMetaData("0008|0060"))
+    size = image.GetSize()
+    if size[2] == 1 and path.suffix.lower() == ".dcm":
+        raise FileProblem(path, "is a single slice", "Give the folder that holds the whole series.")
+    if min(size) < _FEWEST:
+        raise FileProblem(path, f"has only {' x '.join(map(str, size))} voxels", "Give the whole volume.")
+    return image
+
+
+def _check_modality(path: Path, modality: str) -> None:
+    if modality.strip() not in ("", "MR"):
+        raise FileProblem(path, f"is of the modality {modality.strip()}", "Give an MR image.")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Slice:
+    file: str
+    orientation: Floats
+    """(6,) direction of rows, then of columns."""
+    position: Floats
+    """(3,) mm."""
+
+    @property
+    def normal(self) -> Floats:
+        return np.cross(self.orientation[:3], self.orientation[3:])
+
+
+def _read_series(folder: Path) -> Any:
+    itk = _itk()
+    with _quiet():
+        series = itk.ImageSeriesReader.GetGDCMSeriesIDs(str(folder))
+    if not series:
+        raise FileProblem(folder, "holds no DICOM series", f"Give a folder of slices, or a file: {', '.join(FORMATS)}.")
+    if len(series) > 1:
+        raise FileProblem(folder, f"holds {len(series)} DICOM series", "Put each into a folder of its own.")
+    with _quiet():
+        files = itk.ImageSeriesReader.GetGDCMSeriesFileNames(str(folder), series[0])
+        if len(files) == 1 and itk.ReadImage(files[0]).GetDepth() <= 1:
+            raise FileProblem(folder, "holds a single DICOM slice", "Give the folder that holds the whole series.")
+        if len(files) == 1:
+            return _checked(folder, itk.ReadImage(files[0]))
+        slices = _in_order(folder, [_slice(folder, file) for file in files])
+        reader = itk.ImageSeriesReader()
+        reader.SetFileNames([each.file for each in slices])
+        try:
+            image = reader.Execute()
+        except RuntimeError as error:
+            raise FileProblem(folder, f"cannot be read as a series ({_last_line(error)})") from error
+    return _checked(folder, image)
+
+
+def _slice(folder: Path, file: str) -> _Slice:
+    reader = _itk().ImageFileReader()
+    reader.SetFileName(file)
+    try:
+        reader.ReadImageInformation()
+        values = [float(value) for key in ("0020|0037", "0020|0032") for value in reader.GetMetaData(key).split("\\")]
+    except (RuntimeError, ValueError) as error:
+        raise FileProblem(Path(file), "does not say where its slice lies", "Export the series again.") from error
+    if reader.HasMetaDataKey("0008|0060"):
+        _check_modality(folder, reader.GetMetaData("0008|0060"))
+    return _Slice(file=file, orientation=np.array(values[:6]), position=np.array(values[6:9]))
+
+
+def _in_order(folder: Path, slices: list[_Slice]) -> list[_Slice]:
+    """Sort slices along their normal, with even distances."""
+    first = slices[0]
+    if max(float(np.abs(each.orientation - first.orientation).max()) for each in slices) > 1e-3:
+        raise FileProblem(folder, "holds slices of several orientations", "Put each stack into a folder of its own.")
+    places = np.array([each.position @ first.normal for each in slices])
+    order = np.argsort(places, kind="stable")
+    gaps = np.diff(places[order])
+    usual = float(np.median(gaps))
+    if usual <= 0 or float(gaps.min()) < _UNEVEN * usual:
+        raise FileProblem(folder, "holds several images of one slice", "Keep one echo or time of the series.")
+    worst = int(np.argmax(np.abs(gaps - usual)))
+    if abs(gaps[worst] - usual) > _UNEVEN * usual:
+        pair = f"slices {worst + 1} and {worst + 2}"
+        raise FileProblem(
+            folder,
+            f"lacks slices: {pair} lie {gaps[worst]:.2f} mm apart, the others {usual:.2f} mm",
+            "Export the whole series.",
+        )
+    return [slices[index] for index in order]
+
+
+def _names_beside(path: Path) -> dict[str, str]:
+    stem = path.name.removesuffix(".gz").rsplit(".", 1)[0]
+    names = (f"{stem}.json", *_NAME_FILES)
+    file = next((path.with_name(name) for name in names if path.with_name(name).exists()), None)
+    if file is None:
+        raise FileProblem(path, "has no names of its values beside it", f"Add names.json: {_EXAMPLE}.")
+    try:
+        table = json.loads(file.read_text())
+        table = table.get("labels", table)
+        return {str(int(value)): str(name) for value, name in table.items()}
+    except (OSError, ValueError, AttributeError) as error:
+        raise FileProblem(
+            file, f"is no table of values and names ({error})", f"It should read like {_EXAMPLE}."
+        ) from error
+
+
+_EXAMPLE = '{"1": "femur", "2": "femoral cartilage", "3": "tibia"}'
+
+
+def _numbers_by_value(names: dict[str, str]) -> dict[int, int]:
+    """Map values of a label volume to our numbers, by the structures' names."""
+    found = {int(value): structure_named(name) for value, name in names.items()}
+    return {value: LABELS[structure] for value, structure in found.items() if structure is not None}
