@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 import marey
+from marey.cli import knee
 from marey.cli.options import BodyFile, Cameras, FixedSizes, Frames, NoOverlay, Out, Preset, Quiet, Start, Stature
 from marey.cli.settings import CaptureSettings, parse_frames, parse_names
 from marey.errors import FileProblem, MareyError
@@ -26,6 +27,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+app.add_typer(knee.app, name="knee")
 
 
 def _version(wanted: bool) -> None:

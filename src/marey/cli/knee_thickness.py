@@ -1,0 +1,50 @@
+"""`marey knee thickness`: from the surfaces of a bone and its cartilage to the thickness over each vertex."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from marey.arrays import Floats
+from marey.errors import FileProblem, MareyError
+from marey.io.meshes import read_mesh, write_mesh
+from marey.io.npz import write_arrays
+from marey.knee.thickness import cartilage_thickness
+from marey.view.knee_maps import thickness_colours
+
+
+def measure_thickness(bone: Path, cartilages: Sequence[Path], out: Path | None) -> tuple[Path, str]:
+    """Measure and write `thickness.npz`, and the bone coloured by it as `thickness.ply`.
+
+    Args:
+        bone: A mesh.
+        cartilages: The meshes on it.
+        out: The folder; `BONE_marey` beside the bone when None.
+
+    Returns:
+        The folder, and a sentence on what was found.
+
+    Raises:
+        FileProblem: A mesh cannot be used.
+    """
+    out = out or bone.with_name(f"{bone.stem}_marey")
+    surface = read_mesh(bone)
+    try:
+        thickness = cartilage_thickness(surface, [read_mesh(path) for path in cartilages])
+    except FileProblem:
+        raise
+    except MareyError as error:
+        text = str(error).rstrip(".")
+        raise FileProblem(cartilages[0], text[0].lower() + text[1:], f"Is it the cartilage of {bone}?") from error
+    write_arrays(out / "thickness.npz", {"thickness_mm": thickness})
+    write_mesh(out / "thickness.ply", surface, colours=thickness_colours(thickness), values={"thickness_mm": thickness})
+    return out, _summary(thickness)
+
+
+def _summary(thickness: Floats) -> str:
+    covered = thickness[thickness > 0]
+    share = 100 * len(covered) / len(thickness)
+    return (
+        f"Cartilage over {share:.0f} % of {len(thickness)} vertices: mean {covered.mean():.2f} mm, "
+        f"median {np.median(covered):.2f} mm, thickest {covered.max():.2f} mm."
+    )

@@ -1,0 +1,47 @@
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from marey.cli.main import run
+from marey.io.meshes import read_mesh, write_mesh
+from marey.io.npz import read_arrays
+from marey.knee.surface import Surface
+
+
+def ball(radius: float) -> Surface:
+    mesh = trimesh.creation.icosphere(subdivisions=3, radius=radius)
+    return Surface(vertices_mm=mesh.vertices, faces=mesh.faces)
+
+
+def shell(inner: float, outer: float) -> Surface:
+    """A hollow ball."""
+    within, without = ball(inner), ball(outer)
+    count = len(within.vertices_mm)
+    return Surface(
+        vertices_mm=np.concatenate([within.vertices_mm, without.vertices_mm]),
+        faces=np.concatenate([within.faces[:, ::-1], without.faces + count]),
+    )
+
+
+def test_thickness_leaves_one_number_a_vertex_and_a_coloured_bone(tmp_path: Path, capsys):
+    write_mesh(tmp_path / "bone.ply", ball(20.0))
+    write_mesh(tmp_path / "cartilage.ply", shell(20.0, 22.0))
+    assert run(["knee", "thickness", str(tmp_path / "bone.ply"), str(tmp_path / "cartilage.ply")]) == 0
+    out = tmp_path / "bone_marey"
+    np.testing.assert_allclose(read_arrays(out / "thickness.npz")["thickness_mm"], 2.0, atol=0.02)
+    assert len(read_mesh(out / "thickness.ply").vertices_mm) == len(ball(20.0).vertices_mm)
+    assert "mean 2.0" in capsys.readouterr().out
+
+
+def test_cartilage_of_another_bone_leaves_nothing(tmp_path: Path, capsys):
+    write_mesh(tmp_path / "bone.ply", ball(20.0))
+    write_mesh(tmp_path / "cartilage.ply", shell(40.0, 42.0))
+    assert run(["knee", "thickness", str(tmp_path / "bone.ply"), str(tmp_path / "cartilage.ply")]) == 2
+    assert "does not lie on the bone" in capsys.readouterr().err
+    assert not (tmp_path / "bone_marey").exists()
+
+
+def test_a_missing_mesh_is_named(tmp_path: Path, capsys):
+    assert run(["knee", "thickness", str(tmp_path / "bone.ply"), str(tmp_path / "cartilage.ply")]) == 2
+    assert "bone.ply" in capsys.readouterr().err
