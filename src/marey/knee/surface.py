@@ -40,10 +40,21 @@ class Surface:
         first, second, third = np.moveaxis(self.corners_mm, 1, 0)
         return np.cross(second - first, third - first)
 
+    @cached_property
+    def face_areas_mm2(self) -> Floats:
+        """(T,)."""
+        return np.asarray(np.linalg.norm(self._twice_areas, axis=1) / 2)
+
+    @cached_property
+    def face_normals(self) -> Floats:
+        """(T, 3) unit normals, outward; zero of a face without area."""
+        length = 2 * self.face_areas_mm2[:, None]
+        return np.divide(self._twice_areas, length, out=np.zeros_like(self._twice_areas), where=length > 0)
+
     @property
     def area_mm2(self) -> float:
         """Area of all faces."""
-        return float(np.linalg.norm(self._twice_areas, axis=1).sum() / 2)
+        return float(self.face_areas_mm2.sum())
 
     @property
     def volume_mm3(self) -> float:
