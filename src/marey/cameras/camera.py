@@ -227,11 +227,12 @@ def camera_faults(size: tuple[int, int], matrix: Floats, distortion: Floats, *, 
     faults = []
     if min(size) < 1:
         faults.append(f"has the size {size[0]} x {size[1]}; width and height in pixels must be positive")
-    faults += _matrix_faults(np.asarray(matrix, float)) + _count_faults(np.asarray(distortion, float), fisheye=fisheye)
+    faults += matrix_faults(np.asarray(matrix, float)) + _count_faults(np.asarray(distortion, float), fisheye=fisheye)
     return faults or _range_faults(size, matrix, distortion, fisheye=fisheye)
 
 
-def _matrix_faults(matrix: Floats) -> list[str]:
+def matrix_faults(matrix: Floats) -> list[str]:
+    """List what is wrong with a camera's matrix, each as the middle of a sentence ("has ...")."""
     if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
         return ["has a matrix that is not 3 x 3 finite numbers"]
     if min(matrix[0, 0], matrix[1, 1]) <= 0:

@@ -10,6 +10,7 @@ import typer
 
 import marey
 from marey.cli import knee
+from marey.cli.nonrigid_options import nonrigid
 from marey.cli.options import BodyFile, Cameras, FixedSizes, Frames, NoOverlay, Out, Preset, Quiet, Start, Stature
 from marey.cli.settings import CaptureSettings, parse_frames, parse_names
 from marey.errors import FileProblem, MareyError
@@ -306,6 +307,9 @@ def markers(
     typer.echo(f"Report: {results / 'report.html'}")
 
 
+app.command()(nonrigid)
+
+
 @app.command()
 def compare(
     first: Annotated[Path, typer.Argument(metavar="A", help="A folder of results, or a MOT, TRC, STO, C3D or NPZ.")],
@@ -423,7 +427,7 @@ def _report_in(folder: Path) -> Path:
         for report in (folder / name, folder / "marey" / name):
             if report.is_file():
                 return report.resolve()
-    raise FileProblem(folder, "holds no report.html", "Give the folder that `marey capture` said its results went to.")
+    raise FileProblem(folder, "holds no report.html", "Give the folder that a command said its results went to.")
 
 
 def run(arguments: Sequence[str] | None = None) -> int:

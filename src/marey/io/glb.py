@@ -18,7 +18,7 @@ _VERTEX_BUFFER, _INDEX_BUFFER = 34962, 34963
 _SKIN_COLOUR = [0.80, 0.66, 0.56, 1.0]
 
 
-class _Buffer:
+class GlbBuffer:
     """The binary part, with the accessors that describe it."""
 
     def __init__(self) -> None:
@@ -57,7 +57,7 @@ def write_glb(path: Path | str, body: Body, motion: Motion | None = None) -> Non
         MareyError: The motion has other segments than the body.
     """
     names = body.skeleton.segment_names
-    buffer = _Buffer()
+    buffer = GlbBuffer()
     count = len(names)
     nodes = [*_nodes(body), {"name": "body", "mesh": 0, "skin": 0}]
     root = int(np.flatnonzero(body.skeleton.parents < 0)[0])
@@ -94,7 +94,7 @@ def _nodes(body: Body) -> list[dict[str, Any]]:
     return nodes
 
 
-def _primitive(buffer: _Buffer, body: Body) -> dict[str, Any]:
+def _primitive(buffer: GlbBuffer, body: Body) -> dict[str, Any]:
     vertices = turned_points(GLTF_FROM_WORLD, body.vertices)
     joints, weights = _carriers(body)
     attributes = {
@@ -129,13 +129,13 @@ def _normals(vertices: Floats, faces: np.ndarray) -> Floats:
     return np.where(length > 0, total / np.where(length > 0, length, 1), [0.0, 1.0, 0.0])
 
 
-def _bind(buffer: _Buffer, body: Body) -> int:
+def _bind(buffer: GlbBuffer, body: Body) -> int:
     matrices = np.tile(np.eye(4), (len(body.joint_centres), 1, 1))
     matrices[:, :3, 3] = -turned_points(GLTF_FROM_WORLD, body.joint_centres)
     return buffer.add(np.swapaxes(matrices, 1, 2).reshape(-1, 16), "<f4", "MAT4")  # column by column
 
 
-def _animation(buffer: _Buffer, body: Body, motion: Motion, root: int) -> dict[str, Any]:
+def _animation(buffer: GlbBuffer, body: Body, motion: Motion, root: int) -> dict[str, Any]:
     known = np.flatnonzero(motion.answered)
     time = buffer.add(motion.time[known, None], "<f4", "SCALAR", bounds=True)
     turn = turned_rotations(GLTF_FROM_WORLD, motion.segment_rotation[known])

@@ -115,13 +115,21 @@ def write_curves_page(path: Path, content: CurvesContent) -> None:
 
 def curves_html(content: CurvesContent) -> str:
     """Give the page's text: one HTML document that loads nothing from elsewhere."""
-    stride = max(1, -(-len(content.time) // MOST_FRAMES))
-    data = {
+    return rendered("curves.html", content, data=curves_data(content, stride_of(len(content.time))))
+
+
+def stride_of(frames: int) -> int:
+    """Say every which frame a page shows."""
+    return max(1, -(-frames // MOST_FRAMES))
+
+
+def curves_data(content: CurvesContent, stride: int) -> dict[str, object]:
+    """Give what the page's scripts read, of every `stride`-th frame."""
+    return {
         "time": packed(content.time[::stride], "f4"),
         "state": packed(np.ones(len(content.time[::stride])), "u1"),
         "groups": [{"plots": [_plot(plot, stride) for plot in group.plots]} for group in content.groups],
     }
-    return rendered("curves.html", content, data=data)
 
 
 def _plot(plot: CurvePlot | ScatterPlot, stride: int) -> dict[str, object]:

@@ -1,9 +1,11 @@
 // A page of curves: groups of plots over time or over a cycle, and scatter plots of differences over means.
 "use strict";
 
-function showFrame(frame) {
+const followers = [];
+function showFrame(frame, fromUser) {
   current = Math.max(0, Math.min(time.length - 1, frame));
   for (const plot of plots) plot.update();
+  for (const follow of followers) follow(fromUser);
 }
 
 // Differences over means with the bias and the limits of agreement ([BlandAltman1986]).

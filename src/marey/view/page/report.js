@@ -1,40 +1,17 @@
 // The page's own life: which plots there are, the frame that all of them show, and the replay's clock.
 "use strict";
 
-const byId = id => document.getElementById(id);
 const CAMERA_COLOURS = ["#2f5d8a", "#b5651d", "#3b7d4f", "#8a3b6b", "#6b6b1f", "#2f8a86", "#7a4fb0", "#a33a3a"];
 const scene = makeReplay(byId("scene"), byId("scene-problem"), data);
 
 function showFrame(frame, fromUser) {
   current = Math.max(0, Math.min(time.length - 1, frame));
-  byId("slider").value = current;
-  byId("clock").textContent = `frame ${current * data.stride} · ${time[current].toFixed(2)} s · ${STATE_NAMES[state[current]]}`;
+  player.follow(STATE_NAMES[state[current]]);
   for (const plot of plots) plot.update();
   if (scene) scene.show(current);
-  if (fromUser) stop();
+  if (fromUser) player.stop();
 }
-
-let playing = false, startedAt = 0, startedFrom = 0;
-function stop() { playing = false; byId("play").textContent = "Play"; }
-function play() {
-  playing = true; byId("play").textContent = "Pause";
-  startedAt = performance.now(); startedFrom = current >= time.length - 1 ? 0 : current;
-  requestAnimationFrame(tick);
-}
-function tick(now) {
-  if (!playing) return;
-  const passed = (now - startedAt) / 1000 * Number(byId("speed").value) * data.rate / data.stride;
-  showFrame((startedFrom + Math.max(0, Math.floor(passed))) % time.length, false);
-  requestAnimationFrame(tick);
-}
-byId("play").addEventListener("click", () => playing ? stop() : play());
-byId("speed").addEventListener("change", () => { if (playing) play(); });
-byId("slider").max = time.length - 1;
-byId("slider").addEventListener("input", event => showFrame(Number(event.target.value), true));
-document.addEventListener("keydown", event => {
-  if (["INPUT", "SELECT", "BUTTON"].includes(event.target.tagName)) return;
-  if (event.key === "ArrowRight" || event.key === "ArrowLeft") { showFrame(current + (event.key === "ArrowRight" ? 1 : -1), true); event.preventDefault(); }
-});
+const player = makePlayer();
 
 function anglePlots() {
   const values = floats(data.angles.values), sd = floats(data.angles.sd), groups = new Map();

@@ -1,0 +1,212 @@
+"""What a run on a deforming surface is given: videos, tracks or points, checked together before the work begins."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from marey.arrays import Floats, Mask
+from marey.cli.nonrigid_settings import NonRigidOptions, parse_matrix
+from marey.errors import FileProblem, SettingProblem
+from marey.io.deforming import DeformingPoints, read_deforming
+from marey.io.tracks import read_points
+from marey.io.video import VIDEO_SUFFIXES, Clip, open_clip, read_picture
+
+USUAL_RATE = 30.0
+"""Taken where no file says one; it only sets the clock [Hz]."""
+_MOST_LEFT = 3
+"""Frames by which videos of one scene may differ at their ends."""
+_RATE_SLACK = 0.005
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class NonRigidInput:
+    """What was given; videos, or what a file holds."""
+
+    paths: tuple[Path, ...]
+    clips: tuple[Clip, ...] = ()
+    """One a camera."""
+    data: DeformingPoints | None = None
+    starts: tuple[tuple[Floats, int], ...] = ()
+    """Points (P, 2) to follow and their frame, one a video; empty where the program chooses."""
+    within: Mask | None = None
+    """(H, W) where points may be chosen."""
+    matrix: Floats | None = None
+    """(3, 3) known intrinsics of the one camera."""
+    names: tuple[str, ...] = ()
+    """Of the cameras; empty from points in space."""
+    frames: int
+    """F of the recording."""
+    first: int
+    end: int
+    """The frames that are asked for, without this one."""
+    rate: float
+    """[Hz]."""
+    notes: tuple[str, ...] = ()
+    """What was decided."""
+
+    @property
+    def asked(self) -> slice:
+        """The frames that are asked for."""
+        return slice(self.first, self.end)
+
+
+def read_input(paths: Sequence[Path], options: NonRigidOptions) -> NonRigidInput:
+    """Read what was given, and check that it goes together.
+
+    Raises:
+        FileProblem: A file cannot be used.
+        SettingProblem: Files and options do not go together.
+    """
+    for path in paths:
+        if not path.is_file():
+            wrong = "is a folder" if path.is_dir() else "does not exist"
+            raise FileProblem(path, wrong, "Give videos, an NPZ of tracks or points, or a C3D.")
+    videos = [path.suffix.lower() in VIDEO_SUFFIXES for path in paths]
+    if all(videos):
+        return _of_videos(paths, options)
+    if len(paths) > 1:
+        raise SettingProblem("Give either videos, or one file of tracks or points.")
+    return _of_data(paths[0], options)
+
+
+def _of_data(path: Path, options: NonRigidOptions) -> NonRigidInput:
+    if options.points or options.mask:
+        raise SettingProblem(
+            f"--points and --mask are for videos; {path.name} holds points that were followed already."
+        )
+    data = read_deforming(path)
+    if data.tracks is not None:
+        frames, names = data.tracks.shape[1], _view_names(len(data.tracks))
+        if options.basis_shapes is not None:
+            raise SettingProblem("--basis-shapes is for points in space; of tracks the data choose.")
+        _require_one_view(len(data.tracks), options)
+    else:
+        assert data.points is not None
+        frames, names = len(data.points), ()
+        if options.cameras is not None or options.matrix is not None:
+            option = "--cameras" if options.cameras is not None else "--matrix"
+            raise SettingProblem(f"{option} is for tracks in pictures; {path.name} holds points in space already.")
+        if options.distance is not None and data.unit == "m":
+            raise SettingProblem(f"--distance gives a scale, but {path.name} says its own unit.")
+    _require_points(data.labels, options)
+    first, end = _range(path, frames, options)
+    notes = list(data.notes)
+    if data.rate is None:
+        notes.append(f"The file says no rate: {USUAL_RATE:g} Hz is taken. It only sets the clock.")
+    return NonRigidInput(
+        paths=(path,), data=data, names=names, frames=frames, first=first, end=end, rate=data.rate or USUAL_RATE,
+        matrix=None if options.matrix is None else parse_matrix(options.matrix), notes=tuple(notes),
+    )  # fmt: skip
+
+
+def _view_names(count: int) -> tuple[str, ...]:
+    return ("camera",) if count == 1 else tuple(f"camera {number}" for number in range(count))
+
+
+def _require_points(labels: Sequence[str], options: NonRigidOptions) -> None:
+    if options.distance is not None and max(options.distance[:2]) >= len(labels):
+        raise SettingProblem(
+            f"--distance names the point {max(options.distance[:2])}; the points count from 0 to {len(labels) - 1}."
+        )
+
+
+def _require_one_view(count: int, options: NonRigidOptions) -> None:
+    if count > 1 and options.matrix is not None:
+        raise SettingProblem(f"--matrix is for one camera, and there are {count}: give --cameras, or neither.")
+
+
+def _range(path: Path, frames: int, options: NonRigidOptions) -> tuple[int, int]:
+    first, end = options.frames or (0, frames)
+    if end > frames:
+        raise SettingProblem(f"--frames is {first}:{end}; {path.name} has {frames} frames.")
+    return first, end
+
+
+def _of_videos(paths: Sequence[Path], options: NonRigidOptions) -> NonRigidInput:
+    if options.basis_shapes is not None:
+        raise SettingProblem("--basis-shapes is for points in space; of tracks the data choose.")
+    _require_one_view(len(paths), options)
+    if options.points and len(options.points) != len(paths):
+        raise SettingProblem(
+            f"--points is given {len(options.points)} times for {len(paths)} videos: give it once for each, in their "
+            "order."
+        )
+    clips = tuple(open_clip(path) for path in paths)
+    names = tuple(path.stem for path in paths)
+    if len(set(names)) < len(names):
+        raise SettingProblem("Two videos have one name: give them names of their cameras.")
+    count, notes = _common_count(paths, clips, options)
+    first, end = _range(paths[0], count, options)
+    if end - first < 2:
+        raise FileProblem(
+            paths[0], f"has {end - first} frame that is asked for", "Points are followed through several."
+        )
+    rate, more = _common_rate(paths, clips)
+    starts = tuple(
+        _start(path, clip, first, end) for path, clip in zip(options.points, clips, strict=False)
+    )  # fmt: skip
+    if starts:
+        counts = [len(points) for points, _ in starts]
+        if len(set(counts)) > 1:
+            raise SettingProblem(
+                f"The files of --points hold {counts} points; the cameras are to follow the same ones."
+            )
+        _require_points(tuple(map(str, range(counts[0]))), options)
+    return NonRigidInput(
+        paths=tuple(paths), clips=clips, starts=starts, within=_within(options, clips), names=names, frames=count,
+        first=first, end=end, rate=rate, notes=(*notes, *more),
+        matrix=None if options.matrix is None else parse_matrix(options.matrix),
+    )  # fmt: skip
+
+
+def _start(path: Path, clip: Clip, first: int, end: int) -> tuple[Floats, int]:
+    points, frame = read_points(path, frames=clip.count, size=clip.size)
+    if not first <= frame < end:
+        raise FileProblem(path, f"has points of frame {frame}", f"The frames {first} to {end - 1} are asked for.")
+    return points, frame
+
+
+def _within(options: NonRigidOptions, clips: Sequence[Clip]) -> Mask | None:
+    if options.mask is None:
+        return None
+    if len(clips) > 1:
+        raise SettingProblem("--mask is for one video; of several, points are given with --points.")
+    image = read_picture(options.mask)
+    if (image.shape[1], image.shape[0]) != clips[0].size:
+        wide, high = clips[0].size
+        wrong = f"has {image.shape[1]} x {image.shape[0]} pixels"
+        raise FileProblem(options.mask, wrong, f"The video's pictures have {wide} x {high}.")
+    within = np.asarray(image.max(2) > 127)
+    if not within.any():
+        raise FileProblem(options.mask, "is black all over", "It should be white where points may be chosen.")
+    return within
+
+
+def _common_count(
+    paths: Sequence[Path], clips: Sequence[Clip], options: NonRigidOptions
+) -> tuple[int, tuple[str, ...]]:
+    """Agree on the number of frames; videos that differ by more than their ends are not of one recording."""
+    counts = [clip.count for clip in clips]
+    least, most = min(counts), max(counts)
+    if most - least > _MOST_LEFT and (options.frames is None or options.frames[1] > least):
+        each = ", ".join(f"{path.name} {count}" for path, count in zip(paths, counts, strict=True))
+        wrong = f"is shorter than the others ({each} frames)"
+        remedy = f"Cut them to the same instants, or keep what all have with --frames 0:{least}."
+        raise FileProblem(paths[counts.index(least)], wrong, remedy)
+    if most > least:
+        return least, (f"The videos have {least} to {most} frames; what not all of them have is left out.",)
+    return least, ()
+
+
+def _common_rate(paths: Sequence[Path], clips: Sequence[Clip]) -> tuple[float, tuple[str, ...]]:
+    known = [clip.rate for clip in clips if clip.rate]
+    if not known:
+        return USUAL_RATE, (f"The video says no rate: {USUAL_RATE:g} Hz is taken. It only sets the clock.",)
+    if max(known) - min(known) > _RATE_SLACK * max(known):
+        each = ", ".join(f"{path.name} {clip.rate or 0:g}" for path, clip in zip(paths, clips, strict=True))
+        wrong = f"has another rate than the others ({each} frames a second)"
+        slowest = [clip.rate for clip in clips].index(min(known))
+        raise FileProblem(paths[slowest], wrong, "The cameras must have filmed together at one rate.")
+    return known[0], ()

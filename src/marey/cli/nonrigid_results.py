@@ -1,0 +1,146 @@
+"""The files of a run on a deforming surface."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from marey.arrays import Floats
+from marey.cli.nonrigid_input import NonRigidInput
+from marey.cli.nonrigid_settings import NonRigidOptions
+from marey.cli.progress import Progress
+from marey.cli.run_record import finished_together, write_record
+from marey.io.shape_glb import write_shape_glb
+from marey.io.shapes import upright, write_point_clouds, write_residuals, write_shape_c3d, write_shapes
+from marey.io.tracks import write_tracks
+from marey.io.video_writer import VideoWriter
+from marey.nonrigid.recovered import RecoveredShapes
+from marey.view.html import Still
+from marey.view.shape_lines import near_lines
+from marey.view.shape_overlay import ShapeOverlay, ShapeScene
+from marey.view.shape_report import ShapeReport, write_shape_report
+
+if TYPE_CHECKING:
+    from marey.cli.nonrigid import MeasuredPoints
+
+_STILLS = 4
+_UNKNOWN_AS = 1e-3
+"""Metres that a unit of unknown length becomes in C3D: files in millimetres then hold the shapes' own numbers."""
+_ABOUT_A_METRE = 1.0
+
+
+def write_results(
+    given: NonRigidInput,
+    measured: "MeasuredPoints",
+    found: RecoveredShapes,
+    options: NonRigidOptions,
+    out: Path,
+    progress: Progress,
+) -> None:
+    """Write all results at once.
+
+    Args:
+        given: The input.
+        measured: What the shapes were recovered from.
+        found: The shapes.
+        options: As asked.
+        out: Where.
+        progress: Knows timings and warnings.
+    """
+    asked = {**{k: v for k, v in vars(options).items() if v not in (None, ())}, "method": found.kind}
+    with finished_together(out) as folder:
+        with progress.stage("Results"):
+            write_shapes(folder / "shapes.npz", found, unit=measured.unit, labels=measured.labels)
+            write_residuals(folder / "residuals.csv", found, measured.labels)
+            _write_exports(folder, given, measured, found)
+            for video in measured.videos:
+                write_tracks(folder / "tracks.npz", video.found)
+        stills = _write_overlays(folder, given, measured, found, options, progress)
+        with progress.stage("Report"):
+            _write_report(folder, given, measured, found, stills, asked, progress)
+        write_record(
+            folder, command="nonrigid", settings=asked, inputs=[*given.paths, *options.files],
+            root=given.paths[0].parent, progress=progress,
+        )  # fmt: skip
+
+
+def _write_exports(folder: Path, given: NonRigidInput, measured: "MeasuredPoints", found: RecoveredShapes) -> None:
+    """Write what other programs open, in metres where a length is known."""
+    known = bool(np.isfinite(found.metres_per_unit))
+    unit = "m" if known else measured.unit
+    y_up = given.data is not None and given.data.y_up
+    size = 2 * float(np.sqrt(np.nanmean((found.basis[0] ** 2).sum(0))))
+    write_point_clouds(
+        folder / "shapes", found, measured.edges, scale=found.metres_per_unit if known else 1.0, unit=unit
+    )  # fmt: skip
+    write_shape_glb(
+        folder / "shapes.glb", found, measured.edges, rate=given.rate, y_up=y_up, unit=measured.unit,
+        scale=found.metres_per_unit if known else _ABOUT_A_METRE / max(size, 1e-12),
+    )  # fmt: skip
+    write_shape_c3d(
+        folder / "shapes.c3d", found, measured.labels, rate=given.rate,
+        scale=found.metres_per_unit if known else _UNKNOWN_AS,
+    )  # fmt: skip
+
+
+def _write_overlays(
+    folder: Path,
+    given: NonRigidInput,
+    measured: "MeasuredPoints",
+    found: RecoveredShapes,
+    options: NonRigidOptions,
+    progress: Progress,
+) -> list[Still]:
+    """Draw a video a camera, and give some of its pictures; without videos there is nothing to draw on."""
+    if not given.clips or not options.overlay:
+        return []
+    assert measured.tracks is not None
+    stills = []
+    for number, clip in enumerate(given.clips):
+        scene = ShapeScene(
+            name=given.names[number], measured=measured.tracks[number], modelled=found.modelled[number],
+            placed=found.placed, lines=_lines(measured, found),
+        )  # fmt: skip
+        overlay = ShapeOverlay(scene, clip.size)
+        answered = np.flatnonzero(found.answered)
+        shown = set(answered[np.linspace(0, len(answered) - 1, _STILLS).astype(int)].tolist())
+        frames = range(given.first, given.end)
+        with (
+            progress.stage(f"Overlay {scene.name}", len(frames)) as step,
+            VideoWriter(folder / f"overlay_{scene.name}.mp4", overlay.size, rate=given.rate) as video,
+        ):
+            for frame, image in zip(frames, clip.images(frames), strict=True):
+                drawn = overlay.draw(image, frame)
+                video.add(drawn)
+                if frame in shown:
+                    stills.append(Still(caption=f"{scene.name}, frame {frame}", image=drawn))
+                step()
+    return stills
+
+
+def _lines(measured: "MeasuredPoints", found: RecoveredShapes) -> np.ndarray:
+    return measured.edges if len(measured.edges) else near_lines(found.basis[0])
+
+
+def _write_report(
+    folder: Path,
+    given: NonRigidInput,
+    measured: "MeasuredPoints",
+    found: RecoveredShapes,
+    stills: list[Still],
+    asked: dict[str, object],
+    progress: Progress,
+) -> None:
+    y_up = given.data is not None and given.data.y_up
+    names = [path.name + ("/" if path.is_dir() else "") for path in folder.iterdir()]
+    report = ShapeReport(
+        title=given.paths[0].stem, found=found, rate=given.rate, unit=measured.unit, labels=measured.labels,
+        lines=_lines(measured, found), own_lines=bool(len(measured.edges)), upright=_turn(found, y_up=y_up),
+        views=given.names, notes=progress.warnings, stills=stills, timings=progress.timings, settings=asked,
+        files=names, track_curves=[video.curve for video in measured.videos],
+    )  # fmt: skip
+    write_shape_report(folder / "report.html", report)
+
+
+def _turn(found: RecoveredShapes, *, y_up: bool) -> Floats:
+    return upright(found, y_up=y_up)[1]

@@ -1,0 +1,127 @@
+"""From a video to tracks: points are chosen or given, followed, and refined together."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from marey.arrays import Floats, Mask
+from marey.cli.nonrigid_input import NonRigidInput
+from marey.cli.progress import Progress
+from marey.cli.run_record import StageCache
+from marey.errors import MareyError
+from marey.images.feature_tracks import FeatureTracks, follow_points
+from marey.images.features import edge_features, good_features
+from marey.io.pictures import grey_pictures
+from marey.io.stages import Arrays
+from marey.nonrigid.rank_tracking import refine_tracks
+
+CORNERS, EDGES = 30, 80
+"""How many points are chosen ([Alexander2003] section 3.2)."""
+STILL = 2.0
+"""A point that never goes farther from its mean place belongs to the background [px]."""
+_TRACKS = ("tracks", "tracks_sd", "visible", "predicted")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class VideoTracks:
+    """What was followed in one video."""
+
+    found: FeatureTracks
+    """Over all frames of the video."""
+    rank: int
+    """Of the tracks, beside the translation."""
+    curve: Floats
+    """(n, 2) ranks tried and their held-out error [px]."""
+    notes: tuple[str, ...]
+
+
+def follow_video(given: NonRigidInput, number: int, cache: StageCache, progress: Progress) -> VideoTracks:
+    """Follow points through one of the videos, or find what an interrupted run left of it.
+
+    Args:
+        given: The input.
+        number: Which video.
+        cache: Of the run.
+        progress: Is told.
+
+    Raises:
+        MareyError: There is nothing to follow in the video.
+    """
+    name = given.names[number]
+    start = given.starts[number] if given.starts else None
+    depends = (name, given.first, given.end, start, given.within, CORNERS, EDGES)
+
+    def compute() -> dict[str, np.ndarray]:
+        return _followed(given, number, cache, progress)
+
+    arrays = cache.arrays(f"tracks-{number}", compute, depends=depends)
+    found = FeatureTracks(**{key: arrays[key] for key in _TRACKS})
+    return _without_background(_widened(found, given), arrays, given)
+
+
+def _followed(given: NonRigidInput, number: int, cache: StageCache, progress: Progress) -> dict[str, np.ndarray]:
+    clip, name = given.clips[number], given.names[number]
+    of = f" {name}" if len(given.clips) > 1 else ""
+    count = given.end - given.first
+    with progress.stage(f"Pictures{of}", count) as step:
+        pictures = grey_pictures(cache.folder / f"grey-{number}.npy", clip, range(given.first, given.end), step)
+    if given.starts:
+        points, frame = given.starts[number]
+        frame -= given.first
+    else:
+        points, frame = _chosen(pictures[0], given), 0
+    with progress.stage(f"Following{of}", count - 1) as step:
+        followed = follow_points(pictures, points, frame=frame, progress=_each(step))
+    with progress.stage(f"Refining{of}"):
+        refined = refine_tracks(pictures, followed)
+    arrays = {key: np.asarray(getattr(refined.tracks, key)) for key in _TRACKS}
+    return arrays | {"rank": np.array(refined.rank), "curve": refined.curve}
+
+
+def _each(step: Callable[[], None]) -> Callable[[int, int], None]:
+    return lambda done, total: step()
+
+
+def _chosen(first: np.ndarray, given: NonRigidInput) -> Floats:
+    strong = good_features(first, count=CORNERS, within=given.within)
+    weak = edge_features(first, count=EDGES, taken=strong, within=given.within)
+    if not len(strong):
+        raise MareyError(
+            f"{given.paths[0]}: frame {given.first} shows no corners to follow. Begin with another one "
+            "(--frames), or give points with --points."
+        )
+    return np.concatenate([strong, weak])
+
+
+def _widened(found: FeatureTracks, given: NonRigidInput) -> FeatureTracks:
+    """Put the tracks among all frames of the video; the others know nothing."""
+    count = found.tracks.shape[2]
+    tracks, sd = np.full((2, given.frames, 2, count), np.nan)
+    visible, predicted = np.zeros((2, given.frames, count), bool)
+    tracks[given.asked], sd[given.asked] = found.tracks, found.tracks_sd
+    visible[given.asked], predicted[given.asked] = found.visible, found.predicted
+    return FeatureTracks(tracks=tracks, tracks_sd=sd, visible=visible, predicted=predicted)
+
+
+def _without_background(found: FeatureTracks, arrays: Arrays, given: NonRigidInput) -> VideoTracks:
+    """Leave out chosen points that stand still, where others move; points that were given stay."""
+    notes: tuple[str, ...] = ()
+    moves = np.ones(found.tracks.shape[2], bool) if given.starts else _moving(found)
+    if 4 <= moves.sum() < len(moves):
+        notes = (f"{int((~moves).sum())} chosen points never move by more than {STILL:g} px: background, left out.",)
+        found = FeatureTracks(
+            tracks=found.tracks[:, :, moves], tracks_sd=found.tracks_sd[:, :, moves], visible=found.visible[:, moves],
+            predicted=found.predicted[:, moves],
+        )  # fmt: skip
+    return VideoTracks(found=found, rank=int(arrays["rank"]), curve=arrays["curve"], notes=notes)
+
+
+def _moving(found: FeatureTracks) -> Mask:
+    """Tell which points (P,) go farther than `STILL` from their mean place."""
+    seen = np.where(found.visible[:, None], found.tracks, np.nan)
+    known: Mask = np.asarray(np.isfinite(seen).all(1))
+    middle = np.where(known[:, None], seen, 0).sum(0) / np.maximum(known.sum(0), 1)
+    away = np.where(known, np.linalg.norm(seen - middle, axis=1), 0)
+    moves: Mask = away.max(0) > STILL
+    return moves

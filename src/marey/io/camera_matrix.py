@@ -1,0 +1,44 @@
+"""The intrinsic matrix of one camera, alone in a file."""
+
+from pathlib import Path
+
+import numpy as np
+
+from marey.arrays import Floats
+from marey.cameras.camera import matrix_faults
+from marey.errors import FileProblem
+from marey.io.npz import read_arrays
+
+_LAYOUT = "It should hold a 3 x 3 matrix: fx 0 cx / 0 fy cy / 0 0 1, in pixels."
+
+
+def read_matrix(path: Path) -> Floats:
+    """Read a matrix (3, 3).
+
+    Args:
+        path: An NPZ with `matrix` (or one array alone), an NPY, or text with nine numbers.
+
+    Raises:
+        FileProblem: It holds none.
+    """
+    try:
+        if path.suffix.lower() == ".npz":
+            arrays = read_arrays(path)
+            matrix = arrays["matrix"] if "matrix" in arrays else next(iter(arrays.values()))
+            if "matrix" not in arrays and len(arrays) != 1:
+                raise FileProblem(path, f"lacks matrix; it has {', '.join(arrays)}", _LAYOUT)
+        elif path.suffix.lower() == ".npy":
+            matrix = np.load(path, allow_pickle=False)
+        else:
+            text = path.read_text(encoding="utf-8").replace(",", " ").replace(";", " ")
+            matrix = np.array([float(part) for part in text.split()])
+        matrix = np.asarray(matrix, float)
+    except (OSError, ValueError, StopIteration, UnicodeDecodeError) as error:
+        raise FileProblem(path, f"cannot be read as a matrix ({error})", _LAYOUT) from error
+    if matrix.size != 9:
+        raise FileProblem(path, f"holds an array of shape {matrix.shape}", _LAYOUT)
+    matrix = matrix.reshape(3, 3)
+    faults = matrix_faults(matrix)
+    if faults:
+        raise FileProblem(path, faults[0], _LAYOUT)
+    return matrix

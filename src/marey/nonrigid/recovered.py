@@ -1,0 +1,257 @@
+"""What any factorisation found, in one form: over all frames and points, with what had to be chosen said in words."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from marey.arrays import Floats, Integers, Mask, frozen
+from marey.errors import MareyError
+from marey.nonrigid.homogeneous import HomogeneousShapes
+from marey.nonrigid.one_view import NonRigidShapes
+from marey.nonrigid.rank import RankChoice
+
+ONE_VIEW = "one camera, orthographic"
+IN_SPACE = "points in space"
+
+GAUGES = {
+    ONE_VIEW: (
+        "Sign of depth: one orthographic camera sees a shape and its mirror image in depth alike; one is given.",
+        "Scale: lengths are in the unit of the tracks; the size in space is not known.",
+        "Distance: not known; the depth of the object's origin is called zero.",
+        "Global rotation: the object's axes are the camera's (x right, y down, z ahead) in the first frame that has an "
+        "answer.",
+    ),
+    IN_SPACE: (
+        "Global rotation: the object's axes are the laboratory's in the first frame that has an answer; its origin is "
+        "the centre of the mean shape.",
+        "Motion and deformation: the motion is the one from which the points depart least; what all points do together "
+        "counts as motion.",
+    ),
+}  # fmt: skip
+"""By kind: what the data cannot tell, and what was chosen instead."""
+_ARRAYS = (
+    "shape", "shape_sd", "rotation", "rotation_sd", "translation", "basis", "coefficients", "residuals", "modelled",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RankCurve:
+    """How well numbers of basis shapes explain what was held back, and which was taken."""
+
+    ranks: Integers
+    """(N,) numbers K of basis shapes, the mean among them."""
+    errors: Floats
+    """(N,) what they were judged by; less is better."""
+    errors_sd: Floats
+    """(N,) standard deviations; NaN where not known."""
+    measure: str
+    """What the errors are, in words."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "ranks", frozen(self.ranks, np.int64))
+        for name in ("errors", "errors_sd"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RecoveredShapes:
+    """Shapes and motion of F frames and P points; NaN in frames, and for points, that have no answer."""
+
+    kind: str
+    """One of `GAUGES`."""
+    shape: Floats
+    """(F, 3, P) in the object's frame."""
+    shape_sd: Floats
+    """(F, 3, P)."""
+    rotation: Floats
+    """(F, 3, 3) camera from object, of the first camera; from points in space, laboratory from object."""
+    rotation_sd: Floats
+    """(F, 3) [rad] about the camera's axes; from points in space about the object's."""
+    translation: Floats
+    """(F, 2) in the picture of an orthographic camera, or (F, 3)."""
+    basis: Floats
+    """(K, 3, P) the mean shape and displacements; shape = sum of coefficients times basis."""
+    coefficients: Floats
+    """(F, K)."""
+    residuals: Floats
+    """(C, F, P) distance of what was measured from the model, by camera; NaN where nothing was."""
+    predicted: Mask
+    """(F, P) true where a shape is given of a point that no camera saw."""
+    modelled: Floats
+    """(C, F, 2, P) where the model puts the points in the pictures; C = 0 from points in space."""
+    noise_sd: float
+    """Of a measured coordinate about the model, in its unit."""
+    gauge: tuple[str, ...]
+    """What was chosen because nothing tells it."""
+    notes: tuple[str, ...] = ()
+    """What a user should know of this answer."""
+    curve: RankCurve | None = None
+    """How the number of basis shapes was chosen, where that leaves a curve."""
+    metres_per_unit: float = float("nan")
+    """Of the shape; NaN where no length is known."""
+    metres_per_unit_sd: float = 0.0
+    """Spread of that over the frames, where it was found from a known distance."""
+
+    def __post_init__(self) -> None:
+        for name in _ARRAYS:
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+        object.__setattr__(self, "predicted", frozen(self.predicted, bool))
+
+    def __len__(self) -> int:
+        return len(self.shape)
+
+    @property
+    def basis_shapes(self) -> int:
+        """K, with the mean."""
+        return len(self.basis)
+
+    @property
+    def rank(self) -> int:
+        """Rank of the centred tracks, or points, that the model stands for: 3 K; 3 for a rigid object."""
+        return 3 * len(self.basis)
+
+    @property
+    def answered(self) -> Mask:
+        """(F,) which frames have an answer."""
+        return np.asarray(np.isfinite(self.rotation[:, 0, 0]))
+
+    @property
+    def placed(self) -> Floats:
+        """(F, 3, P) the shapes where they are, in the axes of the first camera or of the laboratory.
+
+        A camera's are x right, y down, z ahead. Before an orthographic camera the depth of the object's origin is zero.
+        """
+        where = np.zeros((len(self), 3))
+        where[:, : self.translation.shape[1]] = self.translation
+        return np.asarray(self.rotation @ self.shape + where[:, :, None])
+
+    @property
+    def point_rms(self) -> Floats:
+        """(P,) root mean square of each point's residuals; NaN for one that was never measured."""
+        seen = np.isfinite(self.residuals)
+        total = (np.where(seen, self.residuals, 0) ** 2).sum((0, 1))
+        count = seen.sum((0, 1))
+        return np.where(count > 0, np.sqrt(total / np.maximum(count, 1)), np.nan)
+
+
+def from_one_view(found: NonRigidShapes) -> RecoveredShapes:
+    """Take over what one orthographic camera told."""
+    modelled = (found.rotation @ found.shape)[:, :2] + found.translation[:, :, None]
+    return RecoveredShapes(
+        kind=ONE_VIEW, shape=found.shape, shape_sd=found.shape_sd, rotation=found.rotation,
+        rotation_sd=found.rotation_sd, translation=found.translation, basis=found.basis,
+        coefficients=found.coefficients, residuals=found.residuals[None], predicted=found.predicted,
+        modelled=modelled[None], noise_sd=found.noise_sd, gauge=GAUGES[ONE_VIEW], notes=found.notes,
+    )  # fmt: skip
+
+
+def from_points(found: HomogeneousShapes, choice: RankChoice | None) -> RecoveredShapes:
+    """Take over what points in space told, and how the number of basis shapes was chosen."""
+    frames, _, points = found.shape.shape
+    curve = None
+    if choice is not None:
+        curve = RankCurve(
+            ranks=choice.ranks, errors=choice.held_out_rms, errors_sd=choice.held_out_sd,
+            measure="distance of points held back from what the others foretell, RMS",
+        )  # fmt: skip
+    variances = np.einsum("fii->fi", found.covariance)
+    return RecoveredShapes(
+        kind=IN_SPACE, shape=found.shape, shape_sd=found.shape_sd, rotation=found.rotation,
+        rotation_sd=np.sqrt(variances[:, :3]), translation=found.translation, basis=found.basis,
+        coefficients=found.coefficients, residuals=found.residuals[None], predicted=found.predicted,
+        modelled=np.zeros((0, frames, 2, points)), noise_sd=found.noise_sd, gauge=GAUGES[IN_SPACE], curve=curve,
+    )  # fmt: skip
+
+
+def usable(seen: Mask, *, least_points: int, least_frames: int) -> tuple[Mask, Mask]:
+    """Find the frames and points that hold enough, leaving out what holds too little until nothing changes.
+
+    Args:
+        seen: (F, P).
+        least_points: That a frame must see.
+        least_frames: In which a point must be seen.
+
+    Returns:
+        Which frames (F,) and which points (P,) are kept.
+
+    Raises:
+        MareyError: None is left.
+    """
+    frames, points = np.ones(len(seen), bool), np.ones(seen.shape[1], bool)
+    while True:
+        kept = seen & frames[:, None] & points
+        enough, often = kept.sum(1) >= least_points, kept.sum(0) >= least_frames
+        if (enough == frames).all() and (often == points).all():
+            break
+        frames, points = enough, often
+    if frames.sum() < least_frames or points.sum() < least_points:
+        raise MareyError(
+            f"{int(seen.any(0).sum())} points over {int(seen.any(1).sum())} frames hold too little: at least "
+            f"{least_points} points must be seen together in at least {least_frames} frames."
+        )
+    return frames, points
+
+
+def widened(found: RecoveredShapes, frames: Mask, points: Mask) -> RecoveredShapes:
+    """Put an answer for some frames and points back among all of them; the others have none.
+
+    Args:
+        found: For the frames and points that were kept.
+        frames: (F,) which they are.
+        points: (P,).
+    """
+    if frames.all() and points.all():
+        return found
+
+    def wide(values: np.ndarray, *kept: Mask | None) -> np.ndarray:
+        """Widen the axes for which a mask is given."""
+        axes = [np.ones(n, bool) if mask is None else mask for n, mask in zip(values.shape, kept, strict=True)]
+        full = np.full([len(mask) for mask in axes], False if values.dtype == bool else np.nan)
+        full[np.ix_(*axes)] = values
+        return full
+
+    return replace(
+        found, shape=wide(found.shape, frames, None, points), shape_sd=wide(found.shape_sd, frames, None, points),
+        rotation=wide(found.rotation, frames, None, None), rotation_sd=wide(found.rotation_sd, frames, None),
+        translation=wide(found.translation, frames, None), basis=wide(found.basis, None, None, points),
+        coefficients=wide(found.coefficients, frames, None), residuals=wide(found.residuals, None, frames, points),
+        predicted=wide(found.predicted, frames, points), modelled=wide(found.modelled, None, frames, None, points),
+    )  # fmt: skip
+
+
+def known_distance(found: RecoveredShapes, first: int, second: int, metres: float) -> RecoveredShapes:
+    """Give the shapes a scale, from the distance between two points that is known.
+
+    The median over the frames decides: the two may move against each other, and depth is noisy.
+
+    Args:
+        found: The shapes.
+        first: A point, counted from 0.
+        second: Another one.
+        metres: How far they are apart.
+
+    Raises:
+        MareyError: The points are no two different ones with an answer, or the distance is no length.
+    """
+    count = found.shape.shape[2]
+    if not (np.isfinite(metres) and metres > 0):
+        raise MareyError(f"The known distance is {metres:g} m; it should be more than 0.")
+    if first == second or not (0 <= first < count and 0 <= second < count):
+        raise MareyError(
+            f"The known distance is between the points {first} and {second}; they should be two different ones of 0 to "
+            f"{count - 1}."
+        )
+    apart = np.linalg.norm(found.shape[:, :, first] - found.shape[:, :, second], axis=1)
+    apart = apart[np.isfinite(apart)]
+    middle = float(np.median(apart)) if len(apart) else 0.0
+    if not middle > 0:
+        raise MareyError(f"The points {first} and {second} have no distance here: nothing tells where both are.")
+    spread = float(np.std(apart)) / middle
+    note = (
+        f"Scale: the points {first} and {second} are {metres:g} m apart as you say; their distance varies by "
+        f"{100 * spread:.1f} % over the frames, and the median counts."
+    )
+    return replace(
+        found, metres_per_unit=metres / middle, metres_per_unit_sd=spread * metres / middle,
+        gauge=tuple(line for line in found.gauge if not line.startswith("Scale:")) + (note,),
+    )  # fmt: skip

@@ -1,0 +1,118 @@
+// A scene that turns: lines and points drawn in the graphics card, the eye that goes round them, the pointer that moves it.
+"use strict";
+
+const LINE_VERTEX = `
+attribute vec3 place; attribute vec4 colour; uniform mat4 view; uniform mat4 lens; uniform float size; varying vec4 tint;
+void main() { tint = colour; gl_Position = lens * view * vec4(place, 1.0); gl_PointSize = size; }`;
+const LINE_PIXEL = `
+precision mediump float; varying vec4 tint; uniform float round;
+void main() {
+  float r = length(gl_PointCoord - 0.5);
+  if (round > 0.5 && r > 0.5) discard;
+  gl_FragColor = round > 0.5 && r > 0.34 ? vec4(1.0, 1.0, 1.0, 1.0) : tint;
+}`;
+
+// `middle` is what the eye looks at, from `distance`; `reach` how near and far it may go; `cameras` from which it may look.
+function makeScene(canvas, problem, { middle, distance, reach = [0.8, 20], cameras = [], lift = 0.16 }) {
+  const gl = canvas.getContext("webgl", { antialias: true, alpha: true });
+  if (!gl) { canvas.hidden = true; canvas.style.display = "none"; problem.hidden = false; return null; }
+  gl.getExtension("OES_element_index_uint");
+  const eye = { turn: -0.7, lift, distance, target: middle.slice(), camera: -1 };
+  const lines = program(LINE_VERTEX, LINE_PIXEL), places = gl.createBuffer();
+  const scene = { gl, eye, program, buffer, drawLines, drawPoints, later, turn, draw() {} };
+  let view, lens;
+
+  function program(vertex, pixel) {
+    const made = gl.createProgram();
+    for (const [kind, text] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, pixel]]) {
+      const shader = gl.createShader(kind);
+      gl.shaderSource(shader, text); gl.compileShader(shader);
+      if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS)) throw new Error(gl.getShaderInfoLog(shader));
+      gl.attachShader(made, shader);
+    }
+    gl.linkProgram(made);
+    return made;
+  }
+  function buffer(array, kind = gl.ARRAY_BUFFER) {
+    const made = gl.createBuffer();
+    gl.bindBuffer(kind, made); gl.bufferData(kind, array, gl.STATIC_DRAW);
+    return made;
+  }
+  // View and projection: round the middle, or as one of the cameras stands (x right, y down, z ahead become x, -y, -z).
+  function looks() {
+    const wide = canvas.width / canvas.height, near = 0.05, far = 60;
+    if (eye.camera >= 0) {
+      const c = cameras[eye.camera], R = c.rotation, t = c.translation, flip = [1, -1, -1], view = new Float32Array(16);
+      for (let r = 0; r < 3; r++) { for (let k = 0; k < 3; k++) view[4 * k + r] = flip[r] * R[r][k]; view[12 + r] = flip[r] * t[r]; }
+      view[15] = 1;
+      const [w, h] = c.size, fit = Math.min(canvas.width / w, canvas.height / h), m = c.matrix;
+      const sx = fit * w / canvas.width, sy = fit * h / canvas.height;
+      return [view, new Float32Array([2 * m[0][0] / w * sx, 0, 0, 0, 0, 2 * m[1][1] / h * sy, 0, 0,
+        (1 - 2 * (m[0][2] + 0.5) / w) * sx, (2 * (m[1][2] + 0.5) / h - 1) * sy, (far + near) / (near - far), -1, 0, 0, 2 * far * near / (near - far), 0])];
+    }
+    const ct = Math.cos(eye.turn), st = Math.sin(eye.turn), cl = Math.cos(eye.lift), sl = Math.sin(eye.lift);
+    const right = [ct, st, 0], back = [st * cl, -ct * cl, sl], up = [-st * sl, ct * sl, cl], view = new Float32Array(16);
+    [right, up, back].forEach((axis, r) => { for (let k = 0; k < 3; k++) view[4 * k + r] = axis[k]; view[12 + r] = -axis.reduce((s, a, k) => s + a * eye.target[k], 0); });
+    view[14] -= eye.distance; view[15] = 1;
+    const f = 1 / Math.tan(0.32);
+    return [view, new Float32Array([f / wide, 0, 0, 0, 0, f, 0, 0, 0, 0, (far + near) / (near - far), -1, 0, 0, 2 * far * near / (near - far), 0])];
+  }
+  function draw(list, mode, size) {
+    if (!list.length) return;
+    const per = mode === gl.POINTS ? 1 : 2, packed = new Float32Array(7 * per * list.length);
+    list.forEach((item, i) => { for (let e = 0; e < per; e++) { packed.set(item[e], 7 * (per * i + e)); packed.set(item[per], 7 * (per * i + e) + 3); } });
+    gl.useProgram(lines); gl.bindBuffer(gl.ARRAY_BUFFER, places); gl.bufferData(gl.ARRAY_BUFFER, packed, gl.DYNAMIC_DRAW);
+    const at = name => gl.getAttribLocation(lines, name), set = name => gl.getUniformLocation(lines, name);
+    gl.enableVertexAttribArray(at("place")); gl.vertexAttribPointer(at("place"), 3, gl.FLOAT, false, 28, 0);
+    gl.enableVertexAttribArray(at("colour")); gl.vertexAttribPointer(at("colour"), 4, gl.FLOAT, false, 28, 12);
+    gl.uniformMatrix4fv(set("view"), false, view); gl.uniformMatrix4fv(set("lens"), false, lens);
+    gl.uniform1f(set("size"), size); gl.uniform1f(set("round"), mode === gl.POINTS ? 1 : 0);
+    gl.drawArrays(mode, 0, per * list.length);
+    for (const name of ["place", "colour"]) gl.disableVertexAttribArray(at(name));
+  }
+  // Each line is two places and a colour with its opacity, each point a place and a colour.
+  function drawLines(list) { draw(list, gl.LINES, 1); }
+  function drawPoints(list, size) { draw(list, gl.POINTS, size); }
+
+  function render() {
+    const ratio = window.devicePixelRatio || 1, w = Math.round(canvas.clientWidth * ratio), h = Math.round(canvas.clientHeight * ratio);
+    if (canvas.width !== w || canvas.height !== h) { canvas.width = w; canvas.height = h; }
+    gl.viewport(0, 0, w, h); gl.clearColor(0, 0, 0, 0); gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+    gl.enable(gl.DEPTH_TEST); gl.enable(gl.BLEND); gl.blendFuncSeparate(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA, gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
+    [view, lens] = looks();
+    scene.draw(view, lens, ratio);
+  }
+  let asked = false;
+  function later() { if (!asked) { asked = true; requestAnimationFrame(() => { asked = false; render(); }); } }
+
+  let held = null;
+  canvas.addEventListener("pointerdown", event => { held = event; canvas.setPointerCapture(event.pointerId); });
+  canvas.addEventListener("pointerup", () => { held = null; });
+  canvas.addEventListener("pointermove", event => {
+    if (!held || eye.camera >= 0) return;
+    const dx = event.clientX - held.clientX, dy = event.clientY - held.clientY;
+    held = event;
+    if (event.shiftKey || event.buttons === 2) {
+      const scale = eye.distance * 0.0013;
+      eye.target[0] -= Math.cos(eye.turn) * dx * scale; eye.target[1] -= Math.sin(eye.turn) * dx * scale; eye.target[2] += dy * scale;
+    } else {
+      eye.turn -= dx * 0.008; eye.lift = Math.min(1.5, Math.max(-0.3, eye.lift + dy * 0.006));
+    }
+    later();
+  });
+  canvas.addEventListener("contextmenu", event => event.preventDefault());
+  canvas.addEventListener("wheel", event => { eye.distance = Math.min(reach[1], Math.max(reach[0], eye.distance * Math.exp(event.deltaY * 0.001))); event.preventDefault(); later(); }, { passive: false });
+  let turning = 0;
+  function turn(on) {
+    turning = on ? performance.now() : 0;
+    if (on) requestAnimationFrame(go);
+  }
+  function go(now) {
+    if (!turning) return;
+    if (!held) eye.turn += 0.0005 * Math.max(0, now - turning);
+    turning = now; later(); requestAnimationFrame(go);
+  }
+  scene.lookFrom = camera => { eye.camera = camera; later(); };
+  return scene;
+}
+const rgb = text => [1, 3, 5].map(i => parseInt(text.slice(i, i + 2), 16) / 255);

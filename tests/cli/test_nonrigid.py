@@ -1,0 +1,316 @@
+"""`marey nonrigid`: from tracks, points and videos to files, and what is said of input that tells nothing."""
+
+import csv
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from marey.cli.main import INTERRUPTED, WRONG_INPUT, run
+from marey.geometry import rotations
+from marey.io.c3d import read_c3d, write_c3d
+from marey.io.npz import read_arrays
+from marey.io.shapes import read_shapes
+from marey.io.tracks import read_tracks
+from marey.io.trc import PointPaths
+
+FRAMES, POINTS = 60, 12
+
+
+def turning(frames=FRAMES):
+    """A camera that goes round a cluster that deforms in two ways: rotation (F, 3, 3), shapes (F, 3, P)."""
+    rng = np.random.default_rng(3)
+    time = np.arange(frames)
+    axis = np.stack([0.1 * np.sin(time / 15), np.ones(frames), 0.1 * np.cos(time / 20)], 1)
+    path = rotations.exp(axis * (0.08 * time + 0.1 * np.sin(time / 12))[:, None])
+    weights = np.stack([0.25 * np.sin(time / 9), 0.15 * np.cos(time / 14)], 1)
+    shapes = rng.normal(size=(3, POINTS)) + np.einsum("fm,mip->fip", weights, rng.normal(size=(2, 3, POINTS)))
+    return path, 100 * (shapes - shapes.mean(2, keepdims=True))
+
+
+@pytest.fixture(scope="module")
+def made():
+    path, shapes = turning()
+    return path, shapes, (path @ shapes)[:, :2] + 300
+
+
+@pytest.fixture(scope="module")
+def results(made, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("nonrigid")
+    tracks = made[2].copy()
+    tracks[20:24, :, 3] = np.nan
+    tracks[40] = np.nan
+    tracks[:, :, 11] = np.where(np.arange(FRAMES)[:, None] < 3, tracks[:, :, 11], np.nan)
+    np.savez(folder / "tracks.npz", tracks=tracks, edges=[[0, 1], [1, 2]], rate=50.0)
+    assert run(["nonrigid", str(folder / "tracks.npz"), "--distance", "0", "1", "0.5", "--quiet"]) == 0
+    return folder / "tracks_marey"
+
+
+def test_every_file_is_there_and_the_report_loads_nothing_from_elsewhere(results):
+    names = {path.name for path in results.iterdir()}
+    assert names == {"shapes.npz", "residuals.csv", "shapes", "shapes.glb", "shapes.c3d", "report.html", "run.json"}
+    page = (results / "report.html").read_text()
+    assert "http" not in page
+    for text in ("Sign of depth", "Residuals by point", "held still", "basis shape 2"):
+        assert text in page
+    record = json.loads((results / "run.json").read_text())
+    assert record["command"] == "nonrigid"
+    assert list(record["inputs"]) == ["tracks.npz"]
+
+
+def test_the_tracks_are_the_first_rows_of_the_turned_shape_and_the_shift(results, made):
+    arrays = read_arrays(results / "shapes.npz")
+    model = (arrays["rotation"] @ arrays["shape"])[:, :2] + arrays["translation"][:, :, None]
+    known = np.isfinite(model)
+    assert np.abs(model - made[2])[known].max() < 0.05 * 300
+    np.testing.assert_allclose(model, arrays["modelled"][0])
+    assert arrays["rank"] == 3 * len(arrays["basis"])
+    combined = np.einsum("fk,kip->fip", arrays["coefficients"], arrays["basis"])
+    np.testing.assert_allclose(combined, arrays["shape"])
+
+
+def test_what_holds_too_little_has_no_answer_and_is_said(results):
+    found = read_shapes(results / "shapes.npz")
+    assert np.flatnonzero(~found.answered).tolist() == [40]
+    assert np.isnan(found.shape[40]).all()
+    assert np.isnan(found.shape[:, :, 11]).all()
+    assert np.isfinite(found.shape[20:24, :, 3]).all()
+    assert np.flatnonzero(found.predicted.any(0)).tolist() == [3]
+    warnings = json.loads((results / "run.json").read_text())["warnings"]
+    assert any("have no answer: 40" in text for text in warnings)
+    assert any("have no answer: 11" in text for text in warnings)
+    assert not (results / "shapes" / "frame_00040.ply").exists()
+
+
+def test_a_known_distance_gives_the_scale_of_all_that_other_programs_open(results):
+    found = read_shapes(results / "shapes.npz")
+    apart = np.linalg.norm(found.shape[:, :, 0] - found.shape[:, :, 1], axis=1)
+    assert np.nanmedian(apart) * found.metres_per_unit == pytest.approx(0.5)
+    points = read_c3d(results / "shapes.c3d").points
+    metric = np.linalg.norm(points[:, 0] - points[:, 1], axis=1)
+    assert np.median(metric[found.answered]) == pytest.approx(0.5, rel=1e-4)
+
+
+def test_residuals_are_told_point_by_point(results):
+    with (results / "residuals.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == POINTS
+    assert rows[3]["frames_predicted"] == "4"
+    assert rows[11]["rms"] == ""
+    assert float(rows[0]["rms"]) <= float(rows[0]["largest"])
+
+
+def test_results_can_be_viewed(results, capsys):
+    assert run(["view", str(results), "--no-browser"]) == 0
+    assert capsys.readouterr().out.strip().endswith("report.html")
+
+
+def test_a_rigid_object_is_said_to_be_rigid_and_has_rank_three(tmp_path, made, capsys):
+    path, shapes, _ = made
+    np.savez(tmp_path / "rigid.npz", tracks=(path @ shapes[0])[:, :2])
+    assert run(["nonrigid", str(tmp_path / "rigid.npz")]) == 0
+    assert "rigid" in capsys.readouterr().err
+    assert read_arrays(tmp_path / "rigid_marey" / "shapes.npz")["rank"] == 3
+
+
+def test_only_the_frames_that_are_asked_for_have_an_answer(tmp_path, made):
+    np.savez(tmp_path / "t.npz", points=made[0] @ made[1])
+    assert run(["nonrigid", str(tmp_path / "t.npz"), "--frames", "5:30", "--basis-shapes", "2", "-q"]) == 0
+    found = read_shapes(tmp_path / "t_marey" / "shapes.npz")
+    assert np.flatnonzero(found.answered).tolist() == list(range(5, 30))
+
+
+def test_points_in_space_give_the_motion_in_the_laboratory(tmp_path, made):
+    path, shapes, _ = made
+    points = np.moveaxis(path @ shapes, 1, 2) / 1e3 + np.linspace(0, 1, FRAMES)[:, None, None]
+    names = tuple(f"thigh_{n:02d}" for n in range(POINTS))
+    trial = PointPaths(names=names, time=np.arange(FRAMES) / 100, rate=100.0, points=points)
+    write_c3d(tmp_path / "walk.c3d", trial)
+    assert run(["nonrigid", str(tmp_path / "walk.c3d"), "--basis-shapes", "3", "--quiet"]) == 0
+    arrays = read_arrays(tmp_path / "walk_marey" / "shapes.npz")
+    model = arrays["rotation"] @ arrays["shape"] + arrays["translation"][:, :, None]
+    np.testing.assert_allclose(np.moveaxis(model, 1, 2), points, atol=5e-3)
+    assert arrays["labels"].tolist() == list(names)
+    assert arrays["unit"] == "m"
+    assert arrays["basis"].shape == (3, 3, POINTS)
+    np.testing.assert_allclose(read_c3d(tmp_path / "walk_marey" / "shapes.c3d").points, points, atol=5e-3)
+
+
+def write(folder: Path, **arrays) -> str:
+    np.savez(folder / "given.npz", **arrays)
+    return str(folder / "given.npz")
+
+
+def complaint(arguments, capsys) -> str:
+    capsys.readouterr()
+    assert run(["nonrigid", *arguments, "--quiet"]) == WRONG_INPUT
+    said = capsys.readouterr().err
+    *notes, said = said.splitlines()
+    assert said.startswith("marey: ")
+    assert all(note.startswith("Note: ") for note in notes)
+    return said
+
+
+@pytest.mark.parametrize(
+    ("arrays", "words"),
+    [
+        ({"shape": np.zeros((9, 3, 5))}, "neither tracks nor points, but shape"),
+        ({"tracks": np.zeros((9, 5, 2))}, "last two axes look exchanged"),
+        ({"tracks": np.zeros((9, 10))}, "shape (9, 10)"),
+        ({"tracks": np.full((9, 2, 5), "a")}, "type <U1"),
+        ({"tracks": np.full((9, 2, 5), np.nan)}, "every entry is NaN"),
+        ({"tracks": np.full((9, 2, 5), np.inf)}, "infinite"),
+        ({"points": np.zeros((9, 2, 5))}, "(frames, 3, points)"),
+        ({"tracks": np.ones((9, 2, 5)), "points": np.ones((9, 3, 5))}, "both tracks and points"),
+        ({"tracks": np.ones((9, 2, 5)), "edges": [[0, 5]]}, "Points count from 0 to 4"),
+        ({"tracks": np.ones((9, 2, 5)), "rate": -1.0}, "rate"),
+        ({"tracks": np.ones((9, 2, 5)), "labels": ["a", "b"]}, "labels for 5 points"),
+        ({"tracks": np.ones((9, 2, 3))}, "at least 4 points must be seen together in at least 6 frames"),
+        ({"tracks": np.ones((5, 2, 9))}, "at least 4 points"),
+        ({"tracks": np.ones((9, 2, 9))}, "one place"),
+    ],
+)
+def test_a_file_that_cannot_be_used_is_named_with_what_would_be_right(tmp_path, capsys, arrays, words):
+    assert words in complaint([write(tmp_path, **arrays)], capsys)
+    assert not (tmp_path / "given_marey").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--distance", "0", "12", "0.1"], "points count from 0 to 11"),
+        (["--distance", "3", "3", "0.1"], "two different points"),
+        (["--distance", "0", "1", "-2"], "two different points"),
+        (["--frames", "0:900"], "has 60 frames"),
+        (["--frames", "0:3"], "at least 4 points"),
+        (["--points", "missing.npz"], "does not exist"),
+        (["--cameras", "missing.toml"], "does not exist"),
+        (["--matrix", "1,2,3"], "3 numbers"),
+        (["--matrix", "a,b,c,d"], "no file that is there"),
+        (["--matrix", "0,700,320,240"], "focal lengths"),
+        (["--basis-shapes", "3"], "points in space"),
+    ],
+)
+def test_an_option_that_does_not_suit_is_said(tmp_path, capsys, made, options, words):
+    assert words in complaint([write(tmp_path, tracks=made[2]), *options], capsys)
+
+
+def test_a_camera_that_sees_one_side_only_is_said(tmp_path, capsys, made):
+    _, shapes, _ = made
+    turn = rotations.exp(np.stack([0 * np.arange(FRAMES), 0 * np.arange(FRAMES), 0.05 * np.arange(FRAMES)], 1))
+    said = complaint([write(tmp_path, tracks=(turn @ shapes[0])[:, :2])], capsys)
+    assert "one side only" in said
+
+
+@pytest.mark.parametrize("option", ["--cameras", "--matrix"])
+def test_points_in_space_take_no_cameras(tmp_path, capsys, made, option):
+    (tmp_path / "cameras.toml").write_text("")
+    value = str(tmp_path / "cameras.toml") if option == "--cameras" else "700,700,320,240"
+    said = complaint([write(tmp_path, points=made[1]), option, value], capsys)
+    assert "points in space already" in said
+
+
+def test_a_c3d_without_points_and_files_of_other_kinds_are_refused(tmp_path, capsys):
+    empty = PointPaths(names=("a",), time=np.arange(9) / 100, rate=100.0, points=np.full((9, 1, 3), np.nan))
+    write_c3d(tmp_path / "empty.c3d", empty)
+    assert "no measured point" in complaint([str(tmp_path / "empty.c3d")], capsys)
+    (tmp_path / "note.txt").write_text("hello")
+    assert "Give videos, an NPZ or a C3D" in complaint([str(tmp_path / "note.txt")], capsys)
+    assert "does not exist" in complaint([str(tmp_path / "none.npz")], capsys)
+    assert "is a folder" in complaint([str(tmp_path)], capsys)
+
+
+def test_ctrl_c_leaves_no_results_and_the_same_command_goes_on(tmp_path, made, monkeypatch, capsys):
+    given = write(tmp_path, points=made[0] @ made[1])
+
+    def stopped(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("marey.cli.nonrigid.write_results", stopped)
+    assert run(["nonrigid", given, "--basis-shapes", "2", "--quiet"]) == INTERRUPTED
+    assert [path.name for path in (tmp_path / "given_marey").iterdir()] == [".work"]
+    monkeypatch.undo()
+    monkeypatch.setattr("marey.cli.nonrigid.factorise_points", stopped)
+    assert run(["nonrigid", given, "--basis-shapes", "2", "--quiet"]) == 0
+    assert not (tmp_path / "given_marey" / ".work").exists()
+
+
+SIZE, SHOWN = 128, 24
+
+
+def seen_from(frame: int) -> tuple[np.ndarray, np.ndarray]:
+    """Where the places of a speckled relief that sways and bends are seen: x and y (H, W) in the picture."""
+    y, x = np.mgrid[:SIZE, :SIZE] - SIZE / 2
+    depth = 14 * np.cos(x / 18) + 10 * np.sin(y / 15) + 6 * np.sin(frame / 5) * np.cos((x + y) / 30)
+    a, b = 0.5 * np.sin(frame / 4), 0.35 * np.sin(frame / 6)
+    return SIZE / 2 + x * np.cos(a) + depth * np.sin(a), SIZE / 2 + y * np.cos(b) + depth * np.sin(b)
+
+
+@pytest.fixture(scope="module")
+def video(tmp_path_factory) -> Path:
+    rng = np.random.default_rng(5)
+    grey = cv2.GaussianBlur(rng.standard_normal((SIZE, SIZE)), (0, 0), 1.6)
+    grey = (128 + 40 * grey / grey.std()).astype(np.float32)
+    path = tmp_path_factory.mktemp("video") / "relief.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 25.0, (SIZE, SIZE))
+    for frame in range(SHOWN):
+        x, y = seen_from(frame)
+        back_x, back_y = np.meshgrid(np.arange(SIZE, dtype=float), np.arange(SIZE, dtype=float))
+        goal_x, goal_y = back_x.copy(), back_y.copy()
+        for _ in range(40):
+            at = [cv2.remap(v.astype(np.float32), *_maps(back_x, back_y), cv2.INTER_LINEAR) for v in (x, y)]
+            back_x, back_y = back_x + 0.7 * (goal_x - at[0]), back_y + 0.7 * (goal_y - at[1])
+        shown = cv2.remap(grey, *_maps(back_x, back_y), cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
+        writer.write(cv2.cvtColor(np.clip(shown, 0, 255).astype(np.uint8), cv2.COLOR_GRAY2BGR))
+    writer.release()
+    return path
+
+
+def _maps(x, y):
+    return np.clip(x, 0, SIZE - 1).astype(np.float32), np.clip(y, 0, SIZE - 1).astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def from_video(video):
+    places = np.stack(np.meshgrid(np.arange(30, 101, 14.0), np.arange(30, 101, 14.0)), -1).reshape(-1, 2)
+    np.savez(video.with_name("points.npz"), points=places, frame=0)
+    out = video.with_name("out")
+    assert run(["nonrigid", str(video), "--points", str(video.with_name("points.npz")), "-o", str(out), "-q"]) == 0
+    return out, places
+
+
+def test_given_points_are_followed_in_their_order(from_video):
+    out, places = from_video
+    tracks = read_tracks(out / "tracks.npz")
+    truth = np.stack(
+        [np.stack([v[places[:, 1].astype(int), places[:, 0].astype(int)] for v in seen_from(f)]) for f in range(SHOWN)]
+    )
+    # In frame 0 the relief is seen from the front: its places are the pixels.
+    away = np.linalg.norm(tracks.tracks - truth, axis=1)
+    assert np.nanmedian(away) < 1.0
+    assert tracks.visible.mean() > 0.7
+
+
+def test_the_overlay_shows_picture_and_side_view_of_every_frame(from_video):
+    out, _ = from_video
+    film = cv2.VideoCapture(str(out / "overlay_relief.mp4"))
+    assert int(film.get(cv2.CAP_PROP_FRAME_COUNT)) == SHOWN
+    assert film.get(cv2.CAP_PROP_FRAME_WIDTH) > SIZE
+    assert (out / "report.html").read_text().count("data:image/jpeg") == 4
+
+
+def test_videos_and_options_that_do_not_go_together_are_said(video, tmp_path, capsys):
+    for count, words in ((9, "is shorter than the others"), (SHOWN, "another rate")):
+        other = tmp_path / f"other{count}.avi"
+        writer = cv2.VideoWriter(str(other), cv2.VideoWriter_fourcc(*"MJPG"), 50.0, (SIZE, SIZE))
+        for _ in range(count):
+            writer.write(np.zeros((SIZE, SIZE, 3), np.uint8))
+        writer.release()
+        assert words in complaint([str(video), str(other)], capsys)
+    matrix = ["--matrix", "700,700,64,64"]
+    assert "for one camera" in complaint([str(video), str(other), *matrix], capsys)
+    (tmp_path / "a.npz").write_bytes(b"")
+    assert "either videos, or one file" in complaint([str(video), str(tmp_path / "a.npz")], capsys)
+    assert "once for each" in complaint([str(video), str(other), "--points", str(tmp_path / "a.npz")], capsys)
