@@ -66,6 +66,49 @@ def test_the_stated_deviations_hold_the_truth(made, rng):
     assert np.mean(score**2) == pytest.approx(1, abs=0.35)
 
 
+def test_the_number_of_shapes_is_chosen_with_its_curve_and_foretold_places_state_how_far_off_they_may_be(made, rng):
+    points = made[3]
+    noise = 0.02
+    given = points + noise * rng.normal(size=points.shape)
+    for point in range(POINTS):
+        begin = rng.integers(FRAMES - 15)
+        given[begin : begin + 15, point] = np.nan
+    found = factorise_points(given)
+    assert found.rank == found.choice.rank == 3
+    assert found.notes == ()
+    np.testing.assert_array_equal(found.choice.ranks, np.arange(1, len(found.choice.ranks) + 1))
+    assert found.choice.held_out_rms[2] < 0.5 * found.choice.held_out_rms[0]
+    rotation, translation = rigid_fits(found.basis[0].T, points, np.ones(points.shape[:2], bool))
+    true = np.einsum("fji,fpj->fip", rotation, points - translation[:, None])
+    score = np.moveaxis(np.abs(found.shape - true) / found.shape_sd, 1, 2)[found.predicted]
+    assert np.mean(score < 1.96) > 0.85
+    assert np.sqrt(np.mean(score**2)) > 0.5
+
+
+def test_what_the_shapes_leave_and_is_no_noise_is_stated(made, rng):
+    points = made[3] + 1e-3 * rng.normal(size=made[3].shape)
+    slow = np.sin(2 * np.pi * np.arange(FRAMES) / FRAMES)[:, None, None] * 0.01 * rng.normal(size=(POINTS, 3))
+    found = factorise_points(points + np.einsum("fij,fpj->fpi", made[0], slow), 3)
+    left = np.sqrt(np.mean(found.residuals**2) / 3)
+    assert np.sqrt(np.mean(found.shape_sd**2)) == pytest.approx(left, rel=0.3)
+
+
+def test_rigid_points_are_said_to_be_so(made, rng):
+    rotation, translation, shape, _ = made
+    points = np.einsum("fij,pj->fpi", rotation, shape[0]) + translation[:, None]
+    found = factorise_points(points + 0.01 * rng.normal(size=points.shape))
+    assert found.rank == 1
+    assert "rigid" in found.notes[-1]
+
+
+def test_too_few_points_to_hold_any_back_are_a_rigid_shape(made):
+    found = factorise_points(made[3][:, :4])
+    assert found.rank == 1
+    assert np.isnan(found.choice.held_out_rms).all()
+    with pytest.raises(MareyError, match="three points in common"):
+        factorise_points(made[3][:, :2])
+
+
 def test_the_displacements_carry_no_motion_of_the_mean(made, rng):
     points = made[3] + 0.05 * rng.normal(size=made[3].shape)
     found = factorise_points(points, 4, reference=7)
@@ -106,6 +149,8 @@ def test_a_frame_with_too_few_points_has_no_answer(made):
     assert np.isnan(found.shape[:, :, 4]).all()
     assert np.isnan(found.point_rms[4])
     assert np.isfinite(found.rotation[1:5]).all()
+    assert "2 of 80 frames" in found.notes[0]
+    assert "1 of 12 points" in found.notes[1]
 
 
 def test_points_on_a_line_tell_no_rotation():

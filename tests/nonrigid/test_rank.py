@@ -21,7 +21,7 @@ def test_held_back_points_tell_the_rank(rng, modes):
     choice = choose_rank(turned + 0.02 * rng.normal(size=turned.shape), most=6)
     assert choice.rank in (modes + 1, modes + 2)
     assert choice.held_out_rms[choice.rank - 1] < 0.06
-    assert len(choice.ranks) == len(choice.held_out_rms) == len(choice.held_out_sd) == 6
+    assert len(choice.ranks) == len(choice.held_out_rms) == len(choice.held_out_sd) >= 5
 
 
 def test_too_few_points_are_said(rng):

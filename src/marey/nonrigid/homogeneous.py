@@ -13,19 +13,21 @@ motions of real skin wander by tens of degrees for a hundredth of the residual.)
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from marey.arrays import Floats, Mask, frozen
 from marey.errors import MareyError
-from marey.geometry import rotations
-from marey.nonrigid.alignment import mean_shape
+from marey.nonrigid.homogeneous_errors import shape_covariance
+from marey.nonrigid.homogeneous_model import HomogeneousModel, improve, with_more_modes
+from marey.nonrigid.homogeneous_start import most_shapes, start
+from marey.nonrigid.measured_places import MeasuredPlaces, PointsInSpace
+from marey.nonrigid.rank import RankChoice, choose_rank_of
 
-ROUNDS = 100
-STILL = 1e-6
-"""The change of the fit's root mean square, as a share of it, at which the rounds end."""
-LEAST_SPREAD = 1e-12
-"""Least variance, as a share of the mean shape's, of a weight and of the noise; keeps exact data solvable."""
+RIGID = "The object is rigid as far as these points tell: its mean shape alone explains them."
+UNSOLVED = "{} of {} frames have fewer than three points off one line, and no answer."
+UNTIED = "{} of {} points are never measured together with the rest, and have no answer."
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -38,14 +40,15 @@ class HomogeneousShapes:
     shape: Floats
     """(F, 3, P) in the object's frame, in the unit of the points; also of points that were missing (`predicted`)."""
     shape_sd: Floats
-    """(F, 3, P) standard deviation of the shape, from the noise about the model."""
+    """(F, 3, P) standard deviation of the shape."""
     rotation: Floats
     """(F, 3, 3) laboratory from object."""
     translation: Floats
     """(F, 3) the object's origin in the laboratory."""
     covariance: Floats
     """(F, 6, 6) of the turn about the object's axes, exp(turn) to the right of the rotation [rad], and of the
-    translation; from the noise about the model alone, not from what all points do together and the bone does not."""
+    translation; from the noise about the model alone, not from what all points do together and the bone does not. The
+    object's axes are taken as known: an error of the reference's own pose turns all frames alike."""
     basis: Floats
     """(K, 3, P) the mean shape, and displacements of root mean square 1 a point, uncorrelated, the largest first."""
     coefficients: Floats
@@ -58,18 +61,14 @@ class HomogeneousShapes:
     """(F, P) true where the shape of a missing point is given."""
     reference: int
     """The frame in which the object's axes are those of the laboratory."""
+    choice: RankChoice | None
+    """How the number of basis shapes was chosen; None where it was given."""
+    notes: tuple[str, ...]
+    """What a user should know of this answer."""
 
     def __post_init__(self) -> None:
-        for name in (
-            "shape",
-            "shape_sd",
-            "rotation",
-            "translation",
-            "covariance",
-            "basis",
-            "coefficients",
-            "residuals",
-        ):
+        names = ("shape", "shape_sd", "rotation", "translation", "covariance", "basis", "coefficients", "residuals")
+        for name in names:
             object.__setattr__(self, name, frozen(getattr(self, name)))
         object.__setattr__(self, "predicted", frozen(self.predicted, bool))
 
@@ -91,41 +90,30 @@ class HomogeneousShapes:
         return np.asarray(np.einsum("fij,fjp->fpi", self.rotation, self.shape) + self.translation[:, None])
 
     @property
+    def rotation_sd(self) -> Floats:
+        """(F, 3) standard deviation of the turn about the object's axes [rad]."""
+        return np.asarray(np.sqrt(np.einsum("fii->fi", self.covariance[:, :3, :3])))
+
+    @property
+    def translation_sd(self) -> Floats:
+        """(F, 3) standard deviation of the translation."""
+        return np.asarray(np.sqrt(np.einsum("fii->fi", self.covariance[:, 3:, 3:])))
+
+    @property
     def point_rms(self) -> Floats:
-        """(P,) root mean square distance of each point from the model; NaN for one never measured."""
+        """(P,) root mean square distance of each measured point from the model; NaN for one never measured."""
         seen = np.isfinite(self.residuals)
         total = np.where(seen, self.residuals, 0) ** 2
         return np.asarray(np.where(seen.any(0), np.sqrt(total.sum(0) / np.maximum(seen.sum(0), 1)), np.nan))
 
 
-@dataclass
-class _State:
-    """What the rounds improve; frames without a pose and points without a place are left out beforehand."""
-
-    rotation: Floats
-    translation: Floats
-    mean: Floats
-    """(P, 3)."""
-    modes: Floats
-    """(M, P, 3) displacements, M = K - 1."""
-    weights: Floats
-    """(F, M)."""
-    spread: Floats
-    """(M,) variance of the weights."""
-    weight_covariance: Floats
-    """(F, M, M)."""
-    variance: float
-    """Of a coordinate about the model."""
-    pose_covariance: Floats
-    """(F, 6, 6) of turn and of the shift in the object's frame."""
-
-
-def factorise_points(points: Floats, rank: int, *, reference: int | None = None) -> HomogeneousShapes:
+def factorise_points(points: Floats, rank: int | None = None, *, reference: int | None = None) -> HomogeneousShapes:
     """Find basis shapes, weights and rigid motions of points in space ([Alexander2003] eq. (15)-(21)).
 
     Args:
         points: (F, P, 3) in any unit; NaN where a point is missing.
-        rank: K, the number of basis shapes with the mean; 1 is the rigid fit to the mean shape.
+        rank: K, the number of basis shapes with the mean; 1 is the rigid fit to the mean shape, None chooses it by
+            points held back.
         reference: the frame in which the object's axes are those of the laboratory; by default the first with a pose.
 
     Returns:
@@ -136,192 +124,93 @@ def factorise_points(points: Floats, rank: int, *, reference: int | None = None)
             reference has no pose.
     """
     points = np.asarray(points, float)
-    _check(points, rank)
-    present: Mask = np.asarray(np.isfinite(points).all(-1))
-    mean, rotation, translation = mean_shape(points, present)
-    frames, kept = np.isfinite(rotation[:, 0, 0]), np.isfinite(mean[:, 0])
-    _check_enough(frames, kept, rank)
-    first = int(frames.argmax()) if reference is None else reference
-    if not 0 <= first < len(points) or not frames[first]:
-        raise MareyError(f"Frame {first} has fewer than three points off one line; another should be the reference.")
-    inner, weight = points[np.ix_(frames, kept)], present[np.ix_(frames, kept)].astype(float)
-    state = _begin(inner, weight, mean[kept], rotation[frames], translation[frames], rank - 1)
-    _improve(state, np.nan_to_num(inner), weight)
-    return _tell(state, points, frames, kept, first)
-
-
-def _check(points: Floats, rank: int) -> None:
     if points.ndim != 3 or points.shape[2] != 3:
         raise MareyError(f"Points have the shape {points.shape} and should have (frames, points, 3).")
-    if rank < 1:
+    return HomogeneousShapes(**solved_shapes(PointsInSpace(points), rank, reference)[1])
+
+
+def solved_shapes(
+    places: MeasuredPlaces, rank: int | None, reference: int | None
+) -> tuple[HomogeneousModel, dict[str, Any]]:
+    """Solve the factorisation of places, however they are measured.
+
+    Args:
+        places: What is measured.
+        rank: K; None chooses it.
+        reference: see `factorise_points`.
+
+    Returns:
+        The model of the frames and points with an answer, and the fields of `HomogeneousShapes`.
+
+    Raises:
+        MareyError: as `factorise_points`.
+    """
+    if rank is not None and rank < 1:
         raise MareyError(f"The number of basis shapes is {rank} and should be at least 1.")
+    model, frames, kept = start(places)
+    inner = places.among(frames, kept)
+    first = int(frames.argmax()) if reference is None else reference
+    if not 0 <= first < len(frames) or not frames[first]:
+        raise MareyError(f"Frame {first} has fewer than three points off one line; another should be the reference.")
+    choice = choose_rank_of(places) if rank is None else None
+    count = choice.rank if choice else rank or 1
+    _check_rank(inner, count)
+    model = with_more_modes(model, inner, count - 1)
+    improve(model, inner)
+    fields = _spread_out(model, inner, frames, kept, first)
+    rigid = choice is not None and count == 1
+    notes = (*_gaps(frames, kept), *((RIGID,) if rigid else ()))
+    away = np.linalg.norm(places.known - fields.pop("points"), axis=-1)
+    predicted = np.isfinite(fields["shape"][:, 0]) & ~places.seen
+    if choice is not None:
+        fields["shape_sd"] = np.where(predicted[:, None], choice.farther, 1) * fields["shape_sd"]
+    return model, {
+        **fields, "residuals": away, "predicted": predicted, "reference": first, "choice": choice, "notes": notes
+    }  # fmt: skip
 
 
-def _check_enough(frames: Mask, kept: Mask, rank: int) -> None:
-    if frames.sum() < 2 or kept.sum() < 3:
-        raise MareyError("Fewer than two frames have three points in common that do not lie on one line.")
-    most = 1 + min(int(frames.sum()) - 1, 3 * int(kept.sum()) - 6)
-    if rank > most:
+def _check_rank(places: MeasuredPlaces, rank: int) -> None:
+    frames, points = places.seen.shape
+    if rank > most_shapes(places):
         raise MareyError(
-            f"{rank} basis shapes are too many for {kept.sum()} points over {frames.sum()} frames: "
-            f"at most {most} can be told."
+            f"{rank} basis shapes are too many for {points} points over {frames} frames: "
+            f"at most {most_shapes(places)} can be told."
         )
 
 
-def _begin(points: Floats, weight: Floats, mean: Floats, rotation: Floats, translation: Floats, modes: int) -> _State:
-    """Begin with the singular vectors of what the rigid fit leaves; a missing point departs by nothing."""
-    carried = np.einsum("fji,fpj->fpi", rotation, points - translation[:, None])
-    left = np.where(weight[..., None] > 0, carried - mean, 0).reshape(len(points), -1)
-    u, d, vt = np.linalg.svd(left, full_matrices=False)
-    weights = u[:, :modes] * d[:modes]
-    size = float((mean**2).mean())
-    return _State(
-        rotation=rotation, translation=translation, mean=mean, modes=vt[:modes].reshape(modes, *mean.shape),
-        weights=weights, spread=(weights**2).mean(0) + LEAST_SPREAD * size,
-        weight_covariance=np.zeros((len(points), modes, modes)), pose_covariance=np.zeros((len(points), 6, 6)),
-        variance=float((left**2).sum() / (3 * weight.sum())) + LEAST_SPREAD * size,
-    )  # fmt: skip
+def _gaps(frames: Mask, kept: Mask) -> tuple[str, ...]:
+    """Say what has no answer."""
+    notes = []
+    if not frames.all():
+        notes.append(UNSOLVED.format((~frames).sum(), len(frames)))
+    if not kept.all():
+        notes.append(UNTIED.format((~kept).sum(), len(kept)))
+    return tuple(notes)
 
 
-def _improve(state: _State, points: Floats, weight: Floats) -> None:
-    before = np.inf
-    for _ in range(ROUNDS):
-        _solve_frames(state, points, weight)
-        _solve_basis(state, points, weight)
-        _fix_gauge(state)
-        rms = _solve_frames(state, points, weight)
-        if abs(before - rms) <= STILL * rms:
-            break
-        before = rms
-
-
-def _carried(state: _State, points: Floats) -> Floats:
-    """Give the points (F, P, 3) in the object's frame."""
-    return np.asarray(np.einsum("fji,fpj->fpi", state.rotation, points - state.translation[:, None]))
-
-
-def _departures(state: _State) -> Floats:
-    return np.asarray(state.mean + np.einsum("fm,mpi->fpi", state.weights, state.modes))
-
-
-def _solve_frames(state: _State, points: Floats, weight: Floats) -> float:
-    """Do one Gauss-Newton step of every frame's pose and weights; give the root mean square of the residuals before it.
-
-    In the object's frame the residual is e = y - S with y = R'(x - t); for R exp(w), t + R v and weights c + d it is
-    e - v - w x y - d B to first order.
-    """
-    carried = _carried(state, points)
-    residual = (carried - _departures(state)) * weight[..., None]
-    modes = len(state.modes)
-    jacobian = np.zeros((*carried.shape, 6 + modes))
-    jacobian[..., :3] = rotations.hat(carried)
-    jacobian[..., 3:6] = -np.eye(3)
-    jacobian[..., 6:] = -np.moveaxis(state.modes, 0, -1)
-    jacobian *= weight[..., None, None]
-    flat = jacobian.reshape(len(points), -1, 6 + modes)
-    normal = np.einsum("fnd,fne->fde", flat, flat, optimize=True) / state.variance
-    right = -np.einsum("fnd,fn->fd", flat, residual.reshape(len(points), -1)) / state.variance
-    normal[:, range(6, 6 + modes), range(6, 6 + modes)] += 1 / state.spread
-    right[:, 6:] -= state.weights / state.spread
-    step = np.linalg.solve(normal, right[..., None])[..., 0]
-    covariance = np.linalg.inv(normal)
-    state.pose_covariance, state.weight_covariance = covariance[:, :6, :6], covariance[:, 6:, 6:]
-    state.translation = state.translation + np.einsum("fij,fj->fi", state.rotation, step[:, 3:6])
-    state.rotation = state.rotation @ rotations.exp(step[:, :3])
-    state.weights = state.weights + step[:, 6:]
-    return float(np.sqrt((residual**2).sum() / (3 * weight.sum())))
-
-
-def _solve_basis(state: _State, points: Floats, weight: Floats) -> None:
-    """Solve every point's rows of the basis, given the frames; then the noise and the spread of the weights."""
-    frames, modes = len(points), len(state.modes)
-    carried = _carried(state, points)
-    row = np.concatenate([np.ones((frames, 1)), state.weights], 1)
-    square = row[:, :, None] * row[:, None]
-    square[:, 1:, 1:] += state.weight_covariance
-    normal = np.einsum("fp,fkl->pkl", weight, square, optimize=True)
-    right = np.einsum("fp,fk,fpi->pki", weight, row, carried, optimize=True)
-    ridge = LEAST_SPREAD * normal[:, 0, 0].max() * (1 + np.einsum("kk->k", square.mean(0)))
-    normal[:, range(modes + 1), range(modes + 1)] += ridge
-    solved = np.linalg.solve(normal, right)
-    state.mean, state.modes = solved[:, 0], np.moveaxis(solved[:, 1:], 1, 0)
-    residual = ((carried - _departures(state)) ** 2).sum(-1) * weight
-    size = LEAST_SPREAD * float((state.mean**2).mean())
-    free = 3 * weight.sum() - 6 * frames - frames * modes - 3 * len(state.mean) * (1 + modes) + modes * (modes + 6)
-    state.variance = float(residual.sum() / max(free, 0.1 * 3 * weight.sum())) + size
-    state.spread = (state.weights**2).mean(0) + np.einsum("fmm->m", state.weight_covariance) / frames + size
-
-
-def _fix_gauge(state: _State) -> None:
-    """Take the motion out of the displacements, make them uncorrelated, and the weights of mean zero."""
-    state.mean = state.mean + np.einsum("m,mpi->pi", state.weights.mean(0), state.modes)
-    state.weights = state.weights - state.weights.mean(0)
-    shift = state.mean.mean(0)
-    state.mean = state.mean - shift
-    state.translation = state.translation + state.rotation @ shift
-    if not len(state.modes):
-        return
-    middle = state.modes.mean(1)
-    modes = state.modes - middle[:, None]
-    inertia = np.eye(3) * (state.mean**2).sum() - state.mean.T @ state.mean
-    turn = np.cross(state.mean[None], modes).sum(1) @ np.linalg.pinv(inertia)
-    modes = modes - np.cross(turn[:, None], state.mean[None])
-    state.translation = state.translation + np.einsum("fij,fm,mj->fi", state.rotation, state.weights, middle)
-    state.rotation = state.rotation @ rotations.exp(state.weights @ turn)
-    _uncorrelate(state, modes)
-
-
-def _uncorrelate(state: _State, modes: Floats) -> None:
-    """Turn displacements and weights so that both are orthogonal, the displacements of root mean square 1 a point."""
-    count, points = modes.shape[:2]
-    q, r = np.linalg.qr(modes.reshape(count, -1).T)
-    u, d, vt = np.linalg.svd(state.weights @ r.T, full_matrices=False)
-    turned = vt @ q.T
-    largest = np.abs(turned).argmax(1)
-    sign = np.where(turned[range(count), largest] < 0, -1.0, 1.0) * np.sqrt(points)
-    state.modes = (turned * sign[:, None]).reshape(count, points, 3)
-    state.weights = u * d / sign
-    new_from_old = (vt @ r) / sign[:, None]
-    state.weight_covariance = new_from_old @ state.weight_covariance @ new_from_old.T
-    state.spread = (state.weights**2).mean(0) + np.einsum("fmm->m", state.weight_covariance) / len(u)
-    state.spread = state.spread + LEAST_SPREAD * float((state.mean**2).mean())
-
-
-def _tell(state: _State, points: Floats, frames: Mask, kept: Mask, reference: int) -> HomogeneousShapes:
+def _spread_out(
+    model: HomogeneousModel, places: MeasuredPlaces, frames: Mask, kept: Mask, reference: int
+) -> dict[str, Any]:
     """Spread the answer over all frames and points, in the axes of the reference."""
-    total, count, modes = len(points), points.shape[1], len(state.modes)
-    # object of the answer from object of the state: the laboratory's axes in the reference frame
-    turn = state.rotation[frames[:reference].sum()]
+    total, count, modes = len(frames), len(kept), len(model.modes)
+    # object of the answer from object of the model: the laboratory's axes in the reference frame
+    turn = model.rotation[frames[:reference].sum()]
     basis = np.full((modes + 1, 3, count), np.nan)
-    basis[:, :, kept] = np.einsum("ij,kpj->kip", turn, np.concatenate([state.mean[None], state.modes]))
-    both = np.zeros((6, 6))
-    both[:3, :3] = turn
+    basis[:, :, kept] = np.einsum("ij,kpj->kip", turn, np.concatenate([model.mean[None], model.modes]))
     rotation, translation = np.full((total, 3, 3), np.nan), np.full((total, 3), np.nan)
     covariance, coefficients = np.full((total, 6, 6), np.nan), np.full((total, modes + 1), np.nan)
-    rotation[frames], translation[frames] = state.rotation @ turn.T, state.translation
-    to_laboratory = np.broadcast_to(both, (int(frames.sum()), 6, 6)).copy()
-    to_laboratory[:, 3:, 3:] = state.rotation
-    covariance[frames] = to_laboratory @ state.pose_covariance @ np.moveaxis(to_laboratory, 1, 2)
-    coefficients[frames] = np.concatenate([np.ones((len(state.weights), 1)), state.weights], 1)
+    rotation[frames], translation[frames] = model.rotation @ turn.T, model.translation
+    carry = np.zeros((int(frames.sum()), 6, 6))
+    carry[:, :3, :3], carry[:, 3:, 3:] = turn, model.rotation
+    covariance[frames] = carry @ model.pose_covariance @ np.swapaxes(carry, 1, 2)
+    coefficients[frames] = model.row
     shape = np.einsum("fk,kip->fip", coefficients, basis)
-    shape_sd = np.full(shape.shape, np.nan)
-    variance = np.einsum("kip,fkl,lip->fip", basis[1:], state.weight_covariance, basis[1:], optimize=True)
-    shape_sd[frames] = np.sqrt(variance + _basis_variance(state, points, frames, kept)[:, None])
-    model = np.einsum("fij,fjp->fpi", rotation, shape) + translation[:, None]
-    return HomogeneousShapes(
-        shape=shape, shape_sd=shape_sd, rotation=rotation, translation=translation, covariance=covariance, basis=basis,
-        coefficients=coefficients, noise_sd=float(np.sqrt(state.variance)),
-        residuals=np.linalg.norm(points - model, axis=-1),
-        predicted=np.isfinite(shape[:, 0]) & ~np.isfinite(points).all(-1), reference=reference,
-    )  # fmt: skip
-
-
-def _basis_variance(state: _State, points: Floats, frames: Mask, kept: Mask) -> Floats:
-    """Give the variance (frames kept, P) that a coordinate of the shape has from the basis."""
-    weight = np.isfinite(points[np.ix_(frames, kept)]).all(-1).astype(float)
-    row = np.concatenate([np.ones((len(weight), 1)), state.weights], 1)
-    normal = np.einsum("fp,fk,fl->pkl", weight, row, row, optimize=True)
-    out = np.full((len(weight), len(kept)), np.nan)
-    inverse = np.linalg.pinv(normal, hermitian=True) * state.variance
-    out[:, kept] = np.einsum("fk,pkl,fl->fp", row, inverse, row, optimize=True)
-    return out
+    variance = np.full((total, count, 3), np.nan)
+    own = np.einsum("ij,fpjk,ik->fpi", turn, shape_covariance(model, places), turn, optimize=True)
+    variance[np.ix_(frames, kept)] = own
+    points = np.einsum("fij,fjp->fpi", rotation, shape) + translation[:, None]
+    return {
+        "shape": shape, "shape_sd": np.sqrt(np.swapaxes(variance, 1, 2)), "rotation": rotation,
+        "translation": translation, "covariance": covariance, "basis": basis, "coefficients": coefficients,
+        "noise_sd": float(np.sqrt(model.variance)), "points": points,
+    }  # fmt: skip

@@ -5,13 +5,27 @@ from dataclasses import dataclass
 import numpy as np
 
 from marey.arrays import Floats, Integers, Mask, frozen
-from marey.errors import MareyError
-from marey.nonrigid.homogeneous import factorise_points
+from marey.nonrigid.homogeneous_errors import pose_variance, shape_covariance
+from marey.nonrigid.homogeneous_model import HomogeneousModel, improve, with_more_modes
+from marey.nonrigid.homogeneous_start import most_shapes, start
+from marey.nonrigid.measured_places import MeasuredPlaces, PointsInSpace
 
 HELD_BACK = 0.1
-"""Share of the points that a round holds back, each for itself."""
+"""Share of the points that a round holds back."""
+LONGEST_RUN = 30
+"""Of frames in which a point is hidden, or a tenth of all frames."""
 ROUNDS = 3
-MOST = 12
+MOST = 30
+MOST_FRAMES = 400
+"""Of more frames, so many are judged, evenly spread."""
+HOPELESS = 4
+"""After so many numbers in succession that foretell worse than the best, no larger one is tried."""
+KEPT_IN_FRAME = 4
+"""A frame keeps so many points, or what it has."""
+_NINE_OF_TEN = 6.25
+"""Of squared distances in space, in variances of a coordinate, nine of ten are smaller (chi square, three)."""
+_SOLVES, _STILL = 20, 1e-3
+"""How well the model is solved before it is judged."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -23,14 +37,45 @@ class RankChoice:
     ranks: Integers
     """(N,) the numbers that were tried."""
     held_out_rms: Floats
-    """(N,) root mean square distance of the points held back from what the others foretell, in their unit."""
+    """(N,) root mean square distance of what was held back from what the rest foretells, in its unit: that of the
+    points, or pixels where points are measured in pictures."""
     held_out_sd: Floats
     """(N,) standard deviation of that over the rounds."""
+    farther: float
+    """How many times farther off than the model states points lie that were hidden for a while, at the chosen rank; at
+    least 1."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "ranks", frozen(self.ranks, np.int64))
         for name in ("held_out_rms", "held_out_sd"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
+
+
+@dataclass
+class _Round:
+    """A model that has not seen what is held back, and how well it foretells that."""
+
+    whole: MeasuredPlaces
+    """Frames and points of the model, with what is held back."""
+    rest: MeasuredPlaces
+    gone: Mask
+    model: HomogeneousModel
+
+    def grow(self, count: int) -> None:
+        """Give the model more modes, and solve it well enough to be judged."""
+        self.model = with_more_modes(self.model, self.rest, count)
+        improve(self.model, self.rest, rounds=_SOLVES, still=_STILL)
+
+    def error(self) -> float:
+        """Give the root mean square distance of what was held back."""
+        return float(np.sqrt(np.nanmean(self.whole.squares(self.model.places)[self.gone])))
+
+    def farther(self) -> Floats:
+        """Give by what the stated variance of each point held back must be multiplied to be as far off as it is."""
+        squares = ((self.whole.known - self.model.places) ** 2).sum(-1)[self.gone]
+        stated = np.trace(shape_covariance(self.model, self.rest), axis1=2, axis2=3)[self.gone]
+        known = 3 * self.model.variance + pose_variance(self.model)[self.gone]
+        return ((squares * 3 / _NINE_OF_TEN - known) / stated)[np.isfinite(squares)]
 
 
 def choose_rank(points: Floats, *, most: int = MOST, seed: int = 0) -> RankChoice:
@@ -44,37 +89,82 @@ def choose_rank(points: Floats, *, most: int = MOST, seed: int = 0) -> RankChoic
     Raises:
         MareyError: There are too few frames or points for the rigid fit, once some are held back.
     """
-    points = np.asarray(points, float)
+    return choose_rank_of(PointsInSpace(points), most=most, seed=seed)
+
+
+def choose_rank_of(places: MeasuredPlaces, *, most: int = MOST, seed: int = 0) -> RankChoice:
+    """Choose the number of basis shapes as `choose_rank` does, for places however they are measured."""
     rng = np.random.default_rng(seed)
-    present: Mask = np.asarray(np.isfinite(points).all(-1))
-    hidden = [_hidden(present, rng) for _ in range(ROUNDS)]
-    ranks, errors = [], []
-    for rank in range(1, most + 1):
-        try:
-            errors.append([_foretold(points, gone, rank) for gone in hidden])
-        except MareyError:
-            if rank == 1:
-                raise
-            break
-        ranks.append(rank)
-    squares = np.sqrt(np.array(errors))
-    rms, sd = squares.mean(1), squares.std(1, ddof=1)
+    places = _thinned(places)
+    rounds = [_begin(places, _hidden(places.seen, rng)) for _ in range(ROUNDS)]
+    if any(not one.gone.any() for one in rounds):  # too few points to do without any: a rigid shape is all they tell
+        nothing = np.full(1, np.nan)
+        return RankChoice(rank=1, ranks=np.ones(1, np.int64), held_out_rms=nothing, held_out_sd=nothing, farther=1.0)
+    most = min(most, *(most_shapes(one.rest) for one in rounds))
+    ranks, errors = [1], [[one.error() for one in rounds]]
+    while ranks[-1] < most and ranks[-1] - ranks[int(np.mean(errors, 1).argmin())] < HOPELESS:
+        for one in rounds:
+            one.grow(1)
+        ranks.append(ranks[-1] + 1)
+        errors.append([one.error() for one in rounds])
+    rms, sd = np.mean(errors, 1), np.std(errors, 1, ddof=1)
     best = int(rms.argmin())
-    enough = rms <= rms[best] + sd[best] / np.sqrt(ROUNDS)
-    return RankChoice(rank=ranks[int(enough.argmax())], ranks=np.array(ranks), held_out_rms=rms, held_out_sd=sd)
+    rank = ranks[int((rms <= rms[best] + sd[best] / np.sqrt(ROUNDS)).argmax())]
+    farther = _farther([_begin(places, _hidden_runs(places.seen, rng)) for _ in range(ROUNDS)], rank)
+    return RankChoice(rank=rank, ranks=np.array(ranks), held_out_rms=rms, held_out_sd=sd, farther=farther)
 
 
-def _hidden(present: Mask, rng: np.random.Generator) -> Mask:
-    """Choose what is held back: every frame keeps at least four points, or what it has."""
-    gone = present & (rng.random(present.shape) < HELD_BACK)
-    gone[(present & ~gone).sum(1) < 4] = False
+def _thinned(places: MeasuredPlaces) -> MeasuredPlaces:
+    """Keep so many frames, evenly spread, as suffice to judge."""
+    frames, points = places.seen.shape
+    if frames <= MOST_FRAMES:
+        return places
+    chosen = np.zeros(frames, bool)
+    chosen[np.linspace(0, frames - 1, MOST_FRAMES).astype(int)] = True
+    return places.among(chosen, np.ones(points, bool))
+
+
+def _begin(places: MeasuredPlaces, gone: Mask) -> _Round:
+    """Fit the rigid shape to what is not held back."""
+    rest = places.without(gone)
+    model, frames, points = start(rest)
+    one = _Round(places.among(frames, points), rest.among(frames, points), gone[np.ix_(frames, points)], model)
+    one.grow(0)
+    return one
+
+
+def _hidden(seen: Mask, rng: np.random.Generator) -> Mask:
+    """Hold places back, each for itself."""
+    return _enough_left(seen, rng.random(seen.shape) < HELD_BACK)
+
+
+def _hidden_runs(seen: Mask, rng: np.random.Generator) -> Mask:
+    """Hold places back in runs of frames, as gaps come."""
+    frames, points = seen.shape
+    gone = np.zeros(seen.shape, bool)
+    longest = min(LONGEST_RUN, max(frames // 10, 1))
+    for _ in range(int(2 * HELD_BACK * frames * points / (1 + longest)) + 1):
+        begin, length, point = rng.integers(frames), rng.integers(1, longest + 1), rng.integers(points)
+        gone[begin : begin + length, point] = True
+    return _enough_left(seen, gone)
+
+
+def _enough_left(seen: Mask, gone: Mask) -> Mask:
+    gone = seen & gone
+    gone[(seen & ~gone).sum(1) < KEPT_IN_FRAME] = False
     return np.asarray(gone)
 
 
-def _foretold(points: Floats, gone: Mask, rank: int) -> float:
-    found = factorise_points(np.where(gone[..., None], np.nan, points), rank)
-    wrong = ((found.points - points) ** 2).sum(-1)[gone]
-    return float(np.nanmean(wrong))
+def _farther(rounds: list[_Round], rank: int) -> float:
+    """Say how many times farther off than stated points are that were hidden in runs; at least 1.
+
+    Gaps hide whole postures, and a model knows its errors only where it has seen them.
+    """
+    for one in rounds:
+        if 1 < rank <= most_shapes(one.rest):
+            one.grow(rank - 1)
+    ratios = np.concatenate([one.farther() for one in rounds])
+    return float(np.sqrt(max(np.quantile(ratios, 0.9), 1.0))) if len(ratios) else 1.0
 
 
 def significant_singular_values(values: Floats, shape: tuple[int, int]) -> int:
