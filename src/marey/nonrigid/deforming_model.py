@@ -254,12 +254,13 @@ def improve(model: DeformingModel, tracks: Floats, seen: Floats, rounds: int, le
 def basis_cost(model: DeformingModel) -> float:
     """Give minus the logarithm of what the modes' freedom costs the tracks' probability, up to a constant.
 
-    Each coordinate of a mode of root mean square 1 is believed to be of size 1 beforehand; the tracks tell two of three
-    coordinates a frame, so they narrow it by the square root of 1 + 2 sum(c^2) / (3 noise^2) (Laplace).
+    Each coordinate of a mode of root mean square 1 is believed to be of size 1 beforehand; one camera tells two of
+    three coordinates a frame, so the tracks narrow it by the square root of 1 + 2 sum(c^2) / (3 noise^2) (Laplace).
     """
+    share = float((model.projection**2).sum()) / 3
     weights = model.weights - model.weights.mean(0)
     left = np.einsum("fm,mip->fip", weights, model.modes).reshape(len(weights), -1)
     square = left @ left.T if len(left) < left.shape[1] else left.T @ left
     size = np.maximum(np.linalg.eigvalsh(square)[::-1][: len(model.modes)], 0)
     points = model.mean.shape[1]
-    return float(1.5 * points * np.log1p(2 / 3 * size / (points * model.variance)).sum())
+    return float(1.5 * points * np.log1p(share * size / (points * model.variance)).sum())
