@@ -5,6 +5,8 @@ from typing import Annotated
 
 import typer
 
+from marey.cli.options import Quiet
+
 app = typer.Typer(no_args_is_help=True, rich_markup_mode="markdown", help="Bones and cartilage of a knee from MR.")
 
 _Out = Annotated[Path | None, typer.Option("--out", "-o", metavar="DIR", help="Where the results go.")]
@@ -30,3 +32,27 @@ def thickness(
     folder, found = measure_thickness(bone, cartilages, out)
     typer.echo(found)
     typer.echo(f"Thickness: {folder / 'thickness.npz'}")
+
+
+@app.command()
+def register(
+    template: Annotated[Path, typer.Argument(metavar="TEMPLATE.ply", help="A bone of somebody else.")],
+    subject: Annotated[Path, typer.Argument(metavar="SUBJECT.ply", help="The same bone of the subject.")],
+    mirror: Annotated[bool, typer.Option("--mirror", help="Mirror the template, of the other side, first.")] = False,
+    out: _Out = None,
+    quiet: Quiet = False,
+) -> None:
+    """Lay a template's bone on a subject's: by a rigid motion, then bent.
+
+    The template may lie 30 degrees and 30 mm off. Leaves `rigid.json` (`subject_from_template`, 4x4, mm) and
+    `registered.ply` (the template's vertices, in their order, on the subject) in `SUBJECT_marey`, or in DIR.
+
+    Examples:
+    * `marey knee register atlas_femur.ply femur.ply`
+    * `marey knee register left_femur.ply right_femur.ply --mirror --out femur`
+    """
+    from marey.cli.knee_register import register as register_bones
+    from marey.cli.progress import Progress
+
+    folder = register_bones(template, subject, out, mirror=mirror, progress=Progress(quiet=quiet))
+    typer.echo(f"Registered: {folder / 'registered.ply'}")

@@ -105,6 +105,12 @@ class TriangleTree:
 
 
 @numba.njit(cache=True, nogil=True)
+def _share(part, whole):  # pragma: no cover - compiled
+    """Divide; nothing of nothing is nothing: a triangle without area has its neighbours' sides."""
+    return part / whole if whole != 0.0 else 0.0
+
+
+@numba.njit(cache=True, nogil=True)
 def _nearest_on_triangle(point, corners, out):  # pragma: no cover - compiled
     """Write the point of a triangle (3, 3) nearest to another and give its squared distance ([Ericson2005] 5.1.5)."""
     d1 = d2 = d3 = d4 = d5 = d6 = 0.0
@@ -126,14 +132,14 @@ def _nearest_on_triangle(point, corners, out):  # pragma: no cover - compiled
     elif d6 >= 0.0 and d5 <= d6:
         v, w = 0.0, 1.0
     elif vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
-        v, w = d1 / (d1 - d3), 0.0
+        v, w = _share(d1, d1 - d3), 0.0
     elif vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
-        v, w = 0.0, d2 / (d2 - d6)
+        v, w = 0.0, _share(d2, d2 - d6)
     elif va <= 0.0 and d4 >= d3 and d5 >= d6:
-        w = (d4 - d3) / ((d4 - d3) + (d5 - d6))
+        w = _share(d4 - d3, (d4 - d3) + (d5 - d6))
         v = 1.0 - w
     else:
-        v, w = vb / (va + vb + vc), vc / (va + vb + vc)
+        v, w = _share(vb, va + vb + vc), _share(vc, va + vb + vc)
     squared = 0.0
     for i in range(3):
         out[i] = (1.0 - v - w) * corners[0, i] + v * corners[1, i] + w * corners[2, i]

@@ -1,0 +1,35 @@
+"""`rigid.json`: where a template's bone lies on a subject's."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from marey.arrays import Floats
+from marey.errors import FileProblem
+from marey.io.atomic import replacing
+
+
+def write_rigid(path: Path | str, subject_from_template: Floats, about: Mapping[str, object]) -> None:
+    """Write a homogeneous matrix (4, 4) [mm] and what else is known of it, under plain names."""
+    table = {"subject_from_template": np.asarray(subject_from_template).tolist(), **about}
+    with replacing(path) as beside:
+        beside.write_text(json.dumps(table, indent=1) + "\n")
+
+
+def read_rigid(path: Path | str) -> Floats:
+    """Read the matrix (4, 4) [mm], subject from template.
+
+    Raises:
+        FileProblem: The file is missing or damaged, or holds no such matrix.
+    """
+    try:
+        matrix = np.array(json.loads(Path(path).read_text())["subject_from_template"], float)
+    except FileNotFoundError as error:
+        raise FileProblem(path, "is not there") from error
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise FileProblem(path, "holds no subject_from_template", "`marey knee register` writes it.") from error
+    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
+        raise FileProblem(path, "has a subject_from_template that is no matrix of 4 x 4", "")
+    return matrix
