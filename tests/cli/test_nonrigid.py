@@ -312,5 +312,57 @@ def test_videos_and_options_that_do_not_go_together_are_said(video, tmp_path, ca
     matrix = ["--matrix", "700,700,64,64"]
     assert "for one camera" in complaint([str(video), str(other), *matrix], capsys)
     (tmp_path / "a.npz").write_bytes(b"")
-    assert "either videos, or one file" in complaint([str(video), str(tmp_path / "a.npz")], capsys)
+    assert "either videos, or files" in complaint([str(video), str(tmp_path / "a.npz")], capsys)
     assert "once for each" in complaint([str(video), str(other), "--points", str(tmp_path / "a.npz")], capsys)
+
+
+@pytest.fixture(scope="module")
+def two_views(made):
+    """The same shapes before a second camera 45 degrees beside the first, with a little noise: (2, F, 2, P)."""
+    path, shapes, first = made
+    beside = rotations.exp(np.array([0, np.pi / 4, 0]))
+    second = 1.3 * (beside @ path @ shapes)[:, :2] + 200
+    return np.stack([first, second]) + 0.3 * np.random.default_rng(8).normal(size=(2, *first.shape))
+
+
+def camera_error(arrays, made) -> float:
+    path, shapes, _ = made
+    truth, got = path @ shapes, arrays["rotation"] @ arrays["shape"]
+    mirrored = got * np.array([1, 1, -1.0])[:, None]
+    return min(np.linalg.norm(each - truth, axis=1).mean() for each in (got, mirrored)) / truth.std(2).mean()
+
+
+def test_tracks_of_several_cameras_in_one_file_are_of_the_same_points(tmp_path, made, two_views):
+    assert run(["nonrigid", write(tmp_path, tracks=two_views), "--quiet"]) == 0
+    arrays = read_arrays(tmp_path / "given_marey" / "shapes.npz")
+    assert camera_error(arrays, made) < 0.05
+    shown = arrays["camera_from_first"][:, None] @ arrays["rotation"] @ arrays["shape"]
+    modelled = arrays["camera_scale"][:, None, None, None] * shown[:, :, :2] + arrays["camera_translation"][..., None]
+    np.testing.assert_allclose(modelled, arrays["modelled"])
+    assert np.linalg.norm(modelled - two_views, axis=2).mean() < 2
+    assert arrays["camera_scale"][1] == pytest.approx(1.3, rel=0.02)
+
+
+def test_points_of_several_files_are_matched_by_their_motion(tmp_path, made, two_views, rng):
+    order = rng.permutation(POINTS)
+    np.savez(tmp_path / "left.npz", tracks=two_views[0])
+    np.savez(tmp_path / "right.npz", tracks=two_views[1][..., order])
+    assert (
+        run(["nonrigid", str(tmp_path / "left.npz"), str(tmp_path / "right.npz"), "-o", str(tmp_path / "o"), "-q"]) == 0
+    )
+    arrays = read_arrays(tmp_path / "o" / "shapes.npz")
+    left, right = arrays["camera_points"]
+    assert len(left) >= 0.9 * POINTS
+    assert (order[right] == left).mean() >= 0.9
+    assert arrays["labels"][0] == f"{left[0]}/{right[0]}"
+
+
+def test_files_of_several_cameras_that_do_not_fit_are_said(tmp_path, capsys, two_views, made):
+    np.savez(tmp_path / "a.npz", tracks=two_views[0])
+    np.savez(tmp_path / "b.npz", tracks=two_views[1][:-1])
+    np.savez(tmp_path / "c.npz", points=made[1])
+    a, b, c = (str(tmp_path / f"{name}.npz") for name in "abc")
+    assert "same instants" in complaint([a, b], capsys)
+    assert "points in space" in complaint([a, c], capsys)
+    assert "one name" in complaint([a, a], capsys)
+    assert "for one camera" in complaint([a, a, "--matrix", "700,700,64,64"], capsys)

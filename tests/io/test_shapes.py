@@ -30,8 +30,8 @@ def found(rng):
     return RecoveredShapes(
         kind=ONE_VIEW, shape=shape, shape_sd=0.1 * np.abs(shape), rotation=rotation,
         rotation_sd=np.full((6, 3), 0.01), translation=translation, basis=basis, coefficients=coefficients,
-        residuals=np.full((1, 6, 5), 0.1), predicted=np.zeros((6, 5), bool), modelled=modelled[None], noise_sd=0.1,
-        gauge=GAUGES[ONE_VIEW], notes=("a note",),
+        residuals=np.full((1, 6, 5), 0.1), predicted=np.zeros((6, 5), bool), modelled=modelled[None],
+        noise_sd=np.array([0.1]), gauge=GAUGES[ONE_VIEW], notes=("a note",),
         curve=RankCurve(ranks=np.arange(1, 4), errors=np.ones(3), errors_sd=np.full(3, np.nan), measure="error"),
     )  # fmt: skip
 

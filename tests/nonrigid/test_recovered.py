@@ -12,14 +12,14 @@ def test_frames_and_points_that_hold_too_little_are_found_until_nothing_changes(
     seen = np.ones((8, 6), bool)
     seen[0, :3] = False
     seen[1:, 5] = False
-    frames, points = usable(seen, least_points=4, least_frames=3)
+    frames, points = usable(seen[None], least_points=4, least_frames=3)
     assert np.flatnonzero(~frames).tolist() == [0]
     assert np.flatnonzero(~points).tolist() == [5]
 
 
 def test_too_little_altogether_is_an_error():
     with pytest.raises(MareyError, match="6 points over 2 frames hold too little"):
-        usable(np.ones((2, 6), bool), least_points=4, least_frames=3)
+        usable(np.ones((1, 2, 6), bool), least_points=4, least_frames=3)
 
 
 @pytest.fixture(scope="module")

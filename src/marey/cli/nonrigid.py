@@ -1,17 +1,17 @@
 """`marey nonrigid`: from videos, tracks or points in space to the shapes of a surface that deforms."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from marey.arrays import Floats, Integers, Mask
+from marey.arrays import Mask
 from marey.cli.nonrigid_input import NonRigidInput, read_input
+from marey.cli.nonrigid_measure import MeasuredPoints, measure_points
 from marey.cli.nonrigid_results import write_results
 from marey.cli.nonrigid_settings import NonRigidOptions
-from marey.cli.nonrigid_video import VideoTracks, follow_video
 from marey.cli.progress import Progress
 from marey.cli.run_record import StageCache
 from marey.errors import SettingProblem
@@ -19,35 +19,19 @@ from marey.io.shapes import shape_arrays, shapes_from
 from marey.io.stages import file_fingerprint
 from marey.nonrigid import one_view
 from marey.nonrigid.homogeneous import factorise_points
+from marey.nonrigid.many_views import factorise_views
 from marey.nonrigid.one_view import factorise_tracks
-from marey.nonrigid.rank import choose_rank
-from marey.nonrigid.recovered import RecoveredShapes, from_one_view, from_points, known_distance, usable, widened
+from marey.nonrigid.recovered import (
+    RecoveredShapes,
+    from_many_views,
+    from_one_view,
+    from_points,
+    known_distance,
+    usable,
+    widened,
+)
 
 _MOST_LISTED = 8
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class MeasuredPoints:
-    """What the shapes are recovered from; one of `tracks` and `points` is there."""
-
-    tracks: Floats | None = None
-    """(C, F, 2, P) where points were seen; NaN elsewhere."""
-    points: Floats | None = None
-    """(F, P, 3)."""
-    labels: tuple[str, ...]
-    edges: Integers
-    unit: str
-    """Of the input: px, m, or that nobody says it."""
-    videos: tuple[VideoTracks, ...] = ()
-    """What was followed."""
-
-    @property
-    def seen(self) -> Mask:
-        """(F, P) by any camera."""
-        if self.tracks is not None:
-            return np.asarray(np.isfinite(self.tracks).all(2).any(0))
-        assert self.points is not None
-        return np.asarray(np.isfinite(self.points).all(2))
 
 
 def nonrigid(paths: Sequence[Path], options: NonRigidOptions, progress: Progress) -> Path:
@@ -68,12 +52,14 @@ def nonrigid(paths: Sequence[Path], options: NonRigidOptions, progress: Progress
     """
     with progress.stage("Reading"):
         given = read_input(paths, options)
+    if options.matrix is not None or options.cameras is not None:
+        raise SettingProblem("--matrix and --cameras are not used yet: leave them out.")
     for note in given.notes:
         progress.warn(note)
     out = options.out or paths[0].with_name(f"{paths[0].stem}_marey")
     named = [*given.paths, *options.files]
     with threadpool_limits(1), StageCache(out, [file_fingerprint(path) for path in named]) as cache:
-        measured = _measured(given, cache, progress)
+        measured = measure_points(given, cache, progress)
         found = _recovered(given, measured, options, cache, progress)
         if measured.unit == "m":
             found = replace(found, metres_per_unit=1.0)
@@ -83,22 +69,6 @@ def nonrigid(paths: Sequence[Path], options: NonRigidOptions, progress: Progress
     for line in told(found, measured):
         progress.say(line)
     return out
-
-
-def _measured(given: NonRigidInput, cache: StageCache, progress: Progress) -> MeasuredPoints:
-    """Give what is known of the points; in videos they are followed first."""
-    if given.data is not None:
-        data = given.data
-        return MeasuredPoints(
-            tracks=data.tracks, points=data.points, labels=data.labels, edges=data.edges, unit=data.unit
-        )  # fmt: skip
-    videos = tuple(follow_video(given, number, cache, progress) for number in range(len(given.clips)))
-    for name, video in zip(given.names, videos, strict=True):
-        for note in video.notes:
-            progress.warn(f"{name}: {note}" if len(videos) > 1 else note)
-    tracks = np.stack([np.where(v.found.visible[:, None], v.found.tracks, np.nan) for v in videos])
-    labels = tuple(map(str, range(tracks.shape[-1])))
-    return MeasuredPoints(tracks=tracks, labels=labels, edges=np.zeros((0, 2), np.int64), unit="px", videos=videos)
 
 
 def _recovered(
@@ -113,13 +83,7 @@ def _recovered(
         progress.warn(note)
 
     def compute() -> dict[str, np.ndarray]:
-        if measured.points is not None:
-            return shape_arrays(_of_points(measured.points[np.ix_(frames, points)], options))
-        assert measured.tracks is not None
-        kept = measured.tracks[:, frames][..., points]
-        if len(kept) > 1:
-            raise SettingProblem("Several cameras are not read yet.")
-        return shape_arrays(from_one_view(factorise_tracks(kept[0])))
+        return shape_arrays(_factorised(measured, frames, points, options))
 
     depends = (given.matrix, options.basis_shapes, frames, points)
     with progress.stage("Shapes"):
@@ -129,11 +93,15 @@ def _recovered(
     return widened(found, frames, points)
 
 
-def _of_points(points: Floats, options: NonRigidOptions) -> RecoveredShapes:
-    choice = None if options.basis_shapes is not None else choose_rank(points)
-    rank = options.basis_shapes if choice is None else choice.rank
-    assert rank is not None
-    return from_points(factorise_points(points, rank), choice)
+def _factorised(measured: MeasuredPoints, frames: Mask, points: Mask, options: NonRigidOptions) -> RecoveredShapes:
+    """Choose the factorisation by what is given."""
+    if measured.points is not None:
+        return from_points(factorise_points(measured.points[np.ix_(frames, points)], options.basis_shapes))
+    assert measured.tracks is not None
+    tracks = measured.tracks[:, frames][..., points]
+    if len(tracks) > 1:
+        return from_many_views(factorise_views(tracks))
+    return from_one_view(factorise_tracks(tracks[0]))
 
 
 def _left_out(frames: Mask, points: Mask, labels: Sequence[str]) -> list[str]:

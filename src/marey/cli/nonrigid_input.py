@@ -27,7 +27,8 @@ class NonRigidInput:
     paths: tuple[Path, ...]
     clips: tuple[Clip, ...] = ()
     """One a camera."""
-    data: DeformingPoints | None = None
+    data: tuple[DeformingPoints, ...] = ()
+    """What files hold; of several files, one a camera, nobody says which points are the same."""
     starts: tuple[tuple[Floats, int], ...] = ()
     """Points (P, 2) to follow and their frame, one a video; empty where the program chooses."""
     within: Mask | None = None
@@ -66,16 +67,14 @@ def read_input(paths: Sequence[Path], options: NonRigidOptions) -> NonRigidInput
     videos = [path.suffix.lower() in VIDEO_SUFFIXES for path in paths]
     if all(videos):
         return _of_videos(paths, options)
-    if len(paths) > 1:
-        raise SettingProblem("Give either videos, or one file of tracks or points.")
-    return _of_data(paths[0], options)
+    if any(videos):
+        raise SettingProblem("Give either videos, or files of tracks or points.")
+    if options.points or options.mask:
+        raise SettingProblem("--points and --mask are for videos; here points were followed already.")
+    return _of_data(paths[0], options) if len(paths) == 1 else _of_cameras(paths, options)
 
 
 def _of_data(path: Path, options: NonRigidOptions) -> NonRigidInput:
-    if options.points or options.mask:
-        raise SettingProblem(
-            f"--points and --mask are for videos; {path.name} holds points that were followed already."
-        )
     data = read_deforming(path)
     if data.tracks is not None:
         frames, names = data.tracks.shape[1], _view_names(len(data.tracks))
@@ -96,8 +95,38 @@ def _of_data(path: Path, options: NonRigidOptions) -> NonRigidInput:
     if data.rate is None:
         notes.append(f"The file says no rate: {USUAL_RATE:g} Hz is taken. It only sets the clock.")
     return NonRigidInput(
-        paths=(path,), data=data, names=names, frames=frames, first=first, end=end, rate=data.rate or USUAL_RATE,
+        paths=(path,), data=(data,), names=names, frames=frames, first=first, end=end, rate=data.rate or USUAL_RATE,
         matrix=None if options.matrix is None else parse_matrix(options.matrix), notes=tuple(notes),
+    )  # fmt: skip
+
+
+def _of_cameras(paths: Sequence[Path], options: NonRigidOptions) -> NonRigidInput:
+    """Take tracks of several cameras, a file each, of which nobody says which points are the same."""
+    data = tuple(read_deforming(path) for path in paths)
+    for path, one in zip(paths, data, strict=True):
+        if one.tracks is None or len(one.tracks) != 1:
+            what = "points in space" if one.tracks is None else f"tracks of {len(one.tracks)} cameras"
+            raise FileProblem(
+                path, f"holds {what}", "Of several files, each holds `tracks` (frames, 2, points) of a camera."
+            )
+    _require_one_view(len(paths), options)
+    if options.distance is not None or options.basis_shapes is not None:
+        option = "--distance" if options.distance is not None else "--basis-shapes"
+        raise SettingProblem(f"{option} does not go with tracks whose points are yet to be matched.")
+    frames = [one.tracks.shape[1] for one in data if one.tracks is not None]
+    if len(set(frames)) > 1:
+        raise SettingProblem(f"The files have {frames} frames; the cameras must show the same instants.")
+    names = tuple(path.stem for path in paths)
+    if len(set(names)) < len(names):
+        raise SettingProblem("Two files have one name: give them names of their cameras.")
+    first, end = _range(paths[0], frames[0], options)
+    rates = [one.rate for one in data if one.rate]
+    if rates and max(rates) - min(rates) > _RATE_SLACK * max(rates):
+        raise SettingProblem(f"The files say rates of {min(rates):g} and {max(rates):g} Hz.")
+    notes = [note for one in data for note in one.notes]
+    return NonRigidInput(
+        paths=tuple(paths), data=data, names=names, frames=frames[0], first=first, end=end,
+        rate=rates[0] if rates else USUAL_RATE, notes=tuple(notes),
     )  # fmt: skip
 
 

@@ -1,12 +1,12 @@
 """The files of a run on a deforming surface."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from marey.arrays import Floats
 from marey.cli.nonrigid_input import NonRigidInput
+from marey.cli.nonrigid_measure import MeasuredPoints
 from marey.cli.nonrigid_settings import NonRigidOptions
 from marey.cli.progress import Progress
 from marey.cli.run_record import finished_together, write_record
@@ -20,9 +20,6 @@ from marey.view.shape_lines import near_lines
 from marey.view.shape_overlay import ShapeOverlay, ShapeScene
 from marey.view.shape_report import ShapeReport, write_shape_report
 
-if TYPE_CHECKING:
-    from marey.cli.nonrigid import MeasuredPoints
-
 _STILLS = 4
 _UNKNOWN_AS = 1e-3
 """Metres that a unit of unknown length becomes in C3D: files in millimetres then hold the shapes' own numbers."""
@@ -31,7 +28,7 @@ _ABOUT_A_METRE = 1.0
 
 def write_results(
     given: NonRigidInput,
-    measured: "MeasuredPoints",
+    measured: MeasuredPoints,
     found: RecoveredShapes,
     options: NonRigidOptions,
     out: Path,
@@ -50,11 +47,15 @@ def write_results(
     asked = {**{k: v for k, v in vars(options).items() if v not in (None, ())}, "method": found.kind}
     with finished_together(out) as folder:
         with progress.stage("Results"):
-            write_shapes(folder / "shapes.npz", found, unit=measured.unit, labels=measured.labels)
+            write_shapes(
+                folder / "shapes.npz", found, unit=measured.unit, labels=measured.labels,
+                camera_points=measured.camera_points, probability=measured.probability,
+            )  # fmt: skip
             write_residuals(folder / "residuals.csv", found, measured.labels)
             _write_exports(folder, given, measured, found)
-            for video in measured.videos:
-                write_tracks(folder / "tracks.npz", video.found)
+            for name, video in zip(given.names, measured.videos, strict=False):
+                several = len(measured.videos) > 1
+                write_tracks(folder / (f"tracks_{name}.npz" if several else "tracks.npz"), video.found)
         stills = _write_overlays(folder, given, measured, found, options, progress)
         with progress.stage("Report"):
             _write_report(folder, given, measured, found, stills, asked, progress)
@@ -64,11 +65,11 @@ def write_results(
         )  # fmt: skip
 
 
-def _write_exports(folder: Path, given: NonRigidInput, measured: "MeasuredPoints", found: RecoveredShapes) -> None:
+def _write_exports(folder: Path, given: NonRigidInput, measured: MeasuredPoints, found: RecoveredShapes) -> None:
     """Write what other programs open, in metres where a length is known."""
     known = bool(np.isfinite(found.metres_per_unit))
     unit = "m" if known else measured.unit
-    y_up = given.data is not None and given.data.y_up
+    y_up = bool(given.data) and given.data[0].y_up
     size = 2 * float(np.sqrt(np.nanmean((found.basis[0] ** 2).sum(0))))
     write_point_clouds(
         folder / "shapes", found, measured.edges, scale=found.metres_per_unit if known else 1.0, unit=unit
@@ -86,7 +87,7 @@ def _write_exports(folder: Path, given: NonRigidInput, measured: "MeasuredPoints
 def _write_overlays(
     folder: Path,
     given: NonRigidInput,
-    measured: "MeasuredPoints",
+    measured: MeasuredPoints,
     found: RecoveredShapes,
     options: NonRigidOptions,
     progress: Progress,
@@ -99,7 +100,7 @@ def _write_overlays(
     for number, clip in enumerate(given.clips):
         scene = ShapeScene(
             name=given.names[number], measured=measured.tracks[number], modelled=found.modelled[number],
-            placed=found.placed, lines=_lines(measured, found),
+            placed=_before(found, number), lines=_lines(measured, found),
         )  # fmt: skip
         overlay = ShapeOverlay(scene, clip.size)
         answered = np.flatnonzero(found.answered)
@@ -118,20 +119,27 @@ def _write_overlays(
     return stills
 
 
-def _lines(measured: "MeasuredPoints", found: RecoveredShapes) -> np.ndarray:
+def _before(found: RecoveredShapes, camera: int) -> Floats:
+    """Give the shapes (F, 3, P) in the axes of one of the cameras."""
+    if found.cameras is None:
+        return found.placed
+    return np.asarray(found.cameras.camera_from_first[camera] @ found.rotation @ found.shape)
+
+
+def _lines(measured: MeasuredPoints, found: RecoveredShapes) -> np.ndarray:
     return measured.edges if len(measured.edges) else near_lines(found.basis[0])
 
 
 def _write_report(
     folder: Path,
     given: NonRigidInput,
-    measured: "MeasuredPoints",
+    measured: MeasuredPoints,
     found: RecoveredShapes,
     stills: list[Still],
     asked: dict[str, object],
     progress: Progress,
 ) -> None:
-    y_up = given.data is not None and given.data.y_up
+    y_up = bool(given.data) and given.data[0].y_up
     names = [path.name + ("/" if path.is_dir() else "") for path in folder.iterdir()]
     report = ShapeReport(
         title=given.paths[0].stem, found=found, rate=given.rate, unit=measured.unit, labels=measured.labels,

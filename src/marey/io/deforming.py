@@ -81,13 +81,9 @@ def read_deforming(path: Path) -> DeformingPoints:
 
 def _from_markers(path: Path) -> DeformingPoints:
     read = read_markers(path)
-    notes = list(read.notes)
-    bare = ~np.isfinite(read.points).all(-1).any(0)
-    if bare.any():
-        notes.append(f"Markers without a measured point: {', '.join(np.array(read.labels)[bare])}.")
     return DeformingPoints(
         points=read.points, unit="m", labels=read.labels, edges=np.zeros((0, 2), np.int64), rate=read.rate,
-        y_up=is_y_up(path), notes=tuple(notes),
+        y_up=is_y_up(path), notes=read.notes,
     )  # fmt: skip
 
 

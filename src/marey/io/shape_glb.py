@@ -74,7 +74,8 @@ def _lines_between(edges: Integers, known: Mask) -> Integers:
 
 def _animation(buffer: GlbBuffer, found: RecoveredShapes, rate: float, scale: float, *, y_up: bool) -> dict[str, Any]:
     """Move the node as the object moves, and its targets by the coefficients."""
-    answered = np.flatnonzero(found.answered)
+    # A camera that sees nothing of a frame does not tell where the object is there.
+    answered = np.flatnonzero(found.answered & np.isfinite(found.translation).all(1))
     time = buffer.add(answered[:, None] / rate, "<f4", "SCALAR", bounds=True)
     turn = GLTF_FROM_WORLD @ upright(found, y_up=y_up)[1]
     where = np.zeros((len(answered), 3))

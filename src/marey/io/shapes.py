@@ -13,13 +13,18 @@ from marey.io.atomic import replacing
 from marey.io.c3d import write_c3d
 from marey.io.npz import read_arrays, write_arrays
 from marey.io.trc import PointPaths
-from marey.nonrigid.recovered import RankCurve, RecoveredShapes
+from marey.nonrigid.recovered import CameraRelations, RankCurve, RecoveredShapes
 
 _FIELDS = (
     "kind", "shape", "shape_sd", "rotation", "rotation_sd", "translation", "basis", "coefficients", "residuals",
     "predicted", "modelled", "noise_sd", "metres_per_unit", "metres_per_unit_sd",
 )  # fmt: skip
-_NUMBERS = ("noise_sd", "metres_per_unit", "metres_per_unit_sd")
+_NUMBERS = ("metres_per_unit", "metres_per_unit_sd")
+_RELATIONS = {
+    "camera_from_first": "camera_from_first", "camera_sd": "camera_sd", "camera_scale": "scale",
+    "camera_translation": "translation",
+}  # fmt: skip
+"""Of several uncalibrated cameras: names in the file, and in `CameraRelations`."""
 _TEXTS = ("gauge", "notes")
 _SEEN, _PREDICTED = (47, 109, 181), (220, 111, 74)
 """Red, green, blue of points that were seen, and of others."""
@@ -33,6 +38,8 @@ def shape_arrays(found: RecoveredShapes) -> dict[str, np.ndarray]:
     arrays = {name: np.asarray(getattr(found, name)) for name in _FIELDS}
     arrays |= {name: np.array(getattr(found, name), np.str_) for name in _TEXTS}
     arrays |= {"rank": np.array(found.rank), "answered": found.answered}
+    if found.cameras is not None:
+        arrays |= {name: getattr(found.cameras, own) for name, own in _RELATIONS.items()}
     if found.curve is not None:
         arrays |= {
             "curve_basis_shapes": found.curve.ranks, "curve_errors": found.curve.errors,
@@ -49,13 +56,24 @@ def shapes_from(arrays: dict[str, np.ndarray]) -> RecoveredShapes:
             ranks=arrays["curve_basis_shapes"], errors=arrays["curve_errors"], errors_sd=arrays["curve_errors_sd"],
             measure=str(arrays["curve_measure"]),
         )  # fmt: skip
+    cameras = None
+    if "camera_from_first" in arrays:
+        cameras = CameraRelations(**{own: arrays[name] for name, own in _RELATIONS.items()})
     parts: dict[str, Any] = {name: arrays[name] for name in _FIELDS}
     parts |= {name: float(arrays[name]) for name in _NUMBERS} | {"kind": str(arrays["kind"])}
     parts |= {name: tuple(map(str, arrays[name])) for name in _TEXTS}
-    return RecoveredShapes(curve=curve, **parts)
+    return RecoveredShapes(curve=curve, cameras=cameras, **parts)
 
 
-def write_shapes(path: Path | str, found: RecoveredShapes, *, unit: str, labels: Sequence[str]) -> None:
+def write_shapes(
+    path: Path | str,
+    found: RecoveredShapes,
+    *,
+    unit: str,
+    labels: Sequence[str],
+    camera_points: Integers | None = None,
+    probability: Floats | None = None,
+) -> None:
     """Write `shapes.npz`; docs/nonrigid.md lists its keys.
 
     Args:
@@ -63,8 +81,13 @@ def write_shapes(path: Path | str, found: RecoveredShapes, *, unit: str, labels:
         found: What was found.
         unit: Of the shapes.
         labels: The points' names.
+        camera_points: (C, P) which track of each camera a point is, -1 where none, where that was found.
+        probability: (C, P) that it is that one.
     """
-    write_arrays(path, shape_arrays(found) | {"unit": np.array(unit), "labels": np.array(labels, np.str_)})
+    arrays = shape_arrays(found) | {"unit": np.array(unit), "labels": np.array(labels, np.str_)}
+    if camera_points is not None and probability is not None:
+        arrays |= {"camera_points": camera_points, "camera_points_probability": probability}
+    write_arrays(path, arrays)
 
 
 def read_shapes(path: Path | str) -> RecoveredShapes:

@@ -7,10 +7,11 @@ import numpy as np
 from marey.arrays import Floats, Integers, Mask, frozen
 from marey.errors import MareyError
 from marey.nonrigid.homogeneous import HomogeneousShapes
+from marey.nonrigid.many_views import ManyViewShapes
 from marey.nonrigid.one_view import NonRigidShapes
-from marey.nonrigid.rank import RankChoice
 
 ONE_VIEW = "one camera, orthographic"
+MANY_VIEWS = "several cameras, orthographic"
 IN_SPACE = "points in space"
 
 GAUGES = {
@@ -20,6 +21,14 @@ GAUGES = {
         "Distance: not known; the depth of the object's origin is called zero.",
         "Global rotation: the object's axes are the camera's (x right, y down, z ahead) in the first frame that has an "
         "answer.",
+    ),
+    MANY_VIEWS: (
+        "Sign of depth: orthographic cameras, however many, see a shape and its mirror image alike where their "
+        "directions are mirrored with it; one is given.",
+        "Scale: lengths are in the unit of the first camera's tracks; the size in space is not known.",
+        "Distance: not known; the depth of the object's origin is called zero.",
+        "Global rotation: the object's axes are the first camera's (x right, y down, z ahead) in the first frame that "
+        "has an answer.",
     ),
     IN_SPACE: (
         "Global rotation: the object's axes are the laboratory's in the first frame that has an answer; its origin is "
@@ -31,6 +40,7 @@ GAUGES = {
 """By kind: what the data cannot tell, and what was chosen instead."""
 _ARRAYS = (
     "shape", "shape_sd", "rotation", "rotation_sd", "translation", "basis", "coefficients", "residuals", "modelled",
+    "noise_sd",
 )  # fmt: skip
 
 
@@ -50,6 +60,24 @@ class RankCurve:
     def __post_init__(self) -> None:
         object.__setattr__(self, "ranks", frozen(self.ranks, np.int64))
         for name in ("errors", "errors_sd"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CameraRelations:
+    """How several uncalibrated cameras stand to the first one."""
+
+    camera_from_first: Floats
+    """(C, 3, 3)."""
+    camera_sd: Floats
+    """(C, 3) of that turn about the camera's own axes [rad]."""
+    scale: Floats
+    """(C,) of a camera over the first."""
+    translation: Floats
+    """(C, F, 2)."""
+
+    def __post_init__(self) -> None:
+        for name in ("camera_from_first", "camera_sd", "scale", "translation"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
 
 
@@ -79,12 +107,14 @@ class RecoveredShapes:
     """(F, P) true where a shape is given of a point that no camera saw."""
     modelled: Floats
     """(C, F, 2, P) where the model puts the points in the pictures; C = 0 from points in space."""
-    noise_sd: float
-    """Of a measured coordinate about the model, in its unit."""
+    noise_sd: Floats
+    """(C,) of a measured coordinate about the model, in its unit, by camera."""
     gauge: tuple[str, ...]
     """What was chosen because nothing tells it."""
     notes: tuple[str, ...] = ()
     """What a user should know of this answer."""
+    cameras: CameraRelations | None = None
+    """Of several uncalibrated cameras."""
     curve: RankCurve | None = None
     """How the number of basis shapes was chosen, where that leaves a curve."""
     metres_per_unit: float = float("nan")
@@ -141,25 +171,41 @@ def from_one_view(found: NonRigidShapes) -> RecoveredShapes:
         kind=ONE_VIEW, shape=found.shape, shape_sd=found.shape_sd, rotation=found.rotation,
         rotation_sd=found.rotation_sd, translation=found.translation, basis=found.basis,
         coefficients=found.coefficients, residuals=found.residuals[None], predicted=found.predicted,
-        modelled=modelled[None], noise_sd=found.noise_sd, gauge=GAUGES[ONE_VIEW], notes=found.notes,
+        modelled=modelled[None], noise_sd=np.array([found.noise_sd]), gauge=GAUGES[ONE_VIEW], notes=found.notes,
     )  # fmt: skip
 
 
-def from_points(found: HomogeneousShapes, choice: RankChoice | None) -> RecoveredShapes:
-    """Take over what points in space told, and how the number of basis shapes was chosen."""
+def from_many_views(found: ManyViewShapes) -> RecoveredShapes:
+    """Take over what several uncalibrated cameras told."""
+    turned = np.einsum("cij,fjp->cfip", found.camera_from_first, found.rotation @ found.shape)
+    modelled = found.scale[:, None, None, None] * turned[:, :, :2] + found.translation[..., None]
+    relations = CameraRelations(
+        camera_from_first=found.camera_from_first, camera_sd=found.camera_sd, scale=found.scale,
+        translation=found.translation,
+    )  # fmt: skip
+    return RecoveredShapes(
+        kind=MANY_VIEWS, shape=found.shape, shape_sd=found.shape_sd, rotation=found.rotation,
+        rotation_sd=found.rotation_sd, translation=found.translation[0], basis=found.basis,
+        coefficients=found.coefficients, residuals=found.residuals, predicted=found.predicted, modelled=modelled,
+        noise_sd=found.noise_sd, gauge=GAUGES[MANY_VIEWS], notes=found.notes, cameras=relations,
+    )  # fmt: skip
+
+
+def from_points(found: HomogeneousShapes) -> RecoveredShapes:
+    """Take over what points in space told."""
     frames, _, points = found.shape.shape
-    curve = None
+    curve, choice = None, found.choice
     if choice is not None:
         curve = RankCurve(
             ranks=choice.ranks, errors=choice.held_out_rms, errors_sd=choice.held_out_sd,
             measure="distance of points held back from what the others foretell, RMS",
         )  # fmt: skip
-    variances = np.einsum("fii->fi", found.covariance)
     return RecoveredShapes(
         kind=IN_SPACE, shape=found.shape, shape_sd=found.shape_sd, rotation=found.rotation,
-        rotation_sd=np.sqrt(variances[:, :3]), translation=found.translation, basis=found.basis,
+        rotation_sd=found.rotation_sd, translation=found.translation, basis=found.basis,
         coefficients=found.coefficients, residuals=found.residuals[None], predicted=found.predicted,
-        modelled=np.zeros((0, frames, 2, points)), noise_sd=found.noise_sd, gauge=GAUGES[IN_SPACE], curve=curve,
+        modelled=np.zeros((0, frames, 2, points)), noise_sd=np.array([found.noise_sd]), gauge=GAUGES[IN_SPACE],
+        notes=found.notes, curve=curve,
     )  # fmt: skip
 
 
@@ -167,8 +213,8 @@ def usable(seen: Mask, *, least_points: int, least_frames: int) -> tuple[Mask, M
     """Find the frames and points that hold enough, leaving out what holds too little until nothing changes.
 
     Args:
-        seen: (F, P).
-        least_points: That a frame must see.
+        seen: (C, F, P) by camera.
+        least_points: That one camera at least must see of a frame.
         least_frames: In which a point must be seen.
 
     Returns:
@@ -177,17 +223,18 @@ def usable(seen: Mask, *, least_points: int, least_frames: int) -> tuple[Mask, M
     Raises:
         MareyError: None is left.
     """
-    frames, points = np.ones(len(seen), bool), np.ones(seen.shape[1], bool)
+    frames, points = np.ones(seen.shape[1], bool), np.ones(seen.shape[2], bool)
     while True:
         kept = seen & frames[:, None] & points
-        enough, often = kept.sum(1) >= least_points, kept.sum(0) >= least_frames
+        enough, often = kept.sum(2).max(0) >= least_points, kept.any(0).sum(0) >= least_frames
         if (enough == frames).all() and (often == points).all():
             break
         frames, points = enough, often
     if frames.sum() < least_frames or points.sum() < least_points:
+        count, shown = int(seen.any((0, 1)).sum()), int(seen.any((0, 2)).sum())
         raise MareyError(
-            f"{int(seen.any(0).sum())} points over {int(seen.any(1).sum())} frames hold too little: at least "
-            f"{least_points} points must be seen together in at least {least_frames} frames."
+            f"{count} points over {shown} frames hold too little: at least {least_points} points must be seen together "
+            f"in at least {least_frames} frames."
         )
     return frames, points
 
@@ -210,8 +257,12 @@ def widened(found: RecoveredShapes, frames: Mask, points: Mask) -> RecoveredShap
         full[np.ix_(*axes)] = values
         return full
 
+    cameras = found.cameras
+    if cameras is not None:
+        cameras = replace(cameras, translation=wide(cameras.translation, None, frames, None))
     return replace(
-        found, shape=wide(found.shape, frames, None, points), shape_sd=wide(found.shape_sd, frames, None, points),
+        found, cameras=cameras, shape=wide(found.shape, frames, None, points),
+        shape_sd=wide(found.shape_sd, frames, None, points),
         rotation=wide(found.rotation, frames, None, None), rotation_sd=wide(found.rotation_sd, frames, None),
         translation=wide(found.translation, frames, None), basis=wide(found.basis, None, None, points),
         coefficients=wide(found.coefficients, frames, None), residuals=wide(found.residuals, None, frames, points),

@@ -26,6 +26,7 @@ FILES = {
     "shapes.npz": "shapes, poses, basis shapes, coefficients, standard deviations, residuals",
     "residuals.csv": "residuals point by point",
     "tracks.npz": "the points as they were followed in the video",
+    "tracks_<video>.npz": "the points as they were followed in each video",
     "overlay_<video>.mp4": "the recovered points over the video, and from the side",
     "shapes.glb": "the moving points, for Blender and the web",
     "shapes.c3d": "the moving points and the object's pose, for laboratories' programs",
@@ -172,10 +173,16 @@ def _tiles(report: ShapeReport) -> list[tuple[str, str, str]]:
         ("residual", measured, f"root mean square; most: point {report.labels[worst]}"),
         ("shape", f"± {_length(report, 1.96 * float(sd))}", f"median 95 % interval; size {_length(report, size)}"),
     ]  # fmt: skip
-    if np.isfinite(found.metres_per_unit):
-        scale = f"{1e3 * found.metres_per_unit:.4g} mm"
-        tiles.append(("scale", scale, "a unit of the input" if report.unit != "m" else "as the input says"))
+    if np.isfinite(found.metres_per_unit) and report.unit != "m":
+        tiles.append(("scale", f"{1e3 * found.metres_per_unit:.4g} mm", "a unit of the input"))
     return tiles
+
+
+def _readable_unit(report: ShapeReport) -> tuple[float, str]:
+    """Give a factor and the name of the unit in which lengths of the input are told."""
+    if report.unit == "m":
+        return 1e3, ", mm"
+    return 1.0, ", px" if report.unit == "px" else ""
 
 
 def _gauge_table(found: RecoveredShapes) -> NumberTable:
@@ -188,19 +195,19 @@ def _gauge_table(found: RecoveredShapes) -> NumberTable:
 
 
 def _point_table(report: ShapeReport) -> NumberTable:
-    found = report.found
+    found, (scale, unit) = report.found, _readable_unit(report)
     seen = np.isfinite(found.residuals).any(0).sum(0)
     sd = np.sqrt((found.shape_sd**2).sum(1))
     order = np.argsort(np.where(np.isfinite(found.point_rms), -found.point_rms, np.inf), kind="stable")
     rows = []
     for p in order[:_MOST_ROWS]:
         known = sd[:, p][np.isfinite(sd[:, p])]
-        cells = [f"{found.point_rms[p]:.3g}", f"{np.median(known):.3g}"] if len(known) else ["", ""]
+        cells = [f"{scale * found.point_rms[p]:.3g}", f"{scale * np.median(known):.3g}"] if len(known) else ["", ""]
         rows.append((report.labels[p], f"{seen[p]}", f"{found.predicted[:, p].sum()}", *cells))
     return NumberTable(
         title="Residuals by point", rows=rows,
-        head=("point", "frames seen", "frames predicted", "residual RMS", "sd, median"),
-        legend="In the unit of the input, the largest residuals first; residuals.csv has all points.",
+        head=("point", "frames seen", "frames predicted", f"residual RMS{unit}", f"sd, median{unit}"),
+        legend="The largest residuals first; residuals.csv has all points.",
     )  # fmt: skip
 
 
