@@ -2,7 +2,10 @@
 
 import numpy as np
 
+from marey.cameras.camera import Camera
+from marey.cameras.rig import Rig
 from marey.geometry import rotations
+from marey.geometry.rigid import RigidTransform
 
 
 def without_motion(modes, mean):
@@ -11,3 +14,21 @@ def without_motion(modes, mean):
     q = np.linalg.qr(motions)[0]
     flat = modes.reshape(len(modes), 3 * len(mean))
     return (flat - flat @ q @ q.T).reshape(modes.shape)
+
+
+def three_cameras(degrees=20.0):
+    """Cameras 2 m before the origin, so many degrees apart, with a lens."""
+    upright = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])
+    turns = rotations.exp(np.radians(degrees) * np.array([[0, 0, -1.0], [0, 0, 0], [0, 0, 1.0]]))
+    return Rig(
+        tuple(
+            Camera(
+                name=f"cam{number}",
+                size=(960, 720),
+                matrix=np.array([[900.0, 0, 480], [0, 900.0, 360], [0, 0, 1.0]]),
+                distortion=np.array([-0.1, 0.02, 0.0, 0.0]),
+                camera_from_world=RigidTransform(upright @ turn, np.array([0, 0, 2.0])),
+            )
+            for number, turn in enumerate(turns)
+        )
+    )

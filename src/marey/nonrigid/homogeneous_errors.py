@@ -5,7 +5,7 @@ import numpy as np
 from marey.arrays import Floats
 from marey.geometry import rotations
 from marey.nonrigid.homogeneous_model import HomogeneousModel, basis_normal, free_share, turned
-from marey.nonrigid.measured_places import MeasuredPlaces
+from marey.nonrigid.measured_places import MeasuredPlaces, departures
 
 FEW_PAIRS = 10
 """A point with so many pairs of frames says as much of itself as all points say of it."""
@@ -50,7 +50,7 @@ def unmodelled_variance(model: HomogeneousModel, places: MeasuredPlaces) -> Floa
     Noise has forgotten itself one frame on, and shape has not: what departures share with those of the next frame is
     shape. Fast changes are missed. A place that was not measured did not draw the model to itself, and departs more.
     """
-    away, _ = places.moved(model.places, model.variance)
+    away, _ = departures(places, model.places, model.variance)
     away, seen = away @ model.rotation, places.seen
     both = seen[1:] & seen[:-1]
     shared, pairs = ((away[1:] * away[:-1]).sum(-1) * both).sum(0), both.sum(0)

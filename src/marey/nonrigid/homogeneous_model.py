@@ -6,11 +6,11 @@ import numpy as np
 
 from marey.arrays import Floats
 from marey.geometry import rotations
-from marey.nonrigid.measured_places import MeasuredPlaces
+from marey.nonrigid.measured_places import MeasuredPlaces, departures
 
 ROUNDS = 100
-STILL = 1e-5
-"""The change of the fit's root mean square, as a share of it, at which the rounds end."""
+STILL = 1e-3
+"""The root mean square movement of the model's places in a round, as a share of their noise, at which rounds end."""
 LEAST_SPREAD = 1e-12
 """Least variance, as a share of the mean shape's, of a weight and of the noise; keeps exact data solvable."""
 LEAST_FREE = 0.1
@@ -70,14 +70,14 @@ def rigid_model(mean: Floats, rotation: Floats, translation: Floats, places: Mea
         weights=np.zeros((frames, 0)), spread=np.zeros(0), weight_covariance=np.zeros((frames, 0, 0)),
         variance=float((mean**2).mean()), pose_covariance=np.zeros((frames, 6, 6)),
     )  # fmt: skip
-    away, unsure = places.moved(model.places, model.variance)
+    away, unsure = departures(places, model.places, model.variance)
     model.variance = float(((away**2).sum(-1) + unsure).sum() / (3 * places.seen.sum())) + model.floor
     return model
 
 
 def with_more_modes(model: HomogeneousModel, places: MeasuredPlaces, count: int) -> HomogeneousModel:
     """Add displacements: the singular vectors of what the model leaves; a missing point departs by nothing."""
-    away, _ = places.moved(model.places, model.variance)
+    away, _ = departures(places, model.places, model.variance)
     left = (away @ model.rotation).reshape(len(away), -1)
     u, d, vt = np.linalg.svd(left, full_matrices=False)
     frames, before = model.weights.shape
@@ -92,17 +92,19 @@ def with_more_modes(model: HomogeneousModel, places: MeasuredPlaces, count: int)
 
 
 def improve(model: HomogeneousModel, places: MeasuredPlaces, *, rounds: int = ROUNDS, still: float = STILL) -> None:
-    """Solve for everything in turn until the fit changes no more."""
-    before = np.inf
+    """Solve for everything in turn until the places change no more."""
+    own = float(np.nanmedian(places.known_variance)) / 3
+    solve_frames(model, places)
+    before = model.places
     for _ in range(rounds):
-        solve_frames(model, places)
         _solve_basis(model, places)
         _solve_spread(model, places)
         _fix_gauge(model)
-        rms = solve_frames(model, places)
-        if abs(before - rms) <= still * rms:
+        solve_frames(model, places)
+        after = model.places
+        if np.sqrt(np.mean((after - before) ** 2)) <= still * np.sqrt(model.variance + own):
             break
-        before = rms
+        before = after
 
 
 def turned(information: Floats, rotation: Floats) -> Floats:
@@ -117,14 +119,13 @@ def _times(information: Floats, vectors: Floats) -> Floats:
     return information * vectors if information.shape[-1] == 1 else information @ vectors
 
 
-def solve_frames(model: HomogeneousModel, places: MeasuredPlaces) -> float:
-    """Do one Gauss-Newton step of every frame's pose and weights; give the root mean square departure before it.
+def solve_frames(model: HomogeneousModel, places: MeasuredPlaces) -> None:
+    """Do one Gauss-Newton step of every frame's pose and weights.
 
     For R exp(w), t + R v and weights c + d a shape S moves in the object's frame by w x S + v + d B to first order.
     """
     at, modes = model.places, len(model.modes)
     information, pull = places.equations(at, model.variance)
-    away, _ = places.moved(at, model.variance)
     jacobian = np.empty((*at.shape, 6 + modes))
     jacobian[..., :3] = -rotations.hat(model.shapes)
     jacobian[..., 3:6] = np.eye(3)
@@ -141,7 +142,6 @@ def solve_frames(model: HomogeneousModel, places: MeasuredPlaces) -> float:
     model.translation = model.translation + np.einsum("fij,fj->fi", model.rotation, step[:, 3:6])
     model.rotation = model.rotation @ rotations.exp(step[:, :3])
     model.weights = model.weights + step[:, 6:]
-    return float(np.sqrt((away**2).sum() / (3 * places.seen.sum())))
 
 
 def basis_normal(model: HomogeneousModel, information: Floats, square: Floats) -> Floats:
@@ -184,10 +184,15 @@ def _solve_basis(model: HomogeneousModel, places: MeasuredPlaces) -> None:
 
 
 def _solve_spread(model: HomogeneousModel, places: MeasuredPlaces) -> None:
-    """Reckon the noise about the model, and the spread of the weights, from what they leave."""
-    away, unsure = places.moved(model.places, model.variance)
-    total = float(((away**2).sum(-1) + unsure).sum())
-    model.variance = total / (3 * int(places.seen.sum()) * free_share(model, places)) + model.floor
+    """Reckon the noise about the model, and the spread of the weights, from what they leave.
+
+    Squared departures are shared among the coordinates that the measurements determine ([MacKay1992]).
+    """
+    information, pull = places.equations(model.places, model.variance)
+    same = 3 if information.shape[-1] == 1 else 1
+    determined = same * model.variance * float(np.trace(information, axis1=2, axis2=3).sum())
+    total = float(((model.variance * pull) ** 2).sum())
+    model.variance = total / (determined * free_share(model, places)) + model.floor
     among_frames = np.einsum("fmm->m", model.weight_covariance) / len(model.weights)
     model.spread = (model.weights**2).mean(0) + among_frames + model.floor
 

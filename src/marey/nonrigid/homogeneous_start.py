@@ -24,7 +24,9 @@ def start(places: MeasuredPlaces) -> tuple[HomogeneousModel, Mask, Mask]:
     """
     known = places.known
     present: Mask = np.asarray(np.isfinite(known).all(-1))
-    mean, rotation, translation = mean_shape(known, present)
+    if not present.any():
+        raise MareyError("No point is placed in any frame.")
+    mean, rotation, translation = places.placed(*mean_shape(known, present))
     frames, kept = np.isfinite(rotation[:, 0, 0]), np.isfinite(mean[:, 0])
     if frames.sum() < 2 or kept.sum() < 3:
         raise MareyError("Fewer than two frames have three points in common that do not lie on one line.")

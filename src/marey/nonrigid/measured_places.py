@@ -33,21 +33,28 @@ class MeasuredPlaces(Protocol):
             variance: of a coordinate of a point about its place by the model.
 
         Returns:
-            Information (F, P, 3, 3) about the model's places, or (F, P, 1, 1) where it is the same in all directions,
-            and the pull (F, P, 3), information times measured less model; zero where nothing is measured.
+            Information (F, P, 3, 3) about the model's places, never more than 1 / variance, or (F, P, 1, 1) where it is
+            the same in all directions, and the pull (F, P, 3), information times measured less model; zero where
+            nothing is measured.
         """
         ...
 
-    def moved(self, model: Floats, variance: float) -> tuple[Floats, Floats]:
-        """Say where points lie by model and measurements together.
+    def placed(self, mean: Floats, rotation: Floats, translation: Floats) -> tuple[Floats, Floats, Floats]:
+        """Give places and poses to what the known places alone leave without.
 
         Args:
-            model: (F, P, 3).
-            variance: as in `equations`.
+            mean: (P, 3) the mean shape; NaN where not known.
+            rotation: (F, 3, 3) laboratory from object; NaN where not known.
+            translation: (F, 3).
 
         Returns:
-            How far from the model (F, P, 3), and the sum of its three variances (F, P); zero where not measured.
+            The three, with as many more as can be begun with.
         """
+        ...
+
+    @property
+    def known_variance(self) -> Floats:
+        """(F, P) sum of the three variances that the known places have of their own."""
         ...
 
     def squares(self, model: Floats) -> Floats:
@@ -94,9 +101,14 @@ class PointsInSpace:
         information = self._seen[..., None] / variance
         return information[..., None], (self._filled - model) * information
 
-    def moved(self, model: Floats, variance: float) -> tuple[Floats, Floats]:
-        """Give the measured places' distances from the model (F, P, 3), which are certain (F, P)."""
-        return (self._filled - model) * self._seen[..., None], np.zeros(self._seen.shape)
+    def placed(self, mean: Floats, rotation: Floats, translation: Floats) -> tuple[Floats, Floats, Floats]:
+        """Give all as it is: what has no place among the points has none."""
+        return mean, rotation, translation
+
+    @property
+    def known_variance(self) -> Floats:
+        """(F, P) none."""
+        return np.zeros(self._seen.shape)
 
     def squares(self, model: Floats) -> Floats:
         """Give the squared distances in space (F, P)."""
@@ -109,3 +121,19 @@ class PointsInSpace:
     def among(self, frames: Mask, points: Mask) -> "PointsInSpace":
         """Keep some frames and points."""
         return PointsInSpace(self.known[np.ix_(frames, points)])
+
+
+def departures(places: MeasuredPlaces, model: Floats, variance: float) -> tuple[Floats, Floats]:
+    """Say where measured points lie by model and measurements together.
+
+    Args:
+        places: What is measured.
+        model: (F, P, 3).
+        variance: of a coordinate about the model.
+
+    Returns:
+        How far from the model (F, P, 3), and the sum of its three variances (F, P); zero where not measured.
+    """
+    information, pull = places.equations(model, variance)
+    told = np.trace(information, axis1=2, axis2=3) * (3 if information.shape[-1] == 1 else 1)
+    return variance * pull, np.where(places.seen, variance * (3 - variance * told), 0.0)

@@ -22,9 +22,9 @@ HOPELESS = 4
 """After so many numbers in succession that foretell worse than the best, no larger one is tried."""
 KEPT_IN_FRAME = 4
 """A frame keeps so many points, or what it has."""
-_NINE_OF_TEN = 6.25
-"""Of squared distances in space, in variances of a coordinate, nine of ten are smaller (chi square, three)."""
-_SOLVES, _STILL = 20, 1e-3
+OUTLIER = 25.0
+"""A point held back whose squared distance is more than so many times the usual one says nothing of the others."""
+_SOLVES, _STILL = 20, 0.02
 """How well the model is solved before it is judged."""
 
 
@@ -70,12 +70,14 @@ class _Round:
         """Give the root mean square distance of what was held back."""
         return float(np.sqrt(np.nanmean(self.whole.squares(self.model.places)[self.gone])))
 
-    def farther(self) -> Floats:
-        """Give by what the stated variance of each point held back must be multiplied to be as far off as it is."""
+    def farther(self) -> tuple[Floats, Floats]:
+        """Give the squared distances in space of points held back beyond noise and pose, and the stated variances."""
         squares = ((self.whole.known - self.model.places) ** 2).sum(-1)[self.gone]
         stated = np.trace(shape_covariance(self.model, self.rest), axis1=2, axis2=3)[self.gone]
-        known = 3 * self.model.variance + pose_variance(self.model)[self.gone]
-        return ((squares * 3 / _NINE_OF_TEN - known) / stated)[np.isfinite(squares)]
+        noise = 3 * self.model.variance + self.whole.known_variance + pose_variance(self.model)
+        known = noise[self.gone]
+        usual = squares < OUTLIER * np.nanmedian(squares / (known + stated)) * (known + stated)
+        return (squares - known)[usual], stated[usual]
 
 
 def choose_rank(points: Floats, *, most: int = MOST, seed: int = 0) -> RankChoice:
@@ -163,8 +165,8 @@ def _farther(rounds: list[_Round], rank: int) -> float:
     for one in rounds:
         if 1 < rank <= most_shapes(one.rest):
             one.grow(rank - 1)
-    ratios = np.concatenate([one.farther() for one in rounds])
-    return float(np.sqrt(max(np.quantile(ratios, 0.9), 1.0))) if len(ratios) else 1.0
+    beyond, stated = (np.concatenate(values) for values in zip(*(one.farther() for one in rounds), strict=True))
+    return float(np.sqrt(max(beyond.sum() / stated.sum(), 1.0))) if len(stated) else 1.0
 
 
 def significant_singular_values(values: Floats, shape: tuple[int, int]) -> int:

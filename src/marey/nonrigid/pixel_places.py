@@ -1,0 +1,187 @@
+"""Places in space of which calibrated cameras measured pixels: as equations of the homogeneous factorisation."""
+
+from collections.abc import Sequence
+
+import numba
+import numpy as np
+
+from marey.arrays import Floats, Mask
+from marey.cameras.camera import Camera
+from marey.cameras.triangulate import triangulate
+
+FAR = 9.0
+"""Squared distance, in variances, beyond which a pixel loses its weight as its square."""
+LEAST_TURN = 1e-3
+"""Least eigenvalue of the rays' normal matrix with which rays of one camera, from all frames, place a point: the sum
+of their squared angles about their mean [rad2]."""
+ENOUGH_POINTS = 4
+"""Points of known shape with which a frame's pose can be begun from its neighbour's."""
+
+
+class PixelPlaces:
+    """Pixels of P points over F frames in C calibrated cameras.
+
+    Args:
+        cameras: C.
+        pixels: (C, F, P, 2) [px]; NaN where not seen.
+        sigma: (C, F, P) standard deviation of a pixel's coordinate [px].
+    """
+
+    def __init__(self, cameras: Sequence[Camera], pixels: Floats, sigma: Floats) -> None:
+        self.cameras, self.sigma = tuple(cameras), sigma
+        self._by_view: Mask = np.asarray(np.isfinite(pixels).all(-1) & np.isfinite(sigma))
+        self.pixels = np.where(self._by_view[..., None], pixels, np.nan)
+        self._weight = np.where(self._by_view, 1 / np.where(self._by_view, sigma, 1.0) ** 2, 0.0)
+        self._views = self._by_view.sum(0)
+        self._seen: Mask = np.asarray(self._views > 0)
+        frames, points = self._seen.shape
+        flat = self.pixels.reshape(len(self.cameras), -1, 2)
+        found = triangulate(self.cameras, flat, sigma_px=sigma.reshape(len(flat), -1))
+        self._known = found.points.reshape(frames, points, 3)
+        self._known_variance = np.trace(found.covariance, axis1=1, axis2=2).reshape(frames, points)
+
+    @property
+    def seen(self) -> Mask:
+        """(F, P) whether any camera saw the point."""
+        return self._seen
+
+    @property
+    def coordinates(self) -> int:
+        """Two a view, three at most."""
+        return int(np.minimum(2 * self._views, 3).sum())
+
+    @property
+    def known(self) -> Floats:
+        """(F, P, 3) the points on which the rays of two or more cameras meet [m]."""
+        return self._known
+
+    @property
+    def known_variance(self) -> Floats:
+        """(F, P) the sum of their three variances [m2]."""
+        return self._known_variance
+
+    def projected(self, model: Floats) -> Floats:
+        """Give the pixels (C, F, P, 2) of places (F, P, 3)."""
+        return np.stack([camera.project(model) for camera in self.cameras])
+
+    def equations(self, model: Floats, variance: float) -> tuple[Floats, Floats]:
+        """Give information (F, P, 3, 3) and pull (F, P, 3) from the pixels, seen through the spread about the model."""
+        flat = np.ascontiguousarray(model, float).reshape(-1, 3)
+        normal, pull = np.zeros((len(flat), 3, 3)), np.zeros((len(flat), 3))
+        for camera, pixels, weight in zip(self.cameras, self.pixels, self._weight, strict=True):
+            projected, slope = camera.project_with_derivative(flat)
+            residual = pixels.reshape(-1, 2) - projected
+            add_rays(residual, slope, weight.reshape(-1), float(variance), normal, pull)
+        see_through(float(variance), normal, pull)
+        return normal.reshape(*self._seen.shape, 3, 3), pull.reshape(*self._seen.shape, 3)
+
+    def squares(self, model: Floats) -> Floats:
+        """Give the mean squared distance in the pictures over the views (F, P) [px2]."""
+        squared = ((self.pixels - self.projected(model)) ** 2).sum(-1)
+        there = np.isfinite(squared)
+        count = there.sum(0)
+        return np.where(count > 0, np.where(there, squared, 0).sum(0) / np.maximum(count, 1), np.nan)
+
+    def without(self, hidden: Mask) -> "PixelPlaces":
+        """Take places out, in all views."""
+        return PixelPlaces(self.cameras, np.where(hidden[..., None], np.nan, self.pixels), self.sigma)
+
+    def among(self, frames: Mask, points: Mask) -> "PixelPlaces":
+        """Keep some frames and points."""
+        chosen = np.ix_(np.ones(len(self.cameras), bool), frames, points)
+        return PixelPlaces(self.cameras, self.pixels[chosen], self.sigma[chosen])
+
+    def placed(self, mean: Floats, rotation: Floats, translation: Floats) -> tuple[Floats, Floats, Floats]:
+        """Begin frames in which too few rays meet like the nearest one, and place points that no two cameras saw.
+
+        Such a point lies where its rays of all frames, carried into the object, come nearest to each other: the
+        object's own motion shows it from several sides.
+        """
+        posed = np.isfinite(rotation[:, 0, 0])
+        if not posed.any():
+            return mean, rotation, translation
+        enough = (self._seen & np.isfinite(mean[:, 0])).sum(1) >= ENOUGH_POINTS
+        answered = np.flatnonzero(posed)
+        nearest = answered[np.abs(np.arange(len(posed))[:, None] - answered).argmin(1)]
+        kept = (posed | enough)[:, None]
+        rotation = np.where(kept[..., None], rotation[nearest], np.nan)
+        translation = np.where(kept, translation[nearest], np.nan)
+        missing = np.isnan(mean[:, 0])
+        mean = mean.copy()
+        mean[missing] = self._from_all_frames(rotation, translation, posed)[missing]
+        return mean, rotation, translation
+
+    def _from_all_frames(self, rotation: Floats, translation: Floats, posed: Mask) -> Floats:
+        """Give the points (P, 3) of the object nearest to their rays of all frames; NaN where rays are parallel."""
+        points = self._seen.shape[1]
+        normal, right = np.zeros((points, 3, 3)), np.zeros((points, 3))
+        for camera, pixels in zip(self.cameras, self.pixels, strict=True):
+            direction = camera.rays(pixels).directions @ rotation
+            used = np.isfinite(direction[..., 0]) & posed[:, None]
+            direction = np.where(used[..., None], direction, 0.0)
+            centre = np.einsum("fji,fj->fi", rotation, camera.centre - translation)
+            across = used[..., None, None] * np.eye(3) - direction[..., None] * direction[..., None, :]
+            normal += across.sum(0)
+            right += np.einsum("fpij,fj->pi", across, np.where(posed[:, None], centre, 0.0))
+        fixed = np.linalg.eigvalsh(normal)[:, 0] > LEAST_TURN
+        found = np.full((points, 3), np.nan)
+        found[fixed] = np.linalg.solve(normal[fixed], right[fixed][..., None])[..., 0]
+        return found
+
+
+@numba.njit(cache=True, nogil=True)
+def add_rays(
+    residual: Floats, slope: Floats, weight: Floats, variance: float, normal: Floats, pull: Floats
+) -> None:  # pragma: no cover - compiled
+    """Add what one camera's pixels say of places to their normal equations.
+
+    A pixel that lies far from the model, against its own noise and the spread about the model, loses weight.
+
+    Args:
+        residual: (n, 2) pixel less the model's [px]; NaN where not seen.
+        slope: (n, 2, 3) derivative of the pixel [px/m].
+        weight: (n,) 1 over the pixel's variance [1/px2].
+        variance: of a coordinate about the model [m2].
+        normal: (n, 3, 3) is added to.
+        pull: (n, 3) is added to.
+    """
+    for i in range(len(residual)):
+        w, x, y = weight[i], residual[i, 0], residual[i, 1]
+        if not (w > 0.0 and np.isfinite(x + y)):
+            continue
+        a, b = slope[i, 0], slope[i, 1]
+        doubt = 1.0 + 0.5 * w * variance * (a @ a + b @ b)
+        w *= FAR / max(FAR, w * (x * x + y * y) / doubt)
+        for j in range(3):
+            pull[i, j] += w * (a[j] * x + b[j] * y)
+            for k in range(3):
+                normal[i, j, k] += w * (a[j] * a[k] + b[j] * b[k])
+
+
+@numba.njit(cache=True, nogil=True)
+def see_through(variance: float, normal: Floats, pull: Floats) -> None:  # pragma: no cover - compiled
+    """Turn equations of the points' own places into such of the model's, about which points spread.
+
+    Both are multiplied by the inverse of I + variance * normal, in place.
+
+    Args:
+        variance: of a coordinate about the model [m2].
+        normal: (n, 3, 3) [1/m2].
+        pull: (n, 3) [1/m].
+    """
+    for i in range(len(normal)):
+        n = normal[i]
+        a, b, c = 1.0 + variance * n[0, 0], variance * n[0, 1], variance * n[0, 2]
+        d, e, f = 1.0 + variance * n[1, 1], variance * n[1, 2], 1.0 + variance * n[2, 2]
+        xx, xy, xz = d * f - e * e, c * e - b * f, b * e - c * d
+        yy, yz, zz = a * f - c * c, b * c - a * e, a * d - b * b
+        determinant = a * xx + b * xy + c * xz
+        x, y, z = pull[i]
+        pull[i, 0] = (xx * x + xy * y + xz * z) / determinant
+        pull[i, 1] = (xy * x + yy * y + yz * z) / determinant
+        pull[i, 2] = (xz * x + yz * y + zz * z) / determinant
+        for k in range(3):
+            x, y, z = n[0, k], n[1, k], n[2, k]
+            n[0, k] = (xx * x + xy * y + xz * z) / determinant
+            n[1, k] = (xy * x + yy * y + yz * z) / determinant
+            n[2, k] = (xz * x + yz * y + zz * z) / determinant
