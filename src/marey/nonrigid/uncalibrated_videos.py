@@ -10,6 +10,7 @@ from marey.errors import MareyError, SettingProblem
 from marey.images.feature_tracks import DEFAULT, FollowSettings, Pictures, follow_points
 from marey.images.features import good_features
 from marey.images.patch_search import Candidates, find_beside, find_candidates
+from marey.nonrigid.stray_places import without_strays
 from marey.nonrigid.view_correspondence import match_tracks
 
 _LEAST_PAIRS = 8
@@ -77,7 +78,8 @@ def track_views(
         told: Is told of the progress.
 
     Returns:
-        The tracks. Points of the background, which do not move, are left out where points were chosen.
+        The tracks of the points that at least two cameras share, without places that strayed off their points
+        (`without_strays`). Points of the background, which do not move, are left out where points were chosen.
 
     Raises:
         SettingProblem: There are fewer than two videos, they differ in length, or a number is impossible.
@@ -106,9 +108,19 @@ def track_views(
             "No other camera shares points with the first whose motion agrees. Videos of one instant, taken from "
             "directions at most some 30 degrees apart, of a surface with texture are needed."
         )
+    return _told(book, frame, tuple(notes))
+
+
+def _told(book: "_Book", frame: int, notes: tuple[str, ...]) -> ViewTracks:
+    """Give the points that at least two cameras share, without places that strayed."""
+    probability = np.stack(book.probability)
+    shared = np.isfinite(probability).sum(axis=0) >= 2
+    tied = np.isfinite(probability).any(axis=1)
+    tracks, spread = np.stack(book.tracks)[..., shared], np.stack(book.tracks_sd)[..., shared]
+    tracks[tied] = without_strays(tracks[tied], spread[tied])
     return ViewTracks(
-        tracks=np.stack(book.tracks), tracks_sd=np.stack(book.tracks_sd), probability=np.stack(book.probability),
-        start=frame, notes=tuple(notes),
+        tracks=tracks, tracks_sd=np.where(np.isfinite(tracks), spread, np.nan), probability=probability[:, shared],
+        start=frame, notes=notes,
     )  # fmt: skip
 
 
