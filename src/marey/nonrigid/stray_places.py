@@ -68,7 +68,7 @@ def _equations(tracks: Floats, tracks_sd: Floats) -> tuple[PlaceEquations, Float
     """Give what is known of each place, and places to begin with, cameras one after the other as if frames."""
     cameras, frames, _, count = tracks.shape
     flat, spread = tracks.reshape(-1, 2, count), tracks_sd.reshape(-1, 2, count)
-    seen = np.isfinite(flat).all(axis=1)
+    seen: Mask = np.asarray(np.isfinite(flat).all(axis=1))
     used = seen.sum(axis=1) >= 3
     known = np.where(seen[used][:, None], flat[used], 0)
     low, _ = complete_tracks(known, seen[used], min(_COMPLETING_RANK, count - 2))
