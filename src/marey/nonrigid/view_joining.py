@@ -58,6 +58,11 @@ def join_views(views: Sequence[Floats], appearance: Mapping[tuple[int, int], Flo
         raise SettingProblem(f"Points are joined between two cameras or more, not {len(views)}.")
     looks = appearance or {}
     found = {(i, j): match_tracks(views[i], views[j], looks.get((i, j))) for i, j in combinations(range(len(views)), 2)}
+    return join_pairs(views, found)
+
+
+def join_pairs(views: Sequence[Floats], found: Mapping[tuple[int, int], Correspondence]) -> JoinedViews:
+    """Join the points of several cameras as `join_views` does, from what each two cameras (i, j), i < j, say."""
     order, notes = _order(found, len(views))
     points = _joined(found, order, [view.shape[2] for view in views])
     points = points[:, np.argsort(-(points >= 0).sum(axis=0), kind="stable")]

@@ -1,0 +1,165 @@
+"""Tables 3 and 4 of Alexander, Bregler and Andriacchi 2003 in kind: error against the number of basis shapes.
+
+    python bench/homogeneous_tables.py [simulated] [cameras] [skin SHARED] [arm SHARED]
+
+`simulated`: their section 3.4, 20 made clusters with muscle, sliding, jiggling and random error (sizes are ours, see
+markers_synthetic.py). `cameras`: the same clusters seen by four calibrated cameras. `skin`: 20 random sets of real skin
+markers and of stretches of their trials, a tenth of the points held back, the bone known. `arm`: the videos of arm3
+with their cameras.toml, 20 random sets of the points that were followed. Beside the rigid fit of Spoor and Veldpaus to
+the first frame's shape on equal data. Mean +- standard deviation over the sets, root mean square in each.
+"""
+
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+from markers_synthetic import RANDOM_M, contaminated
+from tests.skin_clusters import placed, turns
+from tests.worlds import ring
+
+from marey.arrays import Floats, Mask
+from marey.cameras.rig import Rig
+from marey.cameras.triangulate import triangulate
+from marey.markers.rigid_fit import fit_rigid
+from marey.nonrigid.calibrated import factorise_calibrated
+from marey.nonrigid.homogeneous import HomogeneousShapes, factorise_points
+
+SETS = 20
+RANKS = (1, 2, 3, 4, 5, None)
+MM = 1000.0
+PIXEL_SD = 1.0
+UNSEEN = 0.3
+HELD_BACK = 0.1
+CLUSTERS = (("lmam_treadmill_walking", "thigh"), ("lmam_treadmill_walking", "shank"), ("unibo_step_up", "thigh"))
+
+Poses = tuple[Floats, Floats]
+"""Rotation (F, 3, 3) and origin (F, 3) of a bone."""
+
+
+def rms(values: Floats) -> float:
+    return float(np.sqrt(np.nanmean(np.square(values))))
+
+
+def carried_bone(rotation: Floats, translation: Floats, bone: Poses) -> Poses:
+    """Tie the bone to a motion in the first frame, and let it be carried along."""
+    turn, offset = rotation[0].T @ bone[0][0], rotation[0].T @ (bone[1][0] - translation[0])
+    return rotation @ turn, np.einsum("fij,j->fi", rotation, offset) + translation
+
+
+def rigidly(points: Floats) -> tuple[Floats, Poses]:
+    """Fit the first frame's shape to every frame ([Spoor1980]); give its points (F, P, 3) and motion."""
+    fit = fit_rigid(points[0], points, RANDOM_M)
+    return np.einsum("fij,pj->fpi", fit.rotation, points[0]) + fit.translation[:, None], (fit.rotation, fit.translation)
+
+
+def solved(factorise: Callable[[int | None], HomogeneousShapes], points: Floats) -> list[tuple[Floats, Poses, int]]:
+    """Give points, motion and K of the rigid fit to points (F, P, 3), of K = 1 to 5, and of the chosen K."""
+    answers = [(*rigidly(points), 0)]
+    for rank in RANKS:
+        found = factorise(rank)
+        answers.append((found.points, (found.rotation, found.translation), found.rank))
+    return answers
+
+
+def pose_errors(answers: Sequence[tuple[Floats, Poses, int]], bone: Poses) -> list[list[float]]:
+    """Give the bone's turn [degrees] and origin [mm] of each answer."""
+    bones = [carried_bone(*motion, bone) for _, motion, _ in answers]
+    turned = [float(np.degrees(rms(turns(rotation, bone[0])))) for rotation, _ in bones]
+    return [turned, [MM * rms(np.linalg.norm(origin - bone[1], axis=-1)) for _, origin in bones]]
+
+
+def off(answers: Sequence[tuple[Floats, Poses, int]], points: Floats, where: Mask) -> list[float]:
+    """Give how far the answers' points lie from points (F, P, 3), where asked [mm]."""
+    return [MM * rms(np.linalg.norm(model - points, axis=-1)[where]) for model, _, _ in answers]
+
+
+def printed(title: str, names: Sequence[str], sets: Sequence[list[list[float]]], chosen: Sequence[int]) -> None:
+    """Print mean and standard deviation over the sets, a row a figure."""
+    values = np.array(sets)
+    print(f"\n{title}; the chosen K: {dict(zip(*np.unique(chosen, return_counts=True), strict=True))}\n")
+    print("| | rigid | K = 1 | 2 | 3 | 4 | 5 | chosen |\n" + "| --- " * 8 + "|")
+    for number, name in enumerate(names):
+        cells = zip(values[:, number].mean(0), values[:, number].std(0, ddof=1), strict=True)
+        print(f"| {name} | " + " | ".join(f"{mean:.2f} +- {spread:.2f}" for mean, spread in cells) + " |", flush=True)
+
+
+def simulated() -> None:
+    rows, chosen = [], []
+    for seed in range(SETS):
+        rotation, origin, places, points = contaminated(np.random.default_rng(seed))
+        answers = solved(lambda rank, points=points: factorise_points(points, rank), points)
+        everywhere = np.ones(points.shape[:2], bool)
+        true = placed(rotation, origin, places)
+        rows.append([off(answers, points, everywhere), off(answers, true, everywhere)])
+        rows[-1] += pose_errors(answers, (rotation, origin))
+        chosen.append(answers[-1][2])
+    names = ("the measured markers, mm", "the true places, mm", "the bone's turn, degrees", "its origin, mm")
+    printed("Simulated markers", names, rows, chosen)
+
+
+def cameras() -> None:
+    rig = Rig(ring(4, size=(1280, 960), focal=1200.0, target=(0.0, 0.0, 0.0)))
+    rows, chosen = [], []
+    for seed in range(SETS):
+        rng = np.random.default_rng(seed)
+        rotation, origin, places, _ = contaminated(rng)
+        true = placed(rotation, origin, places)
+        true = true - true.mean((0, 1))
+        origin = origin - placed(rotation, origin, places).mean((0, 1))
+        pixels = np.stack([camera.project(true) for camera in rig])
+        pixels += rng.normal(0, PIXEL_SD, pixels.shape)
+        pixels[:, 1:][rng.random(pixels[:, 1:].shape[:-1]) < UNSEEN] = np.nan
+        flat = pixels.reshape(len(rig), -1, 2)
+        points = triangulate(rig.cameras, flat, sigma_px=PIXEL_SD).points.reshape(true.shape)
+        tracks = np.moveaxis(pixels, 3, 2)
+        answers = solved(lambda rank, tracks=tracks: factorise_calibrated(tracks, rig, rank=rank), points)
+        met = np.isfinite(points[..., 0])
+        rows.append([off(answers, points, met), off(answers, true, met), *pose_errors(answers, (rotation, origin))])
+        chosen.append(answers[-1][2])
+    names = ("points where rays meet, mm", "the true places, mm", "the bone's turn, degrees", "its origin, mm")
+    printed(f"Four cameras, {PIXEL_SD:g} px, {UNSEEN:.0%} of the views missing", names, rows, chosen)
+
+
+def skin(shared: Path) -> None:
+    for trial, segment in CLUSTERS:
+        with np.load(shared / "data" / "markers" / "sta" / f"{trial}.npz") as truth:
+            rotation, origin = truth[f"{segment}_rotation"], truth[f"{segment}_origin"] / MM
+            local = truth[f"{segment}_markers"] / MM
+        whole = np.einsum("fij,fpj->fpi", rotation, local) + origin[:, None]
+        rows, chosen = [], []
+        for seed in range(SETS):
+            rng = np.random.default_rng(seed)
+            markers = rng.permutation(whole.shape[1])[: max(2 * whole.shape[1] // 3, 8)]
+            length = max(len(whole) // 4, min(len(whole), 13))
+            begin = rng.integers(len(whole) - length + 1)
+            frames = slice(begin, begin + length)
+            points = whole[frames][:, markers]
+            held = rng.random(points.shape[:2]) < HELD_BACK
+            held[0] = False
+            given = np.where(held[..., None], np.nan, points)
+            answers = solved(lambda rank, given=given: factorise_points(given, rank), given)
+            rows.append([off(answers, points, ~held), off(answers, points, held)])
+            rows[-1] += pose_errors(answers, (rotation[frames], origin[frames]))
+            chosen.append(answers[-1][2])
+        names = ("the markers, mm", "markers held back, mm", "the bone's turn, degrees", "its origin, mm")
+        printed(f"Skin: {trial}, {segment}", names, rows, chosen)
+
+
+def main() -> None:
+    words = sys.argv[1:] or ["simulated", "cameras"]
+    with threadpool_limits(1):
+        for position, word in enumerate(words):
+            if word in ("simulated", "cameras"):
+                {"simulated": simulated, "cameras": cameras}[word]()
+            elif word in ("skin", "arm"):
+                {"skin": skin}[word](Path(words[position + 1]))
+
+
+if __name__ == "__main__":
+    main()
