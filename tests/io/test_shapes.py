@@ -37,7 +37,7 @@ def found(rng):
 
 
 def test_shapes_come_back_from_their_file(tmp_path, found):
-    write_shapes(tmp_path / "shapes.npz", found, unit="px", labels=list("abcde"))
+    write_shapes(tmp_path / "shapes.npz", found, labels=list("abcde"))
     again = read_shapes(tmp_path / "shapes.npz")
     for name in ("shape", "rotation", "translation", "basis", "coefficients", "residuals", "modelled", "predicted"):
         np.testing.assert_array_equal(getattr(again, name), getattr(found, name))

@@ -7,24 +7,29 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from marey.arrays import Mask
+from marey.arrays import Floats, Mask
+from marey.cameras.camera import Camera
 from marey.cli.nonrigid_input import NonRigidInput, read_input
 from marey.cli.nonrigid_measure import MeasuredPoints, measure_points
 from marey.cli.nonrigid_results import write_results
 from marey.cli.nonrigid_settings import NonRigidOptions
 from marey.cli.progress import Progress
 from marey.cli.run_record import StageCache
-from marey.errors import SettingProblem
 from marey.io.shapes import shape_arrays, shapes_from
 from marey.io.stages import file_fingerprint
-from marey.nonrigid import one_view
+from marey.nonrigid import one_view, perspective
+from marey.nonrigid.calibrated import factorise_calibrated
 from marey.nonrigid.homogeneous import factorise_points
 from marey.nonrigid.many_views import factorise_views
 from marey.nonrigid.one_view import factorise_tracks
+from marey.nonrigid.perspective import factorise_perspective
 from marey.nonrigid.recovered import (
+    UNSAID,
     RecoveredShapes,
+    from_calibrated,
     from_many_views,
     from_one_view,
+    from_perspective,
     from_points,
     known_distance,
     usable,
@@ -52,8 +57,6 @@ def nonrigid(paths: Sequence[Path], options: NonRigidOptions, progress: Progress
     """
     with progress.stage("Reading"):
         given = read_input(paths, options)
-    if options.matrix is not None or options.cameras is not None:
-        raise SettingProblem("--matrix and --cameras are not used yet: leave them out.")
     for note in given.notes:
         progress.warn(note)
     out = options.out or paths[0].with_name(f"{paths[0].stem}_marey")
@@ -61,12 +64,13 @@ def nonrigid(paths: Sequence[Path], options: NonRigidOptions, progress: Progress
     with threadpool_limits(1), StageCache(out, [file_fingerprint(path) for path in named]) as cache:
         measured = measure_points(given, cache, progress)
         found = _recovered(given, measured, options, cache, progress)
-        if measured.unit == "m":
-            found = replace(found, metres_per_unit=1.0)
+        if found.unit == UNSAID:
+            metres = 1.0 if measured.unit == "m" else np.nan
+            found = replace(found, unit=measured.unit, residual_unit=measured.unit, metres_per_unit=metres)
         if options.distance is not None:
             found = known_distance(found, *options.distance)
         write_results(given, measured, found, options, out, progress)
-    for line in told(found, measured):
+    for line in told(found):
         progress.say(line)
     return out
 
@@ -77,15 +81,15 @@ def _recovered(
     """Factorise what was measured, as far as it holds enough; the rest has no answer."""
     asked = np.zeros(given.frames, bool)
     asked[given.asked] = True
-    least = (3, 2) if measured.points is not None else (one_view.FEWEST_POINTS, one_view.FEWEST_FRAMES)
+    least = _least(given, measured)
     frames, points = usable(measured.seen & asked[:, None], least_points=least[0], least_frames=least[1])
     for note in _left_out(asked & ~frames, ~points, measured.labels):
         progress.warn(note)
 
     def compute() -> dict[str, np.ndarray]:
-        return shape_arrays(_factorised(measured, frames, points, options))
+        return shape_arrays(_factorised(given, measured, frames, points, options))
 
-    depends = (given.matrix, options.basis_shapes, frames, points)
+    depends = (given.camera, options.basis_shapes, frames, points)
     with progress.stage("Shapes"):
         found = shapes_from(cache.arrays("shapes", compute, depends=depends))
     for note in found.notes:
@@ -93,15 +97,39 @@ def _recovered(
     return widened(found, frames, points)
 
 
-def _factorised(measured: MeasuredPoints, frames: Mask, points: Mask, options: NonRigidOptions) -> RecoveredShapes:
+def _least(given: NonRigidInput, measured: MeasuredPoints) -> tuple[int, int]:
+    """Say how many points a frame, and how many frames a point must have at least."""
+    if measured.points is not None or given.rig is not None:
+        return 3, 2
+    if given.camera is not None:
+        return perspective.FEWEST_POINTS, perspective.FEWEST_FRAMES
+    return one_view.FEWEST_POINTS, one_view.FEWEST_FRAMES
+
+
+def _factorised(
+    given: NonRigidInput, measured: MeasuredPoints, frames: Mask, points: Mask, options: NonRigidOptions
+) -> RecoveredShapes:
     """Choose the factorisation by what is given."""
     if measured.points is not None:
         return from_points(factorise_points(measured.points[np.ix_(frames, points)], options.basis_shapes))
     assert measured.tracks is not None
     tracks = measured.tracks[:, frames][..., points]
+    if given.camera is not None:
+        straight = _straightened(tracks[0], given.camera)
+        return from_perspective(factorise_perspective(straight, given.camera.matrix), given.camera)
+    if given.rig is not None:
+        sd = None if measured.tracks_sd is None else measured.tracks_sd[:, frames][..., points]
+        found = factorise_calibrated(tracks, given.rig, tracks_sd=sd, rank=options.basis_shapes)
+        return from_calibrated(found, given.rig)
     if len(tracks) > 1:
         return from_many_views(factorise_views(tracks))
     return from_one_view(factorise_tracks(tracks[0]))
+
+
+def _straightened(tracks: Floats, camera: Camera) -> Floats:
+    """Take the lens out of tracks (F, 2, P): give the pixels of a camera of the same matrix without one."""
+    flat = camera.undistort(np.moveaxis(tracks, 1, 2))
+    return np.moveaxis(flat @ camera.matrix[:2, :2].T + camera.matrix[:2, 2], 2, 1)
 
 
 def _left_out(frames: Mask, points: Mask, labels: Sequence[str]) -> list[str]:
@@ -123,22 +151,17 @@ def _listed(names: Sequence[str]) -> str:
     return ", ".join(names[:_MOST_LISTED]) + more
 
 
-def told(found: RecoveredShapes, measured: MeasuredPoints) -> list[str]:
+def told(found: RecoveredShapes) -> list[str]:
     """Say in a few lines what was found."""
     kept = int(np.isfinite(found.basis[0]).all(0).sum())
-    many = (
-        f"rigid: one basis shape, rank {found.rank}"
-        if found.basis_shapes == 1
-        else f"{found.basis_shapes} basis shapes"
-    )
-    rms = np.sqrt(np.nanmean(found.residuals**2))
-    metric = np.isfinite(found.metres_per_unit)
-    scale, unit = (1e3 * found.metres_per_unit, " mm") if metric else (1.0, " px" if measured.unit == "px" else "")
-    size = 2 * scale * float(np.sqrt(np.nanmean((found.basis[0] ** 2).sum(0))))
-    sd = scale * float(np.nanmedian(np.sqrt((found.shape_sd**2).sum(1))))
-    in_pictures, pixels = len(found.modelled) > 0, " px" if measured.unit == "px" else ""
-    residual = f"{rms:.3g}{pixels}" if in_pictures else f"{scale * rms:.3g}{unit}"
+    many = f"{found.basis_shapes} basis shapes"
+    if found.basis_shapes == 1:
+        many = f"rigid: one basis shape, rank {found.rank}"
+    rms = float(np.sqrt(np.nanmean(found.residuals**2)))
+    size = 2 * float(np.sqrt(np.nanmean((found.basis[0] ** 2).sum(0))))
+    sd = float(np.nanmedian(np.sqrt((found.shape_sd**2).sum(1))))
     return [
         f"{kept} points in {int(found.answered.sum())} of {len(found)} frames, {found.kind}; {many}.",
-        f"Residual {residual} (RMS); the object measures {size:.3g}{unit}, standard deviation {sd:.2g}{unit} (median).",
+        f"Residual {found.residual_text(rms)} (RMS); the object measures {found.length_text(size)}, standard deviation "
+        f"{found.length_text(sd)} (median).",
     ]

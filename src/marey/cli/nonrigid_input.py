@@ -1,14 +1,19 @@
 """What a run on a deforming surface is given: videos, tracks or points, checked together before the work begins."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from marey.arrays import Floats, Mask
+from marey.cameras.camera import Camera
+from marey.cameras.rig import Rig
 from marey.cli.nonrigid_settings import NonRigidOptions, parse_matrix
 from marey.errors import FileProblem, SettingProblem
+from marey.geometry.rigid import RigidTransform
+from marey.io.calibration import read_rig
 from marey.io.deforming import DeformingPoints, read_deforming
 from marey.io.tracks import read_points
 from marey.io.video import VIDEO_SUFFIXES, Clip, open_clip, read_picture
@@ -30,11 +35,13 @@ class NonRigidInput:
     data: tuple[DeformingPoints, ...] = ()
     """What files hold; of several files, one a camera, nobody says which points are the same."""
     starts: tuple[tuple[Floats, int], ...] = ()
-    """Points (P, 2) to follow and their frame, one a video; empty where the program chooses."""
+    """Points (P, 2) to follow and their frame, one a video or of the first alone; empty where the program chooses."""
     within: Mask | None = None
-    """(H, W) where points may be chosen."""
-    matrix: Floats | None = None
-    """(3, 3) known intrinsics of the one camera."""
+    """(H, W) where points may be chosen in the first video."""
+    camera: Camera | None = None
+    """Known intrinsics of the one camera, which stands at the origin."""
+    rig: Rig | None = None
+    """The calibrated cameras, in the order of the videos or tracks."""
     names: tuple[str, ...] = ()
     """Of the cameras; empty from points in space."""
     frames: int
@@ -78,9 +85,7 @@ def _of_data(path: Path, options: NonRigidOptions) -> NonRigidInput:
     data = read_deforming(path)
     if data.tracks is not None:
         frames, names = data.tracks.shape[1], _view_names(len(data.tracks))
-        if options.basis_shapes is not None:
-            raise SettingProblem("--basis-shapes is for points in space; of tracks the data choose.")
-        _require_one_view(len(data.tracks), options)
+        _require_suitable(len(data.tracks), options)
     else:
         assert data.points is not None
         frames, names = len(data.points), ()
@@ -96,7 +101,7 @@ def _of_data(path: Path, options: NonRigidOptions) -> NonRigidInput:
         notes.append(f"The file says no rate: {USUAL_RATE:g} Hz is taken. It only sets the clock.")
     return NonRigidInput(
         paths=(path,), data=(data,), names=names, frames=frames, first=first, end=end, rate=data.rate or USUAL_RATE,
-        matrix=None if options.matrix is None else parse_matrix(options.matrix), notes=tuple(notes),
+        notes=tuple(notes), **_known_cameras(names, options, data=data),
     )  # fmt: skip
 
 
@@ -109,10 +114,9 @@ def _of_cameras(paths: Sequence[Path], options: NonRigidOptions) -> NonRigidInpu
             raise FileProblem(
                 path, f"holds {what}", "Of several files, each holds `tracks` (frames, 2, points) of a camera."
             )
-    _require_one_view(len(paths), options)
-    if options.distance is not None or options.basis_shapes is not None:
-        option = "--distance" if options.distance is not None else "--basis-shapes"
-        raise SettingProblem(f"{option} does not go with tracks whose points are yet to be matched.")
+    _require_suitable(len(paths), options)
+    if options.distance is not None:
+        raise SettingProblem("--distance does not go with tracks whose points are yet to be matched.")
     frames = [one.tracks.shape[1] for one in data if one.tracks is not None]
     if len(set(frames)) > 1:
         raise SettingProblem(f"The files have {frames} frames; the cameras must show the same instants.")
@@ -126,7 +130,7 @@ def _of_cameras(paths: Sequence[Path], options: NonRigidOptions) -> NonRigidInpu
     notes = [note for one in data for note in one.notes]
     return NonRigidInput(
         paths=tuple(paths), data=data, names=names, frames=frames[0], first=first, end=end,
-        rate=rates[0] if rates else USUAL_RATE, notes=tuple(notes),
+        rate=rates[0] if rates else USUAL_RATE, notes=tuple(notes), **_known_cameras(names, options),
     )  # fmt: skip
 
 
@@ -141,9 +145,53 @@ def _require_points(labels: Sequence[str], options: NonRigidOptions) -> None:
         )
 
 
-def _require_one_view(count: int, options: NonRigidOptions) -> None:
+def _require_suitable(count: int, options: NonRigidOptions) -> None:
+    """Refuse options that do not suit tracks of so many cameras."""
     if count > 1 and options.matrix is not None:
         raise SettingProblem(f"--matrix is for one camera, and there are {count}: give --cameras, or neither.")
+    calibrated = count > 1 and options.cameras is not None
+    if options.basis_shapes is not None and not calibrated:
+        raise SettingProblem("--basis-shapes is for points in space and calibrated cameras; here the data choose.")
+    if options.distance is not None and calibrated:
+        raise SettingProblem("--distance gives a scale, but calibrated cameras have one.")
+
+
+def _known_cameras(
+    names: Sequence[str], options: NonRigidOptions, *, sizes: Sequence[tuple[int, int]] = (),
+    data: DeformingPoints | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    """Give the camera, or the rig, that the options say; the rig's cameras by the names of videos and files.
+
+    Tracks of several cameras in one file have no names: they are in the order of the calibration.
+    """
+    if options.matrix is not None:
+        matrix = parse_matrix(options.matrix)
+        size = sizes[0] if sizes else tuple(max(1, round(2 * float(middle)) + 1) for middle in matrix[:2, 2])
+        return {"camera": Camera(
+            name=names[0], size=(size[0], size[1]), matrix=matrix, distortion=np.zeros(0),
+            camera_from_world=RigidTransform.identity(),
+        )}  # fmt: skip
+    if options.cameras is None:
+        return {}
+    rig = _rig_of(read_rig(options.cameras), names, options.cameras, named=data is None)
+    for camera, size in zip(rig, sizes, strict=False):
+        if camera.size != size:
+            wrong = f"calibrates '{camera.name}' at {camera.size[0]} x {camera.size[1]}"
+            raise FileProblem(options.cameras, wrong, f"The video's pictures have {size[0]} x {size[1]} pixels.")
+    if len(rig) > 1:
+        return {"rig": rig}
+    return {"camera": replace(rig.cameras[0], camera_from_world=RigidTransform.identity())}
+
+
+def _rig_of(rig: Rig, names: Sequence[str], path: Path, *, named: bool) -> Rig:
+    if named and set(names) <= set(rig.names):
+        return Rig(tuple(rig[name] for name in names))
+    if len(rig) == len(names) and (not named or len(rig) == 1):
+        return rig
+    if named:
+        wrong = f"has the cameras {', '.join(rig.names)}, not {', '.join(names)}"
+        raise FileProblem(path, wrong, "Videos and files of tracks are called as their cameras.")
+    raise FileProblem(path, f"has {len(rig)} cameras for tracks of {len(names)}", "Give the calibration of these.")
 
 
 def _range(path: Path, frames: int, options: NonRigidOptions) -> tuple[int, int]:
@@ -154,13 +202,11 @@ def _range(path: Path, frames: int, options: NonRigidOptions) -> tuple[int, int]
 
 
 def _of_videos(paths: Sequence[Path], options: NonRigidOptions) -> NonRigidInput:
-    if options.basis_shapes is not None:
-        raise SettingProblem("--basis-shapes is for points in space; of tracks the data choose.")
-    _require_one_view(len(paths), options)
-    if options.points and len(options.points) != len(paths):
+    _require_suitable(len(paths), options)
+    if len(options.points) not in (0, 1, len(paths)):
         raise SettingProblem(
-            f"--points is given {len(options.points)} times for {len(paths)} videos: give it once for each, in their "
-            "order."
+            f"--points is given {len(options.points)} times for {len(paths)} videos: give it once, for the first video, "
+            "or once for each, in their order."
         )
     clips = tuple(open_clip(path) for path in paths)
     names = tuple(path.stem for path in paths)
@@ -186,7 +232,7 @@ def _of_videos(paths: Sequence[Path], options: NonRigidOptions) -> NonRigidInput
     return NonRigidInput(
         paths=tuple(paths), clips=clips, starts=starts, within=_within(options, clips), names=names, frames=count,
         first=first, end=end, rate=rate, notes=(*notes, *more),
-        matrix=None if options.matrix is None else parse_matrix(options.matrix),
+        **_known_cameras(names, options, sizes=[clip.size for clip in clips]),
     )  # fmt: skip
 
 
@@ -200,8 +246,6 @@ def _start(path: Path, clip: Clip, first: int, end: int) -> tuple[Floats, int]:
 def _within(options: NonRigidOptions, clips: Sequence[Clip]) -> Mask | None:
     if options.mask is None:
         return None
-    if len(clips) > 1:
-        raise SettingProblem("--mask is for one video; of several, points are given with --points.")
     image = read_picture(options.mask)
     if (image.shape[1], image.shape[0]) != clips[0].size:
         wide, high = clips[0].size

@@ -21,6 +21,8 @@ class MeasuredPoints:
 
     tracks: Floats | None = None
     """(C, F, 2, P) where points were seen; NaN elsewhere."""
+    tracks_sd: Floats | None = None
+    """(C, F, 2, P) [px]."""
     points: Floats | None = None
     """(F, P, 3)."""
     labels: tuple[str, ...]

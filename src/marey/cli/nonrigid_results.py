@@ -48,7 +48,7 @@ def write_results(
     with finished_together(out) as folder:
         with progress.stage("Results"):
             write_shapes(
-                folder / "shapes.npz", found, unit=measured.unit, labels=measured.labels,
+                folder / "shapes.npz", found, labels=measured.labels,
                 camera_points=measured.camera_points, probability=measured.probability,
             )  # fmt: skip
             write_residuals(folder / "residuals.csv", found, measured.labels)
@@ -68,14 +68,14 @@ def write_results(
 def _write_exports(folder: Path, given: NonRigidInput, measured: MeasuredPoints, found: RecoveredShapes) -> None:
     """Write what other programs open, in metres where a length is known."""
     known = bool(np.isfinite(found.metres_per_unit))
-    unit = "m" if known else measured.unit
+    unit = "m" if known else found.unit
     y_up = bool(given.data) and given.data[0].y_up
     size = 2 * float(np.sqrt(np.nanmean((found.basis[0] ** 2).sum(0))))
     write_point_clouds(
         folder / "shapes", found, measured.edges, scale=found.metres_per_unit if known else 1.0, unit=unit
     )  # fmt: skip
     write_shape_glb(
-        folder / "shapes.glb", found, measured.edges, rate=given.rate, y_up=y_up, unit=measured.unit,
+        folder / "shapes.glb", found, measured.edges, rate=given.rate, y_up=y_up, unit=found.unit,
         scale=found.metres_per_unit if known else _ABOUT_A_METRE / max(size, 1e-12),
     )  # fmt: skip
     write_shape_c3d(
@@ -100,7 +100,7 @@ def _write_overlays(
     for number, clip in enumerate(given.clips):
         scene = ShapeScene(
             name=given.names[number], measured=measured.tracks[number], modelled=found.modelled[number],
-            placed=_before(found, number), lines=_lines(measured, found),
+            placed=_before(given, found, number), lines=_lines(measured, found),
         )  # fmt: skip
         overlay = ShapeOverlay(scene, clip.size)
         answered = np.flatnonzero(found.answered)
@@ -119,8 +119,11 @@ def _write_overlays(
     return stills
 
 
-def _before(found: RecoveredShapes, camera: int) -> Floats:
+def _before(given: NonRigidInput, found: RecoveredShapes, camera: int) -> Floats:
     """Give the shapes (F, 3, P) in the axes of one of the cameras."""
+    if given.rig is not None:
+        to_camera = given.rig.cameras[camera].camera_from_world
+        return np.moveaxis(to_camera.apply(np.moveaxis(found.placed, 1, 2)), 2, 1)
     if found.cameras is None:
         return found.placed
     return np.asarray(found.cameras.camera_from_first[camera] @ found.rotation @ found.shape)
@@ -142,7 +145,7 @@ def _write_report(
     y_up = bool(given.data) and given.data[0].y_up
     names = [path.name + ("/" if path.is_dir() else "") for path in folder.iterdir()]
     report = ShapeReport(
-        title=given.paths[0].stem, found=found, rate=given.rate, unit=measured.unit, labels=measured.labels,
+        title=given.paths[0].stem, found=found, rate=given.rate, labels=measured.labels,
         lines=_lines(measured, found), own_lines=bool(len(measured.edges)), upright=_turn(found, y_up=y_up),
         views=given.names, notes=progress.warnings, stills=stills, timings=progress.timings, settings=asked,
         files=names, track_curves=[video.curve for video in measured.videos],

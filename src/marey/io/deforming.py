@@ -10,6 +10,7 @@ from marey.errors import FileProblem
 from marey.io.marker_results import is_y_up
 from marey.io.markers import read_markers
 from marey.io.npz import read_arrays
+from marey.nonrigid.recovered import UNSAID
 
 _REMEDY = "An NPZ holds `tracks` (frames, 2, points) or (cameras, frames, 2, points), or `points` (frames, 3, points)."
 _SHAPES = {
@@ -74,7 +75,7 @@ def read_deforming(path: Path) -> DeformingPoints:
     if unused:
         notes.append(f"Passed over in {path.name}: {', '.join(unused)}.")
     return DeformingPoints(
-        tracks=tracks, points=points, unit="unit of the input", labels=_labels(path, arrays, count),
+        tracks=tracks, points=points, unit=UNSAID, labels=_labels(path, arrays, count),
         edges=_edges(path, arrays, count), rate=_rate(path, arrays), notes=tuple(notes),
     )  # fmt: skip
 

@@ -13,12 +13,14 @@ from marey.io.atomic import replacing
 from marey.io.c3d import write_c3d
 from marey.io.npz import read_arrays, write_arrays
 from marey.io.trc import PointPaths
-from marey.nonrigid.recovered import CameraRelations, RankCurve, RecoveredShapes
+from marey.nonrigid.recovered import IN_LABORATORY, CameraRelations, RankCurve, RecoveredShapes
 
 _FIELDS = (
     "kind", "shape", "shape_sd", "rotation", "rotation_sd", "translation", "basis", "coefficients", "residuals",
     "predicted", "modelled", "noise_sd", "metres_per_unit", "metres_per_unit_sd",
+    "unit", "residual_unit",
 )  # fmt: skip
+_WORDS = ("kind", "unit", "residual_unit")
 _NUMBERS = ("metres_per_unit", "metres_per_unit_sd")
 _RELATIONS = {
     "camera_from_first": "camera_from_first", "camera_sd": "camera_sd", "camera_scale": "scale",
@@ -60,7 +62,7 @@ def shapes_from(arrays: dict[str, np.ndarray]) -> RecoveredShapes:
     if "camera_from_first" in arrays:
         cameras = CameraRelations(**{own: arrays[name] for name, own in _RELATIONS.items()})
     parts: dict[str, Any] = {name: arrays[name] for name in _FIELDS}
-    parts |= {name: float(arrays[name]) for name in _NUMBERS} | {"kind": str(arrays["kind"])}
+    parts |= {name: float(arrays[name]) for name in _NUMBERS} | {name: str(arrays[name]) for name in _WORDS}
     parts |= {name: tuple(map(str, arrays[name])) for name in _TEXTS}
     return RecoveredShapes(curve=curve, cameras=cameras, **parts)
 
@@ -69,7 +71,6 @@ def write_shapes(
     path: Path | str,
     found: RecoveredShapes,
     *,
-    unit: str,
     labels: Sequence[str],
     camera_points: Integers | None = None,
     probability: Floats | None = None,
@@ -79,12 +80,11 @@ def write_shapes(
     Args:
         path: The file.
         found: What was found.
-        unit: Of the shapes.
         labels: The points' names.
         camera_points: (C, P) which track of each camera a point is, -1 where none, where that was found.
         probability: (C, P) that it is that one.
     """
-    arrays = shape_arrays(found) | {"unit": np.array(unit), "labels": np.array(labels, np.str_)}
+    arrays = shape_arrays(found) | {"labels": np.array(labels, np.str_)}
     if camera_points is not None and probability is not None:
         arrays |= {"camera_points": camera_points, "camera_points_probability": probability}
     write_arrays(path, arrays)
@@ -184,8 +184,8 @@ def upright(found: RecoveredShapes, *, y_up: bool) -> tuple[Floats, Floats]:
         found: What was found.
         y_up: Whether the laboratory has Y up; a camera's picture stands upright without.
     """
-    in_pictures = len(found.modelled) > 0
-    turn = WORLD_FROM_CAMERA if in_pictures else WORLD_FROM_Y_UP if y_up else np.eye(3)
+    in_laboratory = found.kind in IN_LABORATORY
+    turn = (WORLD_FROM_Y_UP if y_up else np.eye(3)) if in_laboratory else WORLD_FROM_CAMERA
     return np.moveaxis(turn @ found.placed, 1, 2), turn
 
 

@@ -5,15 +5,25 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from marey.arrays import Floats, Integers, Mask, frozen
+from marey.cameras.camera import Camera
+from marey.cameras.rig import Rig
 from marey.errors import MareyError
+from marey.nonrigid.calibrated import CalibratedShapes
 from marey.nonrigid.homogeneous import HomogeneousShapes
 from marey.nonrigid.many_views import ManyViewShapes
 from marey.nonrigid.one_view import NonRigidShapes
+from marey.nonrigid.perspective import PerspectiveShapes
 
 ONE_VIEW = "one camera, orthographic"
+PERSPECTIVE = "one camera, full perspective"
 MANY_VIEWS = "several cameras, orthographic"
+CALIBRATED = "several calibrated cameras"
 IN_SPACE = "points in space"
 
+_MOTION = (
+    "Motion and deformation: the motion is the one from which the points depart least; what all points do together "
+    "counts as motion."
+)
 GAUGES = {
     ONE_VIEW: (
         "Sign of depth: one orthographic camera sees a shape and its mirror image in depth alike; one is given.",
@@ -21,6 +31,14 @@ GAUGES = {
         "Distance: not known; the depth of the object's origin is called zero.",
         "Global rotation: the object's axes are the camera's (x right, y down, z ahead) in the first frame that has an "
         "answer.",
+    ),
+    PERSPECTIVE: (
+        "Scale: a length is in pixels as it is seen at the object's mean distance; the size in space is not known.",
+        "Size and distance: a size that changes over time looks like a distance that changes; the size is believed to "
+        "change the least.",
+        "Global rotation: the object's axes are the camera's (x right, y down, z ahead) in the first frame that has an "
+        "answer.",
+        _MOTION,
     ),
     MANY_VIEWS: (
         "Sign of depth: orthographic cameras, however many, see a shape and its mirror image alike where their "
@@ -33,11 +51,14 @@ GAUGES = {
     IN_SPACE: (
         "Global rotation: the object's axes are the laboratory's in the first frame that has an answer; its origin is "
         "the centre of the mean shape.",
-        "Motion and deformation: the motion is the one from which the points depart least; what all points do together "
-        "counts as motion.",
+        _MOTION,
     ),
-}  # fmt: skip
+}
+GAUGES[CALIBRATED] = GAUGES[IN_SPACE]
 """By kind: what the data cannot tell, and what was chosen instead."""
+IN_LABORATORY = (CALIBRATED, IN_SPACE)
+"""Kinds whose motion is that in the laboratory, in its own unit."""
+UNSAID = "unit of the input"
 _ARRAYS = (
     "shape", "shape_sd", "rotation", "rotation_sd", "translation", "basis", "coefficients", "residuals", "modelled",
     "noise_sd",
@@ -117,6 +138,10 @@ class RecoveredShapes:
     """Of several uncalibrated cameras."""
     curve: RankCurve | None = None
     """How the number of basis shapes was chosen, where that leaves a curve."""
+    unit: str = UNSAID
+    """Of the shape: px, m, or that nobody says it."""
+    residual_unit: str = UNSAID
+    """Of the residuals and the noise."""
     metres_per_unit: float = float("nan")
     """Of the shape; NaN where no length is known."""
     metres_per_unit_sd: float = 0.0
@@ -129,6 +154,15 @@ class RecoveredShapes:
 
     def __len__(self) -> int:
         return len(self.shape)
+
+    def length_text(self, value: float) -> str:
+        """Write a length of the shape as people read it, in millimetres where the scale is known."""
+        known = np.isfinite(self.metres_per_unit)
+        return _with_unit(value * self.metres_per_unit, "m") if known else _with_unit(value, self.unit)
+
+    def residual_text(self, value: float) -> str:
+        """Write a residual as people read it."""
+        return _with_unit(value, self.residual_unit)
 
     @property
     def basis_shapes(self) -> int:
@@ -164,6 +198,13 @@ class RecoveredShapes:
         return np.where(count > 0, np.sqrt(total / np.maximum(count, 1)), np.nan)
 
 
+def _with_unit(value: float, unit: str) -> str:
+    """Write a length as people read it."""
+    if unit == "m":
+        return f"{1e3 * value:.3g} mm"
+    return f"{value:.3g} px" if unit == "px" else f"{value:.3g}"
+
+
 def from_one_view(found: NonRigidShapes) -> RecoveredShapes:
     """Take over what one orthographic camera told."""
     modelled = (found.rotation @ found.shape)[:, :2] + found.translation[:, :, None]
@@ -172,6 +213,36 @@ def from_one_view(found: NonRigidShapes) -> RecoveredShapes:
         rotation_sd=found.rotation_sd, translation=found.translation, basis=found.basis,
         coefficients=found.coefficients, residuals=found.residuals[None], predicted=found.predicted,
         modelled=modelled[None], noise_sd=np.array([found.noise_sd]), gauge=GAUGES[ONE_VIEW], notes=found.notes,
+    )  # fmt: skip
+
+
+def from_perspective(found: PerspectiveShapes, camera: Camera) -> RecoveredShapes:
+    """Take over what one camera of known intrinsics told.
+
+    Args:
+        found: The answer.
+        camera: Whose tracks they were, standing at the origin; it says where the points appear.
+    """
+    modelled = camera.project(np.moveaxis(found.points, 1, 2))
+    return RecoveredShapes(
+        kind=PERSPECTIVE, shape=found.shape, shape_sd=found.shape_sd, rotation=found.rotation,
+        rotation_sd=found.rotation_sd, translation=found.translation, basis=found.basis,
+        coefficients=found.coefficients, residuals=found.residuals[None], predicted=found.predicted,
+        modelled=np.moveaxis(modelled, 1, 2)[None], noise_sd=np.array([found.noise_sd]), gauge=GAUGES[PERSPECTIVE],
+        notes=found.notes, unit="px", residual_unit="px",
+    )  # fmt: skip
+
+
+def from_calibrated(found: CalibratedShapes, rig: Rig) -> RecoveredShapes:
+    """Take over what calibrated cameras told; lengths are metres, residuals pixels."""
+    modelled = np.stack([np.moveaxis(camera.project(found.points), 1, 2) for camera in rig])
+    return RecoveredShapes(
+        kind=CALIBRATED, shape=found.shape, shape_sd=found.shape_sd, rotation=found.rotation,
+        rotation_sd=found.rotation_sd, translation=found.translation, basis=found.basis,
+        coefficients=found.coefficients, residuals=found.residuals_px, predicted=found.predicted & (found.views == 0),
+        modelled=modelled, noise_sd=np.full(len(rig), found.noise_px), gauge=GAUGES[CALIBRATED], notes=found.notes,
+        curve=_curve_of(found, "distance of pixels held back from what the others foretell, RMS [px]"), 
+        unit="m", residual_unit="px", metres_per_unit=1.0,
     )  # fmt: skip
 
 
@@ -194,18 +265,22 @@ def from_many_views(found: ManyViewShapes) -> RecoveredShapes:
 def from_points(found: HomogeneousShapes) -> RecoveredShapes:
     """Take over what points in space told."""
     frames, _, points = found.shape.shape
-    curve, choice = None, found.choice
-    if choice is not None:
-        curve = RankCurve(
-            ranks=choice.ranks, errors=choice.held_out_rms, errors_sd=choice.held_out_sd,
-            measure="distance of points held back from what the others foretell, RMS",
-        )  # fmt: skip
+    curve = _curve_of(found, "distance of points held back from what the others foretell, RMS")
     return RecoveredShapes(
         kind=IN_SPACE, shape=found.shape, shape_sd=found.shape_sd, rotation=found.rotation,
         rotation_sd=found.rotation_sd, translation=found.translation, basis=found.basis,
         coefficients=found.coefficients, residuals=found.residuals[None], predicted=found.predicted,
         modelled=np.zeros((0, frames, 2, points)), noise_sd=np.array([found.noise_sd]), gauge=GAUGES[IN_SPACE],
         notes=found.notes, curve=curve,
+    )  # fmt: skip
+
+
+def _curve_of(found: HomogeneousShapes, measure: str) -> RankCurve | None:
+    if found.choice is None:
+        return None
+    choice = found.choice
+    return RankCurve(
+        ranks=choice.ranks, errors=choice.held_out_rms, errors_sd=choice.held_out_sd, measure=measure
     )  # fmt: skip
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from marey.arrays import Floats, Integers
 from marey.geometry import rotations
 from marey.io.atomic import replacing
-from marey.nonrigid.recovered import RecoveredShapes
+from marey.nonrigid.recovered import IN_LABORATORY, RecoveredShapes
 from marey.view.curves import (
     COLOURS,
     Curve,
@@ -63,8 +63,6 @@ class ShapeReport:
     title: str
     found: RecoveredShapes
     rate: float
-    unit: str
-    """Of the shapes."""
     labels: Sequence[str]
     lines: Integers
     """(E, 2) that join points."""
@@ -112,7 +110,7 @@ def shape_html(report: ShapeReport) -> str:
     drawn = (
         "Lines join the points that the input joins." if report.own_lines else "Lines join near points, for the eye."
     )
-    up = "Up is up in the picture." if report.views else "Up is the laboratory's up."
+    up = "Up is the laboratory's up." if found.kind in IN_LABORATORY else "Up is up in the picture."
     legend = _LEGEND.format(lines=drawn, axes=up)
     return rendered("shapes.html", content, data=data, replay_legend=legend)
 
@@ -145,14 +143,6 @@ def _replay(report: ShapeReport, stride: int) -> dict[str, object]:
     }  # fmt: skip
 
 
-def _length(report: ShapeReport, value: float) -> str:
-    """Write a length of the shape as people read it."""
-    metres = report.found.metres_per_unit
-    if np.isfinite(metres):
-        return f"{1e3 * value * metres:.3g} mm"
-    return f"{value:.3g}" + (" px" if report.unit == "px" else "")
-
-
 def _tiles(report: ShapeReport) -> list[tuple[str, str, str]]:
     found = report.found
     answered = found.answered
@@ -162,27 +152,18 @@ def _tiles(report: ShapeReport) -> list[tuple[str, str, str]]:
     seen = np.isfinite(found.residuals)
     rms = float(np.sqrt((np.where(seen, found.residuals, 0) ** 2).sum() / max(seen.sum(), 1)))
     chosen = "rigid" if found.basis_shapes == 1 else f"the mean and {found.basis_shapes - 1} that come and go"
-    unit = " px" if report.unit == "px" and report.views else ""
-    measured = f"{rms:.3g}{unit}" if report.views else _length(report, rms)
     worst = int(np.nanargmax(found.point_rms))
     tiles = [
         ("frames with an answer", f"{int(answered.sum())}", f"of {len(found)}, {report.rate:g} Hz"),
         ("points", f"{points}", f"of {found.shape.shape[2]}; {int(found.predicted.sum())} places predicted"),
         ("seen by", f"{len(report.views)}" if report.views else "space", ", ".join(report.views[:4]) or found.kind),
         ("basis shapes", f"{found.basis_shapes}", chosen),
-        ("residual", measured, f"root mean square; most: point {report.labels[worst]}"),
-        ("shape", f"± {_length(report, 1.96 * float(sd))}", f"median 95 % interval; size {_length(report, size)}"),
+        ("residual", found.residual_text(rms), f"root mean square; most: point {report.labels[worst]}"),
+        ("shape", f"± {found.length_text(1.96 * float(sd))}", f"median 95 % interval; size {found.length_text(size)}"),
     ]  # fmt: skip
-    if np.isfinite(found.metres_per_unit) and report.unit != "m":
+    if np.isfinite(found.metres_per_unit) and found.unit != "m":
         tiles.append(("scale", f"{1e3 * found.metres_per_unit:.4g} mm", "a unit of the input"))
     return tiles
-
-
-def _readable_unit(report: ShapeReport) -> tuple[float, str]:
-    """Give a factor and the name of the unit in which lengths of the input are told."""
-    if report.unit == "m":
-        return 1e3, ", mm"
-    return 1.0, ", px" if report.unit == "px" else ""
 
 
 def _gauge_table(found: RecoveredShapes) -> NumberTable:
@@ -195,18 +176,22 @@ def _gauge_table(found: RecoveredShapes) -> NumberTable:
 
 
 def _point_table(report: ShapeReport) -> NumberTable:
-    found, (scale, unit) = report.found, _readable_unit(report)
+    found = report.found
     seen = np.isfinite(found.residuals).any(0).sum(0)
     sd = np.sqrt((found.shape_sd**2).sum(1))
     order = np.argsort(np.where(np.isfinite(found.point_rms), -found.point_rms, np.inf), kind="stable")
     rows = []
     for p in order[:_MOST_ROWS]:
         known = sd[:, p][np.isfinite(sd[:, p])]
-        cells = [f"{scale * found.point_rms[p]:.3g}", f"{scale * np.median(known):.3g}"] if len(known) else ["", ""]
+        cells = (
+            [found.residual_text(found.point_rms[p]), found.length_text(float(np.median(known)))]
+            if len(known)
+            else ["", ""]
+        )
         rows.append((report.labels[p], f"{seen[p]}", f"{found.predicted[:, p].sum()}", *cells))
     return NumberTable(
         title="Residuals by point", rows=rows,
-        head=("point", "frames seen", "frames predicted", f"residual RMS{unit}", f"sd, median{unit}"),
+        head=("point", "frames seen", "frames predicted", "residual RMS", "sd, median"),
         legend="The largest residuals first; residuals.csv has all points.",
     )  # fmt: skip
 
