@@ -8,9 +8,13 @@ import cv2
 import numpy as np
 import pytest
 
+from marey.cameras.camera import Camera
+from marey.cameras.rig import Rig
 from marey.cli.main import INTERRUPTED, WRONG_INPUT, run
 from marey.geometry import rotations
+from marey.geometry.rigid import RigidTransform
 from marey.io.c3d import read_c3d, write_c3d
+from marey.io.calibration import write_cameras_toml
 from marey.io.npz import read_arrays
 from marey.io.shapes import read_shapes
 from marey.io.tracks import read_tracks
@@ -313,7 +317,7 @@ def test_videos_and_options_that_do_not_go_together_are_said(video, tmp_path, ca
     assert "for one camera" in complaint([str(video), str(other), *matrix], capsys)
     (tmp_path / "a.npz").write_bytes(b"")
     assert "either videos, or files" in complaint([str(video), str(tmp_path / "a.npz")], capsys)
-    assert "once for each" in complaint([str(video), str(other), "--points", str(tmp_path / "a.npz")], capsys)
+    assert "once for each" in complaint([str(video), str(other), *3 * ["--points", str(tmp_path / "a.npz")]], capsys)
 
 
 @pytest.fixture(scope="module")
@@ -366,3 +370,53 @@ def test_files_of_several_cameras_that_do_not_fit_are_said(tmp_path, capsys, two
     assert "points in space" in complaint([a, c], capsys)
     assert "one name" in complaint([a, a], capsys)
     assert "for one camera" in complaint([a, a, "--matrix", "700,700,64,64"], capsys)
+
+
+LENS = np.array([-0.1, 0, 0, 0])
+MATRIX = np.array([[700.0, 0, 320], [0, 700, 240], [0, 0, 1]])
+
+
+def before_camera(path, shapes):
+    """Points (F, P, 3) at 2.5 m before a camera, the object about a quarter of a metre large."""
+    return np.moveaxis(path @ shapes, 1, 2) / 800 + [0.1, 0, 2.5]
+
+
+@pytest.fixture(scope="module")
+def seen_by_rig(made):
+    """Three calibrated cameras about the cluster, and what they see of it: (C, F, 2, P)."""
+    path, shapes, _ = made
+    cameras = []
+    for name, turn in (("left", -0.5), ("middle", 0.0), ("right", 0.5)):
+        pose = RigidTransform(rotations.exp(np.array([0, turn, 0])), np.array([0, 0, 2.5]))
+        cameras.append(Camera(name=name, size=(640, 480), matrix=MATRIX, distortion=LENS, camera_from_world=pose))
+    points = np.moveaxis(path @ shapes, 1, 2) / 800
+    tracks = np.stack([np.moveaxis(camera.project(points), 2, 1) for camera in cameras])
+    return Rig(tuple(cameras)), points, tracks + 0.2 * np.random.default_rng(4).normal(size=tracks.shape)
+
+
+def test_calibrated_cameras_give_the_motion_in_metres(tmp_path, seen_by_rig):
+    rig, points, tracks = seen_by_rig
+    write_cameras_toml(rig, tmp_path / "cameras.toml")
+    given = write(tmp_path, tracks=tracks)
+    arguments = ["--cameras", str(tmp_path / "cameras.toml"), "--basis-shapes", "3", "--quiet"]
+    assert run(["nonrigid", given, *arguments]) == 0
+    arrays = read_arrays(tmp_path / "given_marey" / "shapes.npz")
+    model = np.moveaxis(arrays["rotation"] @ arrays["shape"] + arrays["translation"][:, :, None], 1, 2)
+    assert np.linalg.norm(model - points, axis=2).mean() < 3e-3
+    assert (arrays["unit"], arrays["residual_unit"], arrays["metres_per_unit"]) == ("m", "px", 1)
+    assert arrays["residuals"].shape == (3, FRAMES, POINTS)
+    got = read_c3d(tmp_path / "given_marey" / "shapes.c3d").points
+    np.testing.assert_allclose(got, model, atol=1e-5)
+
+
+def test_a_calibration_that_does_not_suit_is_said(tmp_path, capsys, seen_by_rig):
+    rig, _, tracks = seen_by_rig
+    write_cameras_toml(rig, tmp_path / "cameras.toml")
+    cameras = ["--cameras", str(tmp_path / "cameras.toml")]
+    assert "3 cameras for tracks of 2" in complaint([write(tmp_path, tracks=tracks[:2]), *cameras], capsys)
+    assert "have one" in complaint([write(tmp_path, tracks=tracks), *cameras, "--distance", "0", "1", "1"], capsys)
+    np.savez(tmp_path / "left.npz", tracks=tracks[0])
+    np.savez(tmp_path / "top.npz", tracks=tracks[1])
+    both = [str(tmp_path / "left.npz"), str(tmp_path / "top.npz")]
+    assert "left, middle, right, not left, top" in complaint([*both, *cameras], capsys)
+    assert "not in the order of the tracks" in complaint([write(tmp_path, tracks=tracks[[1, 0, 2]]), *cameras], capsys)

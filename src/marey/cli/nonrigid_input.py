@@ -84,7 +84,7 @@ def read_input(paths: Sequence[Path], options: NonRigidOptions) -> NonRigidInput
 def _of_data(path: Path, options: NonRigidOptions) -> NonRigidInput:
     data = read_deforming(path)
     if data.tracks is not None:
-        frames, names = data.tracks.shape[1], _view_names(len(data.tracks))
+        frames, names = data.tracks.shape[1], _view_names(path, len(data.tracks))
         _require_suitable(len(data.tracks), options)
     else:
         assert data.points is not None
@@ -134,8 +134,8 @@ def _of_cameras(paths: Sequence[Path], options: NonRigidOptions) -> NonRigidInpu
     )  # fmt: skip
 
 
-def _view_names(count: int) -> tuple[str, ...]:
-    return ("camera",) if count == 1 else tuple(f"camera {number}" for number in range(count))
+def _view_names(path: Path, count: int) -> tuple[str, ...]:
+    return (path.stem,) if count == 1 else tuple(f"camera {number}" for number in range(count))
 
 
 def _require_points(labels: Sequence[str], options: NonRigidOptions) -> None:
@@ -173,7 +173,7 @@ def _known_cameras(
         )}  # fmt: skip
     if options.cameras is None:
         return {}
-    rig = _rig_of(read_rig(options.cameras), names, options.cameras, named=data is None)
+    rig = _rig_of(read_rig(options.cameras), names, options.cameras, named=len(names) == 1 or data is None)
     for camera, size in zip(rig, sizes, strict=False):
         if camera.size != size:
             wrong = f"calibrates '{camera.name}' at {camera.size[0]} x {camera.size[1]}"
@@ -205,7 +205,7 @@ def _of_videos(paths: Sequence[Path], options: NonRigidOptions) -> NonRigidInput
     _require_suitable(len(paths), options)
     if len(options.points) not in (0, 1, len(paths)):
         raise SettingProblem(
-            f"--points is given {len(options.points)} times for {len(paths)} videos: give it once, for the first video, "
+            f"--points is given {len(options.points)} times for {len(paths)} videos: give it once, for the first one, "
             "or once for each, in their order."
         )
     clips = tuple(open_clip(path) for path in paths)

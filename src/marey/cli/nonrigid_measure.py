@@ -1,13 +1,13 @@
 """What shapes are recovered from: points followed in videos, or read, and matched between cameras."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from marey.arrays import Floats, Integers, Mask
 from marey.cli.nonrigid_input import NonRigidInput
-from marey.cli.nonrigid_video import VideoTracks, follow_video
+from marey.cli.nonrigid_video import VideoTracks, follow_video, follow_views
 from marey.cli.progress import Progress
 from marey.cli.run_record import StageCache
 from marey.errors import MareyError
@@ -64,16 +64,34 @@ def measure_points(given: NonRigidInput, cache: StageCache, progress: Progress) 
     if given.data:
         views = [one.tracks[0, given.asked] for one in given.data if one.tracks is not None]
         return _joined(views, given, cache, progress)
+    if len(given.clips) > len(given.starts) > 0 or (len(given.clips) > 1 and not given.starts):
+        return _found_in_all(given, cache, progress)
     videos = tuple(follow_video(given, number, cache, progress) for number in range(len(given.clips)))
     for name, video in zip(given.names, videos, strict=True):
         for note in video.notes:
             progress.warn(f"{name}: {note}" if len(videos) > 1 else note)
-    views = [np.where(video.found.visible[:, None], video.found.tracks, np.nan) for video in videos]
-    if len(videos) > 1 and not given.starts:
-        return replace(_joined([view[given.asked] for view in views], given, cache, progress), videos=videos)
-    tracks = np.stack(views)
-    labels = tuple(map(str, range(tracks.shape[-1])))
-    return MeasuredPoints(tracks=tracks, labels=labels, edges=np.zeros((0, 2), np.int64), unit="px", videos=videos)
+    return _of_videos(videos)
+
+
+def _of_videos(videos: tuple[VideoTracks, ...], probability: Floats | None = None) -> MeasuredPoints:
+    """Give points that stand in one order in all videos; only what was seen counts."""
+    tracks = np.stack([np.where(v.found.visible[:, None], v.found.tracks, np.nan) for v in videos])
+    return MeasuredPoints(
+        tracks=tracks, tracks_sd=np.stack([video.found.tracks_sd for video in videos]), videos=videos, unit="px",
+        labels=tuple(map(str, range(tracks.shape[-1]))), edges=np.zeros((0, 2), np.int64), probability=probability,
+    )  # fmt: skip
+
+
+def _found_in_all(given: NonRigidInput, cache: StageCache, progress: Progress) -> MeasuredPoints:
+    """Follow the first video's points in all of them."""
+    videos, probability, notes = follow_views(given, cache, progress)
+    for note in notes:
+        progress.warn(note)
+    seen = np.array([video.found.visible.any(0).sum() for video in videos])
+    shared = int((np.sum([video.found.visible.any(0) for video in videos], axis=0) > 1).sum())
+    each = ", ".join(f"{name} {count}" for name, count in zip(given.names, seen, strict=True))
+    progress.say(f"Points found: {each}; {shared} of them in two cameras or more.")
+    return _of_videos(videos, probability)
 
 
 def _joined(views: Sequence[Floats], given: NonRigidInput, cache: StageCache, progress: Progress) -> MeasuredPoints:
@@ -98,6 +116,6 @@ def _joined(views: Sequence[Floats], given: NonRigidInput, cache: StageCache, pr
     tracks[:, given.asked] = found["tracks"]
     labels = tuple("/".join("-" if p < 0 else str(p) for p in column) for column in found["points"].T)
     return MeasuredPoints(
-        tracks=tracks, labels=labels, edges=np.zeros((0, 2), np.int64), unit=given.data[0].unit if given.data else "px",
+        tracks=tracks, labels=labels, edges=np.zeros((0, 2), np.int64), unit=given.data[0].unit,
         camera_points=found["points"], probability=found["probability"],
     )  # fmt: skip

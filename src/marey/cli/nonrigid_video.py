@@ -1,6 +1,7 @@
 """From a video to tracks: points are chosen or given, followed, and refined together."""
 
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,7 @@ from marey.images.features import edge_features, good_features
 from marey.io.pictures import grey_pictures
 from marey.io.stages import Arrays
 from marey.nonrigid.rank_tracking import refine_tracks
+from marey.nonrigid.uncalibrated_videos import track_views
 
 CORNERS, EDGES = 30, 80
 """How many points are chosen ([Alexander2003] section 3.2)."""
@@ -60,18 +62,81 @@ def follow_video(given: NonRigidInput, number: int, cache: StageCache, progress:
     return _without_background(_widened(found, given), arrays, given)
 
 
+def follow_views(
+    given: NonRigidInput, cache: StageCache, progress: Progress
+) -> tuple[tuple[VideoTracks, ...], Floats, tuple[str, ...]]:
+    """Follow points through several videos of one scene: chosen or given in the first, and found in the others.
+
+    Args:
+        given: The input.
+        cache: Of the run.
+        progress: Is told.
+
+    Returns:
+        The tracks of each video, the points in one order in all; the probability (C, P) that a video's track shows the
+        first one's point, NaN where it has none; and notes.
+
+    Raises:
+        MareyError: There is nothing to follow, or no other camera shares points with the first.
+    """
+    points, frame = given.starts[0] if given.starts else (None, given.first)
+
+    def compute() -> dict[str, np.ndarray]:
+        videos = [_pictures(given, number, cache, progress) for number in range(len(given.clips))]
+        with _StageTeller(progress) as teller:
+            found = track_views(videos, frame=frame - given.first, points=points, within=given.within, told=teller.told)
+        return {
+            "tracks": found.tracks, "tracks_sd": found.tracks_sd, "probability": found.probability,
+            "notes": np.array(found.notes, np.str_),
+        }  # fmt: skip
+
+    depends = (given.names, given.first, given.end, points, frame, given.within)
+    arrays = cache.arrays("views", compute, depends=depends)
+    videos = []
+    for tracks, sd in zip(arrays["tracks"], arrays["tracks_sd"], strict=True):
+        seen = np.isfinite(tracks).all(1)
+        one = FeatureTracks(tracks=tracks, tracks_sd=sd, visible=seen, predicted=np.zeros_like(seen))
+        videos.append(VideoTracks(found=_widened(one, given), rank=0, curve=np.zeros((0, 2)), notes=()))
+    return tuple(videos), arrays["probability"], tuple(map(str, arrays["notes"]))
+
+
+class _StageTeller:
+    """Shows a work that tells its own stages one after the other."""
+
+    def __init__(self, progress: Progress):
+        self._progress, self._what, self._open = progress, "", ExitStack()
+        self._step: Callable[[], None] = lambda: None
+
+    def told(self, what: str, done: int, total: int) -> None:
+        if what != self._what:
+            self._open.close()
+            self._what, self._open = what, ExitStack()
+            self._step = self._open.enter_context(self._progress.stage(what, total))
+        self._step()
+
+    def __enter__(self) -> "_StageTeller":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._open.close()
+
+
+def _pictures(given: NonRigidInput, number: int, cache: StageCache, progress: Progress) -> list[np.ndarray]:
+    of = f" {given.names[number]}" if len(given.clips) > 1 else ""
+    frames = range(given.first, given.end)
+    with progress.stage(f"Pictures{of}", len(frames)) as step:
+        return grey_pictures(cache.folder / f"grey-{number}.npy", given.clips[number], frames, step)
+
+
 def _followed(given: NonRigidInput, number: int, cache: StageCache, progress: Progress) -> dict[str, np.ndarray]:
-    clip, name = given.clips[number], given.names[number]
-    of = f" {name}" if len(given.clips) > 1 else ""
-    count = given.end - given.first
-    with progress.stage(f"Pictures{of}", count) as step:
-        pictures = grey_pictures(cache.folder / f"grey-{number}.npy", clip, range(given.first, given.end), step)
+    of = f" {given.names[number]}" if len(given.clips) > 1 else ""
+    pictures = _pictures(given, number, cache, progress)
     if given.starts:
         points, frame = given.starts[number]
         frame -= given.first
     else:
         points, frame = _chosen(pictures[0], given), 0
-    with progress.stage(f"Following{of}", count - 1) as step:
+    with progress.stage(f"Following{of}", len(pictures) - 1) as step:
         followed = follow_points(pictures, points, frame=frame, progress=_each(step))
     with progress.stage(f"Refining{of}"):
         refined = refine_tracks(pictures, followed)

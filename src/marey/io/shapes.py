@@ -85,8 +85,10 @@ def write_shapes(
         probability: (C, P) that it is that one.
     """
     arrays = shape_arrays(found) | {"labels": np.array(labels, np.str_)}
-    if camera_points is not None and probability is not None:
-        arrays |= {"camera_points": camera_points, "camera_points_probability": probability}
+    if camera_points is not None:
+        arrays["camera_points"] = camera_points
+    if probability is not None:
+        arrays["camera_points_probability"] = probability
     write_arrays(path, arrays)
 
 
