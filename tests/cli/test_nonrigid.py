@@ -244,25 +244,26 @@ def test_ctrl_c_leaves_no_results_and_the_same_command_goes_on(tmp_path, made, m
 SIZE, SHOWN = 128, 24
 
 
-def seen_from(frame: int) -> tuple[np.ndarray, np.ndarray]:
-    """Where the places of a speckled relief that sways and bends are seen: x and y (H, W) in the picture."""
+def seen_from(frame: int, beside: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Where the places of a speckled relief that sways and bends are seen: x and y (H, W) in the picture.
+
+    In frame 0 a camera that is not `beside` [rad] sees it from the front: its places are the pixels.
+    """
     y, x = np.mgrid[:SIZE, :SIZE] - SIZE / 2
     depth = 14 * np.cos(x / 18) + 10 * np.sin(y / 15) + 6 * np.sin(frame / 5) * np.cos((x + y) / 30)
-    a, b = 0.5 * np.sin(frame / 4), 0.35 * np.sin(frame / 6)
+    a, b = beside + 0.5 * np.sin(frame / 4), 0.35 * np.sin(frame / 6)
     return SIZE / 2 + x * np.cos(a) + depth * np.sin(a), SIZE / 2 + y * np.cos(b) + depth * np.sin(b)
 
 
-@pytest.fixture(scope="module")
-def video(tmp_path_factory) -> Path:
+def film(path: Path, beside: float = 0.0) -> Path:
     rng = np.random.default_rng(5)
     grey = cv2.GaussianBlur(rng.standard_normal((SIZE, SIZE)), (0, 0), 1.6)
     grey = (128 + 40 * grey / grey.std()).astype(np.float32)
-    path = tmp_path_factory.mktemp("video") / "relief.avi"
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 25.0, (SIZE, SIZE))
     for frame in range(SHOWN):
-        x, y = seen_from(frame)
-        back_x, back_y = np.meshgrid(np.arange(SIZE, dtype=float), np.arange(SIZE, dtype=float))
-        goal_x, goal_y = back_x.copy(), back_y.copy()
+        x, y = seen_from(frame, beside)
+        goal_x, goal_y = np.meshgrid(np.arange(SIZE, dtype=float), np.arange(SIZE, dtype=float))
+        back_x, back_y = goal_x.copy(), goal_y.copy()
         for _ in range(40):
             at = [cv2.remap(v.astype(np.float32), *_maps(back_x, back_y), cv2.INTER_LINEAR) for v in (x, y)]
             back_x, back_y = back_x + 0.7 * (goal_x - at[0]), back_y + 0.7 * (goal_y - at[1])
@@ -270,6 +271,11 @@ def video(tmp_path_factory) -> Path:
         writer.write(cv2.cvtColor(np.clip(shown, 0, 255).astype(np.uint8), cv2.COLOR_GRAY2BGR))
     writer.release()
     return path
+
+
+@pytest.fixture(scope="module")
+def video(tmp_path_factory) -> Path:
+    return film(tmp_path_factory.mktemp("video") / "relief.avi")
 
 
 def _maps(x, y):
@@ -291,7 +297,6 @@ def test_given_points_are_followed_in_their_order(from_video):
     truth = np.stack(
         [np.stack([v[places[:, 1].astype(int), places[:, 0].astype(int)] for v in seen_from(f)]) for f in range(SHOWN)]
     )
-    # In frame 0 the relief is seen from the front: its places are the pixels.
     away = np.linalg.norm(tracks.tracks - truth, axis=1)
     assert np.nanmedian(away) < 1.0
     assert tracks.visible.mean() > 0.7
@@ -420,3 +425,19 @@ def test_a_calibration_that_does_not_suit_is_said(tmp_path, capsys, seen_by_rig)
     both = [str(tmp_path / "left.npz"), str(tmp_path / "top.npz")]
     assert "left, middle, right, not left, top" in complaint([*both, *cameras], capsys)
     assert "not in the order of the tracks" in complaint([write(tmp_path, tracks=tracks[[1, 0, 2]]), *cameras], capsys)
+
+
+def test_points_of_one_video_are_found_in_another_one(from_video, video):
+    _, places = from_video
+    second = film(video.with_name("beside.avi"), 0.25)
+    out = video.with_name("both")
+    arguments = [str(video), str(second), "--points", str(video.with_name("points.npz")), "--no-overlay", "-q"]
+    assert run(["nonrigid", *arguments, "-o", str(out)]) == 0
+    arrays = read_arrays(out / "shapes.npz")
+    found = np.isfinite(arrays["camera_points_probability"][1])
+    assert found.mean() > 0.6
+    tracks = read_tracks(out / "tracks_beside.npz").tracks
+    x, y = places[:, 0].astype(int), places[:, 1].astype(int)
+    truth = np.stack([[v[y, x] for v in seen_from(f, 0.25)] for f in range(SHOWN)])
+    assert np.nanmedian(np.linalg.norm(tracks - truth, axis=1)) < 1.0
+    assert not (out / "overlay_beside.mp4").exists()
