@@ -18,7 +18,7 @@ from marey.errors import MareyError
 from marey.knee.cut_ends import CutPlane, cut_planes, known_faces
 from marey.knee.deformation import Deformation
 from marey.knee.surface import Surface
-from marey.knee.triangle_tree import TriangleTree
+from marey.knee.triangle_tree import TriangleTree, corner_weights
 
 CLOSE = 1e-3
 """Each step is solved so well that so much of the squared pull is left: the next one is another problem."""
@@ -77,8 +77,8 @@ class _Image:
         nodes = np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"), -1)
         places = origin + step * nodes
         near = TriangleTree.of(surface).nearest(places)
-        corners = surface.corners_mm[near.face]
-        facing = _interpolated(surface.vertex_normals[surface.faces[near.face]], corners, near.points_mm)
+        weights = corner_weights(surface.corners_mm[near.face], near.points_mm)
+        facing = np.einsum("...k,...ki->...i", weights, surface.vertex_normals[surface.faces[near.face]])
         inside = np.einsum("...i,...i->...", places - near.points_mm, facing) < 0
         known = known_faces(surface, cuts, 2.0)[near.face]
         return _Image(origin, step, np.where(inside, -1.0, 1.0) * near.distance_mm, known.astype(float))
@@ -173,21 +173,6 @@ def _carried(cuts: tuple[CutPlane, ...], deformation: Deformation) -> tuple[CutP
     return tuple(
         CutPlane(point_mm=place, normal=deformation.subject_normals(place[None], cut.normal[None])[0])
         for place, cut in zip(places, cuts, strict=True)
-    )
-
-
-def _interpolated(normals: Floats, corners: Floats, places: Floats) -> Floats:
-    """Weigh the normals (..., 3, 3) of a face's corners by where in it a place lies."""
-    first, second = corners[..., 1, :] - corners[..., 0, :], corners[..., 2, :] - corners[..., 0, :]
-    off = places - corners[..., 0, :]
-    a, b, c = (np.einsum("...i,...i->...", p, q) for p, q in ((first, first), (first, second), (second, second)))
-    x, y = np.einsum("...i,...i->...", off, first), np.einsum("...i,...i->...", off, second)
-    whole = np.maximum(a * c - b * b, 1e-12)
-    v, w = (c * x - b * y) / whole, (a * y - b * x) / whole
-    return (
-        (1 - v - w)[..., None] * normals[..., 0, :]
-        + v[..., None] * normals[..., 1, :]
-        + w[..., None] * normals[..., 2, :]
     )
 
 

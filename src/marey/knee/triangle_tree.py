@@ -147,6 +147,17 @@ def _nearest_on_triangle(point, corners, out):  # pragma: no cover - compiled
     return squared
 
 
+def corner_weights(corners_mm: Floats, places_mm: Floats) -> Floats:
+    """Give the weights (..., 3) of triangles' corners (..., 3, 3) at places (..., 3) in them."""
+    first, second = corners_mm[..., 1, :] - corners_mm[..., 0, :], corners_mm[..., 2, :] - corners_mm[..., 0, :]
+    off = places_mm - corners_mm[..., 0, :]
+    a, b, c = (np.einsum("...i,...i->...", p, q) for p, q in ((first, first), (first, second), (second, second)))
+    x, y = np.einsum("...i,...i->...", off, first), np.einsum("...i,...i->...", off, second)
+    whole = np.maximum(a * c - b * b, 1e-12)
+    v, w = (c * x - b * y) / whole, (a * y - b * x) / whole
+    return np.clip(np.stack([1 - v - w, v, w], -1), 0, 1)
+
+
 @numba.njit(cache=True, nogil=True)
 def _to_box(point, low, high):  # pragma: no cover - compiled
     """Give the squared distance of a point from a box."""

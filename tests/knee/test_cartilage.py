@@ -1,0 +1,119 @@
+import numpy as np
+import pytest
+import trimesh
+
+from marey.errors import MareyError
+from marey.knee.cartilage import find_cartilage
+from marey.knee.cartilage_labels import with_cartilage
+from marey.knee.cartilage_prediction import predict_cartilage
+from marey.knee.deformation import Deformation
+from marey.knee.structures import LABELS
+from marey.knee.surface import Surface
+from marey.knee.volume import Grid, Labels, Volume
+
+RADIUS, THICK, RIM = 15.0, 2.4, 0.3
+"""A round bone under a cap of cartilage, down to z = RIM * radius."""
+MARROW, CARTILAGE, FLESH = 15.0, 110.0, 32.0
+
+
+def ball(radius: float = RADIUS, fine: int = 4) -> Surface:
+    mesh = trimesh.creation.icosphere(subdivisions=fine, radius=radius)
+    return Surface(vertices_mm=mesh.vertices, faces=mesh.faces)
+
+
+def made_volume(
+    rng: np.random.Generator, values=(MARROW, CARTILAGE, FLESH), noise: float = 4.0
+) -> tuple[Volume, Labels]:
+    """Half a millimetre by half by one, every voxel the mean over its box."""
+    spacing = np.array([0.5, 0.5, 1.0])
+    shape = (46, 92, 92)
+    matrix = np.diag([*spacing, 1.0])
+    matrix[:3, 3] = -0.5 * spacing * (np.array(shape[::-1]) - 1)
+    grid = Grid(shape=shape, lps_from_voxel=matrix)
+    kinds = np.zeros((3, *shape))
+    for shift in np.ndindex(2, 2, 2):
+        index = np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"), -1)[..., ::-1]
+        places = grid.lps(index + (np.array(shift) - 0.5) / 2)
+        radius = np.linalg.norm(places, axis=-1)
+        bone = radius < RADIUS
+        cartilage = ~bone & (radius < RADIUS + THICK) & (places[..., 2] > RIM * radius)
+        for kind, mask in zip(kinds, (bone, cartilage, ~bone & ~cartilage), strict=True):
+            kind += mask / 8
+    image = np.tensordot(values, kinds, 1)
+    # Brightness changes over the picture as it does by a coil.
+    image *= 1 + 0.2 * np.linspace(-1, 1, shape[2])
+    labels = np.where(kinds[0] > 0.5, LABELS["femur"], np.where(kinds[1] > 0.5, LABELS["femoral_cartilage"], 0))
+    return Volume(intensity=image + rng.normal(0, noise, shape), grid=grid), Labels(labels=labels, grid=grid)
+
+
+def foretold(bone: Surface, *, thick: float, rim: float):
+    """What a template says whose cartilage is of another thickness and ends elsewhere."""
+    height = bone.vertices_mm[:, 2] / np.linalg.norm(bone.vertices_mm, axis=1)
+    return predict_cartilage(bone, bone, np.where(height > rim, thick, 0.0))
+
+
+@pytest.mark.parametrize("values", [(MARROW, CARTILAGE, FLESH), (120.0, 80.0, 130.0), (120.0, 80.0, 25.0)])
+def test_cartilage_is_found_though_the_template_is_thicker_and_ends_elsewhere(rng, values):
+    volume, truth = made_volume(rng, values)
+    bone = ball()
+    sheet = find_cartilage(volume, bone, foretold(bone, thick=3.0, rim=0.15))
+    height = bone.vertices_mm[:, 2] / RADIUS
+    inner = height > RIM + 0.1
+    assert (sheet.thickness_mm[inner] > 0).all()
+    assert (sheet.thickness_mm[height < RIM - 0.15] == 0).mean() > 0.9
+    # Half a voxel of a millimetre.
+    assert abs(np.median(sheet.thickness_mm[inner]) - THICK) < 0.25
+    assert np.abs(sheet.thickness_mm[inner] - THICK).mean() < 0.3
+    found = with_cartilage(Labels(labels=np.where(truth.mask("femur"), 1, 0), grid=truth.grid), {"femur": sheet})
+    ours, true = found.mask("femoral_cartilage"), truth.mask("femoral_cartilage")
+    assert 2 * (ours & true).sum() / (ours.sum() + true.sum()) > 0.85
+    np.testing.assert_array_equal(found.mask("femur"), truth.mask("femur"))
+
+
+def test_the_outer_surface_is_closed_and_has_the_cartilages_volume(rng):
+    volume, _ = made_volume(rng)
+    bone = ball()
+    sheet = find_cartilage(volume, bone, foretold(bone, thick=2.4, rim=RIM))
+    outer = sheet.outer
+    assert trimesh.Trimesh(outer.vertices_mm, outer.faces, process=False).is_watertight
+    cap = 2 / 3 * np.pi * ((RADIUS + THICK) ** 3 - RADIUS**3) * (1 - RIM)
+    np.testing.assert_allclose(outer.volume_mm3, cap, rtol=0.15)
+    assert sheet.confidence.min() >= 0
+    assert sheet.confidence.max() <= 1
+    np.testing.assert_array_equal(np.isnan(sheet.thickness_sd_mm), sheet.thickness_mm == 0)
+
+
+def test_where_two_cartilages_touch_the_space_is_shared(rng):
+    # The other bone is a shell around, and all between the two is as bright as cartilage.
+    volume, _ = made_volume(rng, (MARROW, CARTILAGE, CARTILAGE))
+    bone, around = ball(), ball(RADIUS + 4.0)
+    shell = Surface(vertices_mm=around.vertices_mm, faces=around.faces[:, ::-1])
+    told = foretold(bone, thick=2.0, rim=0.0)
+    sheet = find_cartilage(volume, bone, told, [(shell, np.full(len(around.vertices_mm), 2.0))])
+    top = bone.vertices_mm[:, 2] > 0.5 * RADIUS
+    assert abs(np.median(sheet.thickness_mm[top]) - 2.0) < 0.4
+
+
+def test_a_template_without_cartilage_is_told(rng):
+    volume, _ = made_volume(rng)
+    bone = ball()
+    with pytest.raises(MareyError, match="foretells no cartilage"):
+        find_cartilage(volume, bone, predict_cartilage(bone, bone, np.zeros(len(bone.vertices_mm))))
+
+
+def test_thickness_and_normals_are_carried_by_the_deformation():
+    template = ball(fine=3)
+    height = template.vertices_mm[:, 2]
+    nodes = 4.0 * np.stack(np.meshgrid(*(np.arange(n) for n in (14, 14, 14)), indexing="ij")) - 26.0
+    # The subject is a fifth longer along z: u - d(u) is the template's place.
+    field = np.stack([0 * nodes[0], 0 * nodes[1], nodes[2] * (1 - 1 / 1.2)])
+    deformation = Deformation(origin_mm=np.full(3, -26.0), step_mm=4.0, displacement_mm=field)
+    bone = Surface(vertices_mm=template.vertices_mm * (1, 1, 1.2), faces=template.faces)
+    told = predict_cartilage(bone, template, np.where(height > 0, 2.0 + 0.05 * height, 0.0), deformation)
+    inner = height > 6
+    np.testing.assert_allclose(told.thickness_mm[inner], (2.0 + 0.05 * height)[inner], atol=1e-2)
+    wanted = template.vertices_mm * (1, 1, 1 / 1.2)
+    wanted /= np.linalg.norm(wanted, axis=1, keepdims=True)
+    np.testing.assert_allclose(told.normals, wanted, atol=0.03)
+    assert told.presence[height > 12].min() > 0.95
+    assert told.presence[height < -12].max() < 0.05
