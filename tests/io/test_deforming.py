@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from marey.errors import FileProblem
-from marey.io.deforming import read_deforming
+from marey.errors import FileProblem, SettingProblem
+from marey.io.deforming import only, read_deforming
 
 
 def test_tracks_of_one_view_become_those_of_several_with_one(tmp_path, rng):
@@ -37,6 +37,18 @@ def test_points_in_space_come_point_by_point(tmp_path, rng):
     assert read.labels == tuple("abcde")
     assert read.edges.tolist() == [[0, 4]]
     assert read.notes == ("Passed over in a.npz: note.",)
+
+
+def test_points_are_kept_by_their_labels(tmp_path, rng):
+    labels = ["thigh_1", "shank_1", "thigh_2", "heel"]
+    np.savez(tmp_path / "a.npz", points=rng.normal(size=(7, 3, 4)), labels=labels, edges=[[0, 2], [1, 3], [2, 3]])
+    read = read_deforming(tmp_path / "a.npz")
+    kept = only(read, ["thigh_*", "heel"])
+    assert kept.labels == ("thigh_1", "thigh_2", "heel")
+    np.testing.assert_array_equal(kept.points, read.points[:, [0, 2, 3]])
+    assert kept.edges.tolist() == [[0, 1], [1, 2]]
+    with pytest.raises(SettingProblem, match=r"names foot\*, which no point is called\. The points are thigh_1"):
+        only(read, ["heel", "foot*"])
 
 
 def test_a_damaged_file_is_named(tmp_path):

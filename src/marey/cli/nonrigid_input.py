@@ -14,7 +14,7 @@ from marey.cli.nonrigid_settings import NonRigidOptions, parse_matrix
 from marey.errors import FileProblem, SettingProblem
 from marey.geometry.rigid import RigidTransform
 from marey.io.calibration import read_rig
-from marey.io.deforming import DeformingPoints, read_deforming
+from marey.io.deforming import DeformingPoints, only, read_deforming
 from marey.io.tracks import read_points
 from marey.io.video import VIDEO_SUFFIXES, Clip, open_clip, read_picture
 
@@ -83,6 +83,8 @@ def read_input(paths: Sequence[Path], options: NonRigidOptions) -> NonRigidInput
 
 def _of_data(path: Path, options: NonRigidOptions) -> NonRigidInput:
     data = read_deforming(path)
+    if options.only is not None:
+        data = only(data, options.only)
     if data.tracks is not None:
         frames, names = data.tracks.shape[1], _view_names(path, len(data.tracks))
         _require_suitable(len(data.tracks), options)
@@ -115,8 +117,9 @@ def _of_cameras(paths: Sequence[Path], options: NonRigidOptions) -> NonRigidInpu
                 path, f"holds {what}", "Of several files, each holds `tracks` (frames, 2, points) of a camera."
             )
     _require_suitable(len(paths), options)
-    if options.distance is not None:
-        raise SettingProblem("--distance does not go with tracks whose points are yet to be matched.")
+    if options.distance is not None or options.only is not None:
+        option = "--distance" if options.distance is not None else "--only"
+        raise SettingProblem(f"{option} does not go with tracks whose points are yet to be matched.")
     frames = [one.tracks.shape[1] for one in data if one.tracks is not None]
     if len(set(frames)) > 1:
         raise SettingProblem(f"The files have {frames} frames; the cameras must show the same instants.")
@@ -203,6 +206,8 @@ def _range(path: Path, frames: int, options: NonRigidOptions) -> tuple[int, int]
 
 def _of_videos(paths: Sequence[Path], options: NonRigidOptions) -> NonRigidInput:
     _require_suitable(len(paths), options)
+    if options.only is not None:
+        raise SettingProblem("--only is for files of points that have labels, not for videos.")
     if len(options.points) not in (0, 1, len(paths)):
         raise SettingProblem(
             f"--points is given {len(options.points)} times for {len(paths)} videos: give it once, for the first one, "

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from marey.cli.options import Frames, NoOverlay, Quiet
-from marey.cli.settings import parse_frames
+from marey.cli.settings import parse_frames, parse_names
 
 
 def nonrigid(
@@ -20,7 +20,10 @@ def nonrigid(
     ] = None,
     points: Annotated[
         list[Path] | None,
-        typer.Option(metavar="FILE", help="NPZ: `points` (P, 2) to follow and their `frame`; once for each video."),
+        typer.Option(
+            metavar="FILE",
+            help="NPZ: `points` (P, 2) to follow and their `frame`; for the first video, or once for each.",
+        ),
     ] = None,
     mask: Annotated[
         Path | None,
@@ -38,6 +41,10 @@ def nonrigid(
     distance: Annotated[
         tuple[int, int, float] | None,
         typer.Option(metavar="I J METRES", help="Two points, counted from 0, and how far they are apart."),
+    ] = None,
+    only: Annotated[
+        str | None,
+        typer.Option(metavar="LABEL,...", help="The points to keep of a file: labels, or patterns such as thigh_*."),
     ] = None,
     basis_shapes: Annotated[
         int | None,
@@ -57,7 +64,8 @@ def nonrigid(
     * `marey nonrigid face.mp4`
     * `marey nonrigid paper.mp4 --points clicked.npz --matrix 750,750,320,240 --distance 0 89 0.297`
     * `marey nonrigid tracks.npz --out results/tracks`
-    * `marey nonrigid walk.c3d`
+    * `marey nonrigid walk.c3d --only "thigh_*"`
+    * `marey nonrigid left.mp4 right.mp4 --cameras cameras.toml`
     """
     from marey.cli.nonrigid import nonrigid as recover
     from marey.cli.nonrigid_settings import NonRigidOptions
@@ -65,6 +73,7 @@ def nonrigid(
 
     options = NonRigidOptions(
         out=out, points=tuple(points or ()), mask=mask, matrix=matrix, cameras=cameras, distance=distance,
+        only=None if only is None else parse_names(only, option="--only", example="thigh_*"),
         frames=None if frames is None else parse_frames(frames), basis_shapes=basis_shapes, overlay=not no_overlay,
     )  # fmt: skip
     results = recover(inputs, options, Progress(quiet=quiet))

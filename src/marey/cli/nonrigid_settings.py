@@ -36,6 +36,8 @@ class NonRigidOptions:
     """Two points and how far they are apart [m]."""
     frames: tuple[int, int] | None = None
     """First frame and the first one after the last."""
+    only: tuple[str, ...] | None = None
+    """Labels, or patterns of labels, of the points of a file that are kept."""
     basis_shapes: int | None = None
     """K, of points in space."""
     overlay: bool = True

@@ -1,12 +1,14 @@
 """Deforming points that a user has already: tracks in pictures, or points in space, from NPZ and C3D."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 import numpy as np
 
 from marey.arrays import Floats, Integers, Mask
-from marey.errors import FileProblem
+from marey.errors import FileProblem, SettingProblem
 from marey.io.marker_results import is_y_up
 from marey.io.markers import read_markers
 from marey.io.npz import read_arrays
@@ -77,6 +79,27 @@ def read_deforming(path: Path) -> DeformingPoints:
     return DeformingPoints(
         tracks=tracks, points=points, unit=UNSAID, labels=_labels(path, arrays, count),
         edges=_edges(path, arrays, count), rate=_rate(path, arrays), notes=tuple(notes),
+    )  # fmt: skip
+
+
+def only(data: DeformingPoints, patterns: Sequence[str]) -> DeformingPoints:
+    """Keep the points whose labels are among some, or fit a pattern with * and ?; edges to others go.
+
+    Raises:
+        SettingProblem: A pattern fits none.
+    """
+    fits = {pattern: [fnmatchcase(label, pattern) for label in data.labels] for pattern in patterns}
+    lost = [pattern for pattern, found in fits.items() if not any(found)]
+    if lost:
+        known = ", ".join(data.labels[:12]) + (" ..." if len(data.labels) > 12 else "")
+        raise SettingProblem(f"--only names {', '.join(lost)}, which no point is called. The points are {known}.")
+    kept = np.any(list(fits.values()), axis=0)
+    number = np.cumsum(kept) - 1
+    return replace(
+        data, tracks=None if data.tracks is None else data.tracks[..., kept],
+        points=None if data.points is None else data.points[:, kept],
+        labels=tuple(label for label, wanted in zip(data.labels, kept, strict=True) if wanted),
+        edges=number[data.edges[kept[data.edges].all(1)]],
     )  # fmt: skip
 
 
