@@ -53,6 +53,15 @@ def test_gaps_and_noise_are_borne_and_said(made, rng):
     assert error_of(found, made[0], made[1]) < 0.06
     assert found.noise_sd == pytest.approx(1, rel=0.15)
     np.testing.assert_array_equal(found.predicted, missing)
+    mirror, errors = np.diag([1.0, 1.0, -1.0]), []
+    for rotation in (found.rotation, mirror @ found.rotation @ mirror):
+        turn = rotations.mean(np.swapaxes(rotation, 1, 2) @ made[0])
+        wrong = rotations.log(made[0] @ np.swapaxes(rotation @ turn, 1, 2))
+        errors.append(float(np.sqrt(np.mean(wrong**2))))
+    assert min(errors) < 4 * np.sqrt(np.mean(found.rotation_sd**2))
+    assert np.degrees(np.sqrt(np.mean(found.rotation_sd**2))) < 3
+    chosen = found.rank_curve[np.argmin(found.rank_curve[:, 1]), 0]
+    assert 3 <= found.rank <= chosen
     assert np.isfinite(found.shape).all()
     assert np.isnan(found.residuals[missing]).all()
 

@@ -3,6 +3,7 @@
 import numpy as np
 
 from marey.arrays import Floats, Mask
+from marey.nonrigid.singular_vectors import singular_vectors
 
 ROUNDS = 60
 STILL = 1e-4
@@ -24,7 +25,7 @@ def complete_tracks(tracks: Floats, seen: Mask, rank: int) -> tuple[Floats, floa
     frames, _, points = tracks.shape
     middle = known.sum(2, keepdims=True) / weight.sum(1)[:, None, None]
     left = np.where(seen[:, None], tracks - middle, 0).reshape(2 * frames, points)
-    _, d, vt = np.linalg.svd(left, full_matrices=False)
+    _, d, vt = singular_vectors(left)
     rank = min(rank, len(d) - 1)
     basis = vt[:rank].T * np.sqrt(points)
     spread = d[:rank] ** 2 / left.size

@@ -12,19 +12,24 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from marey.arrays import Floats
+from marey.arrays import Floats, Mask
 from marey.geometry import rotations
+from marey.nonrigid import kept_lengths
 from marey.nonrigid.block_banded import solve_banded
+from marey.nonrigid.kept_lengths import KeptLengths
 from marey.nonrigid.rotation_paths import acceleration_jacobians, accelerations, add_steadiness
+from marey.nonrigid.singular_vectors import singular_vectors
 
 ONE_CAMERA = np.eye(2, 3)
 TURN = 3
 """Unknowns of a frame that come first; its shifts follow, two a camera, then the weights."""
 LONGEST_TURN = 0.3
 FIRST_MEMORY = (1.9, -0.95)
-STEADIEST = 1e-5
+STEADIEST = 1e-6
 """Least standard deviation of the camera's acceleration that is believed [rad]."""
 LEAST = 1e-12
+PRICE_A_POINT = 1.5
+"""Half of a number for each coordinate of a point in a mode, see `basis_cost`."""
 
 
 @dataclass
@@ -57,6 +62,8 @@ class DeformingModel:
     """(2C, 3) P, what the cameras show of the first camera's axes."""
     cost: float = np.inf
     """Minus the logarithm of the tracks' probability, up to a constant."""
+    lengths: KeptLengths | None = None
+    """Distances that are held too, if any."""
 
     @property
     def shapes(self) -> Floats:
@@ -67,6 +74,11 @@ class DeformingModel:
     def first_weight(self) -> int:
         """Place of the first weight among a frame's unknowns."""
         return TURN + len(self.projection)
+
+    def mode_sizes(self) -> Floats:
+        """Give what each mode does (M,), root mean square over frames and points."""
+        points = self.mean.shape[1]
+        return np.asarray(np.sqrt((self.weights**2).mean(0) * (self.modes**2).sum((1, 2)) / points))
 
 
 def begin(
@@ -92,7 +104,7 @@ def begin(
     shapes = shapes - shapes.mean(2, keepdims=True)
     frames, _, points = shapes.shape
     mean = shapes.mean(0)
-    u, d, vt = np.linalg.svd((shapes - mean).reshape(frames, -1), full_matrices=False)
+    u, d, vt = singular_vectors((shapes - mean).reshape(frames, -1))
     modes = min(modes, len(d))
     weights = u[:, :modes] * d[:modes] / np.sqrt(points)
     memory = np.tile(FIRST_MEMORY, (modes, 1))
@@ -146,6 +158,10 @@ def solve_frames(model: DeformingModel, tracks: Floats, seen: Floats) -> None:
     first, second = np.zeros_like(diagonal), np.zeros_like(diagonal)
     add_steadiness(diagonal, first, second, right, model.rotation, 1 / model.unsteadiness)
     surprise = _add_memory(model, diagonal, first, second, right)
+    if model.lengths is not None:
+        normal, side = kept_lengths.weight_equations(model.lengths, model.shapes, model.modes)
+        diagonal[:, model.first_weight :, model.first_weight :] += normal
+        right[:, model.first_weight :] += side
     step, *covariance, determinant = solve_banded(diagonal, first, second, right)
     model.covariance = (covariance[0], covariance[1], covariance[2])
     model.cost = 0.5 * (
@@ -154,7 +170,7 @@ def solve_frames(model: DeformingModel, tracks: Floats, seen: Floats) -> None:
         + surprise + determinant + 2 * float(seen.sum()) * np.log(model.variance)
         + 3 * (frames - 2) * np.log(model.unsteadiness)
         + float((frames - 2) * np.log(model.surprise).sum() + 2 * np.log(model.spread).sum())
-    )  # fmt: skip
+    ) + (0.0 if model.lengths is None else kept_lengths.cost(model.lengths, model.shapes))  # fmt: skip
     share = min(1.0, LONGEST_TURN / max(float(np.abs(step[:, :3]).max()), 1e-300))
     model.rotation = rotations.exp(share * step[:, :3]) @ model.rotation
     model.shift = model.shift + share * step[:, TURN : model.first_weight]
@@ -181,28 +197,75 @@ def _add_memory(model: DeformingModel, diagonal: Floats, first: Floats, second: 
 
 def solve_shapes(model: DeformingModel, tracks: Floats, seen: Floats) -> None:
     """Solve for the mean shape and the modes of every point, given what is known of the frames."""
-    frames, _, points = tracks.shape
-    count = len(model.modes) + 1
-    known = by_row(seen)
-    row = np.concatenate([np.ones((frames, 1)), model.weights], 1)
-    square = row[:, :, None] * row[:, None]
-    square[:, 1:, 1:] += model.covariance[0][:, model.first_weight :, model.first_weight :]
+    points = tracks.shape[2]
+    row, square = _known_weights(model)
     rows = model.projection @ model.rotation
-    sums = np.zeros((points, (3 * count) ** 2))
-    for camera in range(0, len(model.projection), 2):
-        own = rows[:, camera : camera + 2]
-        seen_of = np.einsum("fki,fkj->fij", own, own)
-        pairs = (square[:, :, None, :, None] * seen_of[:, None, :, None, :]).reshape(frames, -1)
-        sums += known[:, camera].T @ pairs
-    normal = sums.reshape(points, 3 * count, 3 * count)
-    back = np.einsum("fki,fkp->fip", rows, (tracks - model.shift[:, :, None]) * known)
-    right = np.einsum("fa,fip->pai", row, back).reshape(points, -1, 1)
-    normal[:, range(3 * count), range(3 * count)] += 1e-9 * np.einsum("pnn->p", normal)[:, None] / (3 * count)
-    solved = np.linalg.solve(normal, right).reshape(points, count, 3)
+    blocks = _seen_blocks(model, seen)
+    left = (tracks - model.shift[:, :, None]) * by_row(seen)
+    side = np.einsum("fki,fkp->fip", rows, left) / model.variance
+    if model.lengths is not None:
+        # Both ends of a pair move at once: each answers for twice its share, so that together they do not overshoot.
+        held, pull = kept_lengths.point_equations(model.lengths, model.shapes)
+        blocks += 2 * held
+        side += pull
+    normal = _point_normals(square, blocks)
+    right = np.einsum("fa,fip->pai", row, side).reshape(points, -1)
+    if model.lengths is not None:
+        before = np.concatenate([model.mean[None], model.modes]).transpose(2, 0, 1).reshape(points, -1)
+        right += (_point_normals(square, 2 * held) @ before[..., None])[..., 0]
+    unknowns = normal.shape[1]
+    normal[:, range(unknowns), range(unknowns)] += 1e-9 * np.einsum("pnn->p", normal)[:, None] / unknowns
+    solved = np.linalg.solve(normal, right[..., None]).reshape(points, -1, 3)
     model.mean, model.modes = solved[:, 0].T, np.moveaxis(solved[:, 1:], 0, 2)
     middle, middles = model.mean.mean(1), model.modes.mean(2)
     model.mean, model.modes = model.mean - middle[:, None], model.modes - middles[:, :, None]
     model.shift = model.shift + np.einsum("fij,fj->fi", rows, middle + model.weights @ middles)
+
+
+def _known_weights(model: DeformingModel) -> tuple[Floats, Floats]:
+    """Give 1 and the weights of every frame (F, 1 + M), and their expected products (F, 1 + M, 1 + M)."""
+    row = np.concatenate([np.ones((len(model.weights), 1)), model.weights], 1)
+    square = row[:, :, None] * row[:, None]
+    square[:, 1:, 1:] += model.covariance[0][:, model.first_weight :, model.first_weight :]
+    return row, square
+
+
+def _seen_blocks(model: DeformingModel, seen: Floats) -> Floats:
+    """Give what the tracks tell of every point's place (F, P, 3, 3), as inverse covariance."""
+    cameras = seen.reshape(len(seen), -1, seen.shape[-1]) / model.variance
+    blocks = np.zeros((len(seen), seen.shape[-1], 3, 3))
+    for camera in range(cameras.shape[1]):
+        rows = model.projection[2 * camera : 2 * camera + 2] @ model.rotation
+        blocks += (np.swapaxes(rows, 1, 2) @ rows)[:, None] * cameras[:, camera, :, None, None]
+    return blocks
+
+
+def _point_normals(square: Floats, blocks: Floats) -> Floats:
+    """Give every point's normal matrix (P, 3 + 3M, 3 + 3M) of its mean place and modes."""
+    frames, count, _ = square.shape
+    points = blocks.shape[1]
+    normal = square.reshape(frames, -1).T @ blocks.reshape(frames, -1)
+    return normal.reshape(count, count, points, 3, 3).transpose(2, 0, 3, 1, 4).reshape(points, 3 * count, 3 * count)
+
+
+def shape_variance(model: DeformingModel, seen: Floats) -> Floats:
+    """Give the variance (F, 3, P) of the shapes: of the weights, given the modes, and of the modes, given the weights.
+
+    Coordinates of the modes are believed to be of size 1 beforehand.
+    """
+    of_weights = model.covariance[0][:, model.first_weight :, model.first_weight :]
+    by_weight = np.moveaxis(model.modes, 0, 2).reshape(model.mean.size, len(model.modes))
+    first = ((by_weight @ of_weights) * by_weight).sum(2).reshape(len(seen), *model.mean.shape)
+    _, square = _known_weights(model)
+    blocks = _seen_blocks(model, seen)
+    if model.lengths is not None:
+        blocks += kept_lengths.point_equations(model.lengths, model.shapes)[0]
+    normal = _point_normals(square, blocks)
+    normal[:, range(normal.shape[1]), range(normal.shape[1])] += 1
+    points, count = len(normal), square.shape[1]
+    inverse = np.linalg.inv(normal).reshape(points, count, 3, count, 3)
+    axes = np.einsum("paibi->iabp", inverse).reshape(3, count * count, points)
+    return np.asarray(first + np.swapaxes(square.reshape(len(seen), -1) @ axes, 0, 1))
 
 
 def solve_processes(model: DeformingModel, tracks: Floats, seen: Floats, least_noise: float) -> None:
@@ -227,6 +290,12 @@ def solve_processes(model: DeformingModel, tracks: Floats, seen: Floats, least_n
     model.surprise = np.maximum(left / (frames - 2), 1e-16 * now / frames + 1e-300)
     model.spread = (c**2 + here).mean(0)
     model.unsteadiness = max(_unsteadiness(model), STEADIEST**2)
+    if model.lengths is not None:
+        _, along = kept_lengths.departures(model.lengths, model.shapes)
+        by_weight = kept_lengths.derivatives(model.lengths, along, model.modes)
+        of_weights = model.covariance[0][:, model.first_weight :, model.first_weight :]
+        doubted = ((by_weight @ of_weights) * by_weight).sum(2).mean(0)
+        model.lengths = kept_lengths.learned(model.lengths.pairs, model.shapes, doubted)
 
 
 def _unsteadiness(model: DeformingModel) -> float:
@@ -251,6 +320,15 @@ def improve(model: DeformingModel, tracks: Floats, seen: Floats, rounds: int, le
     solve_frames(model, tracks, seen)
 
 
+def keep_modes(model: DeformingModel, kept: Mask) -> None:
+    """Leave out all modes but those kept (M,)."""
+    unknowns = np.concatenate([np.ones(model.first_weight, bool), kept])
+    here, near, far = (part[:, unknowns][:, :, unknowns] for part in model.covariance)
+    model.covariance = (here, near, far)
+    model.modes, model.weights, model.memory = model.modes[kept], model.weights[:, kept], model.memory[kept]
+    model.spread, model.surprise = model.spread[kept], model.surprise[kept]
+
+
 def basis_cost(model: DeformingModel) -> float:
     """Give minus the logarithm of what the modes' freedom costs the tracks' probability, up to a constant.
 
@@ -263,4 +341,4 @@ def basis_cost(model: DeformingModel) -> float:
     square = left @ left.T if len(left) < left.shape[1] else left.T @ left
     size = np.maximum(np.linalg.eigvalsh(square)[::-1][: len(model.modes)], 0)
     points = model.mean.shape[1]
-    return float(1.5 * points * np.log1p(share * size / (points * model.variance)).sum())
+    return float(PRICE_A_POINT * points * np.log1p(share * size / (points * model.variance)).sum())

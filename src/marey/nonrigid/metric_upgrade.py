@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from marey.arrays import Floats
+from marey.nonrigid.singular_vectors import singular_vectors
 
 RANKS = (2, 3, 4, 6, 8, 12)
 """Numbers of basis shapes that are tried."""
@@ -31,7 +32,7 @@ def rotation_candidates(tracks: Floats) -> Iterator[tuple[int, Floats]]:
         K and the rotations (F, 3, 3), camera from object.
     """
     frames, _, points = tracks.shape
-    u, d, _ = np.linalg.svd(tracks.reshape(2 * frames, points), full_matrices=False)
+    u, d, _ = singular_vectors(tracks.reshape(2 * frames, points))
     most = int((d > SLIGHTEST * d[0]).sum())
     before: Floats | None = None
     rng = np.random.default_rng(0)

@@ -5,6 +5,7 @@ is taken: rotations for several numbers of shapes, each also with steadier camer
 make the tracks under one Gaussian model of a deforming shape, and the best is refined by that model.
 """
 
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,20 +14,26 @@ from marey.arrays import Floats, Mask, frozen
 from marey.errors import MareyError
 from marey.geometry import rotations
 from marey.nonrigid.completion import complete_tracks
-from marey.nonrigid.deforming_model import DeformingModel, basis_cost, begin, improve
+from marey.nonrigid.deforming_model import DeformingModel, basis_cost, begin, improve, keep_modes, shape_variance
+from marey.nonrigid.kept_lengths import choose_lengths
 from marey.nonrigid.metric_upgrade import rotation_candidates
 from marey.nonrigid.rank import significant_singular_values
 from marey.nonrigid.rotation_paths import accelerations, mirrored_after, steadier
+from marey.nonrigid.singular_vectors import singular_vectors
+from marey.nonrigid.slow_turns import slow_turn_covariance, turned_covariance
 from marey.nonrigid.smooth_shapes import nuclear_norm, smooth_shapes
 
 FEWEST_FRAMES = 6
 FEWEST_POINTS = 4
 COMPLETING_RANK = 15
-SPANS = (0.0, 1.0, 1e2, 1e4, 1e6, 1e8)
+SPANS = (0.0, 1.0, 1e2, 1e4, 1e6, 1e8, 1e10)
 """Weights of the camera's steadiness that are tried, see `steadier`."""
 TOLD_APART = 0.01
 """Of camera paths whose evidence differs by less, in natural logarithms a coordinate of the tracks, the steadiest is
 taken: a slow turn that the object makes as a whole and one of the camera look alike, and the evidence tells little."""
+CREDIBLE = 0.002
+"""How fast belief in an answer falls: by a factor e for this much evidence a coordinate. Not one over the number of
+coordinates: what a model leaves of the shapes is alike over many frames and points, and is no independent evidence."""
 BEST_OF_SPAN = 3
 """Numbers of basis shapes that the model compares at last; the nuclear norm chooses them."""
 JUDGING_NOISE = 0.01
@@ -42,10 +49,16 @@ keeps fewer modes than are of use, none of it too many of a simple shape (docs/n
 FRAMES_A_MODE = 8
 """Fewer frames a mode would tell too little about it."""
 ROUNDS = 12
+LENGTH_ROUNDS = (8, 8)
+"""Rounds with distances that are kept; before each the distances are chosen anew."""
 FIRST_NOISE = 0.005
 EXACT = 1e-9
 """Singular values below this share of the largest are none."""
 RIGID = "The object is rigid as far as these tracks tell: its mean shape alone explains them."
+IDLE = 1e-5
+"""A mode whose weights are below this share of the object's size does nothing."""
+WORTH_A_NOTE = 0.5
+"""Doubt about the camera's path [degrees] that is said."""
 KEPT = 1e-3
 """A mode whose weights are below this share of the object's size is not told."""
 
@@ -81,11 +94,27 @@ class NonRigidShapes:
     """(F, P) true where the shape of a point is given that was not seen."""
     steadiness: float
     """Which of `SPANS` was chosen for the camera's path."""
+    rank_curve: Floats
+    """(n, 2) numbers of basis shapes K that were tried, and what speaks against each: minus the logarithm of the
+    tracks' probability and a price of its shapes, a coordinate. The least is taken, less shapes that do nothing."""
+    path_doubt: Floats
+    """(F, 3) how far camera paths of another steadiness that explain the tracks nearly as well turn away from this one,
+    root mean square [rad]. The standard deviations are given for a camera as steady as this one; this comes on top."""
     notes: tuple[str, ...]
     """What a user should know of this answer."""
 
     def __post_init__(self) -> None:
-        names = ("shape", "shape_sd", "rotation", "rotation_sd", "translation", "basis", "coefficients", "residuals")
+        names = (
+            "shape",
+            "shape_sd",
+            "rotation",
+            "rotation_sd",
+            "translation",
+            "basis",
+            "coefficients",
+            "residuals",
+            "rank_curve",
+        )
         for name in names:
             object.__setattr__(self, name, frozen(getattr(self, name)))
         object.__setattr__(self, "predicted", frozen(self.predicted, bool))
@@ -102,12 +131,15 @@ class NonRigidShapes:
 
 
 @dataclass
-class _Judged:
+class _Answer:
+    """One answer among several, and what speaks for it."""
+
     rotation: Floats
+    """The path it began with."""
     shapes: Floats
-    """(F, 3, P) in closed form."""
-    model: DeformingModel
+    """(F, 3, P) in closed form for that path."""
     span: float
+    model: DeformingModel
     cost: float
 
 
@@ -136,10 +168,32 @@ def factorise_tracks(tracks: Floats) -> NonRigidShapes:
     known = known / size
     complete, noise = (known, 0.0) if seen.all() else complete_tracks(known, seen, COMPLETING_RANK)
     notes = _told_by_rank(complete, noise)
-    best, rivals = _judge(known, weight, complete)
-    model = _refined(known, weight, best, max(noise, FIRST_NOISE))
-    found = _tell(model, _disagreement(model, [rival.model for rival in rivals]), tracks, seen, size, middle, best.span)
-    return replace(found, notes=(*notes, RIGID) if found.rank == 1 else notes)
+    best, judged = _judge(known, weight, complete)
+    refined = _refined(known, weight, best, max(noise, FIRST_NOISE))
+    model = copy(min(refined, key=lambda answer: answer.cost).model)
+    _hold_lengths(model, known, weight)
+    coordinates = 2 * float(weight.sum())
+    alike = [answer for answer in judged if answer.span == best.span]
+    doubt = [_doubt(model, answers, coordinates) for answers in (alike, refined)]
+    found = _tell(model, weight, doubt, tracks, size, middle)
+    curve = [(1 + len(answer.model.modes), answer.cost / coordinates) for answer in refined]
+    enough = min(answer.cost for answer in judged) + TOLD_APART * coordinates
+    others = [answer for answer in judged if answer.span != best.span and answer.cost <= enough]
+    path_doubt = np.sqrt(_doubt(model, others, np.inf)[1]) if others else np.zeros((len(tracks), 3))
+    found = replace(found, steadiness=best.span, rank_curve=np.array(curve), path_doubt=path_doubt)
+    return replace(found, notes=(*notes, *_told_by_answer(found)))
+
+
+def _told_by_answer(found: NonRigidShapes) -> list[str]:
+    notes = []
+    doubt = float(np.degrees(np.sqrt((found.path_doubt**2).sum(1).mean())))
+    if doubt > WORTH_A_NOTE and doubt > 2 * np.degrees(np.sqrt((found.rotation_sd**2).sum(1).mean())):
+        notes.append(
+            f"Camera paths that differ from this one by {doubt:.1f} degrees explain the tracks nearly as well: which "
+            "part of a slow turn is the camera's and which the object's is not told. The steadiest path is given, and "
+            "standard deviations that hold for a camera as steady as that."
+        )
+    return [*notes, RIGID] if found.rank == 1 else notes
 
 
 def _checked(tracks: Floats) -> Mask:
@@ -183,16 +237,30 @@ def _told_by_rank(complete: Floats, noise: float) -> tuple[str, ...]:
     return ()
 
 
-def _refined(known: Floats, weight: Floats, best: _Judged, noise: float) -> DeformingModel:
-    models = []
+def _refined(known: Floats, weight: Floats, best: _Answer, noise: float) -> list[_Answer]:
+    """Refine the best path's answer with several numbers of modes."""
+    answers = []
     for modes in sorted({_most(modes, len(known)) for modes in MODES}):
-        models.append(begin(known, weight, best.rotation, best.shapes, modes, noise))
-        improve(models[-1], known, weight, ROUNDS)
-    return min(models, key=lambda model: model.cost + PRICE * basis_cost(model))
+        model = begin(known, weight, best.rotation, best.shapes, modes, noise)
+        improve(model, known, weight, ROUNDS)
+        answers.append(replace(best, model=model, cost=model.cost + PRICE * basis_cost(model)))
+    return answers
 
 
-def _disagreement(model: DeformingModel, others: list[DeformingModel]) -> tuple[Floats, Floats]:
-    """Say how far other answers differ, each turned and mirrored to fit the shapes best.
+def _hold_lengths(model: DeformingModel, known: Floats, weight: Floats) -> None:
+    """Refine with distances that are kept, too; modes that do nothing would come loose, and are left out."""
+    keep_modes(model, model.mode_sizes() > IDLE)
+    if not len(model.modes):
+        return
+    for rounds in LENGTH_ROUNDS:
+        model.lengths = choose_lengths(model.shapes)
+        improve(model, known, weight, rounds)
+
+
+def _doubt(model: DeformingModel, answers: list[_Answer], coordinates: float) -> tuple[Floats, Floats]:
+    """Say how far answers differ, each turned and mirrored to fit the shapes best, as far as they are credible.
+
+    With infinitely many coordinates all are credible alike.
 
     Returns:
         Mean squares of the shapes' differences (F, 3, P) and of the turns' about the camera's axes (F, 3).
@@ -200,20 +268,20 @@ def _disagreement(model: DeformingModel, others: list[DeformingModel]) -> tuple[
     shapes = model.shapes
     of_shape, of_turn = np.zeros(shapes.shape), np.zeros((len(shapes), 3))
     rows = shapes.transpose(1, 0, 2).reshape(3, -1)
-    for other in others:
-        theirs = other.shapes
-        u, _, vt = np.linalg.svd(rows @ theirs.transpose(1, 0, 2).reshape(3, -1).T)
+    costs = np.array([answer.cost for answer in answers]) / coordinates
+    shares = np.exp(-(costs - costs.min()) / CREDIBLE)
+    for answer, share in zip(answers, shares / shares.sum(), strict=True):
+        u, _, vt = np.linalg.svd(rows @ answer.model.shapes.transpose(1, 0, 2).reshape(3, -1).T)
         axes = u @ vt
-        of_shape += (axes @ theirs - shapes) ** 2
-        rotation = other.rotation @ axes.T
+        of_shape += share * (axes @ answer.model.shapes - shapes) ** 2
+        rotation = answer.model.rotation @ axes.T
         rotation[:, 2] *= np.sign(np.linalg.det(axes))
-        of_turn += rotations.log(rotation @ np.swapaxes(model.rotation, 1, 2)) ** 2
-    count = max(len(others), 1)
-    return of_shape / count, of_turn / count
+        of_turn += share * rotations.log(rotation @ np.swapaxes(model.rotation, 1, 2)) ** 2
+    return of_shape, of_turn
 
 
-def _judge(known: Floats, weight: Floats, complete: Floats) -> tuple[_Judged, list[_Judged]]:
-    """Make the candidates; give the one under which the tracks are most probable, and all that are nearly so."""
+def _judge(known: Floats, weight: Floats, complete: Floats) -> tuple[_Answer, list[_Answer]]:
+    """Make candidates; give the steadiest of those under which the tracks are nearly most probable, and all."""
     found = [rotation for _, rotation in rotation_candidates(complete)]
     found.append(_without_mirrors(complete, min(found, key=lambda r: nuclear_norm(smooth_shapes(complete, r)))))
     firsts, paths = [], {}
@@ -225,15 +293,14 @@ def _judge(known: Floats, weight: Floats, complete: Floats) -> tuple[_Judged, li
     steadiest = next(judged for judged in reversed(firsts) if judged.cost <= enough)
     others = paths[steadiest.span][1:BEST_OF_SPAN]
     rivals = [_judged(known, weight, complete, path, steadiest.span) for path in others]
-    best = min([steadiest, *rivals], key=lambda judged: judged.cost)
-    return best, [judged for judged in [*firsts, *rivals] if judged.cost <= enough]
+    return min([steadiest, *rivals], key=lambda judged: judged.cost), [*firsts, *rivals]
 
 
-def _judged(known: Floats, weight: Floats, complete: Floats, path: Floats, span: float) -> _Judged:
+def _judged(known: Floats, weight: Floats, complete: Floats, path: Floats, span: float) -> _Answer:
     shapes = smooth_shapes(complete, path)
     model = begin(known, weight, path, shapes, _most(JUDGING_MODES, len(known)), JUDGING_NOISE)
     improve(model, known, weight, JUDGING_ROUNDS, JUDGING_NOISE)
-    return _Judged(path, shapes, model, span, model.cost + basis_cost(model))
+    return _Answer(path, shapes, span, model, model.cost + basis_cost(model))
 
 
 def _most(modes: int, frames: int) -> int:
@@ -256,19 +323,18 @@ def _without_mirrors(complete: Floats, rotation: Floats, most: int = 6, tried: i
 
 def _tell(
     model: DeformingModel,
-    doubt: tuple[Floats, Floats],
+    weight: Floats,
+    doubt: list[tuple[Floats, Floats]],
     tracks: Floats,
-    seen: Mask,
     size: float,
     middle: Floats,
-    span: float,
 ) -> NonRigidShapes:
     """Give the answer in the tracks' unit, in the axes of the first frame's camera."""
     turn = model.rotation[0]
     mean = model.mean + np.einsum("m,mip->ip", model.weights.mean(0), model.modes)
     points = mean.shape[1]
     left = np.einsum("fm,mip->fip", model.weights - model.weights.mean(0), model.modes).reshape(len(tracks), -1)
-    u, d, vt = np.linalg.svd(left, full_matrices=False)
+    u, d, vt = singular_vectors(left)
     count = int((d[: len(model.modes)] > KEPT * np.sqrt(len(tracks) * points)).sum())
     weights = u[:, :count] * d[:count] / np.sqrt(points)
     modes = (vt[:count] * np.sqrt(points)).reshape(count, 3, points)
@@ -277,13 +343,16 @@ def _tell(
     shape = np.einsum("fk,kip->fip", coefficients, basis)
     rotation = model.rotation @ turn.T
     translation = model.shift * size + middle
-    of_weights = model.covariance[0][:, model.first_weight :, model.first_weight :]
-    turned = np.einsum("ij,mjp->mip", turn, model.modes)
-    variance = np.einsum("mip,fmn,nip->fip", turned, of_weights, turned, optimize=True) + turn**2 @ doubt[0]
+    slow = slow_turn_covariance(model.shapes, max(np.sqrt(model.variance), JUDGING_NOISE), model.unsteadiness)
+    of_shape = turn**2 @ (shape_variance(model, weight) + doubt[0][0] + doubt[1][0])
+    of_shape += turned_covariance(turn @ slow @ turn.T, turn @ model.shapes)
+    of_turn = np.einsum("fii->fi", model.covariance[0][:, :3, :3]) + doubt[0][1] + doubt[1][1]
+    of_turn = of_turn + np.einsum("fij,fjk,fik->fi", model.rotation, slow, model.rotation)
     fit = (rotation @ shape)[:, :2] + translation[:, :, None]
     return NonRigidShapes(
-        shape=shape, shape_sd=np.sqrt(variance) * size, rotation=rotation, translation=translation, basis=basis,
-        rotation_sd=np.sqrt(np.einsum("fii->fi", model.covariance[0][:, :3, :3]) + doubt[1]),
+        shape=shape, shape_sd=np.sqrt(of_shape) * size, rotation=rotation, translation=translation, basis=basis,
+        rotation_sd=np.sqrt(of_turn), path_doubt=np.zeros((len(tracks), 3)),
         coefficients=coefficients, noise_sd=float(np.sqrt(model.variance)) * size,
-        residuals=np.linalg.norm(tracks - fit, axis=1), predicted=~seen, steadiness=span, notes=(),
+        residuals=np.linalg.norm(tracks - fit, axis=1), predicted=weight == 0, steadiness=0.0,
+        rank_curve=np.empty((0, 2)), notes=(),
     )  # fmt: skip
