@@ -146,12 +146,8 @@ def _write_report(
     names = [path.name + ("/" if path.is_dir() else "") for path in folder.iterdir()]
     report = ShapeReport(
         title=given.paths[0].stem, found=found, rate=given.rate, labels=measured.labels,
-        lines=_lines(measured, found), own_lines=bool(len(measured.edges)), upright=_turn(found, y_up=y_up),
+        lines=_lines(measured, found), own_lines=bool(len(measured.edges)), upright=upright(found, y_up=y_up),
         views=given.names, notes=progress.warnings, stills=stills, timings=progress.timings, settings=asked,
         files=names, track_curves=[video.curve for video in measured.videos],
     )  # fmt: skip
     write_shape_report(folder / "report.html", report)
-
-
-def _turn(found: RecoveredShapes, *, y_up: bool) -> Floats:
-    return upright(found, y_up=y_up)[1]

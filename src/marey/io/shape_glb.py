@@ -77,9 +77,8 @@ def _animation(buffer: GlbBuffer, found: RecoveredShapes, rate: float, scale: fl
     # A camera that sees nothing of a frame does not tell where the object is there.
     answered = np.flatnonzero(found.answered & np.isfinite(found.translation).all(1))
     time = buffer.add(answered[:, None] / rate, "<f4", "SCALAR", bounds=True)
-    turn = GLTF_FROM_WORLD @ upright(found, y_up=y_up)[1]
-    where = np.zeros((len(answered), 3))
-    where[:, : found.translation.shape[1]] = found.translation[answered]
+    turn = GLTF_FROM_WORLD @ upright(found, y_up=y_up)
+    where = found.origin[answered]
     # Where a picture has its zero says nothing about space: the object begins at the origin.
     where = scale * (where - where.mean(0)) @ turn.T
     turns = rotations.continuous(rotations.to_quaternion(turn @ found.rotation[answered]))[:, [1, 2, 3, 0]]

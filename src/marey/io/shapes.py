@@ -40,6 +40,8 @@ def shape_arrays(found: RecoveredShapes) -> dict[str, np.ndarray]:
     arrays = {name: np.asarray(getattr(found, name)) for name in _FIELDS}
     arrays |= {name: np.array(getattr(found, name), np.str_) for name in _TEXTS}
     arrays |= {"rank": np.array(found.rank), "answered": found.answered}
+    if found.path_doubt is not None:
+        arrays["path_doubt"] = found.path_doubt
     if found.cameras is not None:
         arrays |= {name: getattr(found.cameras, own) for name, own in _RELATIONS.items()}
     if found.curve is not None:
@@ -64,7 +66,7 @@ def shapes_from(arrays: dict[str, np.ndarray]) -> RecoveredShapes:
     parts: dict[str, Any] = {name: arrays[name] for name in _FIELDS}
     parts |= {name: float(arrays[name]) for name in _NUMBERS} | {name: str(arrays[name]) for name in _WORDS}
     parts |= {name: tuple(map(str, arrays[name])) for name in _TEXTS}
-    return RecoveredShapes(curve=curve, cameras=cameras, **parts)
+    return RecoveredShapes(curve=curve, cameras=cameras, path_doubt=arrays.get("path_doubt"), **parts)
 
 
 def write_shapes(
@@ -179,22 +181,24 @@ def _write_cloud(path: Path, points: Floats, colours: np.ndarray, edges: Integer
         file.write(rows.tobytes() + kept.astype("<i4").tobytes())
 
 
-def upright(found: RecoveredShapes, *, y_up: bool) -> tuple[Floats, Floats]:
-    """Give the points (F, P, 3) where they are, with Z up, and the turn (3, 3) that did it.
+def upright(found: RecoveredShapes, *, y_up: bool = False) -> Floats:
+    """Give the turn (3, 3) of the camera's or the laboratory's axes after which Z is up.
 
     Args:
         found: What was found.
-        y_up: Whether the laboratory has Y up; a camera's picture stands upright without.
+        y_up: Whether the laboratory has Y up; a camera's picture is taken to stand upright.
     """
-    in_laboratory = found.kind in IN_LABORATORY
-    turn = (WORLD_FROM_Y_UP if y_up else np.eye(3)) if in_laboratory else WORLD_FROM_CAMERA
-    return np.moveaxis(turn @ found.placed, 1, 2), turn
+    if found.kind not in IN_LABORATORY:
+        return WORLD_FROM_CAMERA
+    return WORLD_FROM_Y_UP if y_up else np.eye(3)
 
 
 def write_shape_c3d(
     path: Path | str, found: RecoveredShapes, labels: Sequence[str], *, rate: float, scale: float
 ) -> None:
-    """Write the points where they are (see `RecoveredShapes.placed`), and the object's pose as ROTATION `object_4X4`.
+    """Write the points where they are, and the object's pose as ROTATION `object_4X4`.
+
+    The axes are the laboratory's own; of uncalibrated cameras x right, y ahead, z up.
 
     Args:
         path: The file.
@@ -203,13 +207,12 @@ def write_shape_c3d(
         rate: [Hz].
         scale: Metres a unit; where no length is known 0.001, so that a unit is called a millimetre.
     """
-    origin = np.zeros((len(found), 3))
-    origin[:, : found.translation.shape[1]] = found.translation
+    turn = upright(found)
     paths = PointPaths(
         names=tuple(labels), time=np.arange(len(found)) / rate, rate=rate,
-        points=scale * np.moveaxis(found.placed, 1, 2),
+        points=scale * np.moveaxis(turn @ found.placed, 1, 2),
     )  # fmt: skip
     write_c3d(
-        path, paths, segment_names=("object",), segment_rotation=found.rotation[:, None],
-        segment_origin=scale * origin[:, None],
+        path, paths, segment_names=("object",), segment_rotation=(turn @ found.rotation)[:, None],
+        segment_origin=scale * (found.origin @ turn.T)[:, None],
     )  # fmt: skip

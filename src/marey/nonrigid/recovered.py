@@ -140,6 +140,9 @@ class RecoveredShapes:
     """Of the shape: px, m, or that nobody says it."""
     residual_unit: str = UNSAID
     """Of the residuals and the noise."""
+    path_doubt: Floats | None = None
+    """(F, 3) of one orthographic camera: how far other camera paths that explain the tracks nearly as well turn away
+    from this one, root mean square [rad]; not in the standard deviations."""
     metres_per_unit: float = float("nan")
     """Of the shape; NaN where no length is known."""
     metres_per_unit_sd: float = 0.0
@@ -149,6 +152,8 @@ class RecoveredShapes:
         for name in _ARRAYS:
             object.__setattr__(self, name, frozen(getattr(self, name)))
         object.__setattr__(self, "predicted", frozen(self.predicted, bool))
+        if self.path_doubt is not None:
+            object.__setattr__(self, "path_doubt", frozen(self.path_doubt))
 
     def __len__(self) -> int:
         return len(self.shape)
@@ -178,14 +183,19 @@ class RecoveredShapes:
         return np.asarray(np.isfinite(self.rotation[:, 0, 0]))
 
     @property
+    def origin(self) -> Floats:
+        """(F, 3) the object's origin; its depth before an orthographic camera is called zero."""
+        where = np.zeros((len(self), 3))
+        where[:, : self.translation.shape[1]] = self.translation
+        return where
+
+    @property
     def placed(self) -> Floats:
         """(F, 3, P) the shapes where they are, in the axes of the first camera or of the laboratory.
 
         A camera's are x right, y down, z ahead. Before an orthographic camera the depth of the object's origin is zero.
         """
-        where = np.zeros((len(self), 3))
-        where[:, : self.translation.shape[1]] = self.translation
-        return np.asarray(self.rotation @ self.shape + where[:, :, None])
+        return np.asarray(self.rotation @ self.shape + self.origin[:, :, None])
 
     @property
     def point_rms(self) -> Floats:
@@ -211,6 +221,14 @@ def from_one_view(found: NonRigidShapes) -> RecoveredShapes:
         rotation_sd=found.rotation_sd, translation=found.translation, basis=found.basis,
         coefficients=found.coefficients, residuals=found.residuals[None], predicted=found.predicted,
         modelled=modelled[None], noise_sd=np.array([found.noise_sd]), gauge=GAUGES[ONE_VIEW], notes=found.notes,
+        path_doubt=found.path_doubt, curve=_evidence_curve(found.rank_curve),
+    )  # fmt: skip
+
+
+def _evidence_curve(curve: Floats) -> RankCurve:
+    return RankCurve(
+        ranks=curve[:, 0].astype(np.int64), errors=curve[:, 1], errors_sd=np.full(len(curve), np.nan),
+        measure="minus the logarithm of the tracks' probability and a price of the shapes, a coordinate",
     )  # fmt: skip
 
 
@@ -222,7 +240,7 @@ def from_calibrated(found: CalibratedShapes, rig: Rig) -> RecoveredShapes:
         rotation_sd=found.rotation_sd, translation=found.translation, basis=found.basis,
         coefficients=found.coefficients, residuals=found.residuals_px, predicted=found.predicted & (found.views == 0),
         modelled=modelled, noise_sd=np.full(len(rig), found.noise_px), gauge=GAUGES[CALIBRATED], notes=found.notes,
-        curve=_curve_of(found, "distance of pixels held back from what the others foretell, RMS [px]"), 
+        curve=_curve_of(found, "distance of pixels held back from what the others foretell, RMS [px]"),
         unit="m", residual_unit="px", metres_per_unit=1.0,
     )  # fmt: skip
 
@@ -316,8 +334,9 @@ def widened(found: RecoveredShapes, frames: Mask, points: Mask) -> RecoveredShap
     cameras = found.cameras
     if cameras is not None:
         cameras = replace(cameras, translation=wide(cameras.translation, None, frames, None))
+    doubt = None if found.path_doubt is None else wide(found.path_doubt, frames, None)
     return replace(
-        found, cameras=cameras, shape=wide(found.shape, frames, None, points),
+        found, cameras=cameras, path_doubt=doubt, shape=wide(found.shape, frames, None, points),
         shape_sd=wide(found.shape_sd, frames, None, points),
         rotation=wide(found.rotation, frames, None, None), rotation_sd=wide(found.rotation_sd, frames, None),
         translation=wide(found.translation, frames, None), basis=wide(found.basis, None, None, points),

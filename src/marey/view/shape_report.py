@@ -132,9 +132,7 @@ def _replay(report: ShapeReport, stride: int) -> dict[str, object]:
     shape = np.einsum("ij,fjp->fpi", turn, found.shape[::stride]) / size
     # The deviations belong to the object's axes; a quarter turn carries them along.
     sd = np.einsum("ij,fjp->fpi", np.abs(turn), found.shape_sd[::stride]) / size
-    where = np.zeros((len(found), 3))
-    where[:, : found.translation.shape[1]] = found.translation
-    where = (where - np.nanmean(where, axis=0)) @ turn.T / size
+    where = (found.origin - np.nanmean(found.origin, axis=0)) @ turn.T / size
     return {
         "count": found.shape.shape[2], "place": packed(shape, "f4"), "sd": packed(sd, "f4"),
         "predicted": packed(found.predicted[::stride], "u1"), "lines": report.lines.tolist(),
@@ -261,7 +259,10 @@ def _frame_plots(report: ShapeReport) -> list[CurvePlot]:
     return [
         CurvePlot(title="points seen", unit="", least=2.0, digits=0, curves=[
             Curve(label="seen", values=seen.any(0).sum(1).astype(float), colour=COLOURS[0])]),
-        CurvePlot(title="residual, RMS", unit="", least=0.0, digits=digits, curves=curves),
+        CurvePlot(
+            title="residual, RMS" + (" by camera" if len(names) > 1 else ""), unit="", least=0.0, digits=digits,
+            curves=curves,
+        ),
         CurvePlot(
             title="sd of the shape along x, y, z", unit="", least=0.0, curves=axes,
             digits=_digits(float(np.nanmedian(sd))),
