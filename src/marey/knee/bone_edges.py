@@ -1,0 +1,155 @@
+"""Evidence for a bone's edge on the image's own voxels, from how bright it is inside and outside just there."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from marey.arrays import Floats
+from marey.knee.marrow import Kind
+from marey.knee.minimal_cut import minimal_cut
+from marey.knee.resampling import smoothed
+from marey.knee.volume import Grid
+
+_BAND_MM = 4.0
+_AREA_NATS = 8.0
+_MOST_NATS = 4.0
+_INSIDE_MM, _OUTSIDE_MM = 4.0, 2.0
+"""Widths [mm] of the Gaussians over which the levels inside and outside a bone are averaged along its edge."""
+_CORTEX_MM = (0.4, 2.5)
+_SOFT_TISSUE = (0.35, 0.75)
+"""How bright muscle and cartilage are beside bright marrow, as shares of it."""
+_SOFT_NATS = 1.0
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Piece:
+    """A bone's part of an image: intensities without bias, and how far its coarse edge is."""
+
+    intensity: np.ndarray
+    """(k, j, i)."""
+    distance_mm: np.ndarray
+    """(k, j, i) to the coarse edge, positive inside."""
+    prior_nats: np.ndarray
+    """(k, j, i) log odds to be inside by what else is known, a template."""
+    grid: Grid
+
+
+def refined(piece: Piece, kind: Kind, others: list[np.ndarray] | None = None) -> np.ndarray:
+    """Move a bone's edge from its coarse place to where the image changes.
+
+    Args:
+        piece: The bone's part of the image.
+        kind: Whether marrow is dark or bright. The black line of the cortex about bright marrow belongs to the bone.
+        others: Log odds (k, j, i) from further images of the same place.
+
+    Returns:
+        (k, j, i) signed distance [mm], positive inside, exact near the edge.
+    """
+    odds = marrow_odds(piece, kind) + piece.prior_nats
+    for other in others or []:
+        odds = odds + other
+    band = _BAND_MM if kind == "dark" else _BAND_MM / 2
+    odds = np.where(piece.distance_mm > _BAND_MM, 100.0, np.where(piece.distance_mm < -band, -100.0, odds))
+    spacing = piece.grid.array_spacing_mm
+    inside = minimal_cut(odds.astype(np.float32), piece.distance_mm > 0, spacing, area_nats=_AREA_NATS)
+    distance = _distance(_main_part(inside > 0.5), spacing)
+    return distance if kind == "dark" else distance + _cortex(piece, distance)
+
+
+def marrow_odds(piece: Piece, kind: Kind) -> np.ndarray:
+    """(k, j, i) log odds of marrow against what is outside, by the level halfway between both just there."""
+    intensity, distance, grid = piece.intensity, piece.distance_mm, piece.grid
+    level = _local_level(intensity, distance > 1.0, grid, _INSIDE_MM)
+    deep = intensity[distance > 2.5] if (distance > 2.5).any() else intensity[distance > 0]
+    noise = max(1.4826 * float(np.median(np.abs(deep - np.median(deep)))), 0.02 * abs(float(np.median(deep))))
+    if kind == "dark":
+        most = np.percentile(intensity[(distance < -0.7) & (distance > -5)], 99)
+        outside = _local_level(np.minimum(intensity, most), (distance < -0.7) & (distance > -5), grid, _OUTSIDE_MM)
+        step = np.maximum(outside - level, 2 * noise)
+    else:
+        outside = _darkest_near(intensity, distance, grid)
+        step = np.minimum(outside - level, -2 * noise)
+    odds = -(intensity - level - step / 2) * step / (noise**2 + (step / 4) ** 2)
+    return np.clip(odds, -_MOST_NATS, _MOST_NATS)
+
+
+def soft_tissue_odds(piece: Piece) -> np.ndarray:
+    """(k, j, i) log odds from an image with bright marrow beside one with dark: against muscle and cartilage only.
+
+    Fat there is as bright as marrow, and cortex as black as tendon: neither says anything.
+    """
+    marrow = _local_level(piece.intensity, piece.distance_mm > 2.0, piece.grid, 2 * _INSIDE_MM)
+    share = smoothed(piece.intensity, piece.grid, 0.5) / np.maximum(marrow, 1e-6)
+    soft = (share > _SOFT_TISSUE[0]) & (share < _SOFT_TISSUE[1])
+    return np.where(soft, -_SOFT_NATS, 0.0)
+
+
+def _local_level(intensity: np.ndarray, mask: np.ndarray, grid: Grid, sigma_mm: float) -> np.ndarray:
+    weight = smoothed(mask, grid, sigma_mm)
+    return smoothed(intensity * mask, grid, sigma_mm) / np.maximum(weight, 1e-3)
+
+
+def _darkest_near(intensity: np.ndarray, distance: np.ndarray, grid: Grid) -> np.ndarray:
+    """(k, j, i) the dark level just outside bright marrow: cortex or cartilage, whichever is there."""
+    size = [2 * max(0, int(1.5 / spacing)) + 1 for spacing in grid.array_spacing_mm]
+    darkest = ndimage.minimum_filter(smoothed(intensity, grid, 0.3), size)
+    return _local_level(darkest, np.abs(distance) < 2, grid, _OUTSIDE_MM)
+
+
+def _main_part(mask: np.ndarray) -> np.ndarray:
+    labels, count = ndimage.label(mask)
+    if count > 1:
+        mask = labels == 1 + int(np.bincount(labels.ravel())[1:].argmax())
+    return np.asarray(ndimage.binary_fill_holes(mask))
+
+
+def _distance(mask: np.ndarray, spacing: tuple[float, float, float]) -> np.ndarray:
+    inside = ndimage.distance_transform_edt(mask, sampling=spacing)
+    outside = ndimage.distance_transform_edt(~mask, sampling=spacing)
+    return np.where(mask, inside - min(spacing) / 2, -(outside - min(spacing) / 2)).astype(np.float32)
+
+
+def _cortex(piece: Piece, distance: np.ndarray) -> np.ndarray:
+    """(k, j, i) thickness [mm] of the black line of cortex about bright marrow; 0 where cartilage or nothing is.
+
+    Where fat lies behind the line, both its edges are seen, and their usual distance is taken where only the inner
+    one is: beside muscle and tendon.
+    """
+    grid, spacing = piece.grid, np.array(piece.grid.array_spacing_mm)
+    gradient = np.stack(np.gradient(ndimage.gaussian_filter(distance, 1.0), *spacing), axis=-1)
+    edge = np.argwhere((distance > 0) & (distance < max(spacing.min(), 0.5)))
+    edge = edge[:: max(1, len(edge) // 20000)]
+    outward = -gradient[tuple(edge.T)]
+    outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-6)
+    steps = np.arange(-3.0, 4.01, 0.25)
+    places = edge[:, None] + steps[None, :, None] * outward[:, None] / spacing
+    profile = ndimage.map_coordinates(piece.intensity, np.moveaxis(places, -1, 0), order=1, mode="nearest")
+    width, seen, black = _line_widths(profile, steps)
+    usual = float(np.clip(np.median(width[seen]), *_CORTEX_MM)) if seen.sum() > 50 else 0.0
+    asked = np.where(seen, np.clip(width, 0, 2 * usual), usual) * black
+    tree = cKDTree(edge * spacing)
+    band = np.argwhere(np.abs(distance) < 4)
+    away, near = tree.query(band * spacing, k=12)
+    share = 1 / (away + 1.0)
+    thickness = np.zeros_like(distance)
+    thickness[tuple(band.T)] = (share * asked[near]).sum(axis=1) / share.sum(axis=1)
+    return thickness
+
+
+def _line_widths(profile: Floats, steps: Floats) -> tuple[Floats, np.ndarray, np.ndarray]:
+    """(N,) width of the dark line outside the marrow, whether both its edges are seen, and whether it is there."""
+    marrow = np.median(profile[:, steps < -1], axis=1)
+    near = (steps >= -0.5) & (steps <= 1.5)
+    least = profile[:, near].min(axis=1)
+    half = (marrow + least) / 2
+    black = least < 0.6 * marrow
+    dark = profile < half[:, None]
+    start = np.argmax(dark & (steps > -1.5), axis=1)
+    after = dark[np.arange(len(dark))[:, None], np.minimum(start[:, None] + np.arange(len(steps)), len(steps) - 1)]
+    length = np.argmin(after, axis=1)
+    ends = length > 0
+    width = length * (steps[1] - steps[0])
+    bright = profile[np.arange(len(dark)), np.minimum(start + length + 2, len(steps) - 1)] > 0.8 * marrow
+    return width, black & ends & bright & (width < 3), black

@@ -1,0 +1,257 @@
+"""Femur, tibia and patella from one MR volume or two of the same knee, with or without a template."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from marey.arrays import Floats, Integers, Mask
+from marey.errors import MareyError, SettingProblem
+from marey.knee.bias_field import bias_field
+from marey.knee.bone_edges import Piece, marrow_odds, refined, soft_tissue_odds
+from marey.knee.marrow import WORK_MM, Kind, Knee, prepare
+from marey.knee.region_growing import grow, marrow_level, seed_ball, signed_distance
+from marey.knee.resampling import resampled, smoothed
+from marey.knee.seeds import find_seeds, patella_seeds, seed_voxel
+from marey.knee.structures import BONES, LABELS
+from marey.knee.template_fit import (
+    TemplateBone,
+    TemplateFit,
+    joint_centre,
+    place_template,
+    positions_of,
+    template_bones,
+    template_distance,
+)
+from marey.knee.volume import Grid, Labels, Volume
+
+Report = Callable[[str, float], None]
+"""Told the name of a step and the share of the work that is done."""
+_ASTRAY_MM, _SURE_MM = 4.0, 2.0
+_PRIOR_FROM_MM, _PRIOR_NATS = 2.0, 4.0
+_BOX_MM = 8.0
+_PATELLA_CM3 = (4.0, 45.0)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Bone:
+    """A bone as it was found."""
+
+    distance_mm: np.ndarray
+    """(k, j, i) signed distance to its surface, positive inside, on `grid`."""
+    grid: Grid
+    """The image's own voxels about the bone."""
+    seed_mm: Floats
+    """(3,) LPS."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class BoneSegmentation:
+    """The bones of a knee."""
+
+    labels: Labels
+    """On the first image's own grid."""
+    bones: Mapping[str, Bone]
+    kinds: tuple[Kind, ...]
+    """Whether marrow is dark or bright, of each image."""
+    template_fit: TemplateFit | None
+    notes: tuple[str, ...]
+    """What a user should know, as sentences."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Look:
+    """What is known at work: the images, their marrow, and what a template says."""
+
+    volumes: tuple[Volume, ...]
+    knees: tuple[Knee, ...]
+    kinds: tuple[Kind, ...]
+    seeds: dict[str, Integers]
+    grown: dict[str, Mask] = field(default_factory=dict)
+
+    @property
+    def grid(self) -> Grid:
+        return self.knees[0].grid
+
+    def likeness(self, voxel: Integers, radius_mm: float = 8.0) -> np.ndarray:
+        """(k, j, i) least likeness, over the images, to the marrow about a seed."""
+        each = []
+        for knee, kind in zip(self.knees, self.kinds, strict=True):
+            level = marrow_level(knee, kind, voxel, radius_mm)
+            each.append(level.likeness(knee.intensity) * knee.body)
+        return np.asarray(np.minimum.reduce(each))
+
+
+def segment_bones(
+    volumes: Sequence[Volume],
+    *,
+    template: Labels | None = None,
+    seeds_mm: Mapping[str, Floats] | None = None,
+    report: Report = lambda step, share: None,
+) -> BoneSegmentation:
+    """Find femur, tibia and patella.
+
+    Threshold seed growing with openings against leaks gives them roughly; a template, when there is one, says where
+    they cannot be; then each edge moves to where the image changes, on the image's own voxels.
+
+    Args:
+        volumes: One image, or two of the same knee in the same place, with and without fat saturation. The answer
+            lies on the first one's grid.
+        template: Labels of another knee, of either side.
+        seeds_mm: Bone to (3,) LPS; bones without one are found.
+        report: Called at every step.
+
+    Raises:
+        SettingProblem: A seed lies outside the image, in the air, or not in marrow.
+        MareyError: No knee is found, the template does not fit, or the two images do not lie in one place.
+    """
+    given = dict(seeds_mm or {})
+    report("bias and body", 0.0)
+    look = _looked(tuple(volumes), given)
+    report("growing", 0.15)
+    _grow_long_bones(look)
+    report("template" if template is not None else "patella", 0.3)
+    fit, limits = _limits(look, template)
+    notes = [] if fit is None else [_fit_note(fit)]
+    _grow_patella(look, limits.get("patella"), given)
+    if "patella" not in look.grown:
+        notes.append("No patella was found: give its place with --seed patella X Y Z.")
+    found = {}
+    for index, name in enumerate(look.grown):
+        report(f"edge of the {name}", 0.5 + 0.5 * index / len(look.grown))
+        found[name] = _bone(look, name, limits.get(name))
+    report("bones", 1.0)
+    return BoneSegmentation(
+        labels=_labelled(found, volumes[0].grid),
+        bones={name: bone for name, (bone, _) in found.items()},
+        kinds=look.kinds,
+        template_fit=fit,
+        notes=tuple(notes),
+    )
+
+
+def _looked(volumes: tuple[Volume, ...], given: Mapping[str, Floats]) -> _Look:
+    if not 1 <= len(volumes) <= 2:
+        raise SettingProblem(f"One volume or two of the same knee are wanted, not {len(volumes)}.")
+    first = prepare(volumes[0])
+    knees = (first, *[prepare(other, first.grid) for other in volumes[1:]])
+    for knee in knees[1:]:
+        shared = (knee.body & first.body).sum() / max(1, min(knee.body.sum(), first.body.sum()))
+        if shared < 0.8:
+            raise MareyError("The two volumes do not show one knee in one place: their bodies lie apart.")
+    seeds = [find_seeds(knee, given if index == 0 else {}) for index, knee in enumerate(knees)]
+    places = {"femur": seeds[0].femur, "tibia": seeds[0].tibia}
+    return _Look(volumes=volumes, knees=knees, kinds=tuple(each.kind for each in seeds), seeds=places)
+
+
+def _grow_long_bones(look: _Look) -> None:
+    for name, other in (("femur", "tibia"), ("tibia", "femur")):
+        keep_out = look.grown.get(other, seed_ball(look.knees[0], look.seeds[other]))
+        grown = grow(look.likeness(look.seeds[name]), look.seeds[name], keep_out=keep_out)
+        if not grown.any():
+            raise MareyError(f"Nothing grows from the seed of the {name}: give another with --seed {name} X Y Z.")
+        look.grown[name] = grown
+
+
+def _limits(look: _Look, template: Labels | None) -> tuple[TemplateFit | None, dict[str, np.ndarray]]:
+    """Lay the template into the image; give (k, j, i) the signed distance of each of its bones."""
+    if template is None:
+        return None, {}
+    bones = template_bones(template)
+    likeness = {name: look.likeness(look.seeds[name]) * look.grown[name] for name in ("femur", "tibia")}
+    if "patella" in bones:
+        likeness["patella"] = look.likeness(look.seeds["femur"]) * ~(look.grown["femur"] | look.grown["tibia"])
+    fit = place_template(bones, look.grown, likeness, look.grid)
+    return fit, {name: _limit(bone, fit, name, likeness, look.grid) for name, bone in bones.items()}
+
+
+def _limit(
+    bone: TemplateBone, fit: TemplateFit, name: str, likeness: Mapping[str, np.ndarray], grid: Grid
+) -> np.ndarray:
+    return template_distance(bone, fit.placements[name], likeness[name], grid)
+
+
+def _fit_note(fit: TemplateFit) -> str:
+    side = "mirrored, as it is of the other side" if fit.mirrored else "of the same side"
+    return f"The template is {side}; {100 * fit.fit:.0f} % of its edges lie on edges of bone."
+
+
+def _grow_patella(look: _Look, limit: np.ndarray | None, given: Mapping[str, Floats]) -> None:
+    taken = look.grown["femur"] | look.grown["tibia"]
+    if "patella" in given:
+        places = [seed_voxel(look.knees[0], "patella", given["patella"])]
+        likeness = look.likeness(places[0], 4.0)
+    else:
+        joint = joint_centre({name: positions_of(look.grown[name], look.grid) for name in ("femur", "tibia")})
+        likeness = look.likeness(look.seeds["femur"])
+        places = patella_seeds(look.knees[0], likeness, taken, joint)
+    keep_out = taken if limit is None else taken | (np.nan_to_num(limit, nan=-100.0) < -_ASTRAY_MM)
+    for place in places:
+        grown = grow(likeness, place, keep_out=keep_out)
+        if _PATELLA_CM3[0] <= grown.sum() * WORK_MM**3 / 1000 <= _PATELLA_CM3[1]:
+            look.grown["patella"], look.seeds["patella"] = grown, place
+            return
+    if "patella" in given:
+        raise SettingProblem("No patella grows from its seed: choose a place in the middle of the patella.")
+
+
+def _bone(look: _Look, name: str, limit: np.ndarray | None) -> tuple[Bone, tuple[slice, ...]]:
+    """Refine a grown bone on the first image's own voxels."""
+    coarse = look.grown[name]
+    for other, mask in look.grown.items():
+        coarse = coarse if other == name else coarse & ~mask
+    if limit is not None:
+        coarse = (coarse & ~(limit < -_ASTRAY_MM)) | ((limit > _SURE_MM) & look.knees[0].body)
+    own = look.volumes[0].grid
+    distance = resampled(signed_distance(coarse, look.grid.array_spacing_mm), look.grid, own, outside=-50.0)
+    reach = [(np.flatnonzero((distance > -_BOX_MM).any(axis=axes))) for axes in ((1, 2), (0, 2), (0, 1))]
+    box = tuple(slice(int(each[0]), int(each[-1]) + 1) for each in reach)
+    grid = _part(own, box)
+    prior = np.zeros(grid.shape, dtype=np.float32)
+    if limit is not None:
+        known = resampled(np.nan_to_num(limit, nan=0.0), look.grid, grid, outside=0.0)
+        prior = np.clip(known + _PRIOR_FROM_MM, -_PRIOR_NATS, 0)
+    field_mm = _edge(look, distance[box], prior, grid)
+    seed = look.grid.lps(look.seeds[name][::-1].astype(float))
+    return Bone(distance_mm=field_mm, grid=grid, seed_mm=seed), box
+
+
+def _edge(look: _Look, distance: np.ndarray, prior: np.ndarray, grid: Grid) -> np.ndarray:
+    """(k, j, i) the edge by the image with dark marrow if there is one: it shows the cortex' outside."""
+    pieces = [
+        Piece(intensity=_corrected(volume, grid), distance_mm=distance, prior_nats=prior, grid=grid)
+        for volume in look.volumes
+    ]
+    lead = look.kinds.index("dark") if "dark" in look.kinds else 0
+    others = []
+    for index, (piece, kind) in enumerate(zip(pieces, look.kinds, strict=True)):
+        if index != lead:
+            others.append(marrow_odds(piece, kind) if kind == look.kinds[lead] else soft_tissue_odds(piece))
+    return refined(pieces[lead], look.kinds[lead], others)
+
+
+def _corrected(volume: Volume, grid: Grid) -> np.ndarray:
+    """(k, j, i) an image without bias on another grid; as it is where the grid is a part of its own."""
+    if np.allclose(volume.grid.lps_from_voxel[:3, :3], grid.lps_from_voxel[:3, :3]):
+        values = volume.intensity
+    else:
+        values = smoothed(volume.intensity, volume.grid, 0.3 * float(grid.spacing_mm.min()))
+    return resampled(values, volume.grid, grid) / bias_field(volume).on(grid)
+
+
+def _part(grid: Grid, box: tuple[slice, ...]) -> Grid:
+    """Give the grid of a part of an array."""
+    lps_from_voxel = grid.lps_from_voxel.copy()
+    lps_from_voxel[:3, 3] = grid.lps(np.array([float(each.start) for each in box[::-1]]))
+    shape = tuple(each.stop - each.start for each in box)
+    return Grid(shape=(shape[0], shape[1], shape[2]), lps_from_voxel=lps_from_voxel)
+
+
+def _labelled(found: Mapping[str, tuple[Bone, tuple[slice, ...]]], grid: Grid) -> Labels:
+    labels = np.zeros(grid.shape, dtype=np.uint8)
+    for name in BONES:
+        if name in found:
+            bone, box = found[name]
+            part = labels[box]
+            part[(bone.distance_mm > 0) & (part == 0)] = LABELS[name]
+    return Labels(labels=labels, grid=grid)

@@ -1,0 +1,64 @@
+"""The smoothest division of a volume in two that the voxels' evidence allows: total variation, solved exactly."""
+
+import numpy as np
+from numba import njit
+
+from marey.arrays import Mask
+
+_ITERATIONS = 150
+
+
+def minimal_cut(
+    evidence: np.ndarray, start: Mask, spacing_mm: tuple[float, float, float], *, area_nats: float
+) -> np.ndarray:
+    """Choose the part of a volume with the most evidence less a price for its surface.
+
+    Minimises sum(-evidence u) + price |grad u| over u in [0, 1], the convex form of the minimal surface
+    [Chan2006] eq. (17), by the primal-dual steps of [Chambolle2011] algorithm 1 with steps of each axis' own size.
+
+    Args:
+        evidence: (k, j, i) float32: log odds [nats] of each voxel to be inside; beyond +-50 it is settled.
+        start: (k, j, i) a guess.
+        spacing_mm: Of the voxels along k, j, i.
+        area_nats: Price of a square millimetre of surface [nats]; 8 smooths away bumps smaller than a millimetre.
+
+    Returns:
+        (k, j, i) float32 u: inside above 0.5, between 0 and 1 at the surface.
+    """
+    price = area_nats * float(np.prod(spacing_mm))
+    steps = np.asarray(spacing_mm, dtype=np.float32)
+    inside = start.astype(np.float32)
+    _primal_dual(np.ascontiguousarray(evidence, dtype=np.float32), inside, np.float32(price), steps, _ITERATIONS)
+    return inside
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _primal_dual(evidence, inside, price, spacing, iterations):  # type: ignore[no-untyped-def]
+    """Turn `inside` into the solution, in place."""
+    deep, high, wide = evidence.shape
+    hz, hy, hx = spacing[0], spacing[1], spacing[2]
+    tau = np.float32(1.0) / (2 / hz + 2 / hy + 2 / hx)
+    pz, py, px = np.zeros_like(evidence), np.zeros_like(evidence), np.zeros_like(evidence)
+    ahead = inside.copy()
+    for _ in range(iterations):
+        for z in range(deep):
+            for y in range(high):
+                for x in range(wide):
+                    here = ahead[z, y, x]
+                    a = pz[z, y, x] + np.float32(0.5) * (ahead[z + 1, y, x] - here) if z < deep - 1 else np.float32(0)
+                    b = py[z, y, x] + np.float32(0.5) * (ahead[z, y + 1, x] - here) if y < high - 1 else np.float32(0)
+                    c = px[z, y, x] + np.float32(0.5) * (ahead[z, y, x + 1] - here) if x < wide - 1 else np.float32(0)
+                    size = np.sqrt(a * a + b * b + c * c)
+                    share = price / size if size > price else np.float32(1)
+                    pz[z, y, x], py[z, y, x], px[z, y, x] = a * share, b * share, c * share
+        for z in range(deep):
+            for y in range(high):
+                for x in range(wide):
+                    flow = pz[z, y, x] / hz + py[z, y, x] / hy + px[z, y, x] / hx
+                    flow -= pz[z - 1, y, x] / hz if z > 0 else np.float32(0)
+                    flow -= py[z, y - 1, x] / hy if y > 0 else np.float32(0)
+                    flow -= px[z, y, x - 1] / hx if x > 0 else np.float32(0)
+                    before = inside[z, y, x]
+                    value = min(max(before + tau * (flow + evidence[z, y, x]), np.float32(0)), np.float32(1))
+                    inside[z, y, x] = value
+                    ahead[z, y, x] = 2 * value - before

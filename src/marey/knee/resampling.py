@@ -1,0 +1,63 @@
+"""Working grids along the body's axes: a volume smoothed, resampled onto them, and answers carried back."""
+
+from typing import Any
+
+import numpy as np
+from scipy import ndimage
+
+from marey.arrays import Floats
+from marey.knee.volume import Grid, Volume
+
+
+def upright_grid(grid: Grid, spacing_mm: float) -> Grid:
+    """Lay a grid of cubes along left, back and head over the whole of another grid.
+
+    Args:
+        grid: Turned as it may be.
+        spacing_mm: Edge of a cube.
+    """
+    ends = np.array([(0, count - 1) for count in grid.shape[::-1]], dtype=float)
+    corners = grid.lps(np.stack(np.meshgrid(*ends, indexing="ij"), axis=-1).reshape(-1, 3))
+    low = corners.min(axis=0)
+    counts = np.floor((corners.max(axis=0) - low) / spacing_mm + 1e-6).astype(int) + 1
+    lps_from_voxel = np.diag([spacing_mm, spacing_mm, spacing_mm, 1.0])
+    lps_from_voxel[:3, 3] = low
+    i, j, k = counts.tolist()
+    return Grid(shape=(k, j, i), lps_from_voxel=lps_from_voxel)
+
+
+def resampled(values: np.ndarray, source: Grid, target: Grid, *, outside: float = 0.0, order: int = 1) -> np.ndarray:
+    """Read an array of one grid at the voxels of another.
+
+    Args:
+        values: (k, j, i) on the source.
+        source: Grid of the values.
+        target: Grid of the answer.
+        outside: What to give where the source does not reach.
+        order: 0 nearest, 1 linear.
+    """
+    matrix = np.linalg.inv(source.lps_from_voxel) @ target.lps_from_voxel
+    turned = matrix[[2, 1, 0, 3]][:, [2, 1, 0, 3]]
+    given: np.ndarray = ndimage.affine_transform(
+        values, turned[:3, :3], turned[:3, 3], output_shape=target.shape, order=order, cval=outside
+    )
+    return given
+
+
+def smoothed(values: np.ndarray, grid: Grid, sigma_mm: float) -> np.ndarray:
+    """Smooth by a Gaussian that is round in millimetres, whatever the voxels."""
+    sigma = [sigma_mm / spacing for spacing in grid.array_spacing_mm]
+    given: np.ndarray = ndimage.gaussian_filter(np.asarray(values, dtype=np.float32), sigma)
+    return given
+
+
+def on_grid(volume: Volume, target: Grid, sigma_mm: float) -> np.ndarray:
+    """Give an image smoothed and read on another grid."""
+    return resampled(smoothed(volume.intensity, volume.grid, sigma_mm), volume.grid, target)
+
+
+def read_at(values: np.ndarray, grid: Grid, lps_mm: Floats, *, outside: float = 0.0) -> Floats:
+    """Read an array at positions (..., 3), linearly."""
+    voxels = np.moveaxis(grid.voxels(lps_mm)[..., ::-1], -1, 0)
+    given: Any = ndimage.map_coordinates(values, voxels, order=1, cval=outside)
+    return given

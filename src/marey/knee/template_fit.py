@@ -1,0 +1,274 @@
+"""A template's bones laid roughly into an image: where each bone's edge should be, against leaks."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import ndimage
+from scipy.optimize import least_squares
+from scipy.spatial import cKDTree
+
+from marey.arrays import Floats, Mask
+from marey.errors import MareyError
+from marey.geometry import rotations
+from marey.knee.marrow import WORK_MM
+from marey.knee.region_growing import signed_distance
+from marey.knee.resampling import read_at, resampled, upright_grid
+from marey.knee.structures import BONES
+from marey.knee.volume import Grid, Labels
+
+_POINTS = 1500
+_JOINT_MM = 35.0
+_STARTS_MM = (-15.0, 0.0, 15.0)
+_AFFINE_SD = 0.08
+"""How much a bone may be stretched or sheared beside the whole template: standard deviation of the matrix's terms."""
+_SHIFT_SD_MM = 8.0
+_OUTWARD_MM = (0.0, 1.0, 2.0, 3.0)
+_CARRY_MM = 8.0
+_LEAST_FIT = 0.35
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class TemplateBone:
+    """A bone of a template."""
+
+    points_mm: Floats
+    """(N, 3) LPS on its surface, none where the template's image ends."""
+    normals: Floats
+    """(N, 3) outward."""
+    distance_mm: np.ndarray
+    """(k, j, i) signed distance, positive inside, on `grid`."""
+    grid: Grid
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Placement:
+    """Where a template's bone lies in the image: image = matrix @ template + shift [mm]."""
+
+    matrix: Floats
+    """(3, 3); its determinant is negative when the template was mirrored."""
+    shift: Floats
+    """(3,)."""
+
+    def image_from_template(self, points_mm: Floats) -> Floats:
+        """Carry points (..., 3)."""
+        return points_mm @ self.matrix.T + self.shift
+
+    def template_from_image(self, points_mm: Floats) -> Floats:
+        """Carry points (..., 3) back."""
+        return (points_mm - self.shift) @ np.linalg.inv(self.matrix).T
+
+    def turned(self, normals: Floats) -> Floats:
+        """Carry outward normals (N, 3)."""
+        carried = normals @ np.linalg.inv(self.matrix)
+        return carried / np.linalg.norm(carried, axis=1, keepdims=True)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class TemplateFit:
+    """A template laid into an image."""
+
+    placements: Mapping[str, Placement]
+    mirrored: bool
+    fit: float
+    """Mean contrast across the template's edges, 0 by chance, 1 where every point lies on a bone's edge."""
+
+
+def template_bones(template: Labels) -> dict[str, TemplateBone]:
+    """Take the bones from a template's labels, with points on their surfaces.
+
+    Raises:
+        MareyError: It has no femur or no tibia.
+    """
+    grid = upright_grid(template.grid, WORK_MM)
+    bones = {}
+    for name in BONES:
+        mask = template.mask(name)
+        if mask.any():
+            bones[name] = _template_bone(mask, template.grid, grid)
+    missing = [name for name in ("femur", "tibia") if name not in bones]
+    if missing:
+        raise MareyError(f"The template has no {' and no '.join(missing)}: it cannot be laid into the image.")
+    return bones
+
+
+def _template_bone(mask: Mask, source: Grid, grid: Grid) -> TemplateBone:
+    whole = resampled(mask.astype(np.float32), source, grid) > 0.5
+    distance = signed_distance(whole, grid.array_spacing_mm)
+    smooth = ndimage.gaussian_filter(distance, 1.5)
+    edge = np.argwhere(whole & (distance < 1.2 * WORK_MM))
+    inner = resampled(np.ones(mask.shape, dtype=np.float32), source, grid)
+    reach = ndimage.distance_transform_edt(np.pad(inner > 0.99, 1))[1:-1, 1:-1, 1:-1]
+    edge = edge[reach[tuple(edge.T)] > 3]
+    chosen = edge[np.linspace(0, len(edge) - 1, min(_POINTS, len(edge))).astype(int)]
+    inward = np.stack(np.gradient(smooth), axis=-1)[tuple(chosen.T)][:, ::-1]
+    normals = -inward / np.maximum(np.linalg.norm(inward, axis=1, keepdims=True), 1e-6)
+    points = grid.lps(chosen[:, ::-1].astype(float))
+    return TemplateBone(
+        points_mm=points + normals * distance[tuple(chosen.T)][:, None], normals=normals, distance_mm=distance, grid=grid
+    )
+
+
+def place_template(
+    bones: Mapping[str, TemplateBone], grown: Mapping[str, Mask], likeness: Mapping[str, np.ndarray], grid: Grid
+) -> TemplateFit:
+    """Lay a template into an image so that its bones' edges are where what is like marrow ends.
+
+    As a whole first, turned, shifted and scaled, as it is and mirrored, whichever fits better; then each bone
+    for itself, stretched a little.
+
+    Args:
+        bones: The template's.
+        grown: (k, j, i) femur and tibia as grown from their seeds, for the start; leaks do not matter much.
+        likeness: Of each bone: (k, j, i) how like its marrow each voxel is, 0 to 1.
+        grid: The upright grid of both.
+
+    Raises:
+        MareyError: The template fits nowhere.
+    """
+    wanted = joint_centre({name: positions_of(grown[name], grid) for name in ("femur", "tibia")})
+    fits = [_placed_whole(bones, likeness, grid, wanted, mirrored=mirrored) for mirrored in (False, True)]
+    best = max(fits, key=lambda each: each.fit)
+    placements = {name: _placed_bone(bone, best.placements[name], likeness[name], grid) for name, bone in bones.items()}
+    value = float(np.mean([_contrast(bones[name], placements[name], likeness[name], grid, 2.0).mean() for name in grown]))
+    if value < _LEAST_FIT:
+        raise MareyError(
+            f"The template does not fit this image: only {100 * max(value, 0):.0f} % of its edges lie on edges of bone."
+            " Give a template of a knee, femur and tibia alike in both, or leave --template out."
+        )
+    return replace(best, placements=placements, fit=value)
+
+
+def template_distance(bone: TemplateBone, placement: Placement, likeness: np.ndarray, grid: Grid) -> np.ndarray:
+    """(k, j, i) signed distance [mm] to a bone's edge by the template, drawn to the image's edges nearby.
+
+    The template's surface is moved along its normals by as much as the image's edges ask for, evenly over
+    neighbouring points, a few times. NaN above and below the template's own image: it says nothing there.
+    """
+    indices = np.stack(np.meshgrid(*[np.arange(n) for n in grid.shape], indexing="ij"), axis=-1)
+    positions = grid.lps(indices[..., ::-1].astype(np.float64))
+    field = _placed_distance(bone, placement, positions)
+    points, normals = placement.image_from_template(bone.points_mm), placement.turned(bone.normals)
+    offsets = _drawn_offsets(points, normals, likeness, grid)
+    band = np.abs(np.nan_to_num(field, nan=100.0)) < 15
+    away, near = cKDTree(points).query(positions[band], k=6)
+    share = 1 / (away + 0.5)
+    field[band] += (share * offsets[near]).sum(axis=1) / share.sum(axis=1)
+    return field.astype(np.float32)
+
+
+def _placed_distance(bone: TemplateBone, placement: Placement, positions: Floats) -> Floats:
+    """(k, j, i) the placed template's signed distance; beside its image a little more than at the image's side."""
+    voxels = bone.grid.voxels(placement.template_from_image(positions))
+    ends = np.array(bone.grid.shape[::-1]) - 1.0
+    within = np.clip(voxels, 0, ends)
+    scale = abs(float(np.linalg.det(placement.matrix))) ** (1 / 3)
+    beside = np.linalg.norm((voxels - within)[..., :2], axis=-1) * WORK_MM
+    field = (read_at(bone.distance_mm, bone.grid, bone.grid.lps(within)) - beside) * scale
+    field[(voxels[..., 2] < 0) | (voxels[..., 2] > ends[2])] = np.nan
+    return field
+
+
+def _drawn_offsets(points: Floats, normals: Floats, likeness: np.ndarray, grid: Grid) -> Floats:
+    """(N,) [mm] how far along its normal the image draws each point of a surface."""
+    offsets = np.zeros(len(points))
+    away, near = cKDTree(points).query(points, k=24)
+    weight = np.exp(-0.5 * (away / (_CARRY_MM / 2)) ** 2)
+    for _ in range(8):
+        asked, clear = _asked_offsets(points + offsets[:, None] * normals, normals, likeness, grid)
+        shares = weight * clear[near]
+        total = shares.sum(axis=1)
+        drawn = (shares * (offsets + 0.7 * asked)[near]).sum(axis=1) / np.maximum(total, 1e-6)
+        offsets = np.where(total > 0.2, drawn, offsets)
+    return offsets
+
+
+def positions_of(mask: Mask, grid: Grid) -> Floats:
+    """(N, 3) LPS of a mask's voxels."""
+    return grid.lps(np.argwhere(mask)[:, ::-1].astype(float))
+
+
+def joint_centre(positions: Mapping[str, Floats]) -> Floats:
+    """(3,) between the femur's lower and the tibia's upper end; left-right and front-back by what is near."""
+    height = (np.percentile(positions["femur"][:, 2], 2) + np.percentile(positions["tibia"][:, 2], 98)) / 2
+    near = np.concatenate([each[np.abs(each[:, 2] - height) < _JOINT_MM] for each in positions.values()])
+    return np.array([*near[:, :2].mean(axis=0), height])
+
+
+def _contrast(bone: TemplateBone, placement: Placement, likeness: np.ndarray, grid: Grid, depth_mm: float) -> Floats:
+    """(N,) likeness a little inside a point less the least at and just outside it; 0 beyond the image."""
+    points, normals = placement.image_from_template(bone.points_mm), placement.turned(bone.normals)
+    inside = read_at(likeness, grid, points - depth_mm * normals, outside=np.nan)
+    reach = np.array(_OUTWARD_MM) * depth_mm / 2
+    outside = np.min([read_at(likeness, grid, points + step * normals, outside=np.nan) for step in reach], axis=0)
+    return np.nan_to_num(inside - outside, nan=0.0)
+
+
+def _moved(placement: Placement, change: Floats, centre: Floats) -> Placement:
+    """Turn, shift and scale a placement about a point of the image."""
+    matrix = np.exp(change[6]) * rotations.exp(change[:3])
+    return Placement(
+        matrix=matrix @ placement.matrix, shift=matrix @ (placement.shift - centre) + centre + 10 * change[3:6]
+    )
+
+
+def _placed_whole(
+    bones: Mapping[str, TemplateBone], likeness: Mapping[str, np.ndarray], grid: Grid, wanted: Floats, *, mirrored: bool
+) -> TemplateFit:
+    flip = np.diag([-1.0 if mirrored else 1.0, 1, 1])
+    own = flip @ joint_centre({name: bones[name].points_mm for name in ("femur", "tibia")})
+    pair = ("femur", "tibia")
+    best: tuple[float, Placement] | None = None
+    for up in _STARTS_MM:
+        placement = Placement(matrix=flip, shift=wanted - own + np.array([0, 0, up]))
+        for depth in (8.0, 5.0, 3.0):
+            start = placement
+
+            def residuals(change: Floats, start: Placement = start, depth: float = depth) -> Floats:
+                moved = _moved(start, change, wanted)
+                parts = [1 - _contrast(bones[name], moved, likeness[name], grid, depth) for name in pair]
+                return np.concatenate([*parts, change * 5])
+
+            placement = _moved(start, least_squares(residuals, np.zeros(7), diff_step=1e-2, max_nfev=12).x, wanted)
+        value = float(np.mean([_contrast(bones[name], placement, likeness[name], grid, 3.0).mean() for name in pair]))
+        if best is None or value > best[0]:
+            best = value, placement
+    assert best is not None
+    return TemplateFit(placements=dict.fromkeys(bones, best[1]), mirrored=mirrored, fit=best[0])
+
+
+def _placed_bone(bone: TemplateBone, start: Placement, likeness: np.ndarray, grid: Grid) -> Placement:
+    """Let a bone turn, shift and stretch for itself."""
+    centre = start.image_from_template(bone.points_mm.mean(axis=0))
+    size = float(np.sqrt(np.mean((bone.points_mm - bone.points_mm.mean(axis=0)) ** 2)))
+
+    def moved(change: Floats) -> Placement:
+        matrix = np.eye(3) + _AFFINE_SD * change[3:].reshape(3, 3)
+        shift = matrix @ (start.shift - centre) + centre + _SHIFT_SD_MM * change[:3]
+        return Placement(matrix=matrix @ start.matrix, shift=shift)
+
+    change = np.zeros(12)
+    for depth in (5.0, 3.0, 2.0):
+        change = least_squares(
+            lambda values, depth=depth: np.concatenate(
+                [1 - _contrast(bone, moved(values), likeness, grid, depth), 2 * values]
+            ),
+            change,
+            diff_step=2e-2 * min(1.0, 30 / size),
+            max_nfev=15,
+        ).x
+    return moved(change)
+
+
+def _asked_offsets(points: Floats, normals: Floats, likeness: np.ndarray, grid: Grid) -> tuple[Floats, Floats]:
+    """(N,), (N,) how far along its normal each point should go to an edge of likeness, and how clear the edge is."""
+    steps = np.arange(-8.0, 8.1, 1.0)
+    profile = read_at(likeness, grid, points[:, None] + steps[:, None] * normals[:, None], outside=np.nan)
+    # An edge at step s: like marrow before it, unlike at it or just after it.
+    before = (profile[:, 0:-5] + profile[:, 1:-4] + profile[:, 2:-3]) / 3
+    after = np.fmin(profile[:, 3:-2], np.fmin(profile[:, 4:-1], profile[:, 5:]))
+    places = steps[3:-2] - 0.5
+    score = np.nan_to_num(before - after, nan=-1.0) * np.exp(-0.5 * (places / 5.0) ** 2)
+    best = score.argmax(axis=1)
+    clear = np.clip(score[np.arange(len(points)), best], 0, 1)
+    return places[best], clear
