@@ -1,5 +1,6 @@
 """The commands of `marey knee`: bones and cartilage from MR."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -9,7 +10,74 @@ from marey.cli.options import Quiet
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode="markdown", help="Bones and cartilage of a knee from MR.")
 
+_SEED_OPTIONS = ("--seed", "--seed-voxel")
+_SEED_WORDS = 4
+
+
+def with_seeds_joined(arguments: Sequence[str]) -> list[str]:
+    """Join the four words of each seed into one: Typer takes options of several words once only."""
+    words = list(arguments)
+    if words[:2] != ["knee", "segment"]:
+        return words
+    joined: list[str] = []
+    while words:
+        joined.append(words.pop(0))
+        if joined[-1] in _SEED_OPTIONS and words and " " not in words[0]:
+            joined.append(" ".join(words[:_SEED_WORDS]))
+            del words[:_SEED_WORDS]
+    return joined
+
+
 _Out = Annotated[Path | None, typer.Option("--out", "-o", metavar="DIR", help="Where the results go.")]
+
+
+@app.command()
+def segment(
+    volumes: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="VOLUME [VOLUME2]",
+            help="A folder of DICOM slices, NIfTI, NRRD or MetaImage; a second one of the same knee in the same place.",
+        ),
+    ],
+    template: Annotated[
+        Path | None,
+        typer.Option(metavar="FOLDER", help="Another knee's labels.nii.gz with names.json, of either side."),
+    ] = None,
+    seed: Annotated[
+        list[str] | None,
+        typer.Option(metavar="BONE X Y Z", help="A place in the bone's marrow, LPS in mm. Several bones are allowed."),
+    ] = None,
+    seed_voxel: Annotated[
+        list[str] | None,
+        typer.Option(metavar="BONE I J K", help="The same as the indices of a voxel of VOLUME."),
+    ] = None,
+    out: _Out = None,
+    quiet: Quiet = False,
+) -> None:
+    """Find femur, tibia and patella in an MR volume.
+
+    Dark marrow (fat suppressed) and bright marrow are told apart; seeds are found, too. Leaves `labels.nii.gz` on the
+    image's own grid with `labels.json`, `femur.ply`, `tibia.ply`, `patella.ply` (LPS, mm) and `run.json` in
+    `VOLUME_marey`, or in DIR.
+
+    Examples:
+    * `marey knee segment dess.nii.gz --template atlas`
+    * `marey knee segment fat_saturated.nii.gz plain.nii.gz --out knee`
+    * `marey knee segment series --seed femur 12 -30 40`
+    """
+    from marey.cli.knee_segment import SegmentOptions, parse_seed
+    from marey.cli.knee_segment import segment as segment_knee
+    from marey.cli.progress import Progress
+
+    options = SegmentOptions(
+        out=out,
+        template=template,
+        seeds=tuple(parse_seed(each, "--seed") for each in seed or ()),
+        seed_voxels=tuple(parse_seed(each, "--seed-voxel") for each in seed_voxel or ()),
+    )
+    folder = segment_knee(volumes, options, Progress(quiet=quiet))
+    typer.echo(f"Labels: {folder / 'labels.nii.gz'}")
 
 
 @app.command()

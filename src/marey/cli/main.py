@@ -440,7 +440,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
         The exit code: 0, 2 for wrong input, 130 when interrupted. Errors of the program itself leave with a traceback.
     """
     try:
-        code = app(args=None if arguments is None else list(arguments), prog_name="marey", standalone_mode=False)
+        typed = knee.with_seeds_joined(sys.argv[1:] if arguments is None else arguments)
+        code = app(args=typed, prog_name="marey", standalone_mode=False)
     except MareyError as problem:
         return _complain(str(problem))
     except typer.TyperException as problem:

@@ -6,7 +6,7 @@ from itertools import product
 import numpy as np
 from numpy.polynomial import legendre
 
-from marey.arrays import Floats, Mask
+from marey.arrays import Floats
 from marey.knee.resampling import on_grid, resampled, upright_grid
 from marey.knee.volume import Grid, Volume
 

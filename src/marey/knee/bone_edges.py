@@ -12,15 +12,29 @@ from marey.knee.minimal_cut import minimal_cut
 from marey.knee.resampling import smoothed
 from marey.knee.volume import Grid
 
-_BAND_MM = 4.0
 _AREA_NATS = 8.0
 _MOST_NATS = 4.0
 _INSIDE_MM, _OUTSIDE_MM = 4.0, 2.0
-"""Widths [mm] of the Gaussians over which the levels inside and outside a bone are averaged along its edge."""
+"""Widths [mm] of the Gaussians over which levels are averaged: of marrow, and of the dark line about bright marrow."""
 _CORTEX_MM = (0.4, 2.5)
 _SOFT_TISSUE = (0.35, 0.75)
 """How bright muscle and cartilage are beside bright marrow, as shares of it."""
 _SOFT_NATS = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Ring:
+    """Where the level outside a bone is taken from: how far from the edge, and averaged over what width [mm]."""
+
+    from_mm: float
+    to_mm: float
+    sigma_mm: float
+    band_mm: float
+    """How far the edge may move."""
+
+
+_COARSE_RING = _Ring(from_mm=0.7, to_mm=5.0, sigma_mm=2.0, band_mm=4.0)
+_FINE_RING = _Ring(from_mm=0.4, to_mm=2.2, sigma_mm=1.2, band_mm=2.0)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -47,26 +61,34 @@ def refined(piece: Piece, kind: Kind, others: list[np.ndarray] | None = None) ->
     Returns:
         (k, j, i) signed distance [mm], positive inside, exact near the edge.
     """
-    odds = marrow_odds(piece, kind) + piece.prior_nats
-    for other in others or []:
-        odds = odds + other
-    band = _BAND_MM if kind == "dark" else _BAND_MM / 2
-    odds = np.where(piece.distance_mm > _BAND_MM, 100.0, np.where(piece.distance_mm < -band, -100.0, odds))
-    spacing = piece.grid.array_spacing_mm
-    inside = minimal_cut(odds.astype(np.float32), piece.distance_mm > 0, spacing, area_nats=_AREA_NATS)
-    distance = _distance(_main_part(inside > 0.5), spacing)
+    settled = piece.prior_nats + sum(others or [], np.zeros(1, dtype=np.float32))
+    distance = _cut(piece, kind, settled, piece.distance_mm, _COARSE_RING)
+    # Once more with the levels just beside the edge, now that it is known to a voxel or two.
+    distance = _cut(piece, kind, settled, distance, _FINE_RING)
     return distance if kind == "dark" else distance + _cortex(piece, distance)
 
 
-def marrow_odds(piece: Piece, kind: Kind) -> np.ndarray:
+def _cut(piece: Piece, kind: Kind, known: np.ndarray, distance: np.ndarray, ring: "_Ring") -> np.ndarray:
+    odds = marrow_odds(piece, kind, distance, ring) + known
+    outward = ring.band_mm if kind == "dark" else ring.band_mm / 2
+    odds = np.where(distance > ring.band_mm, 100.0, np.where(distance < -outward, -100.0, odds))
+    spacing = piece.grid.array_spacing_mm
+    inside = minimal_cut(odds.astype(np.float32), distance > 0, spacing, area_nats=_AREA_NATS)
+    return _distance(_main_part(inside > 0.5), spacing)
+
+
+def marrow_odds(
+    piece: Piece, kind: Kind, distance: np.ndarray | None = None, ring: "_Ring | None" = None
+) -> np.ndarray:
     """(k, j, i) log odds of marrow against what is outside, by the level halfway between both just there."""
-    intensity, distance, grid = piece.intensity, piece.distance_mm, piece.grid
+    distance, ring = (piece.distance_mm if distance is None else distance), ring or _COARSE_RING
+    intensity, grid = piece.intensity, piece.grid
     level = _local_level(intensity, distance > 1.0, grid, _INSIDE_MM)
     deep = intensity[distance > 2.5] if (distance > 2.5).any() else intensity[distance > 0]
     noise = max(1.4826 * float(np.median(np.abs(deep - np.median(deep)))), 0.02 * abs(float(np.median(deep))))
     if kind == "dark":
-        most = np.percentile(intensity[(distance < -0.7) & (distance > -5)], 99)
-        outside = _local_level(np.minimum(intensity, most), (distance < -0.7) & (distance > -5), grid, _OUTSIDE_MM)
+        beside = (distance < -ring.from_mm) & (distance > -ring.to_mm)
+        outside = _local_level(np.minimum(intensity, np.percentile(intensity[beside], 99)), beside, grid, ring.sigma_mm)
         step = np.maximum(outside - level, 2 * noise)
     else:
         outside = _darkest_near(intensity, distance, grid)
@@ -117,7 +139,7 @@ def _cortex(piece: Piece, distance: np.ndarray) -> np.ndarray:
     Where fat lies behind the line, both its edges are seen, and their usual distance is taken where only the inner
     one is: beside muscle and tendon.
     """
-    grid, spacing = piece.grid, np.array(piece.grid.array_spacing_mm)
+    spacing = np.array(piece.grid.array_spacing_mm)
     gradient = np.stack(np.gradient(ndimage.gaussian_filter(distance, 1.0), *spacing), axis=-1)
     edge = np.argwhere((distance > 0) & (distance < max(spacing.min(), 0.5)))
     edge = edge[:: max(1, len(edge) // 20000)]

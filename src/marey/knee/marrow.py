@@ -108,9 +108,10 @@ def _body(values: np.ndarray) -> Mask:
     lower = values[values < between_two_classes(values)]
     air = float(np.exp(between_two_classes(np.log(np.maximum(lower, lower.max() / 200)))))
     body = values > air
+    rim = _CLOSING_MM + 1
     for index, each in enumerate(body):
-        closed = ndimage.binary_closing(np.pad(each, _CLOSING_MM + 1), iterations=_CLOSING_MM)
-        body[index] = ndimage.binary_fill_holes(closed[_CLOSING_MM + 1 : -_CLOSING_MM - 1, _CLOSING_MM + 1 : -_CLOSING_MM - 1])
+        closed = ndimage.binary_closing(np.pad(each, rim), iterations=_CLOSING_MM)
+        body[index] = ndimage.binary_fill_holes(closed[rim:-rim, rim:-rim])
     return np.asarray(ndimage.binary_opening(body, iterations=3))
 
 

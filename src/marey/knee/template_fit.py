@@ -105,7 +105,10 @@ def _template_bone(mask: Mask, source: Grid, grid: Grid) -> TemplateBone:
     normals = -inward / np.maximum(np.linalg.norm(inward, axis=1, keepdims=True), 1e-6)
     points = grid.lps(chosen[:, ::-1].astype(float))
     return TemplateBone(
-        points_mm=points + normals * distance[tuple(chosen.T)][:, None], normals=normals, distance_mm=distance, grid=grid
+        points_mm=points + normals * distance[tuple(chosen.T)][:, None],
+        normals=normals,
+        distance_mm=distance,
+        grid=grid,
     )
 
 
@@ -130,7 +133,9 @@ def place_template(
     fits = [_placed_whole(bones, likeness, grid, wanted, mirrored=mirrored) for mirrored in (False, True)]
     best = max(fits, key=lambda each: each.fit)
     placements = {name: _placed_bone(bone, best.placements[name], likeness[name], grid) for name, bone in bones.items()}
-    value = float(np.mean([_contrast(bones[name], placements[name], likeness[name], grid, 2.0).mean() for name in grown]))
+    value = float(
+        np.mean([_contrast(bones[name], placements[name], likeness[name], grid, 2.0).mean() for name in grown])
+    )
     if value < _LEAST_FIT:
         raise MareyError(
             f"The template does not fit this image: only {100 * max(value, 0):.0f} % of its edges lie on edges of bone."

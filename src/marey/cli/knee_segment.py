@@ -1,0 +1,159 @@
+"""`marey knee segment`: an MR volume's bones as labels and surfaces."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from marey.arrays import Floats
+from marey.cli.progress import Progress
+from marey.cli.run_record import StageCache, finished_together, write_record
+from marey.errors import SettingProblem
+from marey.io.meshes import write_mesh
+from marey.io.stages import file_fingerprint
+from marey.io.volumes import read_template, read_volume, write_labels
+from marey.knee.bones import BoneSegmentation, segment_bones
+from marey.knee.structures import BONES
+from marey.knee.surface import Surface
+from marey.knee.surfacing import surface_of_field
+from marey.knee.volume import Labels, Volume
+
+_STEPS = 100
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SegmentOptions:
+    """What `marey knee segment` is asked for."""
+
+    out: Path | None
+    template: Path | None
+    seeds: tuple[tuple[str, float, float, float], ...]
+    """Bone, and LPS [mm]."""
+    seed_voxels: tuple[tuple[str, float, float, float], ...]
+    """Bone, and the voxel i, j, k of the first volume."""
+
+
+def segment(paths: Sequence[Path], options: SegmentOptions, progress: Progress) -> Path:
+    """Segment a knee and write what was found, all at once.
+
+    Args:
+        paths: One volume or two of the same knee.
+        options: What is asked for.
+        progress: Is told.
+
+    Returns:
+        The folder with the results.
+
+    Raises:
+        MareyError: A file, setting or seed cannot be used, or no knee is found.
+    """
+    out = options.out or paths[0].with_name(f"{_stem(paths[0])}_marey")
+    with progress.stage("Reading"):
+        volumes = [read_volume(path) for path in paths]
+        template = None if options.template is None else read_template(options.template)
+    seeds = given_seeds(options, volumes[0])
+    with threadpool_limits(1):
+        bones = _segmented(volumes, template, seeds, progress)
+        for note in bones.notes:
+            progress.warn(note)
+        surfaces = _surfaces(bones, progress)
+    files = _files([*paths, *([options.template] if options.template else [])])
+    with StageCache(out, [file_fingerprint(path) for path in files]), finished_together(out) as folder:
+        write_labels(folder, bones.labels)
+        for name, surface in surfaces.items():
+            write_mesh(folder / f"{name}.ply", surface)
+        write_record(
+            folder, command="knee segment", settings=_settings(options, bones), inputs=files,
+            root=paths[0].parent, progress=progress,
+        )  # fmt: skip
+    for name, surface in surfaces.items():
+        progress.say(f"{name}: {surface.volume_mm3 / 1000:.1f} cm3, {surface.area_mm2 / 100:.0f} cm2")
+    return out
+
+
+def given_seeds(options: SegmentOptions, volume: Volume) -> dict[str, Floats]:
+    """Bone to (3,) LPS [mm] of the seeds that were typed.
+
+    Raises:
+        SettingProblem: A bone's name is unknown, or it has two seeds.
+    """
+    places = [(name, np.array(place, dtype=float)) for name, *place in options.seeds]
+    places += [(name, volume.grid.lps(np.array(voxel, dtype=float))) for name, *voxel in options.seed_voxels]
+    seeds: dict[str, Floats] = {}
+    for name, place in places:
+        if name not in BONES:
+            raise SettingProblem(f"'{name}' is no bone that can have a seed: they are {', '.join(BONES)}.")
+        if name in seeds:
+            raise SettingProblem(f"The {name} has two seeds: give one.")
+        seeds[name] = place
+    return seeds
+
+
+def _segmented(
+    volumes: Sequence[Volume], template: Labels | None, seeds: Mapping[str, Floats], progress: Progress
+) -> BoneSegmentation:
+    with progress.stage("Bones", _STEPS) as step:
+        made = 0
+
+        def report(_: str, share: float) -> None:
+            nonlocal made
+            while made < round(share * _STEPS):
+                made += 1
+                step()
+
+        return segment_bones(volumes, template=template, seeds_mm=seeds, report=report)
+
+
+def _surfaces(bones: BoneSegmentation, progress: Progress) -> dict[str, Surface]:
+    surfaces = {}
+    with progress.stage("Surfaces", len(bones.bones)) as step:
+        for name, bone in bones.bones.items():
+            surfaces[name] = surface_of_field(bone.distance_mm, bone.grid)
+            step()
+    return surfaces
+
+
+def _settings(options: SegmentOptions, bones: BoneSegmentation) -> dict[str, object]:
+    fit = bones.template_fit
+    return {
+        "template": None if options.template is None else str(options.template),
+        "template_mirrored": None if fit is None else fit.mirrored,
+        "template_edges_on_edges": None if fit is None else round(fit.fit, 3),
+        "marrow": list(bones.kinds),
+        "seeds_lps_mm": {name: np.round(bone.seed_mm, 2).tolist() for name, bone in bones.bones.items()},
+        "seeds_given": [name for name, *_ in (*options.seeds, *options.seed_voxels)],
+    }
+
+
+def _files(paths: Sequence[Path]) -> list[Path]:
+    return [file for path in paths for file in (sorted(_within(path)) if path.is_dir() else [path])]
+
+
+def _within(folder: Path) -> list[Path]:
+    return [file for file in folder.iterdir() if file.is_file()]
+
+
+def _stem(path: Path) -> str:
+    name = path.resolve().name
+    for ending in (".nii.gz", ".nii", ".nrrd", ".nhdr", ".mha", ".mhd", ".dcm"):
+        if name.lower().endswith(ending):
+            return name[: -len(ending)]
+    return name
+
+
+def parse_seed(text: str, option: str) -> tuple[str, float, float, float]:
+    """Read a bone and three numbers: "femur 10 -3.5 20".
+
+    Raises:
+        SettingProblem: It is something else.
+    """
+    words = text.replace(",", " ").split()
+    try:
+        name, x, y, z = words
+        return name, float(x), float(y), float(z)
+    except ValueError as error:
+        raise SettingProblem(
+            f"{option} {text} is no bone and three numbers: {option} femur 10 -3.5 20, for one."
+        ) from error
