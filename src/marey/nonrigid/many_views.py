@@ -161,10 +161,10 @@ def _refined(views: Views, best: Judged) -> _Refined:
 def _fitted(views: Views, best: Judged, modes: int, noise: Floats) -> _Refined:
     tracks, seen = stacked(views.tracks, noise)
     model = _begun(views, best, modes, noise)
-    fit = _Refined(model, best.camera_from_base, best.scale, noise, np.zeros((len(noise), 3)))
+    fit = _Refined(model, best.camera_from_base.copy(), best.scale.copy(), noise, np.zeros((len(noise), 3)))
     for _ in range(ROUNDS):
         improve(model, tracks, seen, 1)
-        _turn_cameras(fit, tracks, seen, views.base[0])
+        _turn_cameras(views, fit, tracks, seen)
     improve(model, tracks, seen, 1)
     return fit
 
@@ -186,31 +186,32 @@ def _begun(views: Views, best: Judged, modes: int, noise: Floats) -> DeformingMo
     return model
 
 
-def _turn_cameras(fit: _Refined, tracks: Floats, seen: Floats, base: int) -> None:
-    """Do a Gauss-Newton step of every camera's rotation and scale, the shapes kept and the shifts free."""
+def _turn_cameras(views: Views, fit: _Refined, tracks: Floats, seen: Floats) -> None:
+    """Do a Gauss-Newton step of every camera's rotation and scale, the shapes kept and the shifts free.
+
+    Of two cameras the angle between the sights stays what its evidence made it: it hangs on the shapes and goes
+    where they go.
+    """
     model = fit.model
     carried = np.swapaxes(model.rotation @ model.shapes, 1, 2)
-    for camera in range(len(fit.scale)):
-        if camera == base:
-            continue
+    for camera in set(range(len(fit.scale))) - {views.base[0]}:
+        free = views.pair.second_axes[[0, 2]] if len(fit.scale) == 2 else np.eye(3)
         weight = seen[:, camera, :, None, None]
         own = slice(2 * camera, 2 * camera + 2)
         shown = carried @ model.projection[own].T
         left = np.swapaxes(tracks[:, own], 1, 2) - shown - model.shift[:, None, own]
         turned = carried @ fit.camera_from_base[camera].T
-        size = fit.scale[camera] / fit.noise[camera]
-        jacobian = np.zeros((*shown.shape, 4))
-        for row in range(2):
-            jacobian[:, :, row, :3] = size * np.cross(turned, np.eye(3)[row])
-        jacobian[..., 3] = shown
+        by_turn = np.stack([np.cross(turned, axis) for axis in np.eye(3)[:2]], 2) @ free.T
+        jacobian = np.concatenate([by_turn * fit.scale[camera] / fit.noise[camera], shown[..., None]], 3)
         count = np.maximum(weight.sum(1, keepdims=True), 1)
         jacobian = (jacobian - (jacobian * weight).sum(1, keepdims=True) / count) * weight
-        flat = jacobian.reshape(-1, 4)
+        flat = jacobian.reshape(-1, len(free) + 1)
         normal = flat.T @ flat
         step = np.linalg.solve(normal, flat.T @ left.ravel())
-        fit.camera_from_base[camera] = rotations.exp(step[:3]) @ fit.camera_from_base[camera]
-        fit.scale[camera] *= np.exp(step[3])
-        fit.camera_variance[camera] = model.variance * np.diagonal(np.linalg.inv(normal))[:3]
+        fit.camera_from_base[camera] = rotations.exp(step[:-1] @ free) @ fit.camera_from_base[camera]
+        fit.scale[camera] *= np.exp(step[-1])
+        covariance = free.T @ np.linalg.inv(normal)[:-1, :-1] @ free
+        fit.camera_variance[camera] = model.variance * np.diagonal(covariance)
     model.projection = rows_of(fit.camera_from_base, fit.scale / fit.noise)
 
 

@@ -1,9 +1,10 @@
 """How several cameras stand before a deforming object: all but one angle in closed form, that one by its evidence."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from marey.arrays import Floats, Integers, Mask
 from marey.errors import MareyError
@@ -16,16 +17,23 @@ from marey.nonrigid.view_geometry import FEWEST_FRAMES, FEWEST_POINTS, ViewPair,
 COMPLETING_RANK = 15
 ANGLES = np.deg2rad(np.arange(10.0, 171.0, 16.0))
 """Angles between two cameras' sights that are tried first."""
-FINEST_ANGLE = np.deg2rad(0.5)
+COARSE_ANGLE, FINEST_ANGLE = np.deg2rad(2.0), np.deg2rad(0.1)
 JUDGING_NOISE = 0.01
 """Noise that is believed at least when angles are compared, as a share of the object's size: what few modes leave is
 not noise, and would decide otherwise."""
-JUDGING_MODES = 12
+SEARCHING_MODES = 6
+JUDGING_MODES = (1, 2, 3, 4, 6, 8, 12)
+AS_WELL = 0.025
+"""Of numbers of modes whose evidence differs by less [natural logarithm a coordinate], the smallest judges the angle:
+more modes explain a wrong angle as deformation."""
 JUDGING_ROUNDS = 10
-TOLD_APART = 0.001
-"""An angle whose evidence is worse by this, in natural logarithms a coordinate of the tracks, lies a standard deviation
-away: deformation that keeps time with the turn of the object looks like another angle, and the evidence
-alone would be far too sure."""
+TOLD_APART = 9.0
+"""An angle whose evidence is worse by this [natural logarithm] lies a standard deviation away: deformation that keeps
+time with the turns of the object looks like another angle, and the evidence alone would be far too sure (0.5)."""
+ENOUGH_FRAMES = 300
+ENOUGH_POINTS = 40
+NEAREST = np.deg2rad(3.0)
+"""Least angle between two cameras' sights, or between one and the other's back, that is tried."""
 LEAST_PARALLAX = 2.0
 """Two cameras look from the same side where what they see differently is below so many times the noise."""
 STEADY = 1e8
@@ -34,7 +42,7 @@ HARDLY_MORE = 1.2
 """A turn at a constant rate is believed where it makes the object depart from its mean shape at most so many times more
 than the motion from which it departs least. (Bodies before a camera that goes round: 1.0 to 1.1; skin on walking
 legs, taken so: 3 to 9.)"""
-FRAMES_A_MODE = 8
+FRAMES_A_MODE = 3
 """Fewer frames a mode would tell too little about it."""
 LEAST_SHOWN = 1e-6
 """Share of the size below which what the cameras see differently is nothing."""
@@ -132,47 +140,83 @@ def best_angle(views: Views) -> tuple[Judged, list[Judged]]:
     Raises:
         MareyError: A camera shares too few points with those two.
     """
-    tried = {float(angle): _judged(views, float(angle)) for angle in ANGLES}
-    while True:
-        angles = sorted(tried)
-        place = min(range(len(angles)), key=lambda i: tried[angles[i]].cost)
-        below = angles[place - 1] if place else 0.0
-        above = angles[place + 1] if place + 1 < len(angles) else np.pi
-        middle = angles[place]
-        if max(above - middle, middle - below) < 2 * FINEST_ANGLE:
-            break
-        for angle in (0.5 * (below + middle), 0.5 * (middle + above)):
-            tried[angle] = _judged(views, angle)
-    best = tried[angles[place]]
-    return best, [_judged(views, angle) for angle in _doubtful(tried, best, views.count)]
+    fewer = _fewer(views)
+    tried = _Tried(fewer, most_modes(SEARCHING_MODES, views))
+    place = int(np.argmin([tried.cost(float(angle)) for angle in ANGLES]))
+    below = ANGLES[place - 1] if place else NEAREST
+    above = ANGLES[place + 1] if place + 1 < len(ANGLES) else np.pi - NEAREST
+    minimize_scalar(tried.cost, bounds=(below, above), method="bounded", options={"xatol": COARSE_ANGLE})
+    tried = _Tried(fewer, _simplest(fewer, tried.best))
+    for angle in (below, above):
+        tried.cost(float(angle))
+    minimize_scalar(tried.cost, bounds=(below, above), method="bounded", options={"xatol": FINEST_ANGLE})
+    others = _doubtful(tried.costs, tried.best)
+    return _judged(views, tried.best, tried.modes), [_judged(views, angle, tried.modes) for angle in others]
 
 
-def _doubtful(tried: dict[float, Judged], best: Judged, count: int) -> list[float]:
+class _Tried:
+    """The angles that were tried with a number of modes, and what they cost."""
+
+    def __init__(self, views: Views, modes: int) -> None:
+        self.views, self.modes = views, modes
+        self.costs: dict[float, float] = {}
+
+    def cost(self, angle: float) -> float:
+        if angle not in self.costs:
+            self.costs[angle] = _judged(self.views, angle, self.modes).cost
+        return self.costs[angle]
+
+    @property
+    def best(self) -> float:
+        return min(self.costs, key=lambda angle: self.costs[angle])
+
+
+def _simplest(views: Views, angle: float) -> int:
+    """Give the smallest number of modes that explains the tracks nearly as well as the best."""
+    modes = sorted({most_modes(modes, views) for modes in JUDGING_MODES})
+    costs = [_judged(views, angle, each).cost for each in modes]
+    enough = min(costs) + AS_WELL * views.count
+    return next(each for each, cost in zip(modes, costs, strict=True) if cost <= enough)
+
+
+def _fewer(views: Views) -> Views:
+    """Keep as many frames and points as suffice to tell the angle."""
+    step = -(-views.tracks.shape[1] // ENOUGH_FRAMES)
+    points = views.common
+    if len(points) > ENOUGH_POINTS:
+        often = np.argsort(views.seen[..., points].sum((0, 1)), kind="stable")[::-1]
+        points = np.sort(points[often[:ENOUGH_POINTS]])
+    tracks = views.tracks[:, ::step][..., points]
+    return replace(
+        views, tracks=tracks, seen=views.seen[:, ::step][..., points], middle=views.middle[:, ::step],
+        common=np.arange(len(points)), complete=views.complete[:, ::step][..., np.isin(views.common, points)],
+    )  # fmt: skip
+
+
+def _doubtful(tried: dict[float, float], best: float) -> list[float]:
     """Give the angles nearest to the best, below and above, whose evidence is worse by a standard deviation."""
-    worse = best.cost + TOLD_APART * count
     angles = sorted(tried)
+    place = angles.index(best)
     found = []
-    for side in (angles[: angles.index(best.angle)][::-1], angles[angles.index(best.angle) + 1 :]):
-        last = best
+    for side in (angles[:place][::-1], angles[place + 1 :]):
+        # the root of the loss is linear in the angle where the loss is quadratic
+        last, lost = best, 0.0
         for angle in side:
-            this = tried[angle]
-            if this.cost >= worse:
-                share = (worse - last.cost) / (this.cost - last.cost)
-                found.append(last.angle + share * (angle - last.angle))
+            loss = np.sqrt(tried[angle] - tried[best])
+            if loss >= np.sqrt(TOLD_APART):
+                last += (np.sqrt(TOLD_APART) - lost) / (loss - lost) * (angle - last)
                 break
-            last = this
-        else:
-            found.append(last.angle)
+            last, lost = angle, loss
+        found.append(float(last))
     return found
 
 
-def _judged(views: Views, angle: float) -> Judged:
+def _judged(views: Views, angle: float, modes: int) -> Judged:
     camera_from_base, scale, points = _arranged(views, angle)
     common = views.common
     _, rotation, _ = mean_shape(points, np.ones(points.shape[:2], bool))
     shapes = np.swapaxes(points @ rotation, 1, 2)
     tracks, seen = stacked(views.tracks[..., common], np.ones(len(scale)))
-    modes = most_modes(JUDGING_MODES, views)
     model = begin(tracks, seen, rotation, shapes, modes, JUDGING_NOISE, rows_of(camera_from_base, scale))
     improve(model, tracks, seen, JUDGING_ROUNDS, JUDGING_NOISE)
     return Judged(angle, camera_from_base, scale, model, model.cost + basis_cost(model))
