@@ -7,30 +7,38 @@ angle is searched for, judged like the answers of one camera by how probable it 
 of a deforming shape (`deforming_model`).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from marey.arrays import Floats, Mask, frozen
 from marey.errors import MareyError
 from marey.geometry import rotations
+from marey.nonrigid.alignment import mean_shape
 from marey.nonrigid.deforming_model import (
     DeformingModel,
     basis_cost,
     begin,
     improve,
     residuals_and_jacobians,
+    shape_variance,
     solve_shapes,
 )
 from marey.nonrigid.view_angle import Judged, Views, best_angle, most_modes, path_of, stacked, views_of
+from marey.nonrigid.view_checks import checked_views
 from marey.nonrigid.view_geometry import FEWEST_FRAMES, FEWEST_POINTS, rows_of
 
 MODES = (3, 6, 12, 20, 36)
 PRICE = 0.3
 ROUNDS = 12
 FIRST_NOISE = 0.005
+SHARE_IN_DOUBT = 0.7
+"""Where a turn at a constant rate is believed: share of the way to the motion of least departure, as a standard
+deviation."""
 UNEVEN = 1.2
 """Noise of one camera over another's from which they are weighed differently."""
+UNSURE = 10.0
+"""Standard deviation of a camera's turn [degrees] from which it is called in doubt."""
 KEPT = 1e-3
 """A mode whose weights are below this share of the object's size is not told."""
 RIGID = "The object is rigid as far as these tracks tell: its mean shape alone explains them."
@@ -103,6 +111,8 @@ class _Refined:
     """(C,) standard deviation of a camera's coordinates in relation to the others': its rows are divided by it."""
     camera_variance: Floats
     """(C, 3) of the turns [rad2], the shapes taken as known."""
+    steady: bool
+    """The object, or the cameras, turn at a constant rate."""
 
 
 def factorise_views(tracks: Floats) -> ManyViewShapes:
@@ -120,12 +130,26 @@ def factorise_views(tracks: Floats) -> ManyViewShapes:
             shares too few points with the others, or all look from the same side.
     """
     tracks = np.asarray(tracks, float)
-    views = views_of(tracks, _checked(tracks))
+    _check(tracks)
+    tracks, notes = checked_views(tracks)
+    views = views_of(tracks, _check(tracks))
     best, others = best_angle(views)
-    return _tell(views, _refined(views, best), others, tracks)
+    found = _tell(views, _refined(views, best), others, tracks)
+    return replace(found, notes=(*notes, *_told_by(found)))
 
 
-def _checked(tracks: Floats) -> Mask:
+def _told_by(found: ManyViewShapes) -> tuple[str, ...]:
+    notes = [RIGID] if found.rank == 1 else []
+    worst = np.rad2deg(found.camera_sd.max())
+    if worst > UNSURE:
+        notes.append(
+            f"How the cameras stand to each other is hardly told: to {worst:.0f} degrees. The object turns too little "
+            "or deforms too much; the shapes are in doubt by as much in depth. A third camera would tell."
+        )
+    return tuple(notes)
+
+
+def _check(tracks: Floats) -> Mask:
     if tracks.ndim != 4 or tracks.shape[2] != 2 or len(tracks) < 2:
         raise MareyError(f"Tracks have the shape {tracks.shape} and should have (cameras >= 2, frames, 2, points).")
     seen: Mask = np.asarray(np.isfinite(tracks).all(2))
@@ -161,7 +185,9 @@ def _refined(views: Views, best: Judged) -> _Refined:
 def _fitted(views: Views, best: Judged, modes: int, noise: Floats) -> _Refined:
     tracks, seen = stacked(views.tracks, noise)
     model = _begun(views, best, modes, noise)
-    fit = _Refined(model, best.camera_from_base.copy(), best.scale.copy(), noise, np.zeros((len(noise), 3)))
+    fit = _Refined(
+        model, best.camera_from_base.copy(), best.scale.copy(), noise, np.zeros((len(noise), 3)), path_of(best)[2]
+    )
     for _ in range(ROUNDS):
         improve(model, tracks, seen, 1)
         _turn_cameras(views, fit, tracks, seen)
@@ -172,7 +198,7 @@ def _fitted(views: Views, best: Judged, modes: int, noise: Floats) -> _Refined:
 def _begun(views: Views, best: Judged, modes: int, noise: Floats) -> DeformingModel:
     """Begin with the common points; the shapes of others follow from the frames of those."""
     common, points = views.common, views.tracks.shape[3]
-    rotation, shapes = path_of(best)
+    rotation, shapes, _ = path_of(best)
     projection = rows_of(best.camera_from_base, best.scale / noise)
     tracks, seen = stacked(views.tracks[..., common], noise)
     model = begin(tracks, seen, rotation, shapes, modes, FIRST_NOISE, projection)
@@ -238,7 +264,7 @@ def _disagreement(views: Views, fit: _Refined, others: list[Judged]) -> tuple[Fl
     of_shape, of_turn, of_camera = np.zeros(shapes.shape), np.zeros((len(shapes), 3)), np.zeros((len(relative), 3))
     for other in others:
         first = other.camera_from_base[0]
-        rotation, theirs = path_of(other)
+        rotation, theirs, _ = path_of(other)
         rotation = first @ rotation
         # one map of all frames' points, so that also those have a place that only one camera sees
         ours, known = (np.concatenate(list(x), 1) for x in ((own @ shapes)[:, :, views.common], rotation @ theirs))
@@ -250,6 +276,28 @@ def _disagreement(views: Views, fit: _Refined, others: list[Judged]) -> tuple[Fl
         of_camera += rotations.log(theirs_relative @ np.swapaxes(relative, 1, 2)) ** 2
     count = max(len(others), 1)
     return of_shape / count, of_turn / count, of_camera / count
+
+
+def _doubt_of_path(model: DeformingModel, steady: bool) -> tuple[Floats, Floats]:
+    """Say how far another motion may be meant: how much of a deformation is a turn of the whole, tracks do not tell.
+
+    A turn as large as the departure from the mean shape is left open.
+
+    Returns:
+        Mean squares of the shapes' differences (F, 3, P) and of the turns (F, 3).
+    """
+    shapes = model.shapes
+    mean = shapes.mean(0)
+    points = np.swapaxes(model.rotation @ shapes, 1, 2)
+    _, least, _ = mean_shape(points, np.ones(points.shape[:2], bool))
+    moved = np.swapaxes(points @ least, 1, 2)
+    if steady:
+        turn = rotations.nearest(np.concatenate(list(shapes), 1) @ np.concatenate(list(moved), 1).T)
+        apart = rotations.log(least @ turn.T @ np.swapaxes(model.rotation, 1, 2))
+        return (SHARE_IN_DOUBT * (turn @ moved - shapes)) ** 2, (SHARE_IN_DOUBT * apart) ** 2
+    open_turn = np.mean((shapes - mean) ** 2) / np.mean(mean**2)
+    across = open_turn * ((mean**2).sum(0) - mean**2)
+    return np.broadcast_to(across, shapes.shape), np.full((len(shapes), 3), open_turn)
 
 
 def _tell(views: Views, fit: _Refined, others: list[Judged], tracks: Floats) -> ManyViewShapes:
@@ -266,15 +314,14 @@ def _tell(views: Views, fit: _Refined, others: list[Judged], tracks: Floats) -> 
     shift = model.shift.reshape(len(shape), -1, 2).swapaxes(0, 1) * (fit.noise * views.size)[:, None, None]
     translation = np.where(np.asarray(views.seen.any(2))[..., None], shift + views.middle, np.nan)
     shown = np.einsum("cij,fjp->cfip", scale[:, None, None] * camera_from_first[:, :2], rotation @ shape)
-    start = model.first_weight
-    turned = np.einsum("ij,mjp->mip", turn, model.modes)
-    variance = np.einsum("mip,fmn,nip->fip", turned, model.covariance[0][:, start:, start:], turned, optimize=True)
+    variance = shape_variance(model, stacked(views.tracks, fit.noise)[1])
+    of_path, of_gauge = _doubt_of_path(model, fit.steady)
     of_turn = np.einsum("ij,fjk,ik->fi", first, model.covariance[0][:, :3, :3], first)
     camera_variance = fit.camera_variance + doubt[2]
     camera_variance[0] = 0
     return ManyViewShapes(
-        shape=shape, shape_sd=np.sqrt(variance + turn**2 @ doubt[0]) * unit, rotation=rotation,
-        rotation_sd=np.sqrt(of_turn + doubt[1]), camera_from_first=camera_from_first,
+        shape=shape, shape_sd=np.sqrt(turn**2 @ (variance + doubt[0] + of_path)) * unit, rotation=rotation,
+        rotation_sd=np.sqrt(of_turn + doubt[1] + of_gauge), camera_from_first=camera_from_first,
         camera_sd=np.sqrt(camera_variance), scale=scale, translation=translation, basis=basis,
         coefficients=coefficients, noise_sd=_noise_of_cameras(views, fit) * views.size,
         residuals=np.linalg.norm(tracks - shown - translation[..., None], axis=2),

@@ -281,14 +281,14 @@ def _bridged(shapes: Floats) -> Floats:
     return np.asarray(filled.reshape(shapes.shape))
 
 
-def path_of(best: Judged) -> tuple[Floats, Floats]:
-    """Give the rotations and shapes to begin with: a turn at constant rate where that explains the motion as well."""
+def path_of(best: Judged) -> tuple[Floats, Floats, bool]:
+    """Give rotations and shapes to begin with, and whether a turn at a constant rate is believed (`HARDLY_MORE`)."""
     shapes = best.model.shapes
     steady = steadier(best.model.rotation, STEADY)
     turned = np.swapaxes(steady, 1, 2) @ best.model.rotation @ shapes
     if _departure(turned) <= HARDLY_MORE * _departure(shapes):
-        return steady, turned
-    return best.model.rotation, shapes
+        return steady, turned, True
+    return best.model.rotation, shapes, False
 
 
 def _departure(shapes: Floats) -> float:

@@ -15,8 +15,12 @@ from marey.geometry import rotations
 FEWEST_POINTS = 4
 FEWEST_FRAMES = 6
 OUTLYING = 6.0
-"""A point that lies so many times further from the shared direction than the median point has no true partner."""
+"""A point that lies so many times further from the shared direction than the median point has no true partner..."""
+FAR = 0.01
+"""...and at least this share of the object's size."""
 ROUNDS = 5
+SET, SETS = 6, 40
+"""Points of a small set, and how many sets are tried, see `_agreeing`."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -46,7 +50,9 @@ class ViewPair:
     @property
     def outlying(self) -> Mask:
         """(P,) points whose two tracks cannot be of one point."""
-        least = OUTLYING * np.nanmedian(self.point_rms) if np.isfinite(self.point_rms).any() else np.inf
+        if not np.isfinite(self.point_rms).any():
+            return np.zeros(len(self.point_rms), bool)
+        least = max(OUTLYING * float(np.nanmedian(self.point_rms)), FAR * float(self.spread[3]))
         return np.asarray(self.point_rms > least)
 
 
@@ -62,16 +68,42 @@ def pair_of(first: Floats, second: Floats) -> ViewPair | None:
     """
     stacked = np.concatenate([first, second], 1)
     both = np.isfinite(stacked).all(1)
-    used = both.sum(0) >= FEWEST_FRAMES
+    often = both.sum(0) >= FEWEST_FRAMES
+    used = _agreeing(stacked, both, often)
     for _ in range(ROUNDS):
         pair = _pair(stacked, both & used)
         if pair is None:
             return None
-        wrong = pair.outlying & used
-        if not wrong.any():
+        kept = often & ~pair.outlying
+        if (kept == used).all():
             break
-        used &= ~wrong
+        used = kept
     return pair
+
+
+def _agreeing(stacked: Floats, both: Mask, often: Mask) -> Mask:
+    """Choose the points that agree with the best of some small sets: a wrong partner would bend the fit to all."""
+    numbers = np.flatnonzero(often)
+    if len(numbers) <= SET:
+        return often
+    rng = np.random.default_rng(0)
+    best, used = np.inf, often
+    for _ in range(SETS):
+        chosen = np.zeros(len(often), bool)
+        chosen[rng.choice(numbers, SET, replace=False)] = True
+        pair = _pair(stacked, both & chosen)
+        if pair is None:
+            continue
+        middle = float(np.nanmedian(pair.point_rms))
+        if middle < best:
+            best, used = middle, often & ~pair.outlying
+    return used
+
+
+def along_one_direction(first: Floats, second: Floats) -> ViewPair | None:
+    """Find what two cameras share, as `pair_of` does, but with all points."""
+    stacked = np.concatenate([first, second], 1)
+    return _pair(stacked, np.asarray(np.isfinite(stacked).all(1)))
 
 
 def _pair(stacked: Floats, used: Mask) -> ViewPair | None:
