@@ -35,7 +35,7 @@ class BiasField:
 def bias_field(volume: Volume) -> BiasField:
     """Find the field whose removal sharpens the histogram of the logarithmic intensities most, as N3 and N4 do.
 
-    [Tustison2010] eq. (6) to (9), with Legendre polynomials of the third order instead of B-splines: on the
+    As [Tustison2010], with Legendre polynomials of the third order instead of B-splines: on the
     simulated knees the marrow becomes as even as by N4 of SimpleITK in a fiftieth of the time.
 
     Args:

@@ -14,7 +14,7 @@ def minimal_cut(
     """Choose the part of a volume with the most evidence less a price for its surface.
 
     Minimises sum(-evidence u) + price |grad u| over u in [0, 1], the convex form of the minimal surface
-    [Chan2006] eq. (17), by the primal-dual steps of [Chambolle2011] algorithm 1 with steps of each axis' own size.
+    [Chan2006], by the primal-dual steps of [Chambolle2011] algorithm 1 with steps of each axis' own size.
 
     Args:
         evidence: (k, j, i) float32: log odds [nats] of each voxel to be inside; beyond +-50 it is settled.
