@@ -121,3 +121,13 @@ def test_too_few_points_give_no_pairs(random):
     found = match_tracks(views[0][:, :, :4], views[1])
     assert len(found.pairs) == 0
     assert "No 6 points" in found.notes[0]
+
+
+def test_points_seen_for_a_part_of_the_time_are_matched_by_that_part(random):
+    views, seen = two_views(random)
+    late = np.arange(4)
+    for view, own in zip(views, seen, strict=True):
+        view[25:, :, np.isin(own, late)] = np.nan
+    found = match_tracks(*views)
+    assert right(found, seen).all()
+    assert len(found.pairs) == 24

@@ -81,8 +81,7 @@ def find_candidates(
         maps=np.linalg.inv(maps)[which[rows, columns]], settings=settings,
     )  # fmt: skip
     good = np.flatnonzero(result.converged & (result.correlation >= alike))
-    good = good[_first_of_each(rows[good], result.pixels[good], result.correlation[good])]
-    return Candidates(rows[good], result.pixels[good], result.correlation[good])
+    return without_twins(Candidates(rows[good], result.pixels[good], result.correlation[good]))
 
 
 def _likeness(
@@ -117,14 +116,15 @@ def _patches(picture: np.ndarray, points: Floats, linear: Floats, size: int) -> 
     return np.asarray(patches / np.maximum(np.linalg.norm(patches, axis=1, keepdims=True), 1e-6))
 
 
-def _first_of_each(points: Integers, pixels: Floats, correlation: Floats) -> Integers:
-    """Keep one of those candidates of a point that ended in the same place, the most alike."""
+def without_twins(candidates: Candidates) -> Candidates:
+    """Keep one of those candidates of a point that lie in the same place, the most alike."""
     kept: list[int] = []
-    for i in np.argsort(-correlation):
-        same = [j for j in kept if points[j] == points[i] and np.linalg.norm(pixels[j] - pixels[i]) < 1]
-        if not same:
+    for i in np.argsort(-candidates.correlation, kind="stable"):
+        beside = [j for j in kept if candidates.points[j] == candidates.points[i]]
+        if all(np.linalg.norm(candidates.pixels[j] - candidates.pixels[i]) >= 1 for j in beside):
             kept.append(int(i))
-    return np.sort(np.array(kept, np.int64))
+    order = np.sort(np.array(kept, np.int64))
+    return Candidates(candidates.points[order], candidates.pixels[order], candidates.correlation[order])
 
 
 def find_beside(

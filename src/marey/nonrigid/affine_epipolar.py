@@ -21,6 +21,9 @@ _FLOOR = 1e-4
 _OUTLYING = 9.0
 """A pair whose square distance is so many times the median of the nearest ones is none."""
 
+_UNLIKE = -10.0
+"""Points that look less alike than this are no pair [natural logarithm]."""
+
 
 class Epipolar(NamedTuple):
     """A hypothesis: the equation, and who satisfies it with whom."""
@@ -35,7 +38,9 @@ class Epipolar(NamedTuple):
     """Median square distance of the pairs over the spread along the equation's direction."""
 
 
-def epipolar_hypotheses(first: Floats, second: Floats, *, count: int, seed: int = 0) -> list[Epipolar]:
+def epipolar_hypotheses(
+    first: Floats, second: Floats, *, count: int, looks: Floats | None = None, seed: int = 0
+) -> list[Epipolar]:
     """Find equations that satisfy many pairs of points, without knowing which pairs.
 
     Two points seen by both cameras give the equation in closed form, for their difference needs no e(t). So
@@ -46,20 +51,22 @@ def epipolar_hypotheses(first: Floats, second: Floats, *, count: int, seed: int 
         first: (K, 2, P) tracks of one camera.
         second: (K, 2, Q) of another one; both of about unit spread.
         count: How many hypotheses are settled.
+        looks: (P, Q) logarithm of how much more alike points look than chance, for one and the same.
         seed: Of the choice of bases.
 
     Returns:
         Hypotheses that differ, the one of least distance first.
     """
+    alike = np.zeros((first.shape[2], second.shape[2])) if looks is None else looks
     tried = []
     for p, far in _bases(first, seed):
-        for equation, q in _from_base(first, second, p, far):
+        for equation, q in _from_base(first, second, p, far, alike):
             shifted, other = first - first[:, :, p, None], second - second[:, :, q, None]
-            tried.append((_support(equation, shifted, other), equation, p, q))
+            tried.append((_support(equation, shifted, other, alike), equation, p, q))
     tried.sort(key=lambda item: item[0])
     settled: list[Epipolar] = []
     for _, equation, p, q in tried[:count]:
-        found = _settle(equation, first, second, first[:, :, p], second[:, :, q])
+        found = _settle(equation, first, second, first[:, :, p], second[:, :, q], alike)
         if found is not None and not any(_same(found, other) for other in settled):
             settled.append(found)
     return sorted(settled, key=lambda found: found.distance)
@@ -79,7 +86,7 @@ def _bases(first: Floats, seed: int) -> list[tuple[int, int]]:
     return bases
 
 
-def _from_base(first: Floats, second: Floats, p: int, far: int) -> list[tuple[Floats, int]]:
+def _from_base(first: Floats, second: Floats, p: int, far: int, looks: Floats) -> list[tuple[Floats, int]]:
     """Give the equations that the difference of two points satisfies best, for the best partners of both."""
     own = first[:, :, far] - first[:, :, p]
     apart = second[:, :, None, :] - second[:, :, :, None]
@@ -92,7 +99,8 @@ def _from_base(first: Floats, second: Floats, p: int, far: int) -> list[tuple[Fl
     values, vectors = np.linalg.eigh(square)
     equations = vectors[..., 0]
     along = np.einsum("qri,ij,qrj->qr", equations[..., :2], own.T @ own, equations[..., :2])
-    share = values[..., 0] / np.maximum(along, 1e-12)
+    share = np.log(np.maximum(values[..., 0], 1e-15) / np.maximum(along, 1e-12))
+    share -= looks[p][:, None] + looks[far]
     share[np.arange(count), np.arange(count)] = np.inf
     best = np.argsort(share, axis=None)[:_KEPT]
     return [(equations[q, r], int(q)) for q, r in zip(*np.unravel_index(best, share.shape), strict=True)]
@@ -114,23 +122,27 @@ def _spread(left: Floats, right: Floats) -> float:
     return float(min(np.var(left, axis=1).sum(), np.var(right, axis=1).sum()))
 
 
-def _support(equation: Floats, first: Floats, second: Floats) -> float:
+def _support(equation: Floats, first: Floats, second: Floats, looks: Floats) -> float:
     """Say how far points are from the nearest possible partner, in logarithms; less is better."""
     left, right = _sides(equation, first, second)
-    square = square_distances(left, right) / max(_spread(left, right), 1e-12)
-    return float(np.log(square.min(1) + _FLOOR).mean() + np.log(square.min(0) + _FLOOR).mean())
+    square = np.log(square_distances(left, right) / max(_spread(left, right), 1e-12) + _FLOOR) - looks
+    return float(np.minimum(square.min(1), 0).mean() + np.minimum(square.min(0), 0).mean())
 
 
-def _settle(equation: Floats, first: Floats, second: Floats, here: Floats, there: Floats) -> Epipolar | None:
+def _settle(
+    equation: Floats, first: Floats, second: Floats, here: Floats, there: Floats, looks: Floats
+) -> Epipolar | None:
     """Assign partners and refit the equation in turn until nothing changes; None where nothing is left."""
     before: tuple[Integers, Integers] | None = None
     for _ in range(_ROUNDS):
         left, right = _sides(equation, first - here[..., None], second - there[..., None])
         square = square_distances(left, right)
-        nearest = np.concatenate([square.min(0), square.min(1)])
-        limit = _OUTLYING * float(np.median(nearest)) + 1e-15
-        rows, columns = linear_sum_assignment(np.minimum(square, limit))
-        good = square[rows, columns] < limit
+        masked = np.where(looks > _UNLIKE, square, np.inf)
+        nearest = np.concatenate([masked.min(0), masked.min(1)])
+        limit = _OUTLYING * float(np.median(nearest[np.isfinite(nearest)])) + 1e-15
+        cost = np.minimum(masked / limit, 1) * _OUTLYING / 2 - looks
+        rows, columns = linear_sum_assignment(cost)
+        good = masked[rows, columns] < limit
         rows, columns = rows[good], columns[good]
         if len(rows) < 5:
             return None

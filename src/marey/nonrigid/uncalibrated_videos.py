@@ -9,7 +9,7 @@ from marey.arrays import Floats, Integers, Mask, frozen
 from marey.errors import MareyError, SettingProblem
 from marey.images.feature_tracks import DEFAULT, FollowSettings, Pictures, follow_points
 from marey.images.features import good_features
-from marey.images.patch_search import Candidates, find_beside, find_candidates
+from marey.images.patch_search import Candidates, find_beside, find_candidates, without_twins
 from marey.nonrigid.stray_places import without_strays
 from marey.nonrigid.view_correspondence import match_tracks
 
@@ -51,6 +51,11 @@ class ViewTracks:
     def __post_init__(self) -> None:
         for name in ("tracks", "tracks_sd", "probability"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
+
+    @property
+    def tied(self) -> Mask:
+        """(C,) which cameras share points with the first."""
+        return np.asarray(np.isfinite(self.probability).any(axis=1))
 
 
 def track_views(
@@ -114,8 +119,7 @@ def track_views(
 def _told(book: "_Book", frame: int, notes: tuple[str, ...]) -> ViewTracks:
     """Give the points that at least two cameras share, without places that strayed."""
     probability = np.stack(book.probability)
-    shared = np.isfinite(probability).sum(axis=0) >= 2
-    tied = np.isfinite(probability).any(axis=1)
+    shared, tied = np.isfinite(probability).sum(axis=0) >= 2, np.isfinite(probability).any(axis=1)
     tracks, spread = np.stack(book.tracks)[..., shared], np.stack(book.tracks_sd)[..., shared]
     tracks[tied] = without_strays(tracks[tied], spread[tied])
     return ViewTracks(
@@ -214,7 +218,7 @@ def _candidates(
         here = np.flatnonzero(np.isfinite(book.places[source][:, 0]))
         found = find_candidates(videos[source][frame], picture, book.places[source][here])
         parts.append(found._replace(points=here[found.points]))
-    return Candidates(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+    return without_twins(Candidates(*(np.concatenate(part) for part in zip(*parts, strict=True))))
 
 
 def _confirmed(

@@ -5,26 +5,25 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import expit
 
-from marey.arrays import Floats, Integers, Mask, frozen
+from marey.arrays import Floats, Integers, frozen
 from marey.errors import SettingProblem
 from marey.nonrigid.affine_epipolar import epipolar_hypotheses
-from marey.nonrigid.completion import complete_tracks
 from marey.nonrigid.partial_assignment import best_pairs, pair_probabilities
+from marey.nonrigid.track_components import components, full_frames, moves, prepared, seen_in
 from marey.nonrigid.view_evidence import FEWEST_PAIRS, PairTracks, pair_evidence
 
-_COMPONENTS = 24
-"""Components in time that are kept of the tracks of both cameras."""
-_COMPLETING_RANK = 12
 _HYPOTHESES = 40
 _FINALISTS = 6
 _ROUNDS = 20
-_LEAST_SEEN = 3
-"""A frame in which a camera sees fewer points says nothing."""
-_STILL = 6.5
-"""Largest square singular value of white noise over the middle one, at most."""
+_WELL_SEEN = 0.7
+"""Points that are seen in a smaller share of the frames are judged only after the others, by the time they are seen."""
+_SEEN_IN_WINDOW = 0.9
+_SHORTEST = 6
+"""Shorter windows tell too little [frames]."""
 _SHARED = 0.5
 """Share of the points that is thought to be seen by both cameras, before anything is known."""
 _DOUBTFUL = 0.95
+_LENIENCIES = (1.0, 4.0, 16.0, 64.0, 256.0)
 _EXCHANGES = 8
 """Exchanges of two partners that are tried at once."""
 _CLOSE = 15.0
@@ -95,20 +94,55 @@ def match_tracks(first: Floats, second: Floats, appearance: Floats | None = None
     """
     first, second = np.asarray(first, float), np.asarray(second, float)
     looks = _checked(first, second, appearance)
-    enough = (_seen(first).sum(1) >= _LEAST_SEEN) & (_seen(second).sum(1) >= _LEAST_SEEN)
+    enough = full_frames(first) & full_frames(second)
     first, second = first[enough], second[enough]
     shape = first.shape[2], second.shape[2]
-    own, other = (np.flatnonzero(_seen(tracks).sum(0) >= max(2, 0.1 * len(tracks))) for tracks in (first, second))
+    own, other = _well_seen(first), _well_seen(second)
     if min(len(own), len(other)) < FEWEST_PAIRS or len(first) < 2:
         return _nothing(shape, TOO_FEW.format(count=FEWEST_PAIRS))
-    a, b = _prepared(first[:, :, own]), _prepared(second[:, :, other])
-    if not (_moves(a) and _moves(b)):
+    a, b = prepared(first[:, :, own]), prepared(second[:, :, other])
+    if not (moves(a) and moves(b)):
         return _nothing(shape, NOT_MOVING)
-    looks = looks[np.ix_(own, other)] + np.log(_SHARED / ((1 - _SHARED) ** 2 * max(len(own), len(other))))
-    answers = _answers(*_components(a, b), looks)
+    prior = float(np.log(_SHARED / ((1 - _SHARED) ** 2 * max(len(own), len(other)))))
+    answers = _answers(*components(a, b), looks[np.ix_(own, other)], prior)
     if not answers or answers[0].total <= 0:
         return _nothing(shape, TOO_FEW.format(count=FEWEST_PAIRS))
-    return _told(answers, own, other, shape)
+    return _told(answers, own, other, _late_scores(first, second, answers[0], own, other, looks + prior))
+
+
+def _well_seen(tracks: Floats) -> Integers:
+    """Give the points that are seen in most frames, at least half of all."""
+    share = seen_in(tracks).mean(axis=0) if len(tracks) else np.zeros(tracks.shape[2])
+    return np.flatnonzero((share > 0) & (share >= min(_WELL_SEEN, float(np.median(share)))))
+
+
+def _late_scores(first: Floats, second: Floats, best: _Answer, own: Integers, other: Integers, prior: Floats) -> Floats:
+    """Judge points that are seen for a part of the time, by that part; give scores (P, Q), NaN where not judged.
+
+    Of the windows of half the time, then of a quarter, the first counts in which both points are seen.
+    """
+    score = np.full(prior.shape, np.nan)
+    rows, columns = own[best.rows], other[best.columns]
+    late = np.ones(prior.shape, bool)
+    late[np.ix_(own, other)] = False
+    late[rows], late[:, columns] = False, False
+    for window in _windows(len(first)):
+        here, there = (np.flatnonzero(seen_in(t[window]).mean(axis=0) >= _SEEN_IN_WINDOW) for t in (first, second))
+        both = np.isin(rows, here) & np.isin(columns, there)
+        wanted = np.ix_(here, there)
+        if both.sum() < FEWEST_PAIRS or not np.any(late[wanted] & np.isnan(score[wanted])):
+            continue
+        few = components(prepared(first[window][:, :, here]), prepared(second[window][:, :, there]))
+        known = np.searchsorted(here, rows[both]), np.searchsorted(there, columns[both])
+        found = pair_evidence(PairTracks(*few, *known)) + prior[wanted]
+        score[wanted] = np.where(late[wanted] & np.isnan(score[wanted]), found, score[wanted])
+    return score
+
+
+def _windows(frames: int) -> list[slice]:
+    """Give windows of half the frames, and of a quarter, each begun in the middle of the one before."""
+    lengths = [length for length in (frames // 2, frames // 4) if length >= _SHORTEST]
+    return [slice(a, a + n) for n in lengths for a in (*range(0, frames - n, max(1, n // 2)), frames - n)]
 
 
 def _checked(first: Floats, second: Floats, appearance: Floats | None) -> Floats:
@@ -124,44 +158,11 @@ def _checked(first: Floats, second: Floats, appearance: Floats | None) -> Floats
     return looks
 
 
-def _seen(tracks: Floats) -> Mask:
-    return np.asarray(np.isfinite(tracks).all(axis=1))
-
-
-def _prepared(tracks: Floats) -> Floats:
-    """Take the translation out, fill gaps by the tracks' own low rank, and give unit spread."""
-    seen = _seen(tracks)
-    known = np.where(seen[:, None], tracks, 0)
-    if seen.all():
-        filled = known - known.mean(2, keepdims=True)
-    else:
-        low, _ = complete_tracks(known, seen, min(_COMPLETING_RANK, tracks.shape[2] - 2, 2 * len(tracks) - 2))
-        middle = ((known - low) * seen[:, None]).sum(2) / seen.sum(1)[:, None]
-        filled = np.where(seen[:, None], known - middle[:, :, None], low)
-    return np.asarray(filled / max(float(np.sqrt(np.mean(np.sum(filled**2, axis=1)))), 1e-300))
-
-
-def _moves(tracks: Floats) -> bool:
-    """Tell whether points move against each other more than noise does."""
-    motion = (tracks - tracks.mean(0)).reshape(len(tracks), -1)
-    values = np.linalg.svd(motion, compute_uv=False)[: min(len(tracks) - 1, motion.shape[1] - 4)]
-    return bool(values[0] ** 2 > max(_STILL * float(np.median(values**2)), 1e-16 * tracks.size))
-
-
-def _components(a: Floats, b: Floats) -> tuple[Floats, Floats]:
-    """Give the few components in time (K, 2, P) and (K, 2, Q) that hold the tracks of both cameras."""
-    frames, size = len(a), a[0].size
-    together = np.concatenate([a.reshape(frames, -1), b.reshape(frames, -1)], axis=1)
-    times = np.linalg.svd(together, full_matrices=False)[0][:, :_COMPONENTS]
-    few = times.T @ together / np.sqrt(frames)
-    return few[:, :size].reshape(-1, 2, a.shape[2]), few[:, size:].reshape(-1, 2, b.shape[2])
-
-
-def _answers(a: Floats, b: Floats, prior: Floats) -> list[_Answer]:
+def _answers(a: Floats, b: Floats, looks: Floats, prior: float) -> list[_Answer]:
     """Give answers that differ, the best first."""
     found: list[_Answer] = []
-    for start in epipolar_hypotheses(a, b, count=_HYPOTHESES)[:_FINALISTS]:
-        for answer in _improved(a, b, start.rows, start.columns, prior):
+    for start in epipolar_hypotheses(a, b, count=_HYPOTHESES, looks=looks)[:_FINALISTS]:
+        for answer in _improved(a, b, start.rows, start.columns, looks + prior):
             if not any(_same(answer, other) for other in found):
                 found.append(answer)
     return sorted(found, key=lambda answer: -answer.total)
@@ -185,19 +186,36 @@ def _improved(a: Floats, b: Floats, rows: Integers, columns: Integers, prior: Fl
     best = _judged(a, b, rows, columns, prior)
     rivals: list[_Answer] = []
     for _ in range(_ROUNDS):
-        rivals = [_judged(a, b, *chosen, prior) for chosen in _alternatives(best) if len(chosen[0]) >= FEWEST_PAIRS]
-        better = max(rivals, key=lambda answer: answer.total, default=best)
-        if better.total <= best.total:
-            break
+        for propose in (_rechosen, _exchanged):
+            rivals = [_judged(a, b, *chosen, prior) for chosen in propose(a, b, best, prior)]
+            better = max(rivals, key=lambda answer: answer.total, default=best)
+            if better.total > best.total:
+                break
+        else:
+            return [best, *rivals]
         best = better
     return [best, *rivals]
 
 
-def _alternatives(answer: _Answer) -> list[tuple[Integers, Integers]]:
-    """Give what the scores would choose; where that is what there is, the same with two partners exchanged."""
-    rows, columns = best_pairs(answer.score)
-    if not (np.array_equal(rows, answer.rows) and np.array_equal(columns, answer.columns)):
-        return [(rows, columns)]
+def _rechosen(a: Floats, b: Floats, answer: _Answer, prior: Floats) -> list[tuple[Integers, Integers]]:
+    """Give what the scores would choose, also when the pairs there are judge the others less hard."""
+    found: list[tuple[Integers, Integers]] = []
+    for leniency in _LENIENCIES:
+        score = answer.score
+        if leniency > 1:
+            score = pair_evidence(PairTracks(a, b, answer.rows, answer.columns), leniency=leniency) + prior
+        rows, columns = best_pairs(score)
+        known = [(answer.rows, answer.columns), *found]
+        if len(rows) >= FEWEST_PAIRS and not any(
+            np.array_equal(rows, r) and np.array_equal(columns, c) for r, c in known
+        ):
+            found.append((rows, columns))
+    return found
+
+
+def _exchanged(a: Floats, b: Floats, answer: _Answer, prior: Floats) -> list[tuple[Integers, Integers]]:
+    """Give the pairs there are with two partners exchanged, where that costs little."""
+    rows, columns = answer.rows, answer.columns
     between = answer.score[np.ix_(rows, columns)]
     own = np.diagonal(between)
     loss = own[:, None] + own - between - between.T
@@ -212,25 +230,27 @@ def _alternatives(answer: _Answer) -> list[tuple[Integers, Integers]]:
     return found
 
 
-def _told(answers: list[_Answer], own: Integers, other: Integers, shape: tuple[int, int]) -> Correspondence:
-    """Give the best answer, with probabilities over all of them."""
-    best, notes = answers[0], []
+def _told(answers: list[_Answer], own: Integers, other: Integers, late: Floats) -> Correspondence:
+    """Give the best answer with those seen for a part of the time, and probabilities."""
+    best = answers[0]
     kin = [answer for answer in answers if _shared(answer, best) > 0.5]
     chance = max((answer.total for answer in answers if _shared(answer, best) <= 0.5), default=0.0)
     sure = float(expit((best.total - max(chance, 0.0)) / _SCATTER))
     weight = np.exp([answer.total - best.total for answer in kin])
     tables = [pair_probabilities(answer.score) for answer in kin]
-    probability = sure * np.einsum("a,apq->pq", weight / weight.sum(), tables)[best.rows, best.columns]
-    pairs = np.stack([own[best.rows], other[best.columns]], axis=1)
-    score = np.zeros(shape)
-    score[np.ix_(own, other)] = sure * best.score
-    if np.min(probability) < _DOUBTFUL:
-        notes.append(AMBIGUOUS.format(count=int((probability < _DOUBTFUL).sum()), all=len(pairs)))
+    table = np.einsum("a,apq->pq", weight / weight.sum(), tables)
+    score = np.where(np.isnan(late), 0, late)
+    more = best_pairs(score)
+    score[np.ix_(own, other)] = best.score
+    pairs = np.concatenate([np.stack([own[best.rows], other[best.columns]], 1), np.stack(more, 1)])
+    later = pair_probabilities(np.where(np.isnan(late), -np.inf, late))[more]
+    probability = sure * np.concatenate([table[best.rows, best.columns], later])
+    doubtful = int((probability < _DOUBTFUL).sum())
     return Correspondence(
-        pairs=pairs, probability=probability, score=score,
-        alone_first=np.setdiff1d(np.arange(shape[0]), pairs[:, 0]),
-        alone_second=np.setdiff1d(np.arange(shape[1]), pairs[:, 1]),
-        notes=tuple(notes),
+        pairs=pairs, probability=probability, score=sure * score,
+        alone_first=np.setdiff1d(np.arange(len(score)), pairs[:, 0]),
+        alone_second=np.setdiff1d(np.arange(score.shape[1]), pairs[:, 1]),
+        notes=(AMBIGUOUS.format(count=doubtful, all=len(pairs)),) if doubtful else (),
     )  # fmt: skip
 
 

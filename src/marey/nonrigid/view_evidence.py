@@ -42,10 +42,14 @@ class PairTracks:
     """(n,) of the second."""
 
 
-def pair_evidence(pairs: PairTracks) -> Floats:
+def pair_evidence(pairs: PairTracks, *, leniency: float = 1.0) -> Floats:
     """Give the logarithm (P, Q) of how much more probable one point is than two.
 
     Each pair among those given is judged by the others.
+
+    Args:
+        pairs: Tracks and pairs.
+        leniency: Factor of the variance of what pairs leave: a few tight pairs are hard judges of the rest.
     """
     equation = fitted_equation(pairs.first[:, :, pairs.rows], pairs.second[:, :, pairs.columns])
     here, there = np.hypot(*equation[:2]), np.hypot(*equation[2:])
@@ -55,9 +59,9 @@ def pair_evidence(pairs: PairTracks) -> Floats:
     right = -np.einsum("i,kip->kp", equation[2:], pairs.second)
     across_left = np.einsum("i,kip->kp", _perpendicular(equation[:2] / here), pairs.first)
     across_right = np.einsum("i,kip->kp", _perpendicular(equation[2:] / there), pairs.second)
-    forth = _foretold(pairs.first, across_right, pairs.rows, pairs.columns)
-    back = _foretold(pairs.second, across_left, pairs.columns, pairs.rows)
-    return _along(left, right, pairs.rows, pairs.columns) + (forth + back.T) / 2
+    forth = _foretold(pairs.first, across_right, pairs.rows, pairs.columns, leniency)
+    back = _foretold(pairs.second, across_left, pairs.columns, pairs.rows, leniency)
+    return _along(left, right, pairs.rows, pairs.columns, leniency) + (forth + back.T) / 2
 
 
 def _perpendicular(direction: Floats) -> Floats:
@@ -83,24 +87,24 @@ def _variance(away: Floats) -> Floats:
     return np.asarray((count * middle + 4 * middle.mean()) / (count + 4) * (count + 1) / (count - 1) + _LEAST)
 
 
-def _along(left: Floats, right: Floats, rows: Integers, columns: Integers) -> Floats:
+def _along(left: Floats, right: Floats, rows: Integers, columns: Integers, leniency: float) -> Floats:
     """Compare both sides of the equation, (K, P) and (K, Q)."""
     paired = left[:, rows] - right[:, columns]
     offset = np.median(paired, axis=1)
     away = left[:, :, None] - right[:, None, :] - offset[:, None, None]
-    variance = _variance(away[:, rows, columns])
+    variance = leniency * _variance(away[:, rows, columns])
     apart = np.maximum(np.var(left, axis=1) + np.var(right, axis=1), variance)
     return _log_density(away, variance[:, None, None]) - _log_density(away, apart[:, None, None])
 
 
-def _foretold(tracks: Floats, target: Floats, rows: Integers, columns: Integers) -> Floats:
+def _foretold(tracks: Floats, target: Floats, rows: Integers, columns: Integers, leniency: float) -> Floats:
     """Compare a coordinate of the other camera (K, Q) with what one camera's tracks (K, 2, P) say about it."""
     features = _features(tracks, len(rows))
     scale = float(np.mean(features[rows] ** 2))
     fits = [_Regression(features, rows, target[:, columns].T, ridge * scale) for ridge in _RIDGES]
     fit = min(fits, key=lambda fit: float(np.log(np.median(fit.left**2, axis=0) + _LEAST).sum()))
     alone = np.maximum(np.var(target, axis=1), _LEAST)
-    variance = np.minimum(_variance(fit.left.T)[:, None] * fit.doubt, alone[:, None])
+    variance = np.minimum(leniency * _variance(fit.left.T)[:, None] * fit.doubt, alone[:, None])
     guess = np.repeat(fit.guess.T[:, :, None], target.shape[1], axis=2)
     guess[:, :, columns] = fit.guess_without()
     plain = _log_density(target - np.mean(target, axis=1)[:, None], alone[:, None])
