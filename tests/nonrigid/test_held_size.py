@@ -15,7 +15,10 @@ def test_sizes_of_turned_and_shifted_shapes_are_found():
     turns = np.linalg.qr(random.normal(size=(12, 3, 3)))[0]
     turns *= np.sign(np.linalg.det(turns))[:, None, None]
     shape = size[:, None, None] * (turns @ mean) + random.normal(size=(12, 3, 1))
-    np.testing.assert_allclose(magnifications(shape), size, rtol=1e-6)
+    known = random.random((12, 9)) < 0.8
+    known[:, :4] = True
+    shape[:, :, 8] += np.where(known[:, 8], 0, 50.0)[:, None]
+    np.testing.assert_allclose(magnifications(shape, known), size, rtol=1e-6)
 
 
 class Shapes(NamedTuple):

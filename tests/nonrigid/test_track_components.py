@@ -1,7 +1,7 @@
 import numpy as np
+from tests.nonrigid.filmed_surfaces import CAMERAS, filmed, moving_surface
 
 from marey.nonrigid.track_components import components, full_frames, moves, prepared
-from tests.nonrigid.filmed_surfaces import CAMERAS, filmed, moving_surface
 
 
 def tracks_of(seed=0, noise=0.0):

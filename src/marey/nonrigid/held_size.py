@@ -4,11 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from marey.arrays import Floats, frozen
+from marey.arrays import Floats, Mask, frozen
 from marey.nonrigid.alignment import mean_shape
 from marey.nonrigid.many_views import ManyViewShapes, factorise_views
 
 _ROUNDS = 10
+_FEWEST = 6
+"""Points that two cameras see, below which those count that one sees."""
 _SLIGHT = 0.01
 """Magnifications that differ by less are none."""
 
@@ -44,22 +46,44 @@ def factorise_at_held_size(tracks: Floats) -> HeldSizeShapes:
     """
     tracks = np.asarray(tracks, float)
     found = factorise_views(tracks)
-    magnification = magnifications(found.shape)
+    magnification = magnifications(found.shape, _known(tracks))
     if np.ptp(np.log(magnification)) < _SLIGHT:
         return HeldSizeShapes(shapes=found, magnification=np.ones(tracks.shape[1]))
     return HeldSizeShapes(shapes=factorise_views(tracks / magnification[:, None, None]), magnification=magnification)
 
 
-def magnifications(shape: Floats) -> Floats:
-    """Give the sizes (F,) of shapes (F, 3, P) against their mean, 1 on average, by scaled alignment ([Gower1975])."""
+def _known(tracks: Floats) -> Mask:
+    """Tell which places (F, P) are known in space: by two cameras; where those are few in a frame, by one."""
+    cameras = np.isfinite(tracks).all(axis=2).sum(axis=0)
+    twice = cameras >= 2
+    return np.where((twice.sum(axis=1) >= _FEWEST)[:, None], twice, cameras >= 1)
+
+
+def magnifications(shape: Floats, known: Mask) -> Floats:
+    """Give the sizes of shapes against their mean, by scaled alignment ([Gower1975]).
+
+    Args:
+        shape: (F, 3, P).
+        known: (F, P) which points count.
+
+    Returns:
+        (F,) 1 on average; between those of the nearest frames where a frame has fewer than three points that count.
+    """
     points = np.swapaxes(shape, 1, 2)
-    points = points - points.mean(axis=1, keepdims=True)
-    size = np.sqrt(np.mean(points**2, axis=(1, 2)))
-    everywhere = np.ones(points.shape[:2], bool)
+    enough = known.sum(axis=1) >= 3
+    size = np.ones(len(shape))
     for _ in range(_ROUNDS):
-        scaled = points / size[:, None, None]
-        mean, rotation, _ = mean_shape(scaled, everywhere)
-        aligned = np.einsum("fji,fpj->fpi", rotation, points)
-        size = np.einsum("fpi,fpi->f", aligned, aligned) / np.einsum("fpi,pi->f", aligned, mean)
-        size = size / np.exp(np.mean(np.log(size)))
+        mean, rotation, _ = mean_shape(points / size[:, None, None], known)
+        target = np.nan_to_num(mean @ np.swapaxes(rotation, 1, 2))
+        own, fit = _centred(points, known), _centred(target, known)
+        ratio = np.sum(own * own, axis=(1, 2)) / np.maximum(np.sum(own * fit, axis=(1, 2)), 1e-300)
+        ratio = np.interp(np.arange(len(shape)), np.flatnonzero(enough), ratio[enough])
+        size = ratio / np.exp(np.mean(np.log(ratio)))
     return np.asarray(size)
+
+
+def _centred(points: Floats, known: Mask) -> Floats:
+    """Give points (F, P, 3) about the middle of those that are known; 0 for the others."""
+    kept = np.where(known[..., None], points, 0)
+    middle = kept.sum(axis=1) / np.maximum(known.sum(axis=1), 1)[:, None]
+    return np.where(known[..., None], points - middle[:, None], 0)
