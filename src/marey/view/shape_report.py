@@ -199,8 +199,7 @@ def _groups(report: ShapeReport) -> list[PlotGroup]:
     return [
         PlotGroup(
             title="How many basis shapes", plots=[*_rank_plots(found), *_track_rank_plots(report)],
-            legend="Error over the number of basis shapes K, the mean among them; of videos, also over the rank of the "
-            "tracks with which lost points were placed.",
+            legend=_rank_legend(report),
         ),
         PlotGroup(title="Frame by frame", plots=_frame_plots(report), legend="Over seconds."),
         PlotGroup(
@@ -215,26 +214,38 @@ def _groups(report: ShapeReport) -> list[PlotGroup]:
     ]  # fmt: skip
 
 
+def _rank_legend(report: ShapeReport) -> str:
+    """Say what the curves of `_rank_plots` and `_track_rank_plots` are."""
+    said = []
+    if report.found.curve is not None:
+        said.append(f"Over the number K of basis shapes, the mean among them: {report.found.curve.measure}.")
+    if any(len(curve) > 1 for curve in report.track_curves):
+        said.append("Over the rank of the tracks, beside the translation: distance of places held out, RMS [px].")
+    return " ".join(said)
+
+
 def _rank_plots(found: RecoveredShapes) -> list[CurvePlot]:
     curve = found.curve
     if curve is None or len(curve.ranks) < 2:
         return []
-    line = Curve(label="error", values=curve.errors, sd=curve.errors_sd, colour=COLOURS[0])
-    title = f"{curve.measure}; K = {found.basis_shapes} was taken"
-    small = float(np.nanmin(np.abs(curve.errors)))
-    return [
-        CurvePlot(title=title, curves=[line], unit="", least=0.0, digits=_digits(small), axis=curve.ranks.astype(float))
-    ]
+    title = f"basis shapes: {found.basis_shapes} were taken"
+    return [_over_ranks(title, curve.ranks.astype(float), curve.errors, curve.errors_sd, "")]
 
 
 def _track_rank_plots(report: ShapeReport) -> list[CurvePlot]:
-    plots = []
-    for name, curve in zip(report.views, report.track_curves, strict=False):
-        if len(curve) > 1:
-            line = Curve(label="error", values=curve[:, 1], colour=COLOURS[1])
-            title = f"{name}: places held out, by the rank of the tracks beside the translation"
-            plots.append(CurvePlot(title=title, curves=[line], unit=" px", least=0.0, digits=2, axis=curve[:, 0]))
-    return plots
+    return [
+        _over_ranks(f"{name}: rank of the tracks", curve[:, 0], curve[:, 1], np.full(len(curve), np.nan), " px")
+        for name, curve in zip(report.views, report.track_curves, strict=False)
+        if len(curve) > 1
+    ]
+
+
+def _over_ranks(title: str, ranks: Floats, errors: Floats, sd: Floats, unit: str) -> CurvePlot:
+    """Draw errors over ranks; plots have even axes, so that what lies between ranks that were tried is a line."""
+    axis = np.arange(ranks.min(), ranks.max() + 1)
+    line = Curve(label="error", values=np.interp(axis, ranks, errors), sd=np.interp(axis, ranks, sd), colour=COLOURS[0])
+    spread = float(np.ptp(errors))
+    return CurvePlot(title=title, curves=[line], unit=unit, least=0.0, digits=_digits(spread), axis=axis)
 
 
 def _digits(value: float) -> int:
