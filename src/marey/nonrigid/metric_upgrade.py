@@ -17,7 +17,7 @@ SLIGHTEST = 1e-9
 """A singular value below this share of the largest tells nothing."""
 
 
-def rotation_candidates(tracks: Floats) -> Iterator[tuple[int, Floats]]:
+def rotation_candidates(tracks: Floats, ranks: tuple[int, ...] = RANKS) -> Iterator[tuple[int, Floats]]:
     """Find the rotations for several numbers of basis shapes.
 
     W = Q B has rank 3K ([Alexander2003] eq. (12)); some three columns of Q are the rotations themselves, times one
@@ -27,6 +27,7 @@ def rotation_candidates(tracks: Floats) -> Iterator[tuple[int, Floats]]:
 
     Args:
         tracks: (F, 2, P) complete, centred in each frame, orthographic.
+        ranks: numbers of basis shapes that are tried.
 
     Yields:
         K and the rotations (F, 3, 3), camera from object.
@@ -36,7 +37,7 @@ def rotation_candidates(tracks: Floats) -> Iterator[tuple[int, Floats]]:
     most = int((d > SLIGHTEST * d[0]).sum())
     before: Floats | None = None
     rng = np.random.default_rng(0)
-    for rank in RANKS:
+    for rank in ranks:
         if 3 * rank > min(points, 2 * frames) or (before is not None and len(before) >= most):
             return
         count = min(3 * rank, most)

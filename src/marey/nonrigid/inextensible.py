@@ -1,0 +1,167 @@
+"""Depths of a surface that bends and hardly stretches, before one camera of known intrinsics, by a convex programme.
+
+Along known sight lines the points are pushed away from the camera as far as the distances between neighbours allow,
+which are unknown but the same in every frame ([Chhatkuli2018], after the maximum depth of [Perriollat2011]). The
+programme has one minimum, so no start is needed, and perspective tells the sign of depth by itself.
+"""
+
+import numpy as np
+from numba import njit
+
+from marey.arrays import Floats, Integers, Mask
+
+FEWEST_TOGETHER = 3
+"""Frames in which two points must be seen together to be neighbours."""
+APART_IN = 0.95
+"""Share of those frames in which neighbours lie within the distance that ranks them: not all, a track may be lost."""
+PUSH = 0.03
+"""Mean dual of a distance over the stiffness of the splitting: how fast the rounds converge, not what they find."""
+DEAREST = 4.0
+"""What a stretched distance costs at most, over the mean dual of a distance: a lost point stretches its own."""
+ROUNDS = 1500
+STILL = 2e-5
+"""Change of a depth in one round, as a share of it, at which the rounds end."""
+
+
+def neighbours(tracks: Floats, seen: Mask, count: int) -> Integers:
+    """Find the pairs of points that stay close together in the image.
+
+    Args:
+        tracks: (F, 2, P), of any value where not seen.
+        seen: (F, P).
+        count: of neighbours that each point names.
+
+    Returns:
+        (E, 2) pairs, the smaller number first, each once.
+    """
+    points = tracks.shape[2]
+    ranked = np.full((points, points), np.inf)
+    for point in range(points):
+        together = seen & seen[:, point : point + 1]
+        distance = np.linalg.norm(tracks - tracks[:, :, point : point + 1], axis=1)
+        enough = together.sum(0) >= FEWEST_TOGETHER
+        enough[point] = False
+        if enough.any():
+            held = np.where(together, distance, np.nan)[:, enough]
+            ranked[point, enough] = np.nanquantile(held, APART_IN, axis=0)
+    nearest = np.argsort(ranked, axis=1)[:, :count]
+    named = np.isfinite(np.take_along_axis(ranked, nearest, 1))
+    pairs = np.stack([np.repeat(np.arange(points), nearest.shape[1]), nearest.ravel()], 1)[named.ravel()]
+    return np.unique(np.sort(pairs, axis=1), axis=0)
+
+
+def inextensible_depths(rays: Floats, seen: Mask, pairs: Integers) -> tuple[Floats, Floats]:
+    """Find the greatest depths that distances between neighbours allow, the same distances in every frame.
+
+    The mean of the distances is 1. A distance may be exceeded at a price that grows with the excess, not with its
+    square, so that single lost tracks bend nothing else. Solved by alternating directions ([Boyd2011]).
+
+    Args:
+        rays: (F, 3, P) sight lines with third coordinate 1, of any value where not seen.
+        seen: (F, P).
+        pairs: (E, 2) neighbours.
+
+    Returns:
+        Depths (F, P), NaN where a point is not seen or has no neighbour that is; distances (E,).
+    """
+    first, second = np.ascontiguousarray(pairs[:, 0]), np.ascontiguousarray(pairs[:, 1])
+    used = seen[:, first] & seen[:, second]
+    tied = np.zeros(seen.shape, bool)
+    for ends in (first, second):
+        np.logical_or.at(tied.T, ends, used.T)
+    lengths = np.linalg.norm(rays[:, :, first] - rays[:, :, second], axis=1)
+    widest = np.where(used, lengths, 0).max(0)
+    widest = np.where(widest > 0, widest, widest[widest > 0].mean())
+    depth = np.full(seen.shape, 1 / widest.mean())
+    inverse = _inverses(rays, used, first, second)
+    push = PUSH * len(pairs) * widest.mean() / tied.sum(1).mean()
+    found, distance = _rounds(
+        np.ascontiguousarray(np.swapaxes(rays, 1, 2)), used, tied, first, second, inverse, depth,
+        widest / widest.mean(), push, DEAREST * PUSH, ROUNDS, STILL,
+    )  # fmt: skip
+    return np.where(tied, found, np.nan), distance
+
+
+def _inverses(rays: Floats, used: Mask, first: Integers, second: Integers) -> Floats:
+    """Invert, for each frame, the squared map (P, P) from depths to differences of neighbours."""
+    frames, _, points = rays.shape
+    square = np.zeros((points, points, frames))
+    for one, other in ((first, second), (second, first)):
+        own = np.where(used, (rays[:, :, one] ** 2).sum(1), 0)
+        across = np.where(used, -(rays[:, :, one] * rays[:, :, other]).sum(1), 0)
+        np.add.at(square, (one, one), own.T)
+        np.add.at(square, (one, other), across.T)
+    square = np.ascontiguousarray(np.moveaxis(square, 2, 0))
+    ridge = 1e-9 * np.einsum("fpp->f", square) / points + 1e-12
+    return np.linalg.inv(square + ridge[:, None, None] * np.eye(points))
+
+
+@njit(cache=True, nogil=True)
+def _rounds(
+    rays, used, tied, first, second, inverse, depth, distance, push, dearest, rounds, still
+):  # pragma: no cover - compiled
+    """Do the alternating steps; rays (F, P, 3), the rest as above."""
+    frames, points, _ = rays.shape
+    edges = len(first)
+    apart = np.zeros((frames, edges, 3))
+    apart_dual, own_dual = np.zeros((frames, edges, 3)), np.zeros((frames, edges))
+    own = np.zeros((frames, edges))
+    for f in range(frames):
+        for e in range(edges):
+            own[f, e] = distance[e]
+            for k in range(3):
+                apart[f, e, k] = rays[f, first[e], k] * depth[f, first[e]] - rays[f, second[e], k] * depth[f, second[e]]
+    times = np.zeros(edges)
+    for e in range(edges):
+        for f in range(frames):
+            times[e] += used[f, e]
+    right, wanted = np.zeros(points), np.zeros(3)
+    for _ in range(rounds):
+        total = 0.0
+        for e in range(edges):
+            mean = 0.0
+            for f in range(frames):
+                if used[f, e]:
+                    mean += own[f, e] - own_dual[f, e]
+            distance[e] = mean / max(times[e], 1.0)
+            total += distance[e]
+        for e in range(edges):
+            distance[e] += 1.0 - total / edges
+        moved = 0.0
+        for f in range(frames):
+            right[:] = 0.0
+            for p in range(points):
+                if tied[f, p]:
+                    right[p] = push
+            for e in range(edges):
+                if used[f, e]:
+                    for k in range(3):
+                        wish = apart[f, e, k] - apart_dual[f, e, k]
+                        right[first[e]] += rays[f, first[e], k] * wish
+                        right[second[e]] -= rays[f, second[e], k] * wish
+            solved = inverse[f] @ right
+            for p in range(points):
+                if tied[f, p]:
+                    moved = max(moved, abs(solved[p] - depth[f, p]) / max(abs(solved[p]), 1e-12))
+                    depth[f, p] = solved[p]
+            for e in range(edges):
+                if not used[f, e]:
+                    continue
+                length = 0.0
+                for k in range(3):
+                    apart_dual[f, e, k] += (
+                        rays[f, first[e], k] * depth[f, first[e]] - rays[f, second[e], k] * depth[f, second[e]]
+                    )
+                    wanted[k] = apart_dual[f, e, k]
+                    length += wanted[k] ** 2
+                length = np.sqrt(length)
+                allowed = distance[e] + own_dual[f, e]
+                less = min(max(0.5 * (length - allowed), 0.0), dearest, length)
+                own[f, e] = allowed + less
+                own_dual[f, e] = -less
+                for k in range(3):
+                    apart[f, e, k] = wanted[k] * (1.0 - less / max(length, 1e-300))
+                    apart_dual[f, e, k] = wanted[k] - apart[f, e, k]
+        if moved < still:
+            break
+    return depth, distance
