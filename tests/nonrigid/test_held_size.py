@@ -1,4 +1,4 @@
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -21,10 +21,30 @@ def test_sizes_of_turned_and_shifted_shapes_are_found():
     np.testing.assert_allclose(magnifications(shape, known), size, rtol=1e-6)
 
 
-class Shapes(NamedTuple):
+@dataclass(frozen=True)
+class Shapes:
     """As much of an answer as is looked at."""
 
     shape: np.ndarray
+    camera_from_first: np.ndarray
+    camera_sd: np.ndarray
+    scale: np.ndarray
+    translation: np.ndarray
+    noise_sd: np.ndarray
+    residuals: np.ndarray
+
+
+def answer(tracks, shape):
+    count = len(tracks)
+    return Shapes(
+        shape,
+        np.tile(np.eye(3), (count, 1, 1)),
+        np.zeros((count, 3)),
+        np.ones(count),
+        np.zeros((count, 10, 2)),
+        np.ones(count),
+        np.zeros((count, 10, 8)),
+    )
 
 
 @pytest.mark.parametrize("spread", [0.1, 1e-3])
@@ -36,7 +56,7 @@ def test_tracks_are_divided_by_magnifications_worth_the_name(monkeypatch, spread
 
     def factorise(tracks):
         asked.append(tracks)
-        return Shapes(size[:, None, None] * mean)
+        return answer(tracks, size[:, None, None] * mean)
 
     mean, tracks = random.normal(size=(3, 8)), random.normal(size=(2, 10, 2, 8))
     monkeypatch.setattr(held_size, "factorise_views", factorise)
@@ -47,3 +67,13 @@ def test_tracks_are_divided_by_magnifications_worth_the_name(monkeypatch, spread
     else:
         assert np.array_equal(found.magnification, np.ones(10))
         assert len(asked) == 1
+
+
+def test_a_camera_that_shares_no_point_has_no_answer(monkeypatch):
+    random = np.random.default_rng(1)
+    mean, tracks = random.normal(size=(3, 8)), random.normal(size=(3, 10, 2, 8))
+    tracks[1] = np.nan
+    monkeypatch.setattr(held_size, "factorise_views", lambda kept: answer(kept, np.tile(mean, (10, 1, 1))))
+    found = held_size.factorise_at_held_size(tracks).shapes
+    assert np.array_equal(np.isfinite(found.scale), [True, False, True])
+    assert np.array_equal(np.isfinite(found.residuals).all(axis=(1, 2)), [True, False, True])

@@ -1,6 +1,7 @@
 """Shapes before cameras that see things smaller when they are farther away: the object's size is held."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -8,6 +9,7 @@ from marey.arrays import Floats, Mask, frozen
 from marey.nonrigid.alignment import mean_shape
 from marey.nonrigid.many_views import ManyViewShapes, factorise_views
 
+_OF_CAMERAS = ("camera_from_first", "camera_sd", "scale", "translation", "noise_sd", "residuals")
 _ROUNDS = 10
 _FEWEST = 6
 """Points that two cameras see, below which those count that one sees."""
@@ -36,20 +38,38 @@ def factorise_at_held_size(tracks: Floats) -> HeldSizeShapes:
     together. [Alexander2003] section 2.4 leaves it in the coefficients.
 
     Args:
-        tracks: (C, F, 2, P) as for `factorise_views`.
+        tracks: (C, F, 2, P) as for `factorise_views`; of a camera that shares no point all NaN.
 
     Returns:
-        The shapes; where the magnification is as good as constant, those of the tracks as they are.
+        The shapes; where the magnification is as good as constant, those of the tracks as they are. What belongs to a
+        camera that shares no point is NaN.
 
     Raises:
         MareyError: As `factorise_views`.
     """
     tracks = np.asarray(tracks, float)
-    found = factorise_views(tracks)
+    tied = np.isfinite(tracks).any(axis=(1, 2, 3))
+    found = factorise_views(tracks[tied])
     magnification = magnifications(found.shape, _known(tracks))
     if np.ptp(np.log(magnification)) < _SLIGHT:
-        return HeldSizeShapes(shapes=found, magnification=np.ones(tracks.shape[1]))
-    return HeldSizeShapes(shapes=factorise_views(tracks / magnification[:, None, None]), magnification=magnification)
+        magnification = np.ones(tracks.shape[1])
+    else:
+        found = factorise_views(tracks[tied] / magnification[:, None, None])
+    return HeldSizeShapes(shapes=_of_all_cameras(found, tied), magnification=magnification)
+
+
+def _of_all_cameras(found: ManyViewShapes, tied: Mask) -> ManyViewShapes:
+    """Give an answer of some cameras among all of them; NaN for the others."""
+    if tied.all():
+        return found
+
+    def wide(values: Floats) -> Floats:
+        full = np.full((len(tied), *values.shape[1:]), np.nan)
+        full[tied] = values
+        return full
+
+    parts: dict[str, Any] = {name: wide(getattr(found, name)) for name in _OF_CAMERAS}
+    return replace(found, **parts)
 
 
 def _known(tracks: Floats) -> Mask:
