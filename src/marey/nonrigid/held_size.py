@@ -48,7 +48,7 @@ def factorise_at_held_size(tracks: Floats) -> HeldSizeShapes:
         MareyError: As `factorise_views`.
     """
     tracks = np.asarray(tracks, float)
-    tied = np.isfinite(tracks).any(axis=(1, 2, 3))
+    tied: Mask = np.asarray(np.isfinite(tracks).any(axis=(1, 2, 3)))
     found = factorise_views(tracks[tied])
     magnification = magnifications(found.shape, _known(tracks))
     if np.ptp(np.log(magnification)) < _SLIGHT:

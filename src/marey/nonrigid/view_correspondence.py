@@ -14,6 +14,8 @@ from marey.nonrigid.view_evidence import FEWEST_PAIRS, PairTracks, pair_evidence
 
 _HYPOTHESES = 40
 _FINALISTS = 6
+_HOPELESS = 0.25
+"""Answers whose total is below this share of the best one's are not improved."""
 _ROUNDS = 20
 _WELL_SEEN = 0.7
 """Points that are seen in a smaller share of the frames are judged only after the others, by the time they are seen."""
@@ -161,11 +163,16 @@ def _checked(first: Floats, second: Floats, appearance: Floats | None) -> Floats
 def _answers(a: Floats, b: Floats, looks: Floats, prior: float) -> list[_Answer]:
     """Give answers that differ, the best first."""
     found: list[_Answer] = []
-    for start in epipolar_hypotheses(a, b, count=_HYPOTHESES, looks=looks)[:_FINALISTS]:
-        for answer in _improved(a, b, start.rows, start.columns, looks + prior):
-            if not any(_same(answer, other) for other in found):
-                found.append(answer)
-    return sorted(found, key=lambda answer: -answer.total)
+    starts = epipolar_hypotheses(a, b, count=_HYPOTHESES, looks=looks)[:_FINALISTS]
+    judged = [_judged(a, b, s.rows, s.columns, looks + prior) for s in starts if len(s.rows) >= FEWEST_PAIRS]
+    for answer in sorted(judged, key=lambda answer: -answer.total):
+        # What comes nowhere near the best so far only tells what chance can do.
+        hopeless = bool(found) and answer.total < _HOPELESS * found[0].total
+        for better in [answer] if hopeless else _improved(a, b, answer, looks + prior):
+            if not any(_same(better, other) for other in found):
+                found.append(better)
+        found.sort(key=lambda answer: -answer.total)
+    return found
 
 
 def _same(one: _Answer, other: _Answer) -> bool:
@@ -179,11 +186,8 @@ def _judged(a: Floats, b: Floats, rows: Integers, columns: Integers, prior: Floa
     return _Answer(rows, columns, score, float(score[rows, columns].sum()) - cost)
 
 
-def _improved(a: Floats, b: Floats, rows: Integers, columns: Integers, prior: Floats) -> list[_Answer]:
+def _improved(a: Floats, b: Floats, best: _Answer, prior: Floats) -> list[_Answer]:
     """Judge all pairs by those there are, and choose anew, until nothing helps; give the best and its near rivals."""
-    if len(rows) < FEWEST_PAIRS:
-        return []
-    best = _judged(a, b, rows, columns, prior)
     rivals: list[_Answer] = []
     for _ in range(_ROUNDS):
         for propose in (_rechosen, _exchanged):
