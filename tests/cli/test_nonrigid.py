@@ -441,3 +441,34 @@ def test_points_of_one_video_are_found_in_another_one(from_video, video):
     truth = np.stack([[v[y, x] for v in seen_from(f, 0.25)] for f in range(SHOWN)])
     assert np.nanmedian(np.linalg.norm(tracks - truth, axis=1)) < 1.0
     assert not (out / "overlay_beside.mp4").exists()
+
+
+def test_known_intrinsics_tell_the_shape_in_perspective(tmp_path, made):
+    path, shapes, _ = made
+    points = before_camera(path[:24], shapes[:24])
+    pixels = points @ MATRIX.T
+    tracks = np.moveaxis(pixels[..., :2] / pixels[..., 2:], 2, 1)
+    np.savez(tmp_path / "camera.npz", matrix=MATRIX)
+    given = write(tmp_path, tracks=tracks + 0.1 * np.random.default_rng(2).normal(size=tracks.shape))
+    assert run(["nonrigid", given, "--matrix", str(tmp_path / "camera.npz"), "--quiet"]) == 0
+    arrays = read_arrays(tmp_path / "given_marey" / "shapes.npz")
+    assert arrays["kind"] == "one camera, full perspective"
+    placed = arrays["rotation"] @ arrays["shape"] + arrays["translation"][:, :, None]
+    shown = MATRIX @ placed
+    np.testing.assert_allclose(shown[:, :2] / shown[:, 2:], arrays["modelled"][0], atol=1e-6)
+    assert np.median(arrays["residuals"]) < 5
+    scale = np.linalg.norm(shapes[:24] / 800) / np.linalg.norm(arrays["shape"])
+    away = np.linalg.norm(scale * (placed - placed.mean(2, keepdims=True)) - path[:24] @ shapes[:24] / 800, axis=1)
+    assert away.mean() < 0.3 * shapes.std() / 800
+
+
+def test_one_calibrated_camera_gives_its_matrix_and_lens(tmp_path, seen_by_rig):
+    rig, _, tracks = seen_by_rig
+    write_cameras_toml(rig, tmp_path / "cameras.toml")
+    np.savez(tmp_path / "middle.npz", tracks=tracks[1, :24])
+    arguments = [str(tmp_path / "middle.npz"), "--cameras", str(tmp_path / "cameras.toml"), "--quiet"]
+    assert run(["nonrigid", *arguments]) == 0
+    arrays = read_arrays(tmp_path / "middle_marey" / "shapes.npz")
+    assert arrays["kind"] == "one camera, full perspective"
+    # The model is shown through the lens: it lies on the tracks as they were given.
+    assert np.linalg.norm(arrays["modelled"][0] - tracks[1, :24], axis=1).mean() < 5

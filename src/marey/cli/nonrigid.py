@@ -7,27 +7,29 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from marey.arrays import Mask
+from marey.arrays import Floats, Mask
+from marey.cameras.camera import Camera
 from marey.cli.nonrigid_input import NonRigidInput, read_input
 from marey.cli.nonrigid_measure import MeasuredPoints, measure_points
 from marey.cli.nonrigid_results import write_results
 from marey.cli.nonrigid_settings import NonRigidOptions
 from marey.cli.progress import Progress
 from marey.cli.run_record import StageCache
-from marey.errors import SettingProblem
 from marey.io.shapes import shape_arrays, shapes_from
 from marey.io.stages import file_fingerprint
-from marey.nonrigid import one_view
+from marey.nonrigid import one_view, perspective
 from marey.nonrigid.calibrated import factorise_calibrated
 from marey.nonrigid.homogeneous import factorise_points
 from marey.nonrigid.many_views import factorise_views
 from marey.nonrigid.one_view import factorise_tracks
+from marey.nonrigid.perspective import factorise_perspective
 from marey.nonrigid.recovered import (
     UNSAID,
     RecoveredShapes,
     from_calibrated,
     from_many_views,
     from_one_view,
+    from_perspective,
     from_points,
     known_distance,
     usable,
@@ -99,6 +101,8 @@ def _least(given: NonRigidInput, measured: MeasuredPoints) -> tuple[int, int]:
     """Say how many points a frame, and how many frames a point must have at least."""
     if measured.points is not None or given.rig is not None:
         return 3, 2
+    if given.camera is not None:
+        return perspective.FEWEST_POINTS, perspective.FEWEST_FRAMES
     return one_view.FEWEST_POINTS, one_view.FEWEST_FRAMES
 
 
@@ -111,7 +115,8 @@ def _factorised(
     assert measured.tracks is not None
     tracks = measured.tracks[:, frames][..., points]
     if given.camera is not None:
-        raise SettingProblem("--matrix and --cameras of one camera are not used yet: leave them out.")
+        straight = _straightened(tracks[0], given.camera)
+        return from_perspective(factorise_perspective(straight, given.camera.matrix), given.camera)
     if given.rig is not None:
         sd = None if measured.tracks_sd is None else measured.tracks_sd[:, frames][..., points]
         found = factorise_calibrated(tracks, given.rig, tracks_sd=sd, rank=options.basis_shapes)
@@ -119,6 +124,12 @@ def _factorised(
     if len(tracks) > 1:
         return from_many_views(factorise_views(tracks))
     return from_one_view(factorise_tracks(tracks[0]))
+
+
+def _straightened(tracks: Floats, camera: Camera) -> Floats:
+    """Take the lens out of tracks (F, 2, P): give the pixels of a camera of the same matrix without one."""
+    flat = camera.undistort(np.moveaxis(tracks, 1, 2))
+    return np.moveaxis(flat @ camera.matrix[:2, :2].T + camera.matrix[:2, 2], 2, 1)
 
 
 def _left_out(frames: Mask, points: Mask, labels: Sequence[str]) -> list[str]:

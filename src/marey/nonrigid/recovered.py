@@ -5,12 +5,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from marey.arrays import Floats, Integers, Mask, frozen
+from marey.cameras.camera import Camera
 from marey.cameras.rig import Rig
 from marey.errors import MareyError
 from marey.nonrigid.calibrated import CalibratedShapes
 from marey.nonrigid.homogeneous import HomogeneousShapes
 from marey.nonrigid.many_views import ManyViewShapes
 from marey.nonrigid.one_view import NonRigidShapes
+from marey.nonrigid.perspective import PerspectiveShapes
 
 ONE_VIEW = "one camera, orthographic"
 PERSPECTIVE = "one camera, full perspective"
@@ -229,6 +231,23 @@ def _evidence_curve(curve: Floats) -> RankCurve:
     return RankCurve(
         ranks=curve[:, 0].astype(np.int64), errors=curve[:, 1], errors_sd=np.full(len(curve), np.nan),
         measure="minus the logarithm of the tracks' probability and a price of the shapes, a coordinate",
+    )  # fmt: skip
+
+
+def from_perspective(found: PerspectiveShapes, camera: Camera) -> RecoveredShapes:
+    """Take over what one camera of known intrinsics told.
+
+    Args:
+        found: The answer.
+        camera: Whose tracks they were, standing at the origin; it says where the points appear.
+    """
+    modelled = camera.project(np.moveaxis(found.points, 1, 2))
+    return RecoveredShapes(
+        kind=PERSPECTIVE, shape=found.shape, shape_sd=found.shape_sd, rotation=found.rotation,
+        rotation_sd=found.rotation_sd, translation=found.translation, basis=found.basis,
+        coefficients=found.coefficients, residuals=found.residuals[None], predicted=found.predicted,
+        modelled=np.moveaxis(modelled, 1, 2)[None], noise_sd=np.array([found.noise_sd]), gauge=GAUGES[PERSPECTIVE],
+        notes=found.notes, unit="px", residual_unit="px",
     )  # fmt: skip
 
 
