@@ -3,7 +3,7 @@ import pytest
 from tests.warped_video import SIZE, picture, place, texture, video
 
 from marey.errors import SettingProblem
-from marey.images.feature_tracks import FeatureTracks, FollowSettings, extrapolated, follow_points
+from marey.images.feature_tracks import FeatureTracks, FollowSettings, extrapolated, follow_points, said_by_others
 from marey.images.features import good_features
 
 FRAMES = 16
@@ -103,3 +103,16 @@ def test_tracks_that_do_not_fit_together_are_refused():
         FeatureTracks(tracks=tracks, tracks_sd=tracks, visible=marks[:2], predicted=marks)
     with pytest.raises(SettingProblem, match="cannot be predicted"):
         FeatureTracks(tracks=tracks, tracks_sd=tracks, visible=~marks, predicted=~marks)
+
+
+def test_each_point_is_told_by_the_others_alone(rng):
+    points = rng.uniform(0, 100, size=(20, 2))
+    places = points @ [[1.1, 0.2], [-0.1, 0.9]] + (5, -3)
+    moved = places.copy()
+    moved[4] += 30
+    places[7] = moved[7] = np.nan
+    said = said_by_others(points, places)
+    assert np.isnan(said[7]).all()
+    assert np.nanmedian(np.linalg.norm(said - places, axis=1)) < 0.5
+    np.testing.assert_allclose(said_by_others(points, moved)[4], said[4])
+    assert np.isnan(said_by_others(points[:3], points[:3])).all()

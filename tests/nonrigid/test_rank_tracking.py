@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from tests.warped_video import picture, place, texture, video
@@ -90,6 +92,16 @@ def test_drift_of_younger_references_is_recovered():
     before = np.linalg.norm(followed.found.tracks - truth, axis=1)[younger]
     after = np.linalg.norm(result.tracks.tracks - truth, axis=1)[younger]
     assert np.mean(after**2) < np.mean(before**2)
+
+
+def test_a_point_that_slid_off_is_found_out_by_its_neighbours(made):
+    pictures, followed, truth = made
+    tracks, used = np.array(followed.found.tracks), followed.used.copy()
+    tracks[12:, :, 5] += 12.0
+    used[12:, 5] = truth.shape[2]
+    slid = replace(followed, found=replace(followed.found, tracks=tracks), used=used)
+    away = np.linalg.norm(refine_tracks(pictures, slid).tracks.tracks - truth, axis=1)
+    assert away[:, 5].max() < 1.0
 
 
 def test_too_few_points_for_a_rank_are_refused(made):

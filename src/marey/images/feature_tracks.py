@@ -293,22 +293,44 @@ def extrapolated(points: Floats, places: Floats, otherwise: Floats) -> tuple[Flo
     if np.count_nonzero(known) < 3:
         return filled, maps
     rows = np.flatnonzero(~known)
-    distance = np.linalg.norm(points[rows, None] - points[known], axis=2)
-    nearest = np.argsort(distance, axis=1)[:, :_NEIGHBOURS]
+    motion = _motions(points[rows], points[known], places[known] - points[known], 0)
+    filled[rows] = points[rows] + motion[:, 0]
+    maps[rows] = np.eye(2) + np.swapaxes(motion[:, 1:], 1, 2)
+    return filled, maps
+
+
+def said_by_others(points: Floats, places: Floats) -> Floats:
+    """Give where the nearest other points say that each known point is, whatever was found of itself.
+
+    Args:
+        points: (P, 2) places in a frame in which all are known [px].
+        places: (P, 2) in another one; NaN where not known.
+
+    Returns:
+        (P, 2); NaN where not known, and where fewer than three others are.
+    """
+    known, said = np.all(np.isfinite(places), axis=1), np.full(places.shape, np.nan)
+    if np.count_nonzero(known) > 3:
+        own = points[known]
+        said[known] = own + _motions(own, own, places[known] - own, 1)[:, 0]
+    return said
+
+
+def _motions(points: Floats, others: Floats, moved: Floats, skipped: int) -> Floats:
+    """Give the affine motions (n, 3, 2) about points by the nearest others, which moved so; skip the very nearest."""
+    distance = np.linalg.norm(points[:, None] - others, axis=2)
+    nearest = np.argsort(distance, axis=1)[:, skipped : skipped + _NEIGHBOURS]
     scale = np.take_along_axis(distance, nearest, 1)
     weight = 1 / (scale**2 + scale.max(axis=1, keepdims=True) ** 2 / 4 + 1e-9)
-    offsets = points[known][nearest] - points[rows, None]
-    shifts = (places[known] - points[known])[nearest]
+    offsets = others[nearest] - points[:, None]
+    shifts = moved[nearest]
     # A weak pull towards a common shift settles what neighbours on a line leave open.
     columns = np.concatenate([np.ones((*offsets.shape[:2], 1)), offsets], axis=2)
     normal = np.einsum("nka,nk,nkb->nab", columns, weight, columns)
     size = np.einsum("nk,nki->n", weight, offsets**2)[:, None]
     normal[:, [1, 2], [1, 2]] += 0.05 * size + 1e-9
     right = np.einsum("nka,nk,nki->nai", columns, weight, shifts)
-    motion = np.linalg.solve(normal, right)
-    filled[rows] = points[rows] + motion[:, 0]
-    maps[rows] = np.eye(2) + np.swapaxes(motion[:, 1:], 1, 2)
-    return filled, maps
+    return np.linalg.solve(normal, right)
 
 
 def _found(

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from marey.arrays import Floats, Mask, frozen
-from marey.errors import MareyError
+from marey.errors import MareyError, SettingProblem
 from marey.geometry import rotations
 from marey.nonrigid.completion import complete_tracks
 from marey.nonrigid.deforming_model import DeformingModel, basis_cost, begin, improve, keep_modes, shape_variance
@@ -143,21 +143,24 @@ class _Answer:
     cost: float
 
 
-def factorise_tracks(tracks: Floats) -> NonRigidShapes:
+def factorise_tracks(tracks: Floats, *, rank: int | None = None) -> NonRigidShapes:
     """Find shapes, rotations and basis shapes from the tracks of one camera, orthographic and of one scale.
 
     Args:
         tracks: (F, 2, P) in any unit; NaN where a point is not seen.
+        rank: K, the number of basis shapes with the mean; None chooses it.
 
     Returns:
         The shapes.
 
     Raises:
+        SettingProblem: The rank is no number of basis shapes that so many frames can tell.
         MareyError: There are too few frames or points, a frame or point is never seen, or the camera sees the object
             from one side only.
     """
     tracks = np.asarray(tracks, float)
     seen = _checked(tracks)
+    numbers = _numbers_of_modes(len(tracks), rank)
     weight = seen.astype(float)
     known = np.where(seen[:, None], tracks, 0)
     middle = known.sum(2) / weight.sum(1)[:, None]
@@ -169,7 +172,7 @@ def factorise_tracks(tracks: Floats) -> NonRigidShapes:
     complete, noise = (known, 0.0) if seen.all() else complete_tracks(known, seen, COMPLETING_RANK)
     notes = _told_by_rank(complete, noise)
     best, judged = _judge(known, weight, complete)
-    refined = _refined(known, weight, best, max(noise, FIRST_NOISE))
+    refined = _refined(known, weight, best, numbers, max(noise, FIRST_NOISE))
     model = copy(min(refined, key=lambda answer: answer.cost).model)
     _hold_lengths(model, known, weight)
     coordinates = 2 * float(weight.sum())
@@ -237,10 +240,18 @@ def _told_by_rank(complete: Floats, noise: float) -> tuple[str, ...]:
     return ()
 
 
-def _refined(known: Floats, weight: Floats, best: _Answer, noise: float) -> list[_Answer]:
+def _numbers_of_modes(frames: int, rank: int | None) -> list[int]:
+    if rank is None:
+        return sorted({_most(modes, frames) for modes in MODES})
+    if not 2 <= rank <= frames:
+        raise SettingProblem(f"{rank} basis shapes cannot be told from {frames} frames: 2 to {frames} can.")
+    return [rank - 1]
+
+
+def _refined(known: Floats, weight: Floats, best: _Answer, numbers: list[int], noise: float) -> list[_Answer]:
     """Refine the best path's answer with several numbers of modes."""
     answers = []
-    for modes in sorted({_most(modes, len(known)) for modes in MODES}):
+    for modes in numbers:
         model = begin(known, weight, best.rotation, best.shapes, modes, noise)
         improve(model, known, weight, ROUNDS)
         answers.append(replace(best, model=model, cost=model.cost + PRICE * basis_cost(model)))

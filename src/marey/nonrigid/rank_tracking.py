@@ -1,6 +1,6 @@
 """Tracks of all points in all frames solved together from the grey values, under a low rank."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from marey.images.feature_tracks import (
     Pictures,
     extrapolated,
     follow_points,
+    said_by_others,
 )
 from marey.images.features import edge_features, good_features
 from marey.images.splines import SplinePicture, spline_of
@@ -28,6 +29,13 @@ from marey.nonrigid.weighted_factorisation import (
 
 _RANKS = (2, 3, 4, 5, 6, 7, 8, 9, 10, 12, 14)
 """Ranks that are tried, beside the translation."""
+_MORE_RANKS = (*_RANKS, 17, 20, 24, 28, 34, 40)
+"""Ranks for one video, whose lens and whose surface bend the tracks beyond what few shapes do."""
+_PAST_BEST = 3
+"""So many ranks after the best one no further are tried."""
+_ASTRAY = 3.0
+"""A place that only a younger reference gave is no good where it lies farther from what its neighbours say than this
+many times the distance below which 95 % of all places lie."""
 _HELD_OUT = 0.1
 """Share of the well-known places that are hidden to choose the rank."""
 _CLUMP = 0.1
@@ -107,13 +115,14 @@ def refine_tracks(
         SettingProblem: Fewer points or frames than the least rank needs.
     """
     settings = settings or RankSettings()
+    followed = _without_strays(followed)
     places = _complete(followed)
     rank = settings.rank
     curve: Floats = np.empty((0, 2))
     for _ in range(settings.passes):
         equations = _equations(pictures, followed, places, settings, patches)
         if rank is None:
-            rank, curve = choose_rank(equations, places)
+            rank, curve = choose_rank(equations, places, ranks=_MORE_RANKS)
         _require_enough(equations, rank)
         model = factorise(equations, places, rank)
         refined, covariance = combined(equations, model)
@@ -172,6 +181,23 @@ def _require_enough(equations: PlaceEquations, rank: int) -> None:
             f"{points} points seen in {frames} frames are too few for tracks of rank {rank}: more points than "
             f"{rank + 1} and more frames than {(rank + 1) // 2} are needed."
         )
+
+
+def _without_strays(followed: FollowedPoints) -> FollowedPoints:
+    """Leave out places that a younger reference gave and that jumped away from all neighbours.
+
+    Whoever is compared with yesterday's patch alone slides on to what looks like it; neighbours tell.
+    """
+    found, first = np.swapaxes(followed.found.tracks, 1, 2), followed.guesses[followed.start].T
+    away = np.stack([np.linalg.norm(now - said_by_others(first, now), axis=1) for now in found])
+    if not np.isfinite(away).any():
+        return followed
+    stray = np.nan_to_num(away) > _ASTRAY * np.nanpercentile(away, 95)
+    stray &= followed.used >= found.shape[1]
+    places = np.swapaxes(np.where(stray[..., None], np.nan, found), 1, 2)
+    deviations = np.where(stray[:, None], np.nan, followed.found.tracks_sd)
+    marks = replace(followed.found, tracks=places, tracks_sd=deviations, visible=followed.found.visible & ~stray)
+    return replace(followed, found=marks, used=np.where(stray, -1, followed.used))
 
 
 def _complete(followed: FollowedPoints) -> Floats:
@@ -264,12 +290,13 @@ def combined(equations: PlaceEquations, model: LowRankTracks) -> tuple[Floats, F
     return refined, covariance
 
 
-def choose_rank(equations: PlaceEquations, places: Floats) -> tuple[int, Floats]:
+def choose_rank(equations: PlaceEquations, places: Floats, *, ranks: tuple[int, ...] = _RANKS) -> tuple[int, Floats]:
     """Choose the rank by hiding well-known places and seeing how far from the model comes.
 
     Args:
         equations: What the grey values say.
         places: (F, P, 2) to begin with [px].
+        ranks: The ranks to try, from the least on, until they have long been past the best.
 
     Returns:
         The least rank whose error is within 2 % of the best, and the curve (n, 2) of ranks and errors [px].
@@ -277,18 +304,20 @@ def choose_rank(equations: PlaceEquations, places: Floats) -> tuple[int, Floats]
     Raises:
         SettingProblem: There are too few points or frames for any rank.
     """
-    _require_enough(equations, _RANKS[0])
+    _require_enough(equations, ranks[0])
     hidden, kept, truth = _held_out(equations, places)
     points = int((kept.known.sum(axis=0) > 0).sum())
-    curve = []
-    for rank in _RANKS:
+    curve: list[tuple[int, float]] = []
+    for rank in ranks:
+        if curve and len(curve) - 1 - int(np.argmin([error for _, error in curve])) >= _PAST_BEST:
+            break
         if points <= 2 * rank or len(places) <= rank:
             break
         model = factorise(kept, places, rank, rounds=15)
         away = np.sum((model.places()[hidden] - truth) ** 2, axis=1)
         away = away[np.isfinite(away)]
         # A few hidden places are wrong themselves: the largest do not count.
-        curve.append((rank, np.sqrt(np.mean(np.sort(away)[: max(1, int(0.95 * len(away)))]))))
+        curve.append((rank, float(np.sqrt(np.mean(np.sort(away)[: max(1, int(0.95 * len(away)))])))))
     if not curve:
         raise SettingProblem(f"{points} points in {len(places)} frames are too few to choose a rank.")
     errors = np.array(curve)
