@@ -1,11 +1,12 @@
 """Shapes from the tracks of one camera against the true ones, by the agreed score, with one default for all.
 
-    python bench/nonrigid.py SHARED OUT [NAME ...] [--degraded] [--plain]
+    python bench/nonrigid.py SHARED OUT [NAME ...] [--degraded] [--plain] [--curve]
 
 NAME is a sequence of SHARED/data/nonrigid (by default all with tracks). `--degraded` adds noise and gaps first, by
-SHARED/score/degrade.py with seeds 0 to 2; `--plain` is the paper's own method instead, for 1 to 5 basis shapes. Prints
-a row a sequence: metric A, the number of basis shapes, the share of coordinates that the stated 95 % intervals hold,
-and the processor time of one thread. `--speed` alone times 100 points over 300 frames.
+SHARED/score/degrade.py with seeds 0 to 2; `--plain` is the paper's own method instead, for 1 to 5 basis shapes;
+`--curve` shows, after `degrade.py` with seed 0, what speaks against each number of basis shapes and its true error.
+Prints a row a sequence: metric A, the number of basis shapes, the share of coordinates that the stated 95 % intervals
+hold, and the processor time of one thread. `--speed` alone times 100 points over 300 frames.
 """
 
 import json
@@ -80,6 +81,18 @@ def score(shared: Path, source: Path, tracks: Path, out: Path) -> str:
     return f"{row(shared, source, tracks.stem, found, out)}, 95 % intervals hold {held}, {seconds:.0f} s\n"
 
 
+def curve(shared: Path, source: Path, name: str, out: Path) -> None:
+    """Print for every number of basis shapes that is tried what speaks against it, and the error that it has."""
+    tracks = np.load(degraded(shared, source, out, 0))["tracks"]
+    chosen = factorise_tracks(tracks)
+    taken = chosen.rank_curve[np.argmin(chosen.rank_curve[:, 1]), 0]
+    for rank, against in chosen.rank_curve:
+        found = chosen if rank == taken else factorise_tracks(tracks, rank=int(rank))
+        mark = " <- taken" if rank == taken else ""
+        sys.stdout.write(f"{row(shared, source, name, found, out)}, tried {rank:.0f}: {against:.4f}{mark}\n")
+        sys.stdout.flush()
+
+
 def speed() -> None:
     """Time a made sequence: 100 points over 300 frames, five displacements, 1 % of noise, nothing missing."""
     rng, time_ = np.random.default_rng(0), np.arange(300)
@@ -111,6 +124,9 @@ def main() -> None:
             for rank in PLAIN_RANKS:
                 found = factorise_plainly(np.load(source)["tracks"], rank)
                 sys.stdout.write(row(Path(shared), source, name, found, folder) + "\n")
+            continue
+        if "--curve" in options:
+            curve(Path(shared), source, name, folder)
             continue
         if "--degraded" in options:
             given = [degraded(Path(shared), source, folder, seed) for seed in SEEDS]

@@ -68,7 +68,8 @@ class DeformingModel:
     @property
     def shapes(self) -> Floats:
         """(F, 3, P)."""
-        return np.asarray(self.mean + np.einsum("fm,mip->fip", self.weights, self.modes))
+        moved = self.weights @ self.modes.reshape(len(self.modes), self.mean.size)
+        return np.asarray(self.mean + moved.reshape(-1, *self.mean.shape))
 
     @property
     def first_weight(self) -> int:
