@@ -49,7 +49,7 @@ keeps fewer modes than are of use, none of it too many of a simple shape (docs/n
 FRAMES_A_MODE = 8
 """Fewer frames a mode would tell too little about it."""
 ROUNDS = 12
-LENGTH_ROUNDS = (8, 8)
+LENGTH_ROUNDS = (8, 8, 16)
 """Rounds with distances that are kept; before each the distances are chosen anew."""
 FIRST_NOISE = 0.005
 EXACT = 1e-9
