@@ -8,8 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from marey.arrays import Floats, Integers, frozen
+from marey.arrays import Floats, Integers, Mask, frozen
 from marey.cameras.rig import Rig
+from marey.cameras.triangulate import triangulate
 from marey.errors import MareyError
 from marey.nonrigid.homogeneous import HomogeneousShapes, solved_shapes
 from marey.nonrigid.pixel_places import PixelPlaces
@@ -106,20 +107,22 @@ def _noise_factor(rig: Rig, pixels: Floats, sd: Floats) -> float:
     The median over all places is compared with that of chi square (Wilson and Hilferty's formula), so that slipped
     tracks do not count.
     """
-    places = PixelPlaces(rig.cameras, pixels, sd)
-    met = np.isfinite(places.known[..., 0])
+    flat = pixels.reshape(len(pixels), -1, 2)
+    found = triangulate(rig.cameras, flat, sigma_px=sd.reshape(len(sd), -1)).points
+    met: Mask = np.asarray(np.isfinite(found[:, 0]))
     if met.sum() < FEWEST_MET:
         raise MareyError(
             "No two cameras see the same points from two sides: either no point is seen by two cameras at once, or "
             "the cameras stand in one place, or they are not in the order of the tracks."
         )
-    away = (pixels - places.projected(np.where(met[..., None], places.known, np.nan))) ** 2
+    away = (flat - np.stack([camera.project(found) for camera in rig]))[:, met] ** 2
+    stated = sd.reshape(len(sd), -1)[:, met]
     there = np.isfinite(away).all(-1)
-    squares = np.where(there, away.sum(-1) / sd**2, 0).sum(0)[met]
-    free = 2 * there.sum(0)[met] - 3
+    squares = np.where(there, away.sum(-1) / stated**2, 0).sum(0)
+    free = 2 * there.sum(0) - 3
     factor = float(np.sqrt(np.median(squares / (free * (1 - 2 / (9 * free)) ** 3))))
     width = float(np.median([camera.width for camera in rig]))
-    off = factor * float(np.median(sd[there]))
+    off = factor * float(np.median(stated[there]))
     if off > MOST_OFF * width:
         raise MareyError(
             f"Rays of the same points miss each other by some {off:.0f} px: the cameras are not in the order of the "

@@ -4,7 +4,7 @@ import numpy as np
 
 from marey.arrays import Floats
 from marey.geometry import rotations
-from marey.nonrigid.homogeneous_model import HomogeneousModel, basis_normal, free_share, turned
+from marey.nonrigid.homogeneous_model import HomogeneousModel, add_prior, basis_normal, free_share, turned
 from marey.nonrigid.measured_places import MeasuredPlaces, departures
 
 FEW_PAIRS = 10
@@ -36,7 +36,9 @@ def _basis_covariance(model: HomogeneousModel, places: MeasuredPlaces) -> Floats
     row = model.row
     square = row[:, :, None] * row[:, None]
     points, count = len(model.mean), row.shape[1]
-    inverse = np.linalg.pinv(basis_normal(model, turned(information, model.rotation), square), hermitian=True)
+    normal = basis_normal(model, turned(information, model.rotation), square)
+    add_prior(normal, count)
+    inverse = np.linalg.inv(normal)
     if information.shape[-1] == 1:
         alone = square.reshape(len(row), -1) @ inverse.reshape(points, -1).T
         return np.asarray(alone[..., None, None] * np.eye(3))

@@ -13,6 +13,10 @@ STILL = 1e-3
 """The root mean square movement of the model's places in a round, as a share of their noise, at which rounds end."""
 LEAST_SPREAD = 1e-12
 """Least variance, as a share of the mean shape's, of a weight and of the noise; keeps exact data solvable."""
+MODE_INFORMATION = 3.0
+"""Of a coordinate of a displacement before anything is measured: they have root mean square 1 a point."""
+FAINT = 1e-9
+"""Share of a frame's largest information that is added to all of it, so that one without a pose stops nothing."""
 LEAST_FREE = 0.1
 """Least share of the measured coordinates that is taken for free when the noise is reckoned."""
 
@@ -136,6 +140,8 @@ def solve_frames(model: HomogeneousModel, places: MeasuredPlaces) -> None:
     right = (flat @ (pull @ model.rotation).reshape(len(at), -1, 1))[..., 0]
     normal[:, range(6, 6 + modes), range(6, 6 + modes)] += 1 / model.spread
     right[:, 6:] -= model.weights / model.spread
+    faint = FAINT * np.einsum("fii->fi", normal).max(1, keepdims=True)
+    normal[:, range(6 + modes), range(6 + modes)] += faint
     covariance = np.linalg.inv(normal)
     step = (covariance @ right[..., None])[..., 0]
     model.pose_covariance, model.weight_covariance = covariance[:, :6, :6], covariance[:, 6:, 6:]
@@ -163,6 +169,14 @@ def basis_normal(model: HomogeneousModel, information: Floats, square: Floats) -
     return np.asarray(blocks.reshape(points, 3 * count, 3 * count))
 
 
+def add_prior(normal: Floats, count: int) -> None:
+    """Add what is known of displacements beforehand, and next to nothing of the mean; a point seldom seen needs it."""
+    each = normal.shape[1] // count
+    held = np.full(normal.shape[1], MODE_INFORMATION)
+    held[:each] = LEAST_SPREAD * normal[:, 0, 0].max()
+    normal[:, range(len(held)), range(len(held))] += held
+
+
 def _solve_basis(model: HomogeneousModel, places: MeasuredPlaces) -> None:
     """Solve every point's rows of the basis, given the frames."""
     row, count = model.row, 1 + len(model.modes)
@@ -173,13 +187,8 @@ def _solve_basis(model: HomogeneousModel, places: MeasuredPlaces) -> None:
     normal = basis_normal(model, information, square)
     wanted = pull @ model.rotation + _times(information, model.shapes[..., None])[..., 0]
     right = (row.T @ wanted.reshape(len(row), -1)).reshape(count, -1, 3).swapaxes(0, 1)
-    ridge = LEAST_SPREAD * normal[:, 0, 0].max() * (1 + np.einsum("kk->k", square.mean(0)))
-    if normal.shape[1] == count:
-        normal[:, range(count), range(count)] += ridge
-        solved = np.linalg.solve(normal, right)
-    else:
-        normal[:, range(3 * count), range(3 * count)] += np.repeat(ridge, 3)
-        solved = np.linalg.solve(normal, right.reshape(len(right), -1, 1)).reshape(right.shape)
+    add_prior(normal, count)
+    solved = np.linalg.solve(normal, right.reshape(len(right), normal.shape[1], -1)).reshape(right.shape)
     model.mean, model.modes = solved[:, 0], np.moveaxis(solved[:, 1:], 1, 0)
 
 

@@ -2,11 +2,18 @@
 
 import numpy as np
 
-from marey.arrays import Mask
+from marey.arrays import Floats, Mask
 from marey.errors import MareyError
 from marey.nonrigid.alignment import mean_shape
 from marey.nonrigid.homogeneous_model import HomogeneousModel, rigid_model
 from marey.nonrigid.measured_places import MeasuredPlaces
+
+FAR = 6.0
+"""Distance from the rigid shape, in median ones, beyond which a point does not count for the start."""
+LEAST_USUAL = 1e-3
+"""The least median distance, as a share of the mean shape's size."""
+KEPT_IN_FRAME = 4
+RESTARTS = 2
 
 
 def start(places: MeasuredPlaces) -> tuple[HomogeneousModel, Mask, Mask]:
@@ -26,12 +33,25 @@ def start(places: MeasuredPlaces) -> tuple[HomogeneousModel, Mask, Mask]:
     present: Mask = np.asarray(np.isfinite(known).all(-1))
     if not present.any():
         raise MareyError("No point is placed in any frame.")
-    mean, rotation, translation = places.placed(*mean_shape(known, present))
+    mean, rotation, translation = mean_shape(known, present)
+    for _ in range(RESTARTS if np.isfinite(rotation).any() else 0):
+        mean, rotation, translation = mean_shape(known, _near(known, present, mean, rotation, translation))
+    mean, rotation, translation = places.placed(mean, rotation, translation)
     frames, kept = np.isfinite(rotation[:, 0, 0]), np.isfinite(mean[:, 0])
     if frames.sum() < 2 or kept.sum() < 3:
         raise MareyError("Fewer than two frames have three points in common that do not lie on one line.")
     inner = places.among(frames, kept)
     return rigid_model(mean[kept], rotation[frames], translation[frames], inner), frames, kept
+
+
+def _near(known: Floats, present: Mask, mean: Floats, rotation: Floats, translation: Floats) -> Mask:
+    """Leave out of the start what lies far from the rigid shape, against the rest; a frame keeps enough points."""
+    away = np.linalg.norm(np.einsum("fij,pj->fpi", rotation, mean) + translation[:, None] - known, axis=-1)
+    usual = max(float(np.nanmedian(away)), LEAST_USUAL * float(np.sqrt(np.nanmean(mean**2))))
+    near = present & (away <= FAR * usual)
+    few = near.sum(1) < KEPT_IN_FRAME
+    # a point that would vanish altogether stays
+    return np.asarray(np.where(few[:, None] | (near.sum(0) < 2), present, near))
 
 
 def most_shapes(places: MeasuredPlaces) -> int:

@@ -8,14 +8,18 @@ import numpy as np
 from marey.arrays import Floats, Mask
 from marey.cameras.camera import Camera
 from marey.cameras.triangulate import triangulate
+from marey.geometry import rotations
 
 FAR = 9.0
 """Squared distance, in variances, beyond which a pixel loses its weight as its square."""
+MISSED = 5.0
+"""Rays that miss each other by more than so many standard deviations do not place a point at the start."""
 LEAST_TURN = 1e-3
 """Least eigenvalue of the rays' normal matrix with which rays of one camera, from all frames, place a point: the sum
 of their squared angles about their mean [rad2]."""
-ENOUGH_POINTS = 4
+ENOUGH_POINTS = 6
 """Points of known shape with which a frame's pose can be begun from its neighbour's."""
+POSE_STEPS = 15
 
 
 class PixelPlaces:
@@ -37,8 +41,15 @@ class PixelPlaces:
         frames, points = self._seen.shape
         flat = self.pixels.reshape(len(self.cameras), -1, 2)
         found = triangulate(self.cameras, flat, sigma_px=sigma.reshape(len(flat), -1))
-        self._known = found.points.reshape(frames, points, 3)
+        # Where rays miss each other by far, one of them slipped, and where they come nearest is nobody's place.
+        self._known = np.where(self._met(found.residual_px)[:, None], found.points, np.nan).reshape(frames, points, 3)
         self._known_variance = np.trace(found.covariance, axis1=1, axis2=2).reshape(frames, points)
+
+    def _met(self, residual: Floats) -> Mask:
+        """Tell which rays (n,) meet as well as stated; `residual` (n,) is how far they miss each other [px]."""
+        count = np.maximum(self._views.reshape(-1), 1)
+        stated = np.where(self._by_view, self.sigma, 0).sum(0).reshape(-1) / count
+        return np.asarray(np.nan_to_num(residual, nan=np.inf) <= MISSED * stated)
 
     @property
     def seen(self) -> Mask:
@@ -100,16 +111,41 @@ class PixelPlaces:
         posed = np.isfinite(rotation[:, 0, 0])
         if not posed.any():
             return mean, rotation, translation
-        enough = (self._seen & np.isfinite(mean[:, 0])).sum(1) >= ENOUGH_POINTS
-        answered = np.flatnonzero(posed)
-        nearest = answered[np.abs(np.arange(len(posed))[:, None] - answered).argmin(1)]
-        kept = (posed | enough)[:, None]
-        rotation = np.where(kept[..., None], rotation[nearest], np.nan)
-        translation = np.where(kept, translation[nearest], np.nan)
         missing = np.isnan(mean[:, 0])
         mean = mean.copy()
         mean[missing] = self._from_all_frames(rotation, translation, posed)[missing]
+        rotation, translation = rotation.copy(), translation.copy()
+        enough = (self._seen & np.isfinite(mean[:, 0])).sum(1) >= ENOUGH_POINTS
+        answered = np.flatnonzero(posed)
+        # from the frames with a pose outwards, each from its neighbour on that side
+        distance = np.abs(np.arange(len(posed))[:, None] - answered)
+        for frame in np.argsort(distance.min(1), kind="stable"):
+            if posed[frame] or not enough[frame]:
+                continue
+            solved = np.flatnonzero(np.isfinite(rotation[:, 0, 0]))
+            near = solved[np.abs(solved - frame).argmin()]
+            rotation[frame], translation[frame] = self._pose(int(frame), mean, rotation[near], translation[near])
         return mean, rotation, translation
+
+    def _pose(self, frame: int, mean: Floats, rotation: Floats, translation: Floats) -> tuple[Floats, Floats]:
+        """Move the rigid shape onto one frame's pixels by a few steps of Gauss-Newton, far pixels counting less."""
+        used = self._seen[frame] & np.isfinite(mean[:, 0])
+        shape, pixels = mean[used], self.pixels[:, frame, used]
+        for _ in range(POSE_STEPS):
+            normal, right = 1e-9 * np.eye(6), np.zeros(6)
+            turned = -rotation @ rotations.hat(shape)
+            moves = np.concatenate([turned, np.broadcast_to(np.eye(3), turned.shape)], -1)
+            for camera, seen in zip(self.cameras, pixels, strict=True):
+                at, slope = camera.project_with_derivative(shape @ rotation.T + translation)
+                residual = np.nan_to_num(seen - at)
+                squares = (residual**2).sum(1)
+                share = 1 / (1 + squares / max(float(np.median(squares)), 1.0))
+                jacobian = np.nan_to_num(slope) @ moves * np.isfinite(seen - at)[..., None]
+                normal = normal + np.einsum("n,nij,nik->jk", share, jacobian, jacobian)
+                right = right + np.einsum("n,nij,ni->j", share, jacobian, residual)
+            step = np.linalg.solve(normal, right)
+            rotation, translation = rotation @ rotations.exp(step[:3]), translation + step[3:]
+        return rotation, translation
 
     def _from_all_frames(self, rotation: Floats, translation: Floats, posed: Mask) -> Floats:
         """Give the points (P, 3) of the object nearest to their rays of all frames; NaN where rays are parallel."""

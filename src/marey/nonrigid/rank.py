@@ -67,8 +67,9 @@ class _Round:
         improve(self.model, self.rest, rounds=_SOLVES, still=_STILL)
 
     def error(self) -> float:
-        """Give the root mean square distance of what was held back."""
-        return float(np.sqrt(np.nanmean(self.whole.squares(self.model.places)[self.gone])))
+        """Give the root mean square distance of what was held back; outliers count as five times the usual one."""
+        squares = self.whole.squares(self.model.places)[self.gone]
+        return float(np.sqrt(np.nanmean(np.minimum(squares, OUTLIER * np.nanmedian(squares)))))
 
     def farther(self) -> tuple[Floats, Floats]:
         """Give the squared distances in space of points held back beyond noise and pose, and the stated variances."""

@@ -13,8 +13,8 @@ from marey.images.patch_search import Candidates, find_beside, find_candidates, 
 from marey.nonrigid.stray_places import without_strays
 from marey.nonrigid.view_correspondence import match_tracks
 
-_LEAST_PAIRS = 8
-_PROBABLE = 0.5
+LEAST_PAIRS = 8
+PROBABLE = 0.5
 _UNLIKE = -20.0
 """Evidence against a pair that does not look alike at all [natural logarithm]."""
 _USUAL_LIKENESS, _LIKENESS_SPREAD = 0.95, 0.6
@@ -29,7 +29,7 @@ Told = Callable[[str, int, int], None]
 """Is told what is done, and how much of how much."""
 
 
-def _quiet(_what: str, _done: int, _all: int) -> None:
+def quiet(_what: str, _done: int, _all: int) -> None:
     """Tell nobody."""
 
 
@@ -66,7 +66,7 @@ def track_views(
     within: Mask | None = None,
     points: Floats | None = None,
     patches: FollowSettings = DEFAULT,
-    told: Told = _quiet,
+    told: Told = quiet,
 ) -> ViewTracks:
     """Choose points in the first camera, and track them in all cameras, with nothing known of the cameras.
 
@@ -90,18 +90,18 @@ def track_views(
         SettingProblem: There are fewer than two videos, they differ in length, or a number is impossible.
         MareyError: There is nothing to follow, or no camera shares enough points with the first.
     """
-    _require_videos(videos, frame)
+    require_videos(videos, frame)
     chosen = points is None
     if points is None:
         points = good_features(videos[0][frame], count=count, size=patches.size, within=within)
-    if len(points) < _LEAST_PAIRS:
+    if len(points) < LEAST_PAIRS:
         raise MareyError(
-            f"Only {len(points)} points can be followed in frame {frame} of the first video; at least {_LEAST_PAIRS} "
+            f"Only {len(points)} points can be followed in frame {frame} of the first video; at least {LEAST_PAIRS} "
             "are needed. Give another frame or a larger region."
         )
-    first, first_sd = _followed(videos[0], points, frame, patches, told, "Following points in camera 1")
+    first, first_sd = followed(videos[0], points, frame, patches, told, "Following points in camera 1")
     if chosen:
-        moving = _moves(first)
+        moving = moves(first)
         points, first, first_sd = points[moving], first[:, :, moving], first_sd[:, :, moving]
     book = _Book(np.asarray(points, float), [first], [first_sd], [np.ones(len(points))], [np.asarray(points, float)])
     notes = []
@@ -128,7 +128,8 @@ def _told(book: "_Book", frame: int, notes: tuple[str, ...]) -> ViewTracks:
     )  # fmt: skip
 
 
-def _require_videos(videos: Sequence[Pictures], frame: int) -> None:
+def require_videos(videos: Sequence[Pictures], frame: int) -> None:
+    """Refuse videos that are too few or of several lengths, and a frame that they do not have."""
     if len(videos) < 2:
         raise SettingProblem(f"Points are compared between two videos or more, not {len(videos)}.")
     lengths = [len(video) for video in videos]
@@ -151,7 +152,7 @@ class _Book:
     """(P, 2) in the start's frame, NaN where not found."""
 
 
-def _followed(
+def followed(
     video: Pictures, points: Floats, frame: int, patches: FollowSettings, told: Told, what: str
 ) -> tuple[Floats, Floats]:
     """Follow points; give tracks and standard deviations (F, 2, P), NaN where they are not seen."""
@@ -167,7 +168,8 @@ def _followed(
     return tracks, spread
 
 
-def _moves(tracks: Floats) -> Mask:
+def moves(tracks: Floats) -> Mask:
+    """Tell which points (P,) move at all in tracks (F, 2, P)."""
     away = np.linalg.norm(tracks - np.nanmedian(tracks, axis=0), axis=1)
     return np.asarray(np.nan_to_num(away).max(axis=0) > _STILL)
 
@@ -181,13 +183,13 @@ def _add_camera(
     tied = [c for c in range(len(book.places)) if np.isfinite(book.places[c]).any()]
     candidates = _candidates(videos, tied, picture, frame, book)
     places = np.full((count, 2), np.nan)
-    if len(candidates.points) >= _LEAST_PAIRS:
-        tracks, _ = _followed(videos[camera], candidates.pixels, frame, patches, told, what)
+    if len(candidates.points) >= LEAST_PAIRS:
+        tracks, _ = followed(videos[camera], candidates.pixels, frame, patches, told, what)
         pairs, _ = _confirmed(book.tracks[0], tracks, candidates.points, candidates.correlation, count)
         places[pairs[:, 0]] = candidates.pixels[pairs[:, 1]]
     correlation = np.full(count, np.nan)
     seeded = np.isfinite(places[:, 0])
-    if seeded.sum() >= _LEAST_PAIRS:
+    if seeded.sum() >= LEAST_PAIRS:
         for source in tied:
             here = np.flatnonzero(np.isfinite(book.places[source][:, 0]))
             places[here], alike = find_beside(videos[source][frame], picture, book.places[source][here], places[here])
@@ -195,8 +197,8 @@ def _add_camera(
     known = np.flatnonzero(np.isfinite(places[:, 0]))
     tracks, spread = np.full((2, *book.tracks[0].shape), np.nan)
     probability = np.full(count, np.nan)
-    if len(known) >= _LEAST_PAIRS:
-        own, own_sd = _followed(videos[camera], places[known], frame, patches, told, what)
+    if len(known) >= LEAST_PAIRS:
+        own, own_sd = followed(videos[camera], places[known], frame, patches, told, what)
         alike = np.where(np.isfinite(correlation[known]), correlation[known], _USUAL_LIKENESS)
         pairs, sure = _confirmed(book.tracks[0], own, known, alike, count)
         tracks[:, :, pairs[:, 0]], spread[:, :, pairs[:, 0]] = own[:, :, pairs[:, 1]], own_sd[:, :, pairs[:, 1]]
@@ -226,13 +228,13 @@ def _confirmed(
 ) -> tuple[Integers, Floats]:
     """Let the motion decide which candidates (of points `owner`) are the points; give pairs and probabilities."""
     looks = np.full((count, len(owner)), _UNLIKE)
-    looks[owner, np.arange(len(owner))] = _log_likeness(correlation)
+    looks[owner, np.arange(len(owner))] = evidence_of_likeness(correlation)
     found = match_tracks(first, second, looks)
-    good = found.probability >= _PROBABLE
+    good = found.probability >= PROBABLE
     return found.pairs[good], found.probability[good]
 
 
-def _log_likeness(correlation: Floats) -> Floats:
+def evidence_of_likeness(correlation: Floats) -> Floats:
     """Give how much more probable a correlation is for one point than for two, in natural logarithms."""
     level = np.arctanh(np.clip(correlation, -0.999, 0.999))
     same = (level - np.arctanh(_USUAL_LIKENESS)) / _LIKENESS_SPREAD
