@@ -16,7 +16,8 @@ LEAST_SPREAD = 1e-12
 MODE_INFORMATION = 3.0
 """Of a coordinate of a displacement before anything is measured: they have root mean square 1 a point."""
 FAINT = 1e-9
-"""Share of a frame's largest information that is added to all of it, so that one without a pose stops nothing."""
+"""Share of the largest information about a frame's pose that is added to all of it, so that one with none stops
+nothing."""
 LEAST_FREE = 0.1
 """Least share of the measured coordinates that is taken for free when the noise is reckoned."""
 
@@ -88,8 +89,11 @@ def with_more_modes(model: HomogeneousModel, places: MeasuredPlaces, count: int)
     weights = u[:, :count] * d[:count]
     covariance = np.zeros((frames, before + count, before + count))
     covariance[:, :before, :before] = model.weight_covariance
+    # the noise that they leave: with that of before, what is known of displacements beforehand would weigh too much
+    share = float((d[count:] ** 2).sum() / max((d**2).sum(), 1e-300))
+    modes = vt[:count].reshape(count, *model.mean.shape)
     return replace(
-        model, modes=np.concatenate([model.modes, vt[:count].reshape(count, *model.mean.shape)]),
+        model, variance=model.variance * share + model.floor, modes=np.concatenate([model.modes, modes]),
         weights=np.concatenate([model.weights, weights], 1), weight_covariance=covariance,
         spread=np.concatenate([model.spread, (weights**2).mean(0) + model.floor]),
     )  # fmt: skip
@@ -102,13 +106,14 @@ def improve(model: HomogeneousModel, places: MeasuredPlaces, *, rounds: int = RO
     before = model.places
     for _ in range(rounds):
         _solve_basis(model, places)
-        _solve_spread(model, places)
         _fix_gauge(model)
         solve_frames(model, places)
+        _solve_spread(model, places)
         after = model.places
         if np.sqrt(np.mean((after - before) ** 2)) <= still * np.sqrt(model.variance + own):
             break
         before = after
+    solve_frames(model, places)
 
 
 def turned(information: Floats, rotation: Floats) -> Floats:
@@ -140,8 +145,7 @@ def solve_frames(model: HomogeneousModel, places: MeasuredPlaces) -> None:
     right = (flat @ (pull @ model.rotation).reshape(len(at), -1, 1))[..., 0]
     normal[:, range(6, 6 + modes), range(6, 6 + modes)] += 1 / model.spread
     right[:, 6:] -= model.weights / model.spread
-    faint = FAINT * np.einsum("fii->fi", normal).max(1, keepdims=True)
-    normal[:, range(6 + modes), range(6 + modes)] += faint
+    normal[:, range(6), range(6)] += FAINT * np.einsum("fii->fi", normal[:, :6, :6]).max(1, keepdims=True)
     covariance = np.linalg.inv(normal)
     step = (covariance @ right[..., None])[..., 0]
     model.pose_covariance, model.weight_covariance = covariance[:, :6, :6], covariance[:, 6:, 6:]
