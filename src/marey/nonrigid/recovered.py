@@ -210,9 +210,9 @@ class RecoveredShapes:
 
 def _with_unit(value: float, unit: str) -> str:
     """Write a length as people read it."""
-    if unit == "m":
-        return f"{1e3 * value:.3g} mm"
-    return f"{value:.3g} px" if unit == "px" else f"{value:.3g}"
+    value = 1e3 * value if unit == "m" else value
+    text = f"{value:.0f}" if abs(value) >= 1000 else f"{value:.3g}"
+    return text + {"m": " mm", "px": " px"}.get(unit, "")
 
 
 def from_one_view(found: NonRigidShapes) -> RecoveredShapes:
