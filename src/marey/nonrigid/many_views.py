@@ -165,7 +165,7 @@ def _check(tracks: Floats) -> Mask:
             f"In frame {bare[0]} no camera sees {FEWEST_POINTS} points (so it is in {len(bare)} of {frames}); "
             "leave such frames out."
         )
-    lost = np.flatnonzero(seen.any(0).sum(0) < FEWEST_FRAMES)
+    lost = np.flatnonzero(np.asarray(seen.any(0)).sum(0) < FEWEST_FRAMES)
     if len(lost):
         raise MareyError(f"Point {lost[0]} is seen in fewer than {FEWEST_FRAMES} frames; leave such points out.")
     return seen
@@ -317,7 +317,7 @@ def _tell(views: Views, fit: _Refined, others: list[Judged], tracks: Floats) -> 
     variance = shape_variance(model, stacked(views.tracks, fit.noise)[1])
     of_path, of_gauge = _doubt_of_path(model, fit.steady)
     of_turn = np.einsum("ij,fjk,ik->fi", first, model.covariance[0][:, :3, :3], first)
-    camera_variance = fit.camera_variance + doubt[2]
+    camera_variance = fit.camera_variance + fit.camera_variance[0] + doubt[2]
     camera_variance[0] = 0
     return ManyViewShapes(
         shape=shape, shape_sd=np.sqrt(turn**2 @ (variance + doubt[0] + of_path)) * unit, rotation=rotation,
@@ -325,7 +325,7 @@ def _tell(views: Views, fit: _Refined, others: list[Judged], tracks: Floats) -> 
         camera_sd=np.sqrt(camera_variance), scale=scale, translation=translation, basis=basis,
         coefficients=coefficients, noise_sd=_noise_of_cameras(views, fit) * views.size,
         residuals=np.linalg.norm(tracks - shown - translation[..., None], axis=2),
-        predicted=np.asarray(~views.seen.any(0)), notes=(RIGID,) if len(basis) == 1 else (),
+        predicted=np.asarray(~views.seen.any(0)), notes=(),
     )  # fmt: skip
 
 
