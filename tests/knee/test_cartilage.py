@@ -56,7 +56,7 @@ def foretold(bone: Surface, *, thick: float, rim: float):
 def test_cartilage_is_found_though_the_template_is_thicker_and_ends_elsewhere(rng, values):
     volume, truth = made_volume(rng, values)
     bone = ball()
-    sheet = find_cartilage(volume, bone, foretold(bone, thick=3.0, rim=0.15))
+    sheet = find_cartilage([volume], bone, foretold(bone, thick=3.0, rim=0.15))
     height = bone.vertices_mm[:, 2] / RADIUS
     inner = height > RIM + 0.1
     assert (sheet.thickness_mm[inner] > 0).all()
@@ -73,7 +73,7 @@ def test_cartilage_is_found_though_the_template_is_thicker_and_ends_elsewhere(rn
 def test_the_outer_surface_is_closed_and_has_the_cartilages_volume(rng):
     volume, _ = made_volume(rng)
     bone = ball()
-    sheet = find_cartilage(volume, bone, foretold(bone, thick=2.4, rim=RIM))
+    sheet = find_cartilage([volume], bone, foretold(bone, thick=2.4, rim=RIM))
     outer = sheet.outer
     assert trimesh.Trimesh(outer.vertices_mm, outer.faces, process=False).is_watertight
     cap = 2 / 3 * np.pi * ((RADIUS + THICK) ** 3 - RADIUS**3) * (1 - RIM)
@@ -89,7 +89,7 @@ def test_where_two_cartilages_touch_the_space_is_shared(rng):
     bone, around = ball(), ball(RADIUS + 4.0)
     shell = Surface(vertices_mm=around.vertices_mm, faces=around.faces[:, ::-1])
     told = foretold(bone, thick=2.0, rim=0.0)
-    sheet = find_cartilage(volume, bone, told, [(shell, np.full(len(around.vertices_mm), 2.0))])
+    sheet = find_cartilage([volume], bone, told, [(shell, np.full(len(around.vertices_mm), 2.0))])
     top = bone.vertices_mm[:, 2] > 0.5 * RADIUS
     assert abs(np.median(sheet.thickness_mm[top]) - 2.0) < 0.4
 
@@ -98,7 +98,7 @@ def test_a_template_without_cartilage_is_told(rng):
     volume, _ = made_volume(rng)
     bone = ball()
     with pytest.raises(MareyError, match="foretells no cartilage"):
-        find_cartilage(volume, bone, predict_cartilage(bone, bone, np.zeros(len(bone.vertices_mm))))
+        find_cartilage([volume], bone, predict_cartilage(bone, bone, np.zeros(len(bone.vertices_mm))))
 
 
 def test_thickness_and_normals_are_carried_by_the_deformation():

@@ -32,13 +32,14 @@ CORRELATED_MM = 0.5
 """Grey values nearer than this along a profile tell the same."""
 CLEAREST = 2.0
 """No single grey value says more than exp(2) to one."""
-SLOPE_SD = 0.25
+SLOPE_SD = 0.4
 """How fast the thickness changes over the bone [mm/mm]."""
 RIM_COST = 3.0
 """What a rim costs at most, at each edge of the mesh that crosses it."""
 BIAS_MM = 12.0
 """Over such a way the brightness of cartilage may change."""
 _ROUNDS = 3
+_NEVER = 1e3
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -84,12 +85,14 @@ class CartilageSheet:
 
 
 def find_cartilage(
-    volume: Volume, bone: Surface, prediction: CartilagePrediction, others: Sequence[tuple[Surface, Floats]] = ()
-) -> CartilageSheet:
+    volumes: Sequence[Volume], bone: Surface, prediction: CartilagePrediction,
+    others: Sequence[tuple[Surface, Floats]] = (),
+) -> CartilageSheet:  # fmt: skip
     """Find the cartilage on a bone.
 
     Args:
-        volume: The image, of any contrast in which cartilage differs from what lies over it.
+        volumes: One image or several in the same place, of any contrasts in which cartilage differs from what lies
+            over it. What several say is added up.
         bone: The inner surface of the cartilage.
         prediction: From the template.
         others: The other bones, and how thick the cartilage on each is foretold to be at its vertices, 0 where bare:
@@ -103,16 +106,16 @@ def find_cartilage(
         raise MareyError("The template foretells no cartilage on this bone: does it fit?")
     graph = MeshGraph.of(bone)
     told = np.where(looked, prediction.thickness_mm, THINNEST_MM)
-    profiles = _profiles(volume, bone, prediction.normals)
-    slopes = np.abs(ndimage.gaussian_filter1d(profiles, EDGE_SD_MM / STEP_MM, axis=1, order=1) / STEP_MM)
-    share = _shared_space(bone, prediction, told, others)
+    profiles = [_profiles(volume, bone, prediction.normals) for volume in volumes]
     estimate, present = told, prediction.presence > 0.8
     for _ in range(_ROUNDS):
-        brightness = _brightness(profiles, estimate, present, graph)
-        likeness = _likeness(profiles / brightness[:, None], estimate, present, share)
-        costs = _costs(likeness, slopes / brightness[:, None], told, prediction.presence, share)
-        costs[~looked, 1:] = np.inf
-        beliefs = graph.choose(np.minimum(costs, 1e3), _LEVELS, SLOPE_SD, RIM_COST)
+        share = _shared_space(bone, prediction, estimate, others)
+        costs = _prior_costs(told, prediction.presence)
+        for part in profiles:
+            relative = part / _brightness(part, estimate, present, graph)[:, None]
+            costs += _image_costs(relative, _likeness(relative, estimate, present, share), share)
+        costs[~looked, 1:] = _NEVER
+        beliefs = graph.choose(costs, _LEVELS, SLOPE_SD, RIM_COST)
         thickness, sd, confidence = _answers(beliefs)
         # A subject's cartilage may be thicker or thinner than the template's as a whole.
         sure = (thickness > 0) & (confidence > 0.5)
@@ -186,20 +189,25 @@ def _density(values: Floats) -> Floats:
     return np.asarray(smooth / max(smooth.sum(), 1.0) + 0.02 / len(counts))
 
 
-def _costs(likeness: Floats, slopes: Floats, told: Floats, presence: Floats, share: Floats) -> Floats:
-    """Give what each thickness of `_LEVELS` costs at each vertex (V, L): minus the logarithm of its probability."""
-    # The first voxel's width is the bone's as well; beyond the shared space lies the other bone's cartilage.
-    told_apart = np.where(_DEPTHS[None] < share[:, None], likeness, np.minimum(likeness, 0.0) - 1.0)
-    told_apart = np.where(_DEPTHS[None] < 0.3, 0.0, told_apart)
-    gained = np.cumsum(told_apart, axis=1) * STEP_MM / CORRELATED_MM
-    columns = np.round((_LEVELS - _DEPTHS[0]) / STEP_MM).astype(int)
-    region = -gained[:, columns]
-    # Where the layer ends is half a step beyond its last grey value.
-    edge = -np.log(0.1 + slopes[:, columns])
-    off = (_LEVELS[None] - told[:, None]) / (TOLD_SHARE * told[:, None])
+def _prior_costs(told: Floats, presence: Floats) -> Floats:
+    """Give what each thickness of `_LEVELS` costs (V, L) by the template: minus the logarithm of its probability."""
     there = np.clip(presence, 0.02, 0.98)[:, None]
-    costs = region + edge + 0.5 * off**2 - np.log(there)
-    costs[:, 0] = -np.log(1 - there[:, 0]) - np.log(0.1 + np.median(slopes, axis=1))
+    off = (_LEVELS[None] - told[:, None]) / (TOLD_SHARE * told[:, None])
+    costs = 0.5 * off**2 - np.log(there)
+    costs[:, :1] = -np.log(1 - there)
+    return np.asarray(costs)
+
+
+def _image_costs(relative: Floats, likeness: Floats, share: Floats) -> Floats:
+    """Give what each thickness costs (V, L) by an image: edges as in Canny's detector, and grey values below them."""
+    # Beyond the shared space lies the other bone's cartilage; the first of the way is dimmed by the bone.
+    below = np.where(_DEPTHS[None] < share[:, None], likeness, np.minimum(likeness, 0.0) - 1.0)
+    gained = np.cumsum(np.where(_DEPTHS[None] < 0.3, 0.0, below), axis=1) * STEP_MM / CORRELATED_MM
+    slopes = np.abs(ndimage.gaussian_filter1d(relative, EDGE_SD_MM / STEP_MM, axis=1, order=1) / STEP_MM)
+    columns = np.round((_LEVELS - _DEPTHS[0]) / STEP_MM).astype(int)
+    costs = -gained[:, columns] - np.log(0.1 + slopes[:, columns])
+    # A bare bone has no edge there, and none is missed.
+    costs[:, 0] = -np.log(0.1 + np.median(slopes, axis=1))
     return np.asarray(costs)
 
 
