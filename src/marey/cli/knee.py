@@ -52,14 +52,19 @@ def segment(
         list[str] | None,
         typer.Option(metavar="BONE I J K", help="The same as the indices of a voxel of VOLUME."),
     ] = None,
+    side: Annotated[
+        str | None,
+        typer.Option(metavar="SIDE", help="left or right, to name medial and lateral parts. [default: by the patella]"),
+    ] = None,
     out: _Out = None,
     quiet: Quiet = False,
 ) -> None:
-    """Find femur, tibia and patella in an MR volume.
+    """Find femur, tibia and patella in an MR volume, and by a template the cartilage on them.
 
     Dark marrow (fat suppressed) and bright marrow are told apart; seeds are found, too. Leaves `labels.nii.gz` on the
     image's own grid with `labels.json`, `femur.ply`, `tibia.ply`, `patella.ply` (LPS, mm) and `run.json` in
-    `VOLUME_marey`, or in DIR.
+    `VOLUME_marey`, or in DIR; of cartilage its surfaces, `<bone>_thickness.npz`, coloured bones, flat pictures and
+    `cartilage.csv` with its parts.
 
     Examples:
     * `marey knee segment dess.nii.gz --template atlas`
@@ -75,6 +80,7 @@ def segment(
         template=template,
         seeds=tuple(parse_seed(each, "--seed") for each in seed or ()),
         seed_voxels=tuple(parse_seed(each, "--seed-voxel") for each in seed_voxel or ()),
+        side=side,
     )
     folder = segment_knee(volumes, options, Progress(quiet=quiet))
     typer.echo(f"Labels: {folder / 'labels.nii.gz'}")

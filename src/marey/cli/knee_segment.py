@@ -1,4 +1,4 @@
-"""`marey knee segment`: an MR volume's bones as labels and surfaces."""
+"""`marey knee segment`: an MR volume's bones, and by a template their cartilage, as labels and surfaces."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -8,6 +8,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from marey.arrays import Floats
+from marey.cli.knee_cartilage import cartilage_by_template, labels_with, write_cartilage
 from marey.cli.progress import Progress
 from marey.cli.run_record import StageCache, finished_together, write_record
 from marey.errors import SettingProblem
@@ -33,6 +34,8 @@ class SegmentOptions:
     """Bone, and LPS [mm]."""
     seed_voxels: tuple[tuple[str, float, float, float], ...]
     """Bone, and the voxel i, j, k of the first volume."""
+    side: str | None = None
+    """"left" or "right"; None where the patella shall tell."""
 
 
 def segment(paths: Sequence[Path], options: SegmentOptions, progress: Progress) -> Path:
@@ -49,6 +52,8 @@ def segment(paths: Sequence[Path], options: SegmentOptions, progress: Progress) 
     Raises:
         MareyError: A file, setting or seed cannot be used, or no knee is found.
     """
+    if options.side not in (None, "left", "right"):
+        raise SettingProblem(f"--side is left or right, not '{options.side}'.")
     out = options.out or paths[0].with_name(f"{_stem(paths[0])}_marey")
     with progress.stage("Reading"):
         volumes = [read_volume(path) for path in paths]
@@ -59,11 +64,15 @@ def segment(paths: Sequence[Path], options: SegmentOptions, progress: Progress) 
         for note in bones.notes:
             progress.warn(note)
         surfaces = _surfaces(bones, progress)
+        cartilage = cartilage_by_template(volumes, bones, surfaces, template, progress)
+        labels = labels_with(bones, cartilage)
     files = _files([*paths, *([options.template] if options.template else [])])
     with StageCache(out, [file_fingerprint(path) for path in files]), finished_together(out) as folder:
-        write_labels(folder, bones.labels)
+        write_labels(folder, labels)
         for name, surface in surfaces.items():
             write_mesh(folder / f"{name}.ply", surface)
+        if cartilage is not None:
+            write_cartilage(folder, cartilage, surfaces, options.side, progress)
         write_record(
             folder, command="knee segment", settings=_settings(options, bones), inputs=files,
             root=paths[0].parent, progress=progress,

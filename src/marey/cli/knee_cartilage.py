@@ -1,0 +1,140 @@
+"""Cartilage in `marey knee segment`: found by a template's, and written with its thickness."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from marey.cli.progress import Progress
+from marey.errors import MareyError
+from marey.geometry import rotations
+from marey.geometry.rigid import RigidTransform
+from marey.io.cartilage import write_parts
+from marey.io.meshes import write_mesh
+from marey.io.npz import write_arrays
+from marey.io.pictures import write_picture
+from marey.knee.bones import BoneSegmentation
+from marey.knee.cartilage_labels import with_cartilage
+from marey.knee.knee_cartilage import KneeCartilage, find_knee_cartilage, knee_template
+from marey.knee.sides import MIRROR, is_left
+from marey.knee.structures import BONES, CARTILAGE_OF_BONE, LABELS
+from marey.knee.subregions import Subregion, flat_map, subregion_names, subregions
+from marey.knee.surface import Surface
+from marey.knee.surfacing import surface_of_labels
+from marey.knee.volume import Labels, Volume
+from marey.view.flat_cartilage import flat_picture
+from marey.view.knee_maps import thickness_colours
+
+_STEPS = 100
+
+
+def cartilage_by_template(
+    volumes: Sequence[Volume], bones: BoneSegmentation, surfaces: Mapping[str, Surface], template: Labels | None,
+    progress: Progress,
+) -> KneeCartilage | None:  # fmt: skip
+    """Find the cartilage where the template has some; otherwise, or where it cannot be found, say so.
+
+    Args:
+        volumes: The images.
+        bones: As they were found.
+        surfaces: Theirs.
+        template: Labels, of either side.
+        progress: Is told.
+    """
+    fit = bones.template_fit
+    if template is None or fit is None:
+        return None
+    held = [name for name in LABELS if template.mask(name).any()]
+    if not any(CARTILAGE_OF_BONE[bone] in held for bone in BONES):
+        progress.warn("The template has no cartilage: only bones were segmented.")
+        return None
+    try:
+        with progress.stage("Template", len(held)) as step:
+            parts = {}
+            for name in held:
+                parts[name] = surface_of_labels(template, name, edge_mm=1.0)
+                step()
+            model = knee_template(parts, mirror=fit.mirrored)
+        with progress.stage("Cartilage", _STEPS) as step:
+            made = 0
+
+            def done(share: float) -> None:
+                nonlocal made
+                while made < round(share * _STEPS):
+                    made += 1
+                    step()
+
+            found = find_knee_cartilage(volumes, surfaces, model, _starts(bones, model.bones), done)
+    except MareyError as problem:
+        progress.warn(f"Cartilage was not found, only bones were segmented. {problem}")
+        return None
+    for note in found.notes:
+        progress.warn(note)
+    return found
+
+
+def labels_with(bones: BoneSegmentation, cartilage: KneeCartilage | None) -> Labels:
+    """Give the labels of bones, and of cartilage where there is some."""
+    return bones.labels if cartilage is None else with_cartilage(bones.labels, cartilage.sheets)
+
+
+def write_cartilage(
+    folder: Path, cartilage: KneeCartilage, surfaces: Mapping[str, Surface], side: str | None, progress: Progress
+) -> None:
+    """Write each cartilage's surface, thickness and flat picture, and the table of their parts.
+
+    Args:
+        folder: Where to.
+        cartilage: What was found.
+        surfaces: Of the bones.
+        side: "left" or "right" where it was told; otherwise the patella's place tells.
+        progress: Is told.
+    """
+    left = is_left(surfaces) if side is None else side == "left"
+    if left is None:
+        progress.warn("The knee's side is not known: give --side to have medial and lateral parts measured.")
+    elif side is None:
+        progress.say(f"Taken for a {'left' if left else 'right'} knee, by its patella.")
+    parts: dict[str, list[Subregion]] = {}
+    for bone, sheet in cartilage.sheets.items():
+        name = CARTILAGE_OF_BONE[bone]
+        if not (sheet.thickness_mm > 0).any():
+            continue
+        arrays: dict[str, object] = {
+            "thickness_mm": sheet.thickness_mm,
+            "thickness_sd_mm": sheet.thickness_sd_mm,
+            "confidence": sheet.confidence,
+        }
+        colours = thickness_colours(sheet.thickness_mm)
+        write_mesh(folder / f"{name}.ply", sheet.outer)
+        write_mesh(
+            folder / f"{bone}_thickness.ply", sheet.bone, colours=colours,
+            values={"thickness_mm": sheet.thickness_mm, "confidence": sheet.confidence},
+        )  # fmt: skip
+        write_mesh(folder / f"{bone}_thickness.glb", sheet.bone, colours=colours)
+        if left is not None:
+            arrays["subregion"] = np.array(subregion_names(bone, sheet, left=left))
+            flat = flat_map(bone, sheet, left=left)
+            picture = flat_picture(flat.across, flat.along, sheet.thickness_mm)
+            write_picture(folder / f"{name}_flat.png", picture)
+            parts[name] = subregions(bone, sheet, left=left)
+        write_arrays(folder / f"{bone}_thickness.npz", arrays)
+        covered = sheet.thickness_mm[sheet.thickness_mm > 0]
+        progress.say(f"{name}: {sheet.outer.volume_mm3 / 1000:.1f} cm3, mean {covered.mean():.2f} mm")
+    if parts:
+        write_parts(folder / "cartilage.csv", parts)
+
+
+def _starts(bones: BoneSegmentation, model: Mapping[str, Surface]) -> dict[str, RigidTransform]:
+    """Give the rigid motions nearest to where the template was laid to find the bones."""
+    starts = {}
+    fit = bones.template_fit
+    for bone, surface in model.items():
+        if fit is None or bone not in fit.placements:
+            continue
+        placement = fit.placements[bone]
+        matrix = placement.matrix @ (MIRROR[:3, :3] if fit.mirrored else np.eye(3))
+        middle = surface.vertices_mm.mean(0)
+        turn = rotations.nearest(matrix)
+        starts[bone] = RigidTransform(turn, matrix @ middle + placement.shift - turn @ middle)
+    return starts
