@@ -1,0 +1,79 @@
+"""Made MR volumes of a knee: bones of simple shapes in muscle, fat and skin, marrow dark or bright, noise and bias."""
+
+import numpy as np
+
+from marey.knee.structures import LABELS
+from marey.knee.volume import Grid, Labels, Volume
+
+LEVELS = {
+    "dark": {"air": 2.0, "fat": 30.0, "muscle": 70.0, "cartilage": 110.0, "marrow": 13.0, "cortex": 10.0},
+    "bright": {"air": 2.0, "fat": 130.0, "muscle": 50.0, "cartilage": 80.0, "marrow": 118.0, "cortex": 10.0},
+}
+
+
+def made_grid(spacing: tuple[float, float, float] = (1.0, 1.0, 2.0), *, flip: bool = False) -> Grid:
+    """110 x 110 x 150 mm about the joint; the first axis (i) goes to the left, or to the right when flipped."""
+    extent = np.array([110.0, 110.0, 150.0])
+    lps_from_voxel = np.diag([*spacing, 1.0])
+    lps_from_voxel[:3, 3] = [-50.0, -60.0, -70.0]
+    if flip:
+        lps_from_voxel[0, 0], lps_from_voxel[0, 3] = -spacing[0], 60.0
+    i, j, k = (extent / spacing).astype(int).tolist()
+    return Grid(shape=(k, j, i), lps_from_voxel=lps_from_voxel)
+
+
+def _smooth_union(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    return np.maximum(first, second)
+
+
+def signed_shapes(grid: Grid, *, mirror: bool = False, size: float = 1.0) -> dict[str, np.ndarray]:
+    """Structure to (k, j, i) distance [mm] inside its surface, about; the knee is unlike its mirror image."""
+    k, j, i = np.meshgrid(*[np.arange(n) for n in grid.shape], indexing="ij")
+    place = grid.lps(np.stack([i, j, k], axis=-1).astype(float)) / size
+    x, y, z = np.moveaxis(place, -1, 0)
+    x = -x if mirror else x
+
+    def ball(cx: float, cy: float, cz: float, rx: float, ry: float, rz: float) -> np.ndarray:
+        radius = np.sqrt(((x - cx) / rx) ** 2 + ((y - cy) / ry) ** 2 + ((z - cz) / rz) ** 2)
+        return (1 - radius) * min(rx, ry, rz)
+
+    shaft = 13 - np.hypot(x, y + 4)
+    femur = _smooth_union(ball(17, 2, 23, 18, 24, 21), ball(-19, 4, 22, 17, 26, 20))
+    femur = _smooth_union(femur, np.minimum(shaft, z - 20))
+    top = np.minimum(ball(0, 2, -30, 40, 27, 34), -2.0 - z)
+    tibia = _smooth_union(top, np.minimum(15 - np.hypot(x + 3, y + 3), -30.0 - z))
+    return {
+        "femur": femur * size,
+        "tibia": tibia * size,
+        "patella": ball(3, -38, 36, 18, 9, 20) * size,
+        "limb": (52 - np.hypot(x, y)) * size,
+    }
+
+
+def made_labels(grid: Grid, *, mirror: bool = False, size: float = 1.0) -> Labels:
+    """The bones as labels."""
+    labels = np.zeros(grid.shape, dtype=np.uint8)
+    shapes = signed_shapes(grid, mirror=mirror, size=size)
+    for bone in ("femur", "tibia", "patella"):
+        labels[shapes[bone] > 0] = LABELS[bone]
+    return Labels(labels=labels, grid=grid)
+
+
+def made_volume(grid: Grid, kind: str, *, seed: int = 3, noise: float = 3.0, mirror: bool = False) -> Volume:
+    """An image of the knee; about bright marrow lies a black line of cortex, 1.5 mm thick, that is of the bone."""
+    level, shapes = LEVELS[kind], signed_shapes(grid, mirror=mirror)
+    image = np.full(grid.shape, level["air"])
+    image[shapes["limb"] > 0] = level["fat"]
+    k, j, i = np.meshgrid(*[np.arange(n) for n in grid.shape], indexing="ij")
+    place = grid.lps(np.stack([i, j, k], axis=-1).astype(float))
+    image[(shapes["limb"] > 8) & (place[..., 1] > 15)] = level["muscle"]
+    bones = np.maximum.reduce([shapes[bone] for bone in ("femur", "tibia", "patella")])
+    joint = (bones > -3) & (np.abs(place[..., 2]) < 6)
+    image[joint] = level["cartilage"]
+    image[bones > 0] = level["marrow"]
+    if kind == "bright":
+        image[(bones > 0) & (bones < 1.5)] = level["cortex"]
+    bias = 1 + 0.15 * place[..., 2] / 75 - 0.1 * place[..., 1] / 55
+    random = np.random.default_rng(seed)
+    parts = image * bias + random.normal(0, noise, image.shape), random.normal(0, noise, image.shape)
+    return Volume(intensity=np.hypot(*parts), grid=grid)
