@@ -9,10 +9,14 @@ from scipy.spatial import cKDTree
 from marey.arrays import Floats
 from marey.knee.marrow import Kind
 from marey.knee.minimal_cut import minimal_cut
+from marey.knee.region_growing import signed_distance
 from marey.knee.resampling import smoothed
 from marey.knee.volume import Grid
 
-_AREA_NATS = 8.0
+_SURFACE_NATS_MM = {"dark": 1.5, "bright": 6.0}
+"""Price of a bone's surface: about bright marrow only the thin black cortex keeps it from fat that looks alike."""
+_OUTWARD = {"dark": 1.0, "bright": 0.5}
+"""How far the edge may move outward, as a share of how far inward."""
 _MOST_NATS = 4.0
 _INSIDE_MM, _OUTSIDE_MM = 4.0, 2.0
 """Widths [mm] of the Gaussians over which levels are averaged: of marrow, and of the dark line about bright marrow."""
@@ -63,18 +67,18 @@ def refined(piece: Piece, kind: Kind, others: list[np.ndarray] | None = None) ->
     """
     settled = piece.prior_nats + sum(others or [], np.zeros(1, dtype=np.float32))
     distance = _cut(piece, kind, settled, piece.distance_mm, _COARSE_RING)
-    # Once more with the levels just beside the edge, now that it is known to a voxel or two.
+    # Again with the levels just beside the edge, now that it is known to a voxel or two.
     distance = _cut(piece, kind, settled, distance, _FINE_RING)
     return distance if kind == "dark" else distance + _cortex(piece, distance)
 
 
 def _cut(piece: Piece, kind: Kind, known: np.ndarray, distance: np.ndarray, ring: "_Ring") -> np.ndarray:
     odds = marrow_odds(piece, kind, distance, ring) + known
-    outward = ring.band_mm if kind == "dark" else ring.band_mm / 2
+    outward = _OUTWARD[kind] * ring.band_mm
     odds = np.where(distance > ring.band_mm, 100.0, np.where(distance < -outward, -100.0, odds))
     spacing = piece.grid.array_spacing_mm
-    inside = minimal_cut(odds.astype(np.float32), distance > 0, spacing, area_nats=_AREA_NATS)
-    return _distance(_main_part(inside > 0.5), spacing)
+    inside = minimal_cut(odds.astype(np.float32), distance > 0, spacing, surface_nats_mm=_SURFACE_NATS_MM[kind])
+    return signed_distance(_main_part(inside > 0.5), spacing)
 
 
 def marrow_odds(
@@ -127,17 +131,11 @@ def _main_part(mask: np.ndarray) -> np.ndarray:
     return np.asarray(ndimage.binary_fill_holes(mask))
 
 
-def _distance(mask: np.ndarray, spacing: tuple[float, float, float]) -> np.ndarray:
-    inside = ndimage.distance_transform_edt(mask, sampling=spacing)
-    outside = ndimage.distance_transform_edt(~mask, sampling=spacing)
-    return np.where(mask, inside - min(spacing) / 2, -(outside - min(spacing) / 2)).astype(np.float32)
-
-
 def _cortex(piece: Piece, distance: np.ndarray) -> np.ndarray:
-    """(k, j, i) thickness [mm] of the black line of cortex about bright marrow; 0 where cartilage or nothing is.
+    """(k, j, i) how far [mm] the black line of cortex about bright marrow reaches; 0 where cartilage or nothing is.
 
-    Where fat lies behind the line, both its edges are seen, and their usual distance is taken where only the inner
-    one is: beside muscle and tendon.
+    Where fat lies behind the line its end is seen; how far it reaches there as a rule is taken where it is not seen:
+    beside muscle and tendon.
     """
     spacing = np.array(piece.grid.array_spacing_mm)
     gradient = np.stack(np.gradient(ndimage.gaussian_filter(distance, 1.0), *spacing), axis=-1)
@@ -148,9 +146,10 @@ def _cortex(piece: Piece, distance: np.ndarray) -> np.ndarray:
     steps = np.arange(-3.0, 4.01, 0.25)
     places = edge[:, None] + steps[None, :, None] * outward[:, None] / spacing
     profile = ndimage.map_coordinates(piece.intensity, np.moveaxis(places, -1, 0), order=1, mode="nearest")
-    width, seen, black = _line_widths(profile, steps)
-    usual = float(np.clip(np.median(width[seen]), *_CORTEX_MM)) if seen.sum() > 50 else 0.0
-    asked = np.where(seen, np.clip(width, 0, 2 * usual), usual) * black
+    outer, seen, black = _line_ends(profile, steps)
+    outer = outer - distance[tuple(edge.T)]
+    usual = float(np.clip(np.median(outer[seen]), *_CORTEX_MM)) if seen.sum() > 50 else 0.0
+    asked = np.where(seen, np.clip(outer, 0, 2 * usual), usual) * black
     tree = cKDTree(edge * spacing)
     band = np.argwhere(np.abs(distance) < 4)
     away, near = tree.query(band * spacing, k=12)
@@ -160,8 +159,8 @@ def _cortex(piece: Piece, distance: np.ndarray) -> np.ndarray:
     return thickness
 
 
-def _line_widths(profile: Floats, steps: Floats) -> tuple[Floats, np.ndarray, np.ndarray]:
-    """(N,) width of the dark line outside the marrow, whether both its edges are seen, and whether it is there."""
+def _line_ends(profile: Floats, steps: Floats) -> tuple[Floats, np.ndarray, np.ndarray]:
+    """(N,) where the dark line outside the marrow ends, whether both its edges are seen, and whether it is there."""
     marrow = np.median(profile[:, steps < -1], axis=1)
     near = (steps >= -0.5) & (steps <= 1.5)
     least = profile[:, near].min(axis=1)
@@ -172,6 +171,7 @@ def _line_widths(profile: Floats, steps: Floats) -> tuple[Floats, np.ndarray, np
     after = dark[np.arange(len(dark))[:, None], np.minimum(start[:, None] + np.arange(len(steps)), len(steps) - 1)]
     length = np.argmin(after, axis=1)
     ends = length > 0
-    width = length * (steps[1] - steps[0])
+    step = steps[1] - steps[0]
+    outer = steps[np.minimum(start + length, len(steps) - 1)] - step / 2
     bright = profile[np.arange(len(dark)), np.minimum(start + length + 2, len(steps) - 1)] > 0.8 * marrow
-    return width, black & ends & bright & (width < 3), black
+    return outer, black & ends & bright & (length * step < 3), black

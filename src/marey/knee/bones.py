@@ -11,7 +11,7 @@ from marey.knee.bias_field import bias_field
 from marey.knee.bone_edges import Piece, marrow_odds, refined, soft_tissue_odds
 from marey.knee.marrow import WORK_MM, Kind, Knee, prepare
 from marey.knee.region_growing import grow, marrow_level, seed_ball, signed_distance
-from marey.knee.resampling import resampled, smoothed
+from marey.knee.resampling import part_of, resampled, smoothed
 from marey.knee.seeds import find_seeds, patella_seeds, seed_voxel
 from marey.knee.structures import BONES, LABELS
 from marey.knee.template_fit import (
@@ -111,9 +111,14 @@ def segment_bones(
     report("growing", 0.15)
     _grow_long_bones(look)
     report("template" if template is not None else "patella", 0.3)
+    _grow_patella(look, None, given)
     fit, limits = _limits(look, template)
     notes = [] if fit is None else [_fit_note(fit)]
-    _grow_patella(look, limits.get("patella"), given)
+    if "patella" not in look.grown and "patella" in limits:
+        _grow_patella(look, limits["patella"], given)
+    else:
+        # A patella that grew without a leak needs no limit, and a template's seldom has its shape.
+        limits.pop("patella", None)
     if "patella" not in look.grown:
         notes.append("No patella was found: give its place with --seed patella X Y Z.")
     found = {}
@@ -159,7 +164,9 @@ def _limits(look: _Look, template: Labels | None) -> tuple[TemplateFit | None, d
         return None, {}
     bones = template_bones(template)
     likeness = {name: look.likeness(look.seeds[name]) * look.grown[name] for name in ("femur", "tibia")}
-    if "patella" in bones:
+    if "patella" in look.grown:
+        likeness["patella"] = look.likeness(look.seeds["femur"]) * look.grown["patella"]
+    elif "patella" in bones:
         likeness["patella"] = look.likeness(look.seeds["femur"]) * ~(look.grown["femur"] | look.grown["tibia"])
     fit = place_template(bones, look.grown, likeness, look.grid)
     return fit, {name: _limit(bone, fit, name, likeness, look.grid) for name, bone in bones.items()}
@@ -206,7 +213,7 @@ def _bone(look: _Look, name: str, limit: np.ndarray | None) -> tuple[Bone, tuple
     distance = resampled(signed_distance(coarse, look.grid.array_spacing_mm), look.grid, own, outside=-50.0)
     reach = [(np.flatnonzero((distance > -_BOX_MM).any(axis=axes))) for axes in ((1, 2), (0, 2), (0, 1))]
     box = tuple(slice(int(each[0]), int(each[-1]) + 1) for each in reach)
-    grid = _part(own, box)
+    grid = part_of(own, box)
     prior = np.zeros(grid.shape, dtype=np.float32)
     if limit is not None:
         known = resampled(np.nan_to_num(limit, nan=0.0), look.grid, grid, outside=0.0)
@@ -237,14 +244,6 @@ def _corrected(volume: Volume, grid: Grid) -> np.ndarray:
     else:
         values = smoothed(volume.intensity, volume.grid, 0.3 * float(grid.spacing_mm.min()))
     return resampled(values, volume.grid, grid) / bias_field(volume).on(grid)
-
-
-def _part(grid: Grid, box: tuple[slice, ...]) -> Grid:
-    """Give the grid of a part of an array."""
-    lps_from_voxel = grid.lps_from_voxel.copy()
-    lps_from_voxel[:3, 3] = grid.lps(np.array([float(each.start) for each in box[::-1]]))
-    shape = tuple(each.stop - each.start for each in box)
-    return Grid(shape=(shape[0], shape[1], shape[2]), lps_from_voxel=lps_from_voxel)
 
 
 def _labelled(found: Mapping[str, tuple[Bone, tuple[slice, ...]]], grid: Grid) -> Labels:

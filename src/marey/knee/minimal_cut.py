@@ -9,7 +9,7 @@ _ITERATIONS = 150
 
 
 def minimal_cut(
-    evidence: np.ndarray, start: Mask, spacing_mm: tuple[float, float, float], *, area_nats: float
+    evidence: np.ndarray, start: Mask, spacing_mm: tuple[float, float, float], *, surface_nats_mm: float
 ) -> np.ndarray:
     """Choose the part of a volume with the most evidence less a price for its surface.
 
@@ -20,15 +20,16 @@ def minimal_cut(
         evidence: (k, j, i) float32: log odds [nats] of each voxel to be inside; beyond +-50 it is settled.
         start: (k, j, i) a guess.
         spacing_mm: Of the voxels along k, j, i.
-        area_nats: Price of a square millimetre of surface [nats]; 8 smooths away bumps smaller than a millimetre.
+        surface_nats_mm: Price of the surface; divided by the evidence of a voxel it is the radius [mm] below which
+            bumps are smoothed away, whatever the voxels' size.
 
     Returns:
         (k, j, i) float32 u: inside above 0.5, between 0 and 1 at the surface.
     """
-    price = area_nats * float(np.prod(spacing_mm))
     steps = np.asarray(spacing_mm, dtype=np.float32)
     inside = start.astype(np.float32)
-    _primal_dual(np.ascontiguousarray(evidence, dtype=np.float32), inside, np.float32(price), steps, _ITERATIONS)
+    odds = np.ascontiguousarray(evidence, dtype=np.float32)
+    _primal_dual(odds, inside, np.float32(surface_nats_mm), steps, _ITERATIONS)
     return inside
 
 

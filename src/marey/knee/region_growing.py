@@ -105,5 +105,5 @@ def signed_distance(mask: Mask, spacing_mm: tuple[float, float, float]) -> np.nd
         return np.full(mask.shape, -1e3, dtype=np.float32)
     inside = ndimage.distance_transform_edt(mask, sampling=spacing_mm)
     outside = ndimage.distance_transform_edt(~mask, sampling=spacing_mm)
-    # Half a voxel: the edge lies between the last voxel inside and the first outside.
-    return (inside - outside - 0.5 * np.mean(spacing_mm) * np.where(mask, 1, -1)).astype(np.float32)
+    # The edge lies between the last voxel inside and the first outside; less than half a distance keeps the signs.
+    return (inside - outside - 0.5 * min(spacing_mm) * np.where(mask, 1, -1)).astype(np.float32)

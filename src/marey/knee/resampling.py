@@ -26,6 +26,15 @@ def upright_grid(grid: Grid, spacing_mm: float) -> Grid:
     return Grid(shape=(k, j, i), lps_from_voxel=lps_from_voxel)
 
 
+def part_of(grid: Grid, box: tuple[slice, ...]) -> Grid:
+    """Give the grid of a part of an array: its slices along k, j, i."""
+    bounds = [each.indices(count) for each, count in zip(box, grid.shape, strict=True)]
+    lps_from_voxel = grid.lps_from_voxel.copy()
+    lps_from_voxel[:3, 3] = grid.lps(np.array([float(start) for start, _, _ in bounds[::-1]]))
+    k, j, i = (stop - start for start, stop, _ in bounds)
+    return Grid(shape=(k, j, i), lps_from_voxel=lps_from_voxel)
+
+
 def resampled(values: np.ndarray, source: Grid, target: Grid, *, outside: float = 0.0, order: int = 1) -> np.ndarray:
     """Read an array of one grid at the voxels of another.
 

@@ -13,7 +13,7 @@ from marey.errors import MareyError
 from marey.geometry import rotations
 from marey.knee.marrow import WORK_MM
 from marey.knee.region_growing import signed_distance
-from marey.knee.resampling import read_at, resampled, upright_grid
+from marey.knee.resampling import part_of, read_at, resampled, upright_grid
 from marey.knee.structures import BONES
 from marey.knee.volume import Grid, Labels
 
@@ -85,20 +85,25 @@ def template_bones(template: Labels) -> dict[str, TemplateBone]:
     for name in BONES:
         mask = template.mask(name)
         if mask.any():
-            bones[name] = _template_bone(mask, template.grid, grid)
+            bones[name] = _template_bone(name, mask, template.grid, grid)
     missing = [name for name in ("femur", "tibia") if name not in bones]
     if missing:
         raise MareyError(f"The template has no {' and no '.join(missing)}: it cannot be laid into the image.")
     return bones
 
 
-def _template_bone(mask: Mask, source: Grid, grid: Grid) -> TemplateBone:
+def _template_bone(name: str, mask: Mask, source: Grid, grid: Grid) -> TemplateBone:
     whole = resampled(mask.astype(np.float32), source, grid) > 0.5
+    # A shaft ends where the template's labels end, wherever its image does: beyond, nothing is known.
+    heights = np.flatnonzero(whole.any(axis=(1, 2)))
+    low = int(heights[0]) if name == "tibia" else 0
+    high = int(heights[-1]) + 1 if name == "femur" else len(whole)
+    whole, grid = whole[low:high], part_of(grid, (slice(low, high), slice(None), slice(None)))
     distance = signed_distance(whole, grid.array_spacing_mm)
     smooth = ndimage.gaussian_filter(distance, 1.5)
     edge = np.argwhere(whole & (distance < 1.2 * WORK_MM))
     inner = resampled(np.ones(mask.shape, dtype=np.float32), source, grid)
-    reach = ndimage.distance_transform_edt(np.pad(inner > 0.99, 1))[1:-1, 1:-1, 1:-1]
+    reach = ndimage.distance_transform_edt(np.pad(inner > 0.99, 1))[1:-1, 1:-1, 1:-1] * WORK_MM
     edge = edge[reach[tuple(edge.T)] > 3]
     chosen = edge[np.linspace(0, len(edge) - 1, min(_POINTS, len(edge))).astype(int)]
     inward = np.stack(np.gradient(smooth), axis=-1)[tuple(chosen.T)][:, ::-1]
