@@ -267,8 +267,8 @@ def _lifted(complete: Floats, placed: dict[int, tuple[Floats, float]]) -> Floats
             continue
         rows = rows_of(np.array([placed[c][0] for c in used]), np.array([placed[c][1] for c in used]))
         frames = (pattern == whole.T).all(1)
-        stacked = complete[used][:, frames].transpose(1, 0, 2, 3).reshape(int(frames.sum()), len(rows), -1)
-        out[frames] = np.linalg.pinv(rows) @ stacked
+        both = complete[used][:, frames].transpose(1, 0, 2, 3).reshape(int(frames.sum()), len(rows), -1)
+        out[frames] = np.linalg.pinv(rows) @ both
     return out
 
 
