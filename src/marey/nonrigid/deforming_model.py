@@ -143,7 +143,8 @@ def residuals_and_jacobians(model: DeformingModel, tracks: Floats, seen: Floats)
         jacobian[:, row, :, TURN + row] = 1
     by_weight = model.projection @ model.rotation @ model.modes.transpose(1, 2, 0).reshape(3, -1)
     jacobian[..., model.first_weight :] = by_weight.reshape(frames, count, points, -1)
-    jacobian *= known[..., None]
+    if not known.all():
+        jacobian *= known[..., None]
     return residual, jacobian
 
 
@@ -152,8 +153,9 @@ def solve_frames(model: DeformingModel, tracks: Floats, seen: Floats) -> None:
     residual, jacobian = residuals_and_jacobians(model, tracks, seen)
     frames, unknowns = len(tracks), jacobian.shape[-1]
     flat = jacobian.reshape(frames, -1, unknowns)
-    diagonal = np.swapaxes(flat, 1, 2) @ flat / model.variance
-    right = np.einsum("fnd,fn->fd", flat, residual.reshape(frames, -1)) / model.variance
+    turned = np.swapaxes(flat, 1, 2)
+    diagonal = turned @ flat / model.variance
+    right = (turned @ residual.reshape(frames, -1, 1))[..., 0] / model.variance
     # of what nothing is seen, a camera's shift too, nothing is learned, and the equations stay solvable
     diagonal[:, range(model.first_weight), range(model.first_weight)] += 1e-8
     first, second = np.zeros_like(diagonal), np.zeros_like(diagonal)
@@ -203,14 +205,14 @@ def solve_shapes(model: DeformingModel, tracks: Floats, seen: Floats) -> None:
     rows = model.projection @ model.rotation
     blocks = _seen_blocks(model, seen)
     left = (tracks - model.shift[:, :, None]) * by_row(seen)
-    side = np.einsum("fki,fkp->fip", rows, left) / model.variance
+    side = np.swapaxes(rows, 1, 2) @ left / model.variance
     if model.lengths is not None:
         # Both ends of a pair move at once: each answers for twice its share, so that together they do not overshoot.
         held, pull = kept_lengths.point_equations(model.lengths, model.shapes)
         blocks += 2 * held
         side += pull
     normal = _point_normals(square, blocks)
-    right = np.einsum("fa,fip->pai", row, side).reshape(points, -1)
+    right = (row.T @ side.reshape(len(row), -1)).reshape(-1, 3, points).transpose(2, 0, 1).reshape(points, -1)
     if model.lengths is not None:
         before = np.concatenate([model.mean[None], model.modes]).transpose(2, 0, 1).reshape(points, -1)
         right += (_point_normals(square, 2 * held) @ before[..., None])[..., 0]

@@ -49,8 +49,12 @@ keeps fewer modes than are of use, none of it too many of a simple shape (docs/n
 FRAMES_A_MODE = 8
 """Fewer frames a mode would tell too little about it."""
 ROUNDS = 12
-LENGTH_ROUNDS = (8, 8, 16)
-"""Rounds with distances that are kept; before each the distances are chosen anew."""
+LENGTH_ROUNDS = 8
+"""Rounds with distances that are kept, before these are chosen anew."""
+MOST_CHOICES = 4
+"""How often they are chosen at most."""
+SETTLED = 2e-3
+"""Change of the shapes between two choices, as a share of the object's size, below which it is enough."""
 FIRST_NOISE = 0.005
 EXACT = 1e-9
 """Singular values below this share of the largest are none."""
@@ -263,9 +267,12 @@ def _hold_lengths(model: DeformingModel, known: Floats, weight: Floats) -> None:
     keep_modes(model, model.mode_sizes() > IDLE)
     if not len(model.modes):
         return
-    for rounds in LENGTH_ROUNDS:
-        model.lengths = choose_lengths(model.shapes)
-        improve(model, known, weight, rounds)
+    for _ in range(MOST_CHOICES):
+        before = model.shapes
+        model.lengths = choose_lengths(before)
+        improve(model, known, weight, LENGTH_ROUNDS)
+        if np.sqrt(np.mean((model.shapes - before) ** 2)) < SETTLED:
+            break
 
 
 def _doubt(model: DeformingModel, answers: list[_Answer], coordinates: float) -> tuple[Floats, Floats]:
