@@ -25,6 +25,9 @@ from marey.nonrigid.smooth_shapes import nuclear_norm, smooth_shapes
 
 FEWEST_FRAMES = 6
 FEWEST_POINTS = 4
+"""That a frame must show."""
+FEWEST_IN_ALL = 7
+"""Fewer points have too few singular values to tell depth from noise."""
 COMPLETING_RANK = 15
 SPANS = (0.0, 1.0, 1e2, 1e4, 1e6, 1e8, 1e10)
 """Weights of the camera's steadiness that are tried, see `steadier`."""
@@ -212,6 +215,10 @@ def _checked(tracks: Floats) -> Mask:
         raise MareyError(
             f"{points} points over {frames} frames are too few: at least {FEWEST_POINTS} points "
             f"over {FEWEST_FRAMES} frames are needed."
+        )
+    if points < FEWEST_IN_ALL:
+        raise MareyError(
+            f"{points} points are too few for one camera: {FEWEST_IN_ALL} are needed to tell depth from noise."
         )
     bare = np.flatnonzero(seen.sum(1) < FEWEST_POINTS)
     if len(bare):
