@@ -107,7 +107,7 @@ def cases(shared: Path) -> Iterator[tuple[str, np.ndarray, dict[str, float]]]:
     for name, points in surfaces.items():
         yield name, points, {}
     for name, points in surfaces.items():
-        if name.startswith(walking) or name == "stretch":
+        if name in (f"{walking} both", "stretch"):
             yield f"{name}, noise 1.5 %", points, {"noise": 0.015}
             yield f"{name}, half of the points alone", points, {"alone": 0.5}
             yield f"{name}, a fifth missing in runs", points, {"gaps": 0.2}
