@@ -4,8 +4,18 @@ import numpy as np
 import pytest
 
 from marey.errors import MareyError
+from marey.geometry import rotations
+from marey.nonrigid.held_size import HeldSizeShapes
+from marey.nonrigid.many_views import ManyViewShapes
 from marey.nonrigid.one_view import factorise_tracks
-from marey.nonrigid.recovered import from_one_view, known_distance, usable, widened
+from marey.nonrigid.recovered import (
+    from_held_size,
+    from_many_views,
+    from_one_view,
+    known_distance,
+    usable,
+    widened,
+)
 
 
 def test_frames_and_points_that_hold_too_little_are_found_until_nothing_changes():
@@ -56,3 +66,29 @@ def test_a_known_distance_scales_and_its_gauge_takes_the_place_of_the_unknown_on
 def test_an_impossible_distance_is_an_error(found, given):
     with pytest.raises(MareyError):
         known_distance(found, *given)
+
+
+def test_a_held_size_shows_in_the_pictures_only():
+    rng = np.random.default_rng(2)
+    frames, points = 5, 4
+    basis, coefficients = rng.normal(size=(2, 3, points)), np.stack([np.ones(frames), rng.normal(size=frames)], 1)
+    turns = rotations.exp(rng.normal(size=(frames, 3)))
+    shapes = ManyViewShapes(
+        shape=np.einsum("fk,kip->fip", coefficients, basis), shape_sd=np.ones((frames, 3, points)), rotation=turns,
+        rotation_sd=np.ones((frames, 3)), camera_from_first=rotations.exp(np.array([[0, 0, 0], [0, 0.5, 0]])),
+        camera_sd=np.zeros((2, 3)), scale=np.array([1, 1.2]), translation=rng.normal(size=(2, frames, 2)), basis=basis,
+        coefficients=coefficients, noise_sd=np.ones(2), residuals=np.ones((2, frames, points)),
+        predicted=np.zeros((frames, points), bool), notes=(),
+    )  # fmt: skip
+    size = np.array([0.8, 0.9, 1.0, 1.1, 1.2])
+    found = from_held_size(HeldSizeShapes(shapes=shapes, magnification=size))
+    np.testing.assert_allclose(found.shape, shapes.shape)
+    np.testing.assert_allclose(found.modelled, from_many_views(shapes).modelled * size[:, None, None])
+    np.testing.assert_allclose(found.residuals, np.broadcast_to(size[:, None], (2, frames, points)))
+    cameras = found.cameras
+    turned = np.einsum("cij,fjp->cfip", cameras.camera_from_first, found.rotation @ found.shape)[:, :, :2]
+    shown = cameras.magnification[:, None, None] * cameras.scale[:, None, None, None] * turned
+    np.testing.assert_allclose(shown + cameras.translation[..., None], found.modelled)
+    assert "0.80 to 1.20 times" in found.notes[0]
+    wide = widened(found, np.array([True] * 5 + [False]), np.ones(points, bool))
+    assert np.array_equal(np.isfinite(wide.cameras.magnification), [True] * 5 + [False])

@@ -19,6 +19,7 @@ from marey.io.shapes import shape_arrays, shapes_from
 from marey.io.stages import file_fingerprint
 from marey.nonrigid import one_view, perspective
 from marey.nonrigid.calibrated import factorise_calibrated
+from marey.nonrigid.held_size import factorise_at_held_size
 from marey.nonrigid.homogeneous import factorise_points
 from marey.nonrigid.many_views import factorise_views
 from marey.nonrigid.one_view import factorise_tracks
@@ -27,6 +28,7 @@ from marey.nonrigid.recovered import (
     UNSAID,
     RecoveredShapes,
     from_calibrated,
+    from_held_size,
     from_many_views,
     from_one_view,
     from_perspective,
@@ -122,6 +124,9 @@ def _factorised(
         found = factorise_calibrated(tracks, given.rig, tracks_sd=sd, rank=options.basis_shapes)
         return from_calibrated(found, given.rig)
     if len(tracks) > 1:
+        # Lenses see things larger that are near; tracks in a file may be those of any camera.
+        if measured.videos:
+            return from_held_size(factorise_at_held_size(tracks))
         return from_many_views(factorise_views(tracks))
     return from_one_view(factorise_tracks(tracks[0]))
 

@@ -24,7 +24,7 @@ _WORDS = ("kind", "unit", "residual_unit")
 _NUMBERS = ("metres_per_unit", "metres_per_unit_sd")
 _RELATIONS = {
     "camera_from_first": "camera_from_first", "camera_sd": "camera_sd", "camera_scale": "scale",
-    "camera_translation": "translation",
+    "camera_translation": "translation", "camera_magnification": "magnification",
 }  # fmt: skip
 """Of several uncalibrated cameras: names in the file, and in `CameraRelations`."""
 _TEXTS = ("gauge", "notes")

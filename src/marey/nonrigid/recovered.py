@@ -9,6 +9,7 @@ from marey.cameras.camera import Camera
 from marey.cameras.rig import Rig
 from marey.errors import MareyError
 from marey.nonrigid.calibrated import CalibratedShapes
+from marey.nonrigid.held_size import HeldSizeShapes
 from marey.nonrigid.homogeneous import HomogeneousShapes
 from marey.nonrigid.many_views import ManyViewShapes
 from marey.nonrigid.one_view import NonRigidShapes
@@ -59,6 +60,10 @@ GAUGES[CALIBRATED] = GAUGES[IN_SPACE]
 IN_LABORATORY = (CALIBRATED, IN_SPACE)
 """Kinds whose motion is that in the laboratory, in its own unit."""
 UNSAID = "unit of the input"
+HELD = (
+    "The object's size is held: that its pictures are {least:.2f} to {most:.2f} times as large as on average is put "
+    "down to its distance."
+)
 _ARRAYS = (
     "shape", "shape_sd", "rotation", "rotation_sd", "translation", "basis", "coefficients", "residuals", "modelled",
     "noise_sd",
@@ -96,9 +101,11 @@ class CameraRelations:
     """(C,) of a camera over the first."""
     translation: Floats
     """(C, F, 2)."""
+    magnification: Floats
+    """(F,) how large a frame's pictures are in all cameras, 1 on average; all 1 where the size was not held."""
 
     def __post_init__(self) -> None:
-        for name in ("camera_from_first", "camera_sd", "scale", "translation"):
+        for name in ("camera_from_first", "camera_sd", "scale", "translation", "magnification"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
 
 
@@ -270,13 +277,28 @@ def from_many_views(found: ManyViewShapes) -> RecoveredShapes:
     modelled = found.scale[:, None, None, None] * turned[:, :, :2] + found.translation[..., None]
     relations = CameraRelations(
         camera_from_first=found.camera_from_first, camera_sd=found.camera_sd, scale=found.scale,
-        translation=found.translation,
+        translation=found.translation, magnification=np.ones(len(found.shape)),
     )  # fmt: skip
     return RecoveredShapes(
         kind=MANY_VIEWS, shape=found.shape, shape_sd=found.shape_sd, rotation=found.rotation,
         rotation_sd=found.rotation_sd, translation=found.translation[0], basis=found.basis,
         coefficients=found.coefficients, residuals=found.residuals, predicted=found.predicted, modelled=modelled,
         noise_sd=found.noise_sd, gauge=GAUGES[MANY_VIEWS], notes=found.notes, cameras=relations,
+    )  # fmt: skip
+
+
+def from_held_size(found: HeldSizeShapes) -> RecoveredShapes:
+    """Take over what several uncalibrated cameras told of a thing that comes and goes, but keeps its size."""
+    plain, size = from_many_views(found.shapes), found.magnification
+    assert plain.cameras is not None
+    translation = found.shapes.translation * size[:, None]
+    cameras = replace(plain.cameras, translation=translation, magnification=size)
+    notes = plain.notes
+    if np.ptp(size) > 0:
+        notes = (*notes, HELD.format(least=size.min(), most=size.max()))
+    return replace(
+        plain, modelled=plain.modelled * size[:, None, None], residuals=plain.residuals * size[:, None],
+        translation=translation[0], cameras=cameras, notes=notes,
     )  # fmt: skip
 
 
@@ -352,7 +374,10 @@ def widened(found: RecoveredShapes, frames: Mask, points: Mask) -> RecoveredShap
 
     cameras = found.cameras
     if cameras is not None:
-        cameras = replace(cameras, translation=wide(cameras.translation, None, frames, None))
+        cameras = replace(
+            cameras, translation=wide(cameras.translation, None, frames, None),
+            magnification=wide(cameras.magnification, frames),
+        )  # fmt: skip
     doubt = None if found.path_doubt is None else wide(found.path_doubt, frames, None)
     return replace(
         found, cameras=cameras, path_doubt=doubt, shape=wide(found.shape, frames, None, points),
