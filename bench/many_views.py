@@ -2,14 +2,16 @@
 
     python bench/many_views.py SHARED OUT sta [TRIAL SEGMENT]
     python bench/many_views.py SHARED OUT angles
+    python bench/many_views.py SHARED OUT degraded
     python bench/many_views.py --speed
 
 `sta`: the skin markers of SHARED/data/markers/sta (Cereatti et al. 2017) before orthographic cameras 45 degrees apart
 round the vertical, from two sides each, with noise of 0.5 % of the cluster's size (root mean square of a coordinate).
 `angles`: the moving bodies of SHARED/data/nonrigid before their own camera and a second one, 10 to 90 degrees from it.
-Errors: metric A of SHARED/score/nonrigid.py in the bone's frame, then in the first camera's, and with each frame
-aligned for itself; then the share of shapes (in the bone's frame), of turns and of cameras' angles that 95 % intervals
-hold. `--speed` times 100 points, 300 frames and two cameras.
+`degraded`: the same 45 degrees apart, each camera's tracks made worse by SHARED/score/degrade.py (1 % noise, a fifth
+of the entries missing). Errors: metric A of SHARED/score/nonrigid.py in the bone's or body's frame, then in the first
+camera's, and with each frame aligned for itself; then the share of shapes (in the first of these frames) and of turns
+that 95 % intervals hold, and by how much the cameras are off. `--speed` times 100 points, 300 frames and two cameras.
 """
 
 import json
@@ -50,13 +52,13 @@ class Take:
     world_from_object: np.ndarray
     camera_from_world: np.ndarray
 
-    def tracks(self, angles: tuple[float, ...], seed: int) -> np.ndarray:
+    def tracks(self, angles: tuple[float, ...], seed: int, noise: float = NOISE) -> np.ndarray:
         """Show the shapes to cameras turned from the first about the images' upright."""
         points = self.world_from_object @ (self.shape - self.shape.mean(2, keepdims=True))
         rows = (turned(angles) @ self.camera_from_world)[:, :2]
         tracks = np.einsum("cij,fjp->cfip", rows, points)
         size = np.sqrt(np.mean(points**2))
-        return tracks + np.random.default_rng(seed).normal(0, NOISE * size, tracks.shape)
+        return tracks + np.random.default_rng(seed).normal(0, noise * size, tracks.shape)
 
 
 def turned(angles: tuple[float, ...]) -> np.ndarray:
@@ -120,7 +122,21 @@ def held(found: ManyViewShapes, take: Take, angles: tuple[float, ...]) -> str:
 
 
 def line(name: str, shared: Path, out: Path, take: Take, angles: tuple[float, ...]) -> str:
-    tracks = take.tracks(angles, seed=len(angles))
+    return judged(name, shared, out, take, angles, take.tracks(angles, seed=len(angles)))
+
+
+def degraded(shared: Path, out: Path, take: Take, angles: tuple[float, ...]) -> np.ndarray:
+    """Give tracks with noise and gaps, each camera's own."""
+    tracks = []
+    for seed, camera in enumerate(take.tracks(angles, seed=0, noise=0.0)):
+        np.savez(out / "camera_tracks.npz", tracks=camera)
+        command = [sys.executable, shared / "score" / "degrade.py", out / "camera_tracks.npz", out / "degraded.npz"]
+        subprocess.run([*command, "--seed", str(seed)], check=True)
+        tracks.append(np.load(out / "degraded.npz")["tracks"])
+    return np.stack(tracks)
+
+
+def judged(name: str, shared: Path, out: Path, take: Take, angles: tuple[float, ...], tracks: np.ndarray) -> str:
     started = time.process_time()
     try:
         found = factorise_tracks(tracks[0]) if len(angles) == 1 else factorise_views(tracks)
@@ -160,6 +176,11 @@ def main() -> None:
                 for angles in ((0,), (0, 45), (0, 45, 90)):
                     sys.stdout.write(line(f"{trial} {segment}, {side}", Path(shared), Path(out), take, angles))
                     sys.stdout.flush()
+    for name in BODIES if what == "degraded" else ():
+        take = body(Path(shared), name)
+        tracks = degraded(Path(shared), Path(out), take, (0, 45))
+        sys.stdout.write(judged(name, Path(shared), Path(out), take, (0, 45), tracks))
+        sys.stdout.flush()
     for name in BODIES if what == "angles" else ():
         for angle in ANGLES:
             sys.stdout.write(line(f"{name}, {angle}", Path(shared), Path(out), body(Path(shared), name), (0, angle)))
