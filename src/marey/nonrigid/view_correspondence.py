@@ -17,7 +17,7 @@ _FINALISTS = 6
 _HOPELESS = 0.25
 """Answers whose total is below this share of the best one's are not improved."""
 _ROUNDS = 20
-_WELL_SEEN = 0.7
+_WELL_SEEN = 0.5
 """Points that are seen in a smaller share of the frames are judged only after the others, by the time they are seen."""
 _SEEN_IN_WINDOW = 0.9
 _SHORTEST = 6
