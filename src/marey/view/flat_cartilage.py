@@ -10,7 +10,7 @@ from marey.view.knee_maps import FULL_MM, thickness_colours
 
 _PX_PER_MM = 6
 _MARGIN_PX, _SCALE_PX = 40, 90
-_REACH_MM = 1.5
+_REACH_MM = 2.5
 _INK = (60, 60, 60)
 
 
