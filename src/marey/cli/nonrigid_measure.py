@@ -11,6 +11,7 @@ from marey.cli.nonrigid_video import VideoTracks, follow_video, follow_views
 from marey.cli.progress import Progress
 from marey.cli.run_record import StageCache
 from marey.errors import MareyError
+from marey.nonrigid.calibrated_correspondence import join_calibrated
 from marey.nonrigid.one_view import FEWEST_POINTS
 from marey.nonrigid.view_joining import join_views
 
@@ -98,7 +99,7 @@ def _joined(views: Sequence[Floats], given: NonRigidInput, cache: StageCache, pr
     """Find which points of several cameras are the same, from how they move."""
 
     def compute() -> dict[str, np.ndarray]:
-        found = join_views(views)
+        found = join_views(views) if given.rig is None else join_calibrated(views, given.rig)
         kept = found.shared()
         if len(kept) < FEWEST_POINTS:
             words = " ".join(found.notes)
@@ -108,8 +109,9 @@ def _joined(views: Sequence[Floats], given: NonRigidInput, cache: StageCache, pr
             "probability": found.probability[:, kept], "notes": np.array(found.notes, np.str_),
         }  # fmt: skip
 
+    depends = (given.first, given.end, given.rig, [np.nan_to_num(v) for v in views])
     with progress.stage("Matching cameras"):
-        found = cache.arrays("matching", compute, depends=(given.first, given.end, [np.nan_to_num(v) for v in views]))
+        found = cache.arrays("matching", compute, depends=depends)
     for note in found["notes"]:
         progress.warn(str(note))
     tracks = np.full((len(views), given.frames, *found["tracks"].shape[2:]), np.nan)

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from marey.images.feature_tracks import FeatureTracks, follow_points
 from marey.images.features import edge_features, good_features
 from marey.io.pictures import grey_pictures
 from marey.io.stages import Arrays
+from marey.nonrigid.calibrated_videos import track_calibrated_views
 from marey.nonrigid.rank_tracking import refine_tracks
 from marey.nonrigid.uncalibrated_videos import track_views
 
@@ -84,13 +86,14 @@ def follow_views(
     def compute() -> dict[str, np.ndarray]:
         videos = [_pictures(given, number, cache, progress) for number in range(len(given.clips))]
         with _StageTeller(progress) as teller:
-            found = track_views(videos, frame=frame - given.first, points=points, within=given.within, told=teller.told)
+            track = track_views if given.rig is None else partial(track_calibrated_views, rig=given.rig)
+            found = track(videos, frame=frame - given.first, points=points, within=given.within, told=teller.told)
         return {
             "tracks": found.tracks, "tracks_sd": found.tracks_sd, "probability": found.probability,
             "notes": np.array(found.notes, np.str_),
         }  # fmt: skip
 
-    depends = (given.names, given.first, given.end, points, frame, given.within)
+    depends = (given.names, given.first, given.end, points, frame, given.within, given.rig)
     arrays = cache.arrays("views", compute, depends=depends)
     videos = []
     for tracks, sd in zip(arrays["tracks"], arrays["tracks_sd"], strict=True):
