@@ -11,6 +11,7 @@ import numpy as np
 
 from marey.arrays import Floats, Integers, Mask, frozen
 from marey.errors import MareyError
+from marey.geometry import rotations
 from marey.nonrigid.inextensible import neighbours
 from marey.nonrigid.perspective_model import MOTION, PerspectiveModel, begin, improve
 from marey.nonrigid.perspective_starts import Start, affine_starts, inextensible_start, start_of
@@ -130,9 +131,9 @@ def factorise_perspective(tracks: Floats, matrix: Floats) -> PerspectiveShapes:
     size = _image_size(known, seen)
     _refuse_flat_pictures(known, seen)
     pairs = neighbours(known, seen, NEIGHBOURS)
-    best, gap = _best(known, seen, pairs, size)
-    notes = () if gap > TOLD else (NO_PERSPECTIVE,)
-    return _tell(best, tracks, matrix, seen, gap, notes)
+    found = _best(known, seen, pairs, size)
+    notes = () if found.gap > TOLD else (NO_PERSPECTIVE,)
+    return _tell(found, tracks, matrix, seen, notes)
 
 
 def _checked_matrix(matrix: Floats) -> Floats:
@@ -198,8 +199,17 @@ def _refuse_flat_pictures(known: Floats, seen: Mask) -> None:
         )
 
 
-def _best(known: Floats, seen: Mask, pairs: Integers, size: float) -> tuple[PerspectiveModel, float]:
-    """Judge all starts, and the mirror image of the best; refine the winner; tell by how much its mirror is worse."""
+@dataclass(frozen=True)
+class _Found:
+    model: PerspectiveModel
+    rivals: list[PerspectiveModel]
+    """The same start with fewer modes and more noise, and with distances that may change as they like."""
+    gap: float
+    """By how much the mirror image is worse."""
+
+
+def _best(known: Floats, seen: Mask, pairs: Integers, size: float) -> _Found:
+    """Judge all starts, and the mirror image of the best; refine the winner."""
     weight, few = seen.astype(float), max(1, min(EXTENDING_MODES, len(known) // FRAMES_A_MODE))
     starts = [inextensible_start(known, seen, pairs), *affine_starts(known, seen, few)]
     judged = [(_judged(start, known, weight, pairs, size), start) for start in starts]
@@ -209,12 +219,16 @@ def _best(known: Floats, seen: Mask, pairs: Integers, size: float) -> tuple[Pers
     mirrored = start_of(model).mirrored()
     other = _judged(mirrored, known, weight, pairs, size)
     gap = np.inf if other is None else other.cost - model.cost
-    if gap < 0:
-        start, gap = mirrored, -gap
+    if other is not None and gap < 0:
+        model, start, gap = other, mirrored, -gap
     best = _refined(start, known, weight, pairs, size, min(MODES, len(known) - 1), ROUNDS, LEAST_NOISE)
     if best is None:
         raise MareyError(NO_ANSWER)
-    return _rigid_if_as_good(best, known, weight, size), gap
+    rigid = _rigid_if_as_good(best, known, weight, size)
+    if rigid is not best:
+        return _Found(rigid, [], gap)
+    free = _refined(start, known, weight, pairs[:0], size, len(model.modes), ROUNDS, LEAST_NOISE)
+    return _Found(best, [model] if free is None else [model, free], gap)
 
 
 def _rigid_if_as_good(model: PerspectiveModel, known: Floats, weight: Floats, size: float) -> PerspectiveModel:
@@ -246,10 +260,28 @@ def _refined(
     return model if start_of(model).usable() and np.isfinite(model.cost) else None
 
 
-def _tell(
-    model: PerspectiveModel, tracks: Floats, matrix: Floats, seen: Mask, gap: float, notes: tuple[str, ...]
-) -> PerspectiveShapes:
+def _disagreement(model: PerspectiveModel, rivals: list[PerspectiveModel]) -> tuple[Floats, Floats, Floats]:
+    """Sum the squares of the rivals' differences from the answer, each scaled and turned to fit its shapes best.
+
+    Returns:
+        Of the shapes (F, 3, P), of the turns about the camera's axes (F, 3), and of the shifts (F, 3).
+    """
+    shapes = model.shapes
+    rows = shapes.transpose(1, 0, 2).reshape(3, -1)
+    of_shape, of_turn, of_shift = np.zeros(shapes.shape), np.zeros((len(shapes), 3)), np.zeros((len(shapes), 3))
+    for rival in rivals:
+        theirs = rival.shapes.transpose(1, 0, 2).reshape(3, -1)
+        axes = rotations.nearest(rows @ theirs.T)
+        scale = float((rows * (axes @ theirs)).sum() / (theirs**2).sum())
+        of_shape += (scale * axes @ rival.shapes - shapes) ** 2
+        of_turn += rotations.log(rival.rotation @ axes.T @ np.swapaxes(model.rotation, 1, 2)) ** 2
+        of_shift += (rival.shift * model.shift[:, 2].mean() / rival.shift[:, 2].mean() - model.shift) ** 2
+    return of_shape, of_turn, of_shift
+
+
+def _tell(found: _Found, tracks: Floats, matrix: Floats, seen: Mask, notes: tuple[str, ...]) -> PerspectiveShapes:
     """Give the answer in pixels at the mean depth, in the axes of the first frame's camera."""
+    model, gap, doubt = found.model, found.gap, _disagreement(found.model, found.rivals)
     focal = float(np.sqrt(matrix[0, 0] * matrix[1, 1]))
     size = focal / float(model.shift[:, 2].mean())
     turn = model.rotation[0]
@@ -261,14 +293,15 @@ def _tell(
     coefficients = np.concatenate([np.ones((len(tracks), 1)), weights], 1)
     by_weight = turn @ model.modes * size
     variance = np.einsum("mip,fmn,nip->fip", by_weight, covariance[:, MOTION:, MOTION:], by_weight, optimize=True)
+    variance = variance + turn**2 @ doubt[0] * size**2
     rotation, translation = model.rotation @ turn.T, model.shift * size
     shape = np.einsum("fk,kip->fip", coefficients, basis)
     image = matrix @ (rotation @ shape + translation[:, :, None])
     own = np.einsum("fii->fi", covariance)
     stretch = float(np.median(np.sqrt(model.stretch) / model.distance)) if len(model.pairs) else 0.0
     return PerspectiveShapes(
-        shape=shape, shape_sd=np.sqrt(variance), rotation=rotation, rotation_sd=np.sqrt(own[:, :3]),
-        translation=translation, translation_sd=np.sqrt(own[:, 3:MOTION]) * size, basis=basis,
+        shape=shape, shape_sd=np.sqrt(variance), rotation=rotation, rotation_sd=np.sqrt(own[:, :3] + doubt[1]),
+        translation=translation, translation_sd=np.sqrt(own[:, 3:MOTION] + doubt[2]) * size, basis=basis,
         coefficients=coefficients, noise_sd=float(np.sqrt(model.variance)) * focal,
         residuals=np.linalg.norm(tracks - image[:, :2] / image[:, 2:], axis=1), predicted=~seen,
         stretch=stretch, mirror_gap=gap, notes=(*notes, RIGID) if len(basis) == 1 else notes,
