@@ -82,3 +82,13 @@ def test_nothing_gives_no_surface():
         surface_of_field(np.full(distance.shape, -1.0), grid)
     with pytest.raises(MareyError, match="no femoral cartilage"):
         surface_of_labels(Labels(labels=np.zeros(distance.shape), grid=grid), "femoral_cartilage")
+
+
+def test_cartilage_keeps_both_of_its_pieces_and_a_bone_the_largest():
+    labels = np.zeros((30, 30, 60), dtype=np.uint8)
+    labels[10:20, 10:20, 5:25] = labels[10:20, 10:20, 35:50] = 4
+    grid = Grid(shape=labels.shape, lps_from_voxel=np.eye(4))
+    both = surface_of_labels(Labels(labels=labels, grid=grid), "tibial_cartilage")
+    assert np.ptp(both.vertices_mm[:, 0]) > 40
+    one = surface_of_labels(Labels(labels=np.where(labels == 4, 3, 0), grid=grid), "tibia")
+    assert np.ptp(one.vertices_mm[:, 0]) < 25

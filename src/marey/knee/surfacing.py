@@ -10,6 +10,7 @@ from marey.arrays import Floats, Integers
 from marey.errors import MareyError
 from marey.knee.region_growing import signed_distance
 from marey.knee.resampling import resampled, upright_grid
+from marey.knee.structures import BONE_OF_CARTILAGE
 from marey.knee.surface import Surface
 from marey.knee.volume import Grid, Labels
 
@@ -19,15 +20,19 @@ _BLUR = 0.4
 _LAMBDA, _MU = 0.5, -0.53
 """Steps of [Taubin1995]: inward, and outward again by a little more, so that nothing shrinks."""
 _ROUNDS = 10
+_CRUMB = 0.1
 
 
-def surface_of_field(distance_mm: np.ndarray, grid: Grid, *, edge_mm: float = 1.0) -> Surface:
+def surface_of_field(
+    distance_mm: np.ndarray, grid: Grid, *, edge_mm: float = 1.0, several: bool = False
+) -> Surface:  # fmt: skip
     """Make a surface where a signed distance is zero.
 
     Args:
         distance_mm: (k, j, i) positive inside; where the array ends, so does the body, by a flat cut.
         grid: Of the distance; its determinant may be negative.
         edge_mm: Length of the triangles' edges to which the surface is thinned out.
+        several: Keep all pieces but crumbs, as of cartilage, which lies on a tibia in two; otherwise the largest alone.
 
     Raises:
         MareyError: The field has no inside, or scikit-image or fast-simplification are not installed.
@@ -39,7 +44,7 @@ def surface_of_field(distance_mm: np.ndarray, grid: Grid, *, edge_mm: float = 1.
     if smooth.max() <= 0:
         raise MareyError("There is nothing to make a surface of.")
     vertices, faces = _marched(smooth)
-    surface = _main_piece(_turned_out(cubes.lps(vertices[:, ::-1]), faces))
+    surface = _pieces(_turned_out(cubes.lps(vertices[:, ::-1]), faces), _CRUMB if several else 1.0)
     return _thinned(smoothed_surface(surface), edge_mm)
 
 
@@ -59,7 +64,8 @@ def surface_of_labels(labels: Labels, structure: str, *, edge_mm: float = 1.0) -
     lps_from_voxel[:3, 3] = labels.grid.lps(low[::-1].astype(float))
     part = mask[box]
     grid = Grid(shape=(part.shape[0], part.shape[1], part.shape[2]), lps_from_voxel=lps_from_voxel)
-    return surface_of_field(signed_distance(part, grid.array_spacing_mm), grid, edge_mm=edge_mm)
+    several = structure in BONE_OF_CARTILAGE
+    return surface_of_field(signed_distance(part, grid.array_spacing_mm), grid, edge_mm=edge_mm, several=several)
 
 
 def smoothed_surface(surface: Surface, rounds: int = _ROUNDS) -> Surface:
@@ -102,14 +108,15 @@ def _turned_out(vertices: Floats, faces: Integers) -> Surface:
     return surface if surface.volume_mm3 > 0 else Surface(vertices_mm=vertices, faces=faces[:, ::-1])
 
 
-def _main_piece(surface: Surface) -> Surface:
-    """Keep the piece with the most vertices: crumbs and inner bubbles go."""
+def _pieces(surface: Surface, least: float) -> Surface:
+    """Keep the pieces with at least such a share of the largest one's vertices: crumbs and inner bubbles go."""
     count = len(surface.vertices_mm)
     ends = surface.faces[:, [0, 1]], surface.faces[:, [1, 2]]
     pairs = np.concatenate(ends)
     links = sparse.coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
     _, piece = sparse.csgraph.connected_components(links, directed=False)
-    keep = piece == np.bincount(piece).argmax()
+    sizes = np.bincount(piece)
+    keep = (sizes >= least * sizes.max())[piece]
     number = np.cumsum(keep) - 1
     faces = surface.faces[keep[surface.faces[:, 0]]]
     return Surface(vertices_mm=surface.vertices_mm[keep], faces=number[faces])
