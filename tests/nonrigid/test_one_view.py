@@ -74,6 +74,16 @@ def test_a_rigid_object_is_said_to_be_rigid(made):
     assert error_of(found, made[0], np.broadcast_to(shape, made[1].shape)) < 1e-3
 
 
+@pytest.mark.parametrize("share", [0.0, 0.2])
+def test_noise_and_gaps_do_not_make_a_rigid_object_deform(made, rng, share):
+    tracks = (made[0] @ np.asarray(made[1][0]))[:, :2]
+    tracks = tracks + rng.normal(0, 0.01 * np.std(tracks), tracks.shape)
+    gone = rng.random((FRAMES, POINTS)) < share
+    found = factorise_tracks(np.where(gone[:, None], np.nan, tracks))
+    assert found.rank == 1
+    assert any("rigid" in note for note in found.notes)
+
+
 def test_a_basis_shape_of_fewer_dimensions_is_said(made, rng):
     flat = np.outer([0.3, 0.2, 0.4], rng.normal(size=POINTS))
     shapes = made[1][0] + 100 * np.sin(np.arange(FRAMES) / 9)[:, None, None] * flat

@@ -176,6 +176,10 @@ def _refined(views: Views, best: Judged) -> _Refined:
     even = np.ones(len(views.tracks))
     fits = [_fitted(views, best, modes, even) for modes in sorted({most_modes(modes, views) for modes in MODES})]
     fit = min(fits, key=lambda fit: fit.model.cost + PRICE * basis_cost(fit.model))
+    rigid = _fitted(views, best, 0, even)
+    # Noise alone fills modes, too: the object deforms where they are worth their full price.
+    if rigid.model.cost <= min(fit.model.cost + basis_cost(fit.model) for fit in fits):
+        fit = rigid
     noise = _noise_of_cameras(views, fit)
     if noise.max() > UNEVEN * noise.min():
         fit = _fitted(views, best, len(fit.model.modes), noise / np.sqrt(np.mean(noise**2)))

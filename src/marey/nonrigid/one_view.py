@@ -103,7 +103,8 @@ class NonRigidShapes:
     """Which of `SPANS` was chosen for the camera's path."""
     rank_curve: Floats
     """(n, 2) numbers of basis shapes K that were tried, and what speaks against each: minus the logarithm of the
-    tracks' probability and a price of its shapes, a coordinate. The least is taken, less shapes that do nothing."""
+    tracks' probability and a price of its shapes, a coordinate. The least is taken, less shapes that do nothing; K = 1,
+    a rigid object, already where the others would not win at the full price (`basis_cost`)."""
     path_doubt: Floats
     """(F, 3) how far camera paths of another steadiness that explain the tracks nearly as well turn away from this one,
     root mean square [rad]. The standard deviations are given for a camera as steady as this one; this comes on top."""
@@ -179,14 +180,15 @@ def factorise_tracks(tracks: Floats, *, rank: int | None = None) -> NonRigidShap
     complete, noise = (known, 0.0) if seen.all() else complete_tracks(known, seen, COMPLETING_RANK)
     notes = _told_by_rank(complete, noise)
     best, judged = _judge(known, weight, complete)
-    refined = _refined(known, weight, best, numbers, max(noise, FIRST_NOISE))
+    tried = _refined(known, weight, best, [0, *numbers] if rank is None else numbers, max(noise, FIRST_NOISE))
+    rivals = [answer for answer in judged if answer.span == best.span]
+    rivals, refined = ([], tried[:1]) if _is_rigid(tried) else (rivals, [a for a in tried if len(a.model.modes)])
     model = copy(min(refined, key=lambda answer: answer.cost).model)
     _hold_lengths(model, known, weight)
     coordinates = 2 * float(weight.sum())
-    alike = [answer for answer in judged if answer.span == best.span]
-    doubt = [_doubt(model, answers, coordinates) for answers in (alike, refined)]
+    doubt = [_doubt(model, answers, coordinates) for answers in (rivals, refined) if answers]
     found = _tell(model, weight, doubt, tracks, size, middle)
-    curve = [(1 + len(answer.model.modes), answer.cost / coordinates) for answer in refined]
+    curve = [(1 + len(answer.model.modes), answer.cost / coordinates) for answer in tried]
     enough = min(answer.cost for answer in judged) + TOLD_APART * coordinates
     others = [answer for answer in judged if answer.span != best.span and answer.cost <= enough]
     path_doubt = np.sqrt(_doubt(model, others, np.inf)[1]) if others else np.zeros((len(tracks), 3))
@@ -267,6 +269,12 @@ def _refined(known: Floats, weight: Floats, best: _Answer, numbers: list[int], n
         improve(model, known, weight, ROUNDS)
         answers.append(replace(best, model=model, cost=model.cost + PRICE * basis_cost(model)))
     return answers
+
+
+def _is_rigid(tried: list[_Answer]) -> bool:
+    """Tell whether no modes pay their full price: noise alone fills modes, too."""
+    full = [answer.cost + (1 - PRICE) * basis_cost(answer.model) for answer in tried]
+    return not len(tried[0].model.modes) and full[0] <= min(full)
 
 
 def _hold_lengths(model: DeformingModel, known: Floats, weight: Floats) -> None:
@@ -369,9 +377,9 @@ def _tell(
     rotation = model.rotation @ turn.T
     translation = model.shift * size + middle
     slow = slow_turn_covariance(model.shapes, max(np.sqrt(model.variance), JUDGING_NOISE), model.unsteadiness)
-    of_shape = turn**2 @ (shape_variance(model, weight) + doubt[0][0] + doubt[1][0])
+    of_shape = turn**2 @ (shape_variance(model, weight) + sum(of_shape for of_shape, _ in doubt))
     of_shape += turned_covariance(turn @ slow @ turn.T, turn @ model.shapes)
-    of_turn = np.einsum("fii->fi", model.covariance[0][:, :3, :3]) + doubt[0][1] + doubt[1][1]
+    of_turn = np.einsum("fii->fi", model.covariance[0][:, :3, :3]) + sum(of_turn for _, of_turn in doubt)
     of_turn = of_turn + np.einsum("fij,fjk,fik->fi", model.rotation, slow, model.rotation)
     fit = (rotation @ shape)[:, :2] + translation[:, :, None]
     return NonRigidShapes(
