@@ -196,6 +196,7 @@ def test_a_file_that_cannot_be_used_is_named_with_what_would_be_right(tmp_path, 
         (["--matrix", "a,b,c,d"], "no file that is there"),
         (["--matrix", "0,700,320,240"], "focal lengths"),
         (["--basis-shapes", "3"], "points in space"),
+        (["--scaled", "--matrix", "700,700,320,240"], "of which nothing is known"),
     ],
 )
 def test_an_option_that_does_not_suit_is_said(tmp_path, capsys, made, options, words):
@@ -209,11 +210,24 @@ def test_a_camera_that_sees_one_side_only_is_said(tmp_path, capsys, made):
     assert "one side only" in said
 
 
-@pytest.mark.parametrize("option", ["--cameras", "--matrix"])
+def test_a_camera_that_shows_things_larger_and_smaller_tells_its_magnification(tmp_path, made):
+    size = np.exp(0.3 * np.sin(np.arange(FRAMES) / 10))
+    size /= np.exp(np.log(size).mean())
+    file = write(tmp_path, tracks=size[:, None, None] * (made[2] - 300) + 300)
+    assert run(["nonrigid", file, "--scaled", "--quiet"]) == 0
+    with np.load(tmp_path / "given_marey" / "shapes.npz") as found:
+        magnification, turned = found["camera_magnification"], found["rotation"] @ found["shape"]
+        again = magnification[:, None, None] * turned[:, :2] + found["translation"][..., None]
+        np.testing.assert_allclose(again, found["modelled"][0], atol=1e-9)
+        assert any("size is held" in str(note) for note in found["notes"])
+    assert np.std(np.log(magnification / size)) < 0.5 * np.std(np.log(size))
+
+
+@pytest.mark.parametrize("option", ["--cameras", "--matrix", "--scaled"])
 def test_points_in_space_take_no_cameras(tmp_path, capsys, made, option):
     (tmp_path / "cameras.toml").write_text("")
-    value = str(tmp_path / "cameras.toml") if option == "--cameras" else "700,700,320,240"
-    said = complaint([write(tmp_path, points=made[1]), option, value], capsys)
+    values = {"--cameras": [str(tmp_path / "cameras.toml")], "--matrix": ["700,700,320,240"], "--scaled": []}
+    said = complaint([write(tmp_path, points=made[1]), option, *values[option]], capsys)
     assert "points in space already" in said
 
 
@@ -321,6 +335,7 @@ def test_videos_and_options_that_do_not_go_together_are_said(video, tmp_path, ca
         assert words in complaint([str(video), str(other)], capsys)
     matrix = ["--matrix", "700,700,64,64"]
     assert "for one camera" in complaint([str(video), str(other), *matrix], capsys)
+    assert "for one camera" in complaint([str(video), str(other), "--scaled"], capsys)
     (tmp_path / "a.npz").write_bytes(b"")
     assert "either videos, or files" in complaint([str(video), str(tmp_path / "a.npz")], capsys)
     assert "once for each" in complaint([str(video), str(other), *3 * ["--points", str(tmp_path / "a.npz")]], capsys)

@@ -33,10 +33,12 @@ from marey.nonrigid.recovered import (
     from_one_view,
     from_perspective,
     from_points,
+    from_scaled,
     known_distance,
     usable,
     widened,
 )
+from marey.nonrigid.scaled_orthographic import factorise_scaled
 
 _MOST_LISTED = 8
 
@@ -91,7 +93,7 @@ def _recovered(
     def compute() -> dict[str, np.ndarray]:
         return shape_arrays(_factorised(given, measured, frames, points, options))
 
-    depends = (given.camera, options.basis_shapes, frames, points)
+    depends = (given.camera, options.basis_shapes, options.scaled, frames, points)
     with progress.stage("Shapes"):
         found = shapes_from(cache.arrays("shapes", compute, depends=depends))
     for note in found.notes:
@@ -128,6 +130,8 @@ def _factorised(
         if measured.videos:
             return from_held_size(factorise_at_held_size(tracks))
         return from_many_views(factorise_views(tracks))
+    if options.scaled:
+        return from_scaled(factorise_scaled(tracks[0]))
     return from_one_view(factorise_tracks(tracks[0]))
 
 

@@ -91,8 +91,8 @@ def _of_data(path: Path, options: NonRigidOptions) -> NonRigidInput:
     else:
         assert data.points is not None
         frames, names = len(data.points), ()
-        if options.cameras is not None or options.matrix is not None:
-            option = "--cameras" if options.cameras is not None else "--matrix"
+        given = {"--cameras": options.cameras, "--matrix": options.matrix, "--scaled": options.scaled or None}
+        for option in [name for name, value in given.items() if value is not None]:
             raise SettingProblem(f"{option} is for tracks in pictures; {path.name} holds points in space already.")
         if options.distance is not None and data.unit == "m":
             raise SettingProblem(f"--distance gives a scale, but {path.name} says its own unit.")
@@ -152,6 +152,8 @@ def _require_suitable(count: int, options: NonRigidOptions) -> None:
     """Refuse options that do not suit tracks of so many cameras."""
     if count > 1 and options.matrix is not None:
         raise SettingProblem(f"--matrix is for one camera, and there are {count}: give --cameras, or neither.")
+    if count > 1 and options.scaled:
+        raise SettingProblem(f"--scaled is for one camera, and there are {count}: their videos are scaled anyway.")
     calibrated = count > 1 and options.cameras is not None
     if options.basis_shapes is not None and not calibrated:
         raise SettingProblem("--basis-shapes is for points in space and calibrated cameras; here the data choose.")

@@ -35,6 +35,9 @@ def nonrigid(
             metavar="FILE|NUMBERS", help="The one camera's known intrinsics: a file, fx,fy,cx,cy or nine numbers."
         ),
     ] = None,
+    scaled: Annotated[
+        bool, typer.Option("--scaled", help="The one camera shows the thing larger and smaller as it comes and goes.")
+    ] = False,
     cameras: Annotated[
         Path | None, typer.Option(metavar="FILE", help="The cameras' calibration, such as cameras.toml.")
     ] = None,
@@ -72,7 +75,8 @@ def nonrigid(
     from marey.cli.progress import Progress
 
     options = NonRigidOptions(
-        out=out, points=tuple(points or ()), mask=mask, matrix=matrix, cameras=cameras, distance=distance,
+        out=out, points=tuple(points or ()), mask=mask, matrix=matrix, scaled=scaled, cameras=cameras,
+        distance=distance,
         only=None if only is None else parse_names(only, option="--only", example="thigh_*"),
         frames=None if frames is None else parse_frames(frames), basis_shapes=basis_shapes, overlay=not no_overlay,
     )  # fmt: skip

@@ -30,6 +30,8 @@ class NonRigidOptions:
     """A picture that is white where points to follow may lie."""
     matrix: str | None = None
     """Known intrinsics of the one camera: a file, or numbers."""
+    scaled: bool = False
+    """Whether the one camera's scale may change from frame to frame."""
     cameras: Path | None = None
     """The calibration of the cameras."""
     distance: tuple[int, int, float] | None = None
@@ -52,6 +54,10 @@ class NonRigidOptions:
                 raise FileProblem(path, "is a folder" if path.is_dir() else "does not exist", "Mend --points.")
         if self.matrix is not None and self.cameras is not None:
             raise SettingProblem("--matrix and --cameras both say how the camera is made: give one of them.")
+        if self.scaled and (self.matrix is not None or self.cameras is not None):
+            raise SettingProblem(
+                "--scaled is for a camera of which nothing is known: leave it out with --matrix or --cameras."
+            )
         if self.mask is not None and self.points:
             raise SettingProblem("--mask says where points are chosen, --points which they are: give one of them.")
         if self.basis_shapes is not None and self.basis_shapes < 1:

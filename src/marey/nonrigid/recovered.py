@@ -14,8 +14,10 @@ from marey.nonrigid.homogeneous import HomogeneousShapes
 from marey.nonrigid.many_views import ManyViewShapes
 from marey.nonrigid.one_view import NonRigidShapes
 from marey.nonrigid.perspective import PerspectiveShapes
+from marey.nonrigid.scaled_orthographic import ScaledShapes
 
 ONE_VIEW = "one camera, orthographic"
+SCALED_VIEW = "one camera, scaled orthographic"
 PERSPECTIVE = "one camera, full perspective"
 MANY_VIEWS = "several cameras, orthographic"
 CALIBRATED = "several calibrated cameras"
@@ -55,6 +57,7 @@ GAUGES = {
         _MOTION,
     ),
 }
+GAUGES[SCALED_VIEW] = GAUGES[ONE_VIEW]
 GAUGES[CALIBRATED] = GAUGES[IN_SPACE]
 """By kind: what the data cannot tell, and what was chosen instead."""
 IN_LABORATORY = (CALIBRATED, IN_SPACE)
@@ -299,6 +302,20 @@ def from_held_size(found: HeldSizeShapes) -> RecoveredShapes:
     return replace(
         plain, modelled=plain.modelled * size[:, None, None], residuals=plain.residuals * size[:, None],
         translation=translation[0], cameras=cameras, notes=notes,
+    )  # fmt: skip
+
+
+def from_scaled(found: ScaledShapes) -> RecoveredShapes:
+    """Take over what one camera told of a thing that comes and goes, but keeps its size."""
+    plain, size = from_one_view(found.in_tracks_unit), found.magnification
+    turned = (plain.rotation @ plain.shape)[:, :2] * size[:, None, None]
+    relations = CameraRelations(
+        camera_from_first=np.eye(3)[None], camera_sd=np.zeros((1, 3)), scale=np.ones(1),
+        translation=plain.translation[None], magnification=size,
+    )  # fmt: skip
+    return replace(
+        plain, kind=SCALED_VIEW, modelled=(turned + plain.translation[..., None])[None], cameras=relations,
+        gauge=GAUGES[SCALED_VIEW], notes=(*plain.notes, HELD.format(least=size.min(), most=size.max())),
     )  # fmt: skip
 
 
