@@ -5,7 +5,8 @@ import pytest
 
 from marey.errors import MareyError
 from marey.geometry import rotations
-from marey.nonrigid.perspective import NO_PERSPECTIVE, RIGID, factorise_perspective
+from marey.nonrigid.perspective import NO_PERSPECTIVE, factorise_perspective
+from marey.nonrigid.track_checks import RIGID
 
 FRAMES = 24
 MATRIX = np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]])

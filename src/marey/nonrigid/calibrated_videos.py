@@ -10,7 +10,6 @@ from marey.cameras.rig import Rig
 from marey.errors import MareyError, SettingProblem
 from marey.images.epipolar_search import find_on_lines
 from marey.images.feature_tracks import DEFAULT, FollowSettings, Pictures
-from marey.images.features import good_features
 from marey.nonrigid.calibrated_correspondence import match_calibrated
 from marey.nonrigid.stray_places import without_strays
 from marey.nonrigid.uncalibrated_videos import (
@@ -20,7 +19,7 @@ from marey.nonrigid.uncalibrated_videos import (
     ViewTracks,
     evidence_of_likeness,
     followed,
-    moves,
+    in_first_video,
     quiet,
     require_videos,
 )
@@ -66,18 +65,7 @@ def track_calibrated_views(
     require_videos(videos, frame)
     if len(videos) != len(rig):
         raise SettingProblem(f"There are {len(videos)} videos, and the calibration has {len(rig)} cameras.")
-    chosen = points is None
-    if points is None:
-        points = good_features(videos[0][frame], count=count, size=patches.size, within=within)
-    if len(points) < LEAST_PAIRS:
-        raise MareyError(
-            f"Only {len(points)} points can be followed in frame {frame} of the first video; at least {LEAST_PAIRS} "
-            "are needed. Give another frame or a larger region."
-        )
-    first, first_sd = followed(videos[0], points, frame, patches, told, "Following points in camera 1")
-    if chosen:
-        kept = moves(first)
-        points, first, first_sd = points[kept], first[:, :, kept], first_sd[:, :, kept]
+    points, first, first_sd = in_first_video(videos[0], frame, points, within, count, patches, told)
     tracks, spread, probability = [first], [first_sd], [np.ones(len(points), float)]
     for number in range(1, len(videos)):
         what = f"Following points in camera {number + 1}"

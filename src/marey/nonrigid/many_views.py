@@ -24,6 +24,7 @@ from marey.nonrigid.deforming_model import (
     shape_variance,
     solve_shapes,
 )
+from marey.nonrigid.track_checks import RIGID, checked
 from marey.nonrigid.view_angle import Judged, Views, best_angle, most_modes, path_of, stacked, views_of
 from marey.nonrigid.view_checks import checked_views
 from marey.nonrigid.view_geometry import FEWEST_FRAMES, FEWEST_POINTS, rows_of
@@ -41,7 +42,6 @@ UNSURE = 10.0
 """Standard deviation of a camera's turn [degrees] from which it is called in doubt."""
 KEPT = 1e-3
 """A mode whose weights are below this share of the object's size is not told."""
-RIGID = "The object is rigid as far as these tracks tell: its mean shape alone explains them."
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -150,25 +150,9 @@ def _told_by(found: ManyViewShapes) -> tuple[str, ...]:
 
 
 def _check(tracks: Floats) -> Mask:
-    if tracks.ndim != 4 or tracks.shape[2] != 2 or len(tracks) < 2:
+    if tracks.ndim != 4 or len(tracks) < 2:
         raise MareyError(f"Tracks have the shape {tracks.shape} and should have (cameras >= 2, frames, 2, points).")
-    seen: Mask = np.asarray(np.isfinite(tracks).all(2))
-    _, frames, points = seen.shape
-    if frames < FEWEST_FRAMES or points < FEWEST_POINTS:
-        raise MareyError(
-            f"{points} points over {frames} frames are too few: at least {FEWEST_POINTS} points "
-            f"over {FEWEST_FRAMES} frames are needed."
-        )
-    bare = np.flatnonzero(seen.sum(2).max(0) < FEWEST_POINTS)
-    if len(bare):
-        raise MareyError(
-            f"In frame {bare[0]} no camera sees {FEWEST_POINTS} points (so it is in {len(bare)} of {frames}); "
-            "leave such frames out."
-        )
-    lost = np.flatnonzero(np.asarray(seen.any(0)).sum(0) < FEWEST_FRAMES)
-    if len(lost):
-        raise MareyError(f"Point {lost[0]} is seen in fewer than {FEWEST_FRAMES} frames; leave such points out.")
-    return seen
+    return checked(tracks, points=FEWEST_POINTS, frames=FEWEST_FRAMES)
 
 
 def _refined(views: Views, best: Judged) -> _Refined:

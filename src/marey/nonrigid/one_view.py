@@ -22,6 +22,7 @@ from marey.nonrigid.rotation_paths import accelerations, mirrored_after, steadie
 from marey.nonrigid.singular_vectors import singular_vectors
 from marey.nonrigid.slow_turns import slow_turn_covariance, turned_covariance
 from marey.nonrigid.smooth_shapes import nuclear_norm, smooth_shapes
+from marey.nonrigid.track_checks import RIGID, checked
 
 FEWEST_FRAMES = 6
 FEWEST_POINTS = 4
@@ -61,7 +62,6 @@ SETTLED = 2e-3
 FIRST_NOISE = 0.005
 EXACT = 1e-9
 """Singular values below this share of the largest are none."""
-RIGID = "The object is rigid as far as these tracks tell: its mean shape alone explains them."
 IDLE = 1e-5
 """A mode whose weights are below this share of the object's size does nothing."""
 WORTH_A_NOTE = 0.5
@@ -209,28 +209,13 @@ def _told_by_answer(found: NonRigidShapes) -> list[str]:
 
 
 def _checked(tracks: Floats) -> Mask:
-    if tracks.ndim != 3 or tracks.shape[1] != 2:
+    if tracks.ndim != 3:
         raise MareyError(f"Tracks have the shape {tracks.shape} and should have (frames, 2, points).")
-    seen: Mask = np.asarray(np.isfinite(tracks).all(1))
-    frames, points = seen.shape
-    if frames < FEWEST_FRAMES or points < FEWEST_POINTS:
+    seen = checked(tracks, points=FEWEST_POINTS, frames=FEWEST_FRAMES)
+    if tracks.shape[2] < FEWEST_IN_ALL:
         raise MareyError(
-            f"{points} points over {frames} frames are too few: at least {FEWEST_POINTS} points "
-            f"over {FEWEST_FRAMES} frames are needed."
+            f"{tracks.shape[2]} points are too few for one camera: {FEWEST_IN_ALL} are needed to tell depth from noise."
         )
-    if points < FEWEST_IN_ALL:
-        raise MareyError(
-            f"{points} points are too few for one camera: {FEWEST_IN_ALL} are needed to tell depth from noise."
-        )
-    bare = np.flatnonzero(seen.sum(1) < FEWEST_POINTS)
-    if len(bare):
-        raise MareyError(
-            f"In frame {bare[0]} fewer than {FEWEST_POINTS} points are seen (so it is in {len(bare)} of {frames}); "
-            "leave such frames out."
-        )
-    lost = np.flatnonzero(seen.sum(0) < FEWEST_FRAMES)
-    if len(lost):
-        raise MareyError(f"Point {lost[0]} is seen in fewer than {FEWEST_FRAMES} frames; leave such points out.")
     return seen
 
 

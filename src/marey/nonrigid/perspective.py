@@ -16,6 +16,7 @@ from marey.nonrigid.inextensible import neighbours
 from marey.nonrigid.perspective_model import MOTION, PerspectiveModel, begin, improve
 from marey.nonrigid.perspective_starts import Start, affine_starts, inextensible_start, start_of
 from marey.nonrigid.rank import significant_singular_values
+from marey.nonrigid.track_checks import RIGID, checked
 
 FEWEST_FRAMES = 6
 FEWEST_POINTS = 6
@@ -42,7 +43,6 @@ KNOWN = 2.0
 TOLD = 3.0
 """Difference in the logarithm of probability from which on one of two mirror images is told."""
 NO_ANSWER = "No shape was found that explains these tracks by the given camera matrix."
-RIGID = "The object is rigid as far as these tracks tell: its mean shape alone explains them."
 NO_PERSPECTIVE = (
     "Perspective tells nothing here: the mirror image in depth explains the tracks as well. The sign of depth is a "
     "guess, and the orthographic method (without --matrix) suits these tracks as well."
@@ -150,25 +150,9 @@ def _checked_matrix(matrix: Floats) -> Floats:
 
 
 def _checked(tracks: Floats) -> Mask:
-    if tracks.ndim != 3 or tracks.shape[1] != 2:
+    if tracks.ndim != 3:
         raise MareyError(f"Tracks have the shape {tracks.shape} and should have (frames, 2, points).")
-    seen: Mask = np.asarray(np.isfinite(tracks).all(1))
-    frames, points = seen.shape
-    if frames < FEWEST_FRAMES or points < FEWEST_POINTS:
-        raise MareyError(
-            f"{points} points over {frames} frames are too few: at least {FEWEST_POINTS} points "
-            f"over {FEWEST_FRAMES} frames are needed."
-        )
-    bare = np.flatnonzero(seen.sum(1) < FEWEST_POINTS)
-    if len(bare):
-        raise MareyError(
-            f"In frame {bare[0]} fewer than {FEWEST_POINTS} points are seen (so it is in {len(bare)} of {frames}); "
-            "leave such frames out."
-        )
-    lost = np.flatnonzero(seen.sum(0) < FEWEST_FRAMES)
-    if len(lost):
-        raise MareyError(f"Point {lost[0]} is seen in fewer than {FEWEST_FRAMES} frames; leave such points out.")
-    return seen
+    return checked(tracks, points=FEWEST_POINTS, frames=FEWEST_FRAMES)
 
 
 def _image_size(known: Floats, seen: Mask) -> float:

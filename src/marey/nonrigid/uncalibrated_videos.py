@@ -91,18 +91,7 @@ def track_views(
         MareyError: There is nothing to follow, or no camera shares enough points with the first.
     """
     require_videos(videos, frame)
-    chosen = points is None
-    if points is None:
-        points = good_features(videos[0][frame], count=count, size=patches.size, within=within)
-    if len(points) < LEAST_PAIRS:
-        raise MareyError(
-            f"Only {len(points)} points can be followed in frame {frame} of the first video; at least {LEAST_PAIRS} "
-            "are needed. Give another frame or a larger region."
-        )
-    first, first_sd = followed(videos[0], points, frame, patches, told, "Following points in camera 1")
-    if chosen:
-        moving = moves(first)
-        points, first, first_sd = points[moving], first[:, :, moving], first_sd[:, :, moving]
+    points, first, first_sd = in_first_video(videos[0], frame, points, within, count, patches, told)
     book = _Book(np.asarray(points, float), [first], [first_sd], [np.ones(len(points))], [np.asarray(points, float)])
     notes = []
     for camera in range(1, len(videos)):
@@ -114,6 +103,42 @@ def track_views(
             "directions at most some 30 degrees apart, of a surface with texture are needed."
         )
     return _told(book, frame, tuple(notes))
+
+
+def in_first_video(
+    video: Pictures, frame: int, points: Floats | None, within: Mask | None, count: int, patches: FollowSettings,
+    told: Told,
+) -> tuple[Floats, Floats, Floats]:  # fmt: skip
+    """Follow points through the first video: the given ones, or good features as far as they move.
+
+    Args:
+        video: Its pictures.
+        frame: In which the points are, or are chosen.
+        points: (P, 2) [px], or None to choose.
+        within: Where they may be chosen.
+        count: How many are chosen at most.
+        patches: How they are followed.
+        told: Is told of the progress.
+
+    Returns:
+        The points (P, 2), their tracks and deviations (F, 2, P) [px].
+
+    Raises:
+        MareyError: There is too little to follow.
+    """
+    given = points is not None
+    if points is None:
+        points = good_features(video[frame], count=count, size=patches.size, within=within)
+    if len(points) < LEAST_PAIRS:
+        raise MareyError(
+            f"Only {len(points)} points can be followed in frame {frame} of the first video; at least {LEAST_PAIRS} "
+            "are needed. Give another frame or a larger region."
+        )
+    tracks, spread = followed(video, points, frame, patches, told, "Following points in camera 1")
+    if given:
+        return points, tracks, spread
+    moving = moves(tracks)
+    return points[moving], tracks[:, :, moving], spread[:, :, moving]
 
 
 def _told(book: "_Book", frame: int, notes: tuple[str, ...]) -> ViewTracks:
