@@ -1,4 +1,6 @@
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -175,3 +177,20 @@ def test_the_real_series_reads_with_its_place(shared):
     assert read.intensity.shape == (24, 256, 256)
     np.testing.assert_allclose(read.grid.spacing_mm, [0.625, 0.625, 4.0], atol=1e-3)
     np.testing.assert_allclose(np.linalg.det(read.grid.lps_from_voxel[:3, :3] / read.grid.spacing_mm), 1, atol=1e-3)
+
+
+def test_markers_can_be_written_after_a_volume_was_read(tmp_path):
+    code = f"""
+import numpy as np
+from marey.io.volumes import write_labels
+from marey.knee.volume import Grid, Labels
+grid = Grid(shape=(4, 4, 4), lps_from_voxel=np.eye(4))
+write_labels({str(tmp_path)!r}, Labels(labels=np.zeros((4, 4, 4)), grid=grid))
+from marey.io.c3d import write_c3d
+from marey.io.trc import PointPaths
+paths = PointPaths(names=("a",), rate=100.0, time=np.arange(3) / 100, points=np.zeros((3, 1, 3)))
+for _ in range(100):
+    write_c3d({str(tmp_path)!r} + "/points.c3d", paths)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr

@@ -106,6 +106,8 @@ def write_volume(path: Path | str, volume: Volume) -> None:
 
 def _itk() -> Any:
     try:
+        # First: both keep one table of types, and ezc3d crashes when it is not the one that began it.
+        import ezc3d  # noqa: F401
         import SimpleITK
     except ModuleNotFoundError as error:
         raise MareyError('Volumes are read by SimpleITK, which is missing: pip install "marey[knee]".') from error
