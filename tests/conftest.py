@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 from pathlib import Path
 
-import ezc3d  # noqa: F401  (before SimpleITK, which some tests import: io/volumes.py says why)
 import numpy as np
 import pytest
 import scipy.linalg  # noqa: F401  (its threads are limited below, too)

@@ -1,3 +1,5 @@
+from importlib.util import find_spec
+
 import numpy as np
 import pytest
 from tests.made_knees import made_grid
@@ -9,7 +11,8 @@ from marey.errors import SettingProblem
 from marey.io.volumes import write_volume
 from marey.knee.volume import Volume
 
-pytest.importorskip("SimpleITK")
+if find_spec("SimpleITK") is None:
+    pytest.skip("SimpleITK is not installed", allow_module_level=True)
 
 
 def volume() -> Volume:

@@ -1,16 +1,19 @@
 import json
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from marey.errors import FileProblem
-from marey.io.volumes import read_labels, read_template, read_volume, write_labels, write_volume
+from marey.io.volumes import read_labels, read_template, read_volume, simple_itk, write_labels, write_volume
 from marey.knee.volume import Grid, Labels, Volume
 
-sitk = pytest.importorskip("SimpleITK")
+if find_spec("SimpleITK") is None:
+    pytest.skip("SimpleITK is not installed", allow_module_level=True)
+sitk = simple_itk()
 
 
 def turned(spacing: tuple[float, float, float], *, flip: bool = False) -> np.ndarray:

@@ -1,10 +1,13 @@
 """MR volumes and volumes of labels: DICOM series, NIfTI, NRRD and MetaImage, with their place in the scanner."""
 
 import json
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -14,6 +17,9 @@ from marey.errors import FileProblem, MareyError
 from marey.io.atomic import replacing
 from marey.knee.structures import LABELS, structure_named
 from marey.knee.volume import Grid, Labels, Volume
+
+_KEPT: list[ModuleType] = []
+"""Tables of types that SimpleITK uses on; they go when nobody holds them."""
 
 FORMATS = (".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd", ".dcm")
 _NAME_FILES = ("labels.json", "names.json")
@@ -35,7 +41,7 @@ def read_volume(path: Path | str) -> Volume:
     """
     path = Path(path)
     image = _read_series(path) if path.is_dir() else _read_file(path)
-    intensity = _itk().GetArrayFromImage(image).astype(np.float32)
+    intensity = simple_itk().GetArrayFromImage(image).astype(np.float32)
     if not np.isfinite(intensity).all():
         raise FileProblem(path, "holds values that are not numbers", "Replace them, by 0 for instance.")
     return Volume(intensity=intensity, grid=_grid(image))
@@ -54,7 +60,7 @@ def read_labels(path: Path | str) -> Labels:
     path = Path(path)
     path = path / "labels.nii.gz" if path.is_dir() else path
     image = _read_file(path)
-    values = _itk().GetArrayFromImage(image)
+    values = simple_itk().GetArrayFromImage(image)
     number_of = _numbers_by_value(_names_beside(path))
     labels = np.zeros(values.shape, dtype=np.uint8)
     for value, number in number_of.items():
@@ -89,7 +95,7 @@ def write_labels(folder: Path | str, labels: Labels) -> None:
     with replacing(folder / "labels.nii.gz") as beside:
         whole = beside.with_name(f"{beside.name}.nii.gz")
         try:
-            _itk().WriteImage(image, str(whole), useCompression=True)
+            simple_itk().WriteImage(image, str(whole), useCompression=True)
             whole.replace(beside)
         finally:
             whole.unlink(missing_ok=True)
@@ -101,23 +107,42 @@ def write_labels(folder: Path | str, labels: Labels) -> None:
 def write_volume(path: Path | str, volume: Volume) -> None:
     """Write an image to a file of one of the formats that its ending names."""
     with _quiet():
-        _itk().WriteImage(_image(volume.intensity, volume.grid), str(path))
+        simple_itk().WriteImage(_image(volume.intensity, volume.grid), str(path))
 
 
-def _itk() -> Any:
+@cache
+def simple_itk() -> Any:
+    """Import SimpleITK so that C3D files can still be written.
+
+    ezc3d and SimpleITK enter their types in one table, which SWIG keeps in a module, and take each other's vectors of
+    strings for their own: ezc3d crashes. Here the table of ezc3d is hidden while SimpleITK makes one of its own.
+
+    Raises:
+        MareyError: It is not installed.
+    """
+    import ezc3d  # noqa: F401
+
+    tables = _tables()
+    for name in tables:
+        del sys.modules[name]
     try:
-        # First: both keep one table of types, and ezc3d crashes when it is not the one that began it.
-        import ezc3d  # noqa: F401
         import SimpleITK
     except ModuleNotFoundError as error:
         raise MareyError('Volumes are read by SimpleITK, which is missing: pip install "marey[knee]".') from error
+    finally:
+        _KEPT.extend(_tables().values())
+        sys.modules.update(tables)
     return SimpleITK
+
+
+def _tables() -> dict[str, ModuleType]:
+    return {name: module for name, module in sys.modules.items() if name.startswith("swig_runtime_data")}
 
 
 @contextmanager
 def _quiet() -> Iterator[None]:
     """Keep ITK's warnings off the terminal: what they say is checked here, and said in words."""
-    process = _itk().ProcessObject
+    process = simple_itk().ProcessObject
     before = process.GetGlobalWarningDisplay()
     process.SetGlobalWarningDisplay(False)
     try:
@@ -135,7 +160,7 @@ def _grid(image: Any) -> Grid:
 
 
 def _image(array: np.ndarray, grid: Grid) -> Any:
-    image = _itk().GetImageFromArray(array)
+    image = simple_itk().GetImageFromArray(array)
     image.SetSpacing(grid.spacing_mm.tolist())
     image.SetDirection((grid.lps_from_voxel[:3, :3] / grid.spacing_mm).ravel().tolist())
     image.SetOrigin(grid.lps_from_voxel[:3, 3].tolist())
@@ -149,7 +174,7 @@ def _read_file(path: Path) -> Any:
         raise FileProblem(path, "is of no known format", f"Known are {', '.join(FORMATS)} and folders of DICOM slices.")
     with _quiet():
         try:
-            image = _itk().ReadImage(str(path))
+            image = simple_itk().ReadImage(str(path))
         except RuntimeError as error:
             raise FileProblem(path, f"cannot be read ({_last_line(error)})", "Write it again.") from error
     return _checked(path, image)
@@ -196,7 +221,7 @@ class _Slice:
 
 
 def _read_series(folder: Path) -> Any:
-    itk = _itk()
+    itk = simple_itk()
     with _quiet():
         series = itk.ImageSeriesReader.GetGDCMSeriesIDs(str(folder))
     if not series:
@@ -220,7 +245,7 @@ def _read_series(folder: Path) -> Any:
 
 
 def _slice(folder: Path, file: str) -> _Slice:
-    reader = _itk().ImageFileReader()
+    reader = simple_itk().ImageFileReader()
     reader.SetFileName(file)
     try:
         reader.ReadImageInformation()
