@@ -347,7 +347,7 @@ def _write(path: Path, nodes: list[dict], at: np.ndarray, turn: np.ndarray, unit
     if path.suffix == ".gltf":
         path.with_suffix(".bin").write_bytes(binary)
         document["buffers"][0]["uri"] = path.with_suffix(".bin").name
-        path.write_text(json.dumps(document))
+        path.write_text(json.dumps(document), encoding="utf-8")
     else:
         path.write_bytes(glb(document, binary))
 

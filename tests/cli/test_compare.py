@@ -42,7 +42,7 @@ def folder(tmp_path, monkeypatch) -> Path:
 
 
 def rows(path: Path) -> dict[str, dict[str, str]]:
-    with path.open() as file:
+    with path.open(encoding="utf-8") as file:
         return {row["quantity"]: row for row in csv.DictReader(file)}
 
 

@@ -1,4 +1,5 @@
 import json
+import locale
 import subprocess
 import sys
 from importlib.util import find_spec
@@ -52,6 +53,7 @@ def write_series(
 ) -> None:
     """Slices of a made series, 2 mm apart, named against their order."""
     folder.mkdir(exist_ok=True)
+    spoken = locale.setlocale(locale.LC_ALL)
     for number in numbers:
         image = sitk.GetImageFromArray(np.full((6, 7), 10 * number, dtype=np.int16))
         image.SetSpacing((0.5, 0.6))
@@ -66,6 +68,7 @@ def write_series(
         writer.KeepOriginalImageUIDOn()
         writer.SetFileName(str(folder / f"{uid}_{echo}_{99 - number}.dcm"))
         writer.Execute(image)
+    locale.setlocale(locale.LC_ALL, spoken)  # the writer leaves it at C
 
 
 def test_slices_of_a_series_stand_in_the_order_of_their_places(tmp_path):
@@ -197,3 +200,11 @@ for _ in range(100):
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+
+
+def test_the_locale_stays_what_it_was_when_a_series_is_read(tmp_path):
+    before = locale.setlocale(locale.LC_ALL)
+    write_series(tmp_path / "series", list(range(6)))
+    assert locale.setlocale(locale.LC_ALL) == before
+    read_volume(tmp_path / "series")
+    assert locale.setlocale(locale.LC_ALL) == before

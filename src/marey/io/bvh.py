@@ -41,7 +41,7 @@ def write_bvh(path: Path | str, body: Body, motion: Motion) -> None:
     values = np.concatenate([place, angles[:, order].reshape(len(motion), -1)], 1)
     lines += [" ".join(f"{v:.6f}" for v in row) for row in values]
     with replacing(path) as beside:
-        beside.write_text("\n".join(lines) + "\n")
+        beside.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def _without_gaps(motion: Motion) -> tuple[Floats, Floats]:

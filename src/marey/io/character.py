@@ -57,7 +57,7 @@ def read_character(path: Path | str) -> Character:
 
 def _read_described(path: Path) -> Character:
     try:
-        described = tomllib.loads(path.read_text())
+        described = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise FileProblem(path, f"cannot be read ({error})", "Give a TOML with `mesh` and `[joints]`.") from error
     unknown = set(described) - {"mesh", "unit", "up", "joints"}

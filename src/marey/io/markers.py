@@ -101,7 +101,7 @@ def _from_trc(path: Path, unit: str | None) -> Raw:
 
 
 def _trc_unit(path: Path) -> str:
-    lines = path.read_text().splitlines()
+    lines = path.read_text(encoding="utf-8").splitlines()
     return dict(zip(lines[1].split(), lines[2].split(), strict=False))["Units"].lower()
 
 

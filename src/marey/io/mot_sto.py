@@ -63,7 +63,7 @@ def write_table(path: Path | str, table: Table) -> None:
     numbers = np.column_stack([table.time, table.values])
     rows = ["\t".join([f"{row[0]:.6f}", *(f"{v:.8f}" for v in row[1:])]) for row in numbers]
     with replacing(path) as beside:
-        beside.write_text("\n".join(head + rows) + "\n")
+        beside.write_text("\n".join(head + rows) + "\n", encoding="utf-8")
 
 
 def read_table(path: Path | str) -> Table:
@@ -107,7 +107,7 @@ def write_orientations(path: Path | str, orientations: Orientations) -> None:
         for t, row in zip(orientations.time, _continuous(quaternions), strict=True)
     ]
     with replacing(path) as beside:
-        beside.write_text("\n".join(head + rows) + "\n")
+        beside.write_text("\n".join(head + rows) + "\n", encoding="utf-8")
 
 
 def _continuous(quaternions: Floats) -> Floats:
@@ -157,7 +157,7 @@ def read_orientations(path: Path | str) -> Orientations:
 def _split(path: Path | str) -> tuple[list[str], tuple[str, ...], list[list[str]]]:
     """Take the header's lines, the columns after the time, and the rows' cells."""
     try:
-        lines = Path(path).read_text().splitlines()
+        lines = Path(path).read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise FileProblem(path, f"cannot be read ({error})", "Give a MOT or STO file.") from error
     ends = [i for i, line in enumerate(lines) if line.strip().lower() == "endheader"]

@@ -15,7 +15,7 @@ def write_rigid(path: Path | str, subject_from_template: Floats, about: Mapping[
     """Write a homogeneous matrix (4, 4) [mm] and what else is known of it, under plain names."""
     table = {"subject_from_template": np.asarray(subject_from_template).tolist(), **about}
     with replacing(path) as beside:
-        beside.write_text(json.dumps(table, indent=1) + "\n")
+        beside.write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
 
 
 def read_rigid(path: Path | str) -> Floats:
@@ -25,7 +25,7 @@ def read_rigid(path: Path | str) -> Floats:
         FileProblem: The file is missing or damaged, or holds no such matrix.
     """
     try:
-        matrix = np.array(json.loads(Path(path).read_text())["subject_from_template"], float)
+        matrix = np.array(json.loads(Path(path).read_text(encoding="utf-8"))["subject_from_template"], float)
     except FileNotFoundError as error:
         raise FileProblem(path, "is not there") from error
     except (OSError, ValueError, KeyError, TypeError) as error:

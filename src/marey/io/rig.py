@@ -34,7 +34,7 @@ def read_map(path: Path | str) -> dict[str, str]:
         FileProblem: It cannot be read, or names no segment.
     """
     try:
-        described = tomllib.loads(Path(path).read_text())
+        described = tomllib.loads(Path(path).read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise FileProblem(
             path, f"cannot be read ({error})", 'Give a TOML with [joints] and segment = "name".'

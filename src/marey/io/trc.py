@@ -55,7 +55,7 @@ def write_trc(path: Path | str, paths: PointPaths) -> None:
     for f in range(frames):
         lines.append("\t".join([str(f + 1), f"{paths.time[f]:.6f}", *(f"{v:.7f}" for v in points[f].ravel())]))
     with replacing(path) as beside:
-        beside.write_text("\n".join(lines) + "\n")
+        beside.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def read_trc(path: Path | str, *, file_from_world: Floats = OPENSIM_FROM_WORLD) -> PointPaths:
@@ -69,7 +69,7 @@ def read_trc(path: Path | str, *, file_from_world: Floats = OPENSIM_FROM_WORLD) 
         FileProblem: The file is no TRC, or damaged.
     """
     try:
-        lines = Path(path).read_text().splitlines()
+        lines = Path(path).read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise FileProblem(path, f"cannot be read ({error})", "Give a TRC file.") from error
     if len(lines) < 5 or not lines[0].startswith("PathFileType"):

@@ -1,6 +1,7 @@
 """MR volumes and volumes of labels: DICOM series, NIfTI, NRRD and MetaImage, with their place in the scanner."""
 
 import json
+import locale
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -101,7 +102,7 @@ def write_labels(folder: Path | str, labels: Labels) -> None:
             whole.unlink(missing_ok=True)
     names = {"labels": {"0": "background"} | {str(number): name for name, number in LABELS.items()}}
     with replacing(folder / "labels.json") as beside:
-        beside.write_text(json.dumps(names, indent=1) + "\n")
+        beside.write_text(json.dumps(names, indent=1) + "\n", encoding="utf-8")
 
 
 def write_volume(path: Path | str, volume: Volume) -> None:
@@ -141,14 +142,18 @@ def _tables() -> dict[str, ModuleType]:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep ITK's warnings off the terminal: what they say is checked here, and said in words."""
+    """Keep ITK's warnings off the terminal: what they say is checked here, and said in words.
+
+    What reads DICOM leaves the process in the C locale, in which texts that follow are no longer UTF-8: it is put back.
+    """
     process = simple_itk().ProcessObject
-    before = process.GetGlobalWarningDisplay()
+    before, spoken = process.GetGlobalWarningDisplay(), locale.setlocale(locale.LC_ALL)
     process.SetGlobalWarningDisplay(False)
     try:
         yield
     finally:
         process.SetGlobalWarningDisplay(before)
+        locale.setlocale(locale.LC_ALL, spoken)
 
 
 def _grid(image: Any) -> Grid:
@@ -286,7 +291,7 @@ def _names_beside(path: Path) -> dict[str, str]:
     if file is None:
         raise FileProblem(path, "has no names of its values beside it", f"Add names.json: {_EXAMPLE}.")
     try:
-        table = json.loads(file.read_text())
+        table = json.loads(file.read_text(encoding="utf-8"))
         table = table.get("labels", table)
         return {str(int(value)): str(name) for value, name in table.items()}
     except (OSError, ValueError, AttributeError) as error:
