@@ -24,6 +24,7 @@ from marey.nonrigid.deforming_model import (
     shape_variance,
     solve_shapes,
 )
+from marey.nonrigid.one_view import PRICE_OF_DEFORMING
 from marey.nonrigid.track_checks import RIGID, checked
 from marey.nonrigid.view_angle import Judged, Views, best_angle, most_modes, path_of, stacked, views_of
 from marey.nonrigid.view_checks import checked_views
@@ -161,8 +162,8 @@ def _refined(views: Views, best: Judged) -> _Refined:
     fits = [_fitted(views, best, modes, even) for modes in sorted({most_modes(modes, views) for modes in MODES})]
     fit = min(fits, key=lambda fit: fit.model.cost + PRICE * basis_cost(fit.model))
     rigid = _fitted(views, best, 0, even)
-    # Noise alone fills modes, too: the object deforms where they are worth their full price.
-    if rigid.model.cost <= min(fit.model.cost + basis_cost(fit.model) for fit in fits):
+    # Noise alone fills modes, too.
+    if rigid.model.cost <= min(fit.model.cost + PRICE_OF_DEFORMING * basis_cost(fit.model) for fit in fits):
         fit = rigid
     noise = _noise_of_cameras(views, fit)
     if noise.max() > UNEVEN * noise.min():

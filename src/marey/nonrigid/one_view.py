@@ -50,6 +50,9 @@ MODES = (3, 6, 12, 20, 36)
 PRICE = 0.3
 """Share of `basis_cost` that a refined answer pays for its modes. All of it (near the Bayesian information criterion) 
 keeps fewer modes than are of use, none of it too many of a simple shape (docs/nonrigid-methods.md)."""
+PRICE_OF_DEFORMING = 0.75
+"""The same share, to be worth more than a rigid object: noise alone fills modes that are worth up to half of theirs,
+13 frames of real skin may be worth no more than all of it."""
 FRAMES_A_MODE = 8
 """Fewer frames a mode would tell too little about it."""
 ROUNDS = 12
@@ -104,7 +107,7 @@ class NonRigidShapes:
     rank_curve: Floats
     """(n, 2) numbers of basis shapes K that were tried, and what speaks against each: minus the logarithm of the
     tracks' probability and a price of its shapes, a coordinate. The least is taken, less shapes that do nothing; K = 1,
-    a rigid object, already where the others would not win at the full price (`basis_cost`)."""
+    a rigid object, already where the others would not win at a higher price (`PRICE_OF_DEFORMING`)."""
     path_doubt: Floats
     """(F, 3) how far camera paths of another steadiness that explain the tracks nearly as well turn away from this one,
     root mean square [rad]. The standard deviations are given for a camera as steady as this one; this comes on top."""
@@ -257,8 +260,8 @@ def _refined(known: Floats, weight: Floats, best: _Answer, numbers: list[int], n
 
 
 def _is_rigid(tried: list[_Answer]) -> bool:
-    """Tell whether no modes pay their full price: noise alone fills modes, too."""
-    full = [answer.cost + (1 - PRICE) * basis_cost(answer.model) for answer in tried]
+    """Tell whether no modes are worth their price beside a rigid object: noise alone fills modes, too."""
+    full = [answer.cost + (PRICE_OF_DEFORMING - PRICE) * basis_cost(answer.model) for answer in tried]
     return not len(tried[0].model.modes) and full[0] <= min(full)
 
 
