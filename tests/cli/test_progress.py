@@ -1,5 +1,6 @@
 import io
 import re
+from contextlib import contextmanager
 
 import pytest
 
@@ -57,3 +58,22 @@ def test_on_a_terminal_there_is_a_bar():
 def test_spans_of_time_are_readable():
     spans = {4.23: "4.2 s", 59.99: "1 min 00 s", 200: "3 min 20 s", 3900: "1 h 05 min"}
     assert {s: readable_seconds(s) for s in spans} == spans
+
+
+def test_shares_of_a_work_are_told_in_hundredths(monkeypatch):
+    steps = []
+    progress = Progress(io.StringIO())
+
+    @contextmanager
+    def stage(name, total):
+        steps.append((name, total))
+        yield lambda: steps.append(name)
+
+    monkeypatch.setattr(progress, "stage", stage)
+    with progress.stage_of_shares("Bones") as done:
+        done(0.25)
+        done(0.25)
+        done(0.31)
+        assert steps == [("Bones", 100), *31 * ["Bones"]]
+        done(1.0)
+    assert len(steps) == 1 + 100

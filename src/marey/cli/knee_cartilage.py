@@ -25,8 +25,6 @@ from marey.knee.volume import Labels, Volume
 from marey.view.flat_cartilage import flat_picture
 from marey.view.knee_maps import thickness_colours
 
-_STEPS = 100
-
 
 def cartilage_by_template(
     volumes: Sequence[Volume], bones: BoneSegmentation, surfaces: Mapping[str, Surface], template: Labels | None,
@@ -55,15 +53,7 @@ def cartilage_by_template(
                 parts[name] = surface_of_labels(template, name, edge_mm=1.0)
                 step()
             model = knee_template(parts, mirror=fit.mirrored)
-        with progress.stage("Cartilage", _STEPS) as step:
-            made = 0
-
-            def done(share: float) -> None:
-                nonlocal made
-                while made < round(share * _STEPS):
-                    made += 1
-                    step()
-
+        with progress.stage_of_shares("Cartilage") as done:
             found = find_knee_cartilage(volumes, surfaces, model, _starts(bones, model.bones), done)
     except MareyError as problem:
         progress.warn(f"Cartilage was not found, only bones were segmented. {problem}")

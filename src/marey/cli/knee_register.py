@@ -14,8 +14,6 @@ from marey.knee.rigid_registration import RigidRegistration, register_rigidly
 from marey.knee.sides import MIRROR, mirrored
 from marey.knee.surface import Surface
 
-_STEPS = 100
-
 
 def register(template: Path, subject: Path, out: Path | None, *, mirror: bool, progress: Progress) -> Path:
     """Register two bones and write `rigid.json` and `registered.ply`.
@@ -55,26 +53,13 @@ def register(template: Path, subject: Path, out: Path | None, *, mirror: bool, p
 
 
 def _rigid(template: Surface, subject: Surface, progress: Progress) -> RigidRegistration:
-    with progress.stage("Laying the template on the bone", _STEPS) as step:
-        return register_rigidly(template, subject, done=_steps(step))
+    with progress.stage_of_shares("Laying the template on the bone") as done:
+        return register_rigidly(template, subject, done=done)
 
 
 def _elastic(template: Surface, subject: Surface, progress: Progress) -> ElasticRegistration:
-    with progress.stage("Bending it", _STEPS) as step:
-        return register_elastically(template, subject, done=_steps(step))
-
-
-def _steps(step):  # type: ignore[no-untyped-def]
-    """Turn shares of the work into steps."""
-    made = 0
-
-    def done(share: float) -> None:
-        nonlocal made
-        while made < round(share * _STEPS):
-            made += 1
-            step()
-
-    return done
+    with progress.stage_of_shares("Bending it") as done:
+        return register_elastically(template, subject, done=done)
 
 
 def _about(rigid: RigidRegistration, elastic: ElasticRegistration, mirror: bool) -> dict[str, object]:

@@ -21,8 +21,6 @@ from marey.knee.surface import Surface
 from marey.knee.surfacing import surface_of_field
 from marey.knee.volume import Labels, Volume
 
-_STEPS = 100
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SegmentOptions:
@@ -103,16 +101,8 @@ def given_seeds(options: SegmentOptions, volume: Volume) -> dict[str, Floats]:
 def _segmented(
     volumes: Sequence[Volume], template: Labels | None, seeds: Mapping[str, Floats], progress: Progress
 ) -> BoneSegmentation:
-    with progress.stage("Bones", _STEPS) as step:
-        made = 0
-
-        def report(_: str, share: float) -> None:
-            nonlocal made
-            while made < round(share * _STEPS):
-                made += 1
-                step()
-
-        return segment_bones(volumes, template=template, seeds_mm=seeds, report=report)
+    with progress.stage_of_shares("Bones") as done:
+        return segment_bones(volumes, template=template, seeds_mm=seeds, report=lambda _, share: done(share))
 
 
 def _surfaces(bones: BoneSegmentation, progress: Progress) -> dict[str, Surface]:

@@ -18,6 +18,7 @@ from rich.progress import (
 from rich.progress import Progress as Bars
 
 SECONDS_BETWEEN_LINES = 10.0
+_HUNDREDTHS = 100
 Step = Callable[[], None]
 
 
@@ -67,6 +68,28 @@ class Progress:
                 yield step
         finally:
             self.timings[name] = self.timings.get(name, 0.0) + time.perf_counter() - started
+
+    @contextmanager
+    def stage_of_shares(self, name: str) -> Iterator[Callable[[float], None]]:
+        """Show one stage of a work that tells which share of it is done.
+
+        Args:
+            name: What is being done.
+
+        Yields:
+            A function to be called with the share, from 0 to 1.
+        """
+        made = 0
+
+        with self.stage(name, _HUNDREDTHS) as step:
+
+            def done(share: float) -> None:
+                nonlocal made
+                while made < round(share * _HUNDREDTHS):
+                    made += 1
+                    step()
+
+            yield done
 
     @contextmanager
     def _silent(self, name: str, total: int | None, done: int) -> Iterator[Step]:
