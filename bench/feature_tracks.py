@@ -4,16 +4,15 @@ Parts: paper (the given points of nonrigid/paper_video, judged by score/tracks.p
 map: corners and places along edges against the truth), speed (30 corners and 80 edges over 500 frames of 640x480).
 """
 
-import argparse
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import cv2
 import numpy as np
+from parts import run_parts
 
 from marey.arrays import Floats
 from marey.images.feature_tracks import FeatureTracks, follow_points
@@ -26,15 +25,7 @@ MADE = 120
 
 
 def main() -> None:
-    parts: dict[str, Callable[[Path], None]] = {"paper": paper, "made": made, "speed": speed}
-    reader = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    reader.add_argument("shared", type=Path)
-    reader.add_argument("part", nargs="?", choices=[*parts])
-    asked = reader.parse_args()
-    for name, part in parts.items():
-        if asked.part in (None, name):
-            print(f"\n{name}")
-            part(asked.shared)
+    run_parts(__doc__, {"paper": paper, "made": made, "speed": speed})
 
 
 def pictures_of(shared: Path) -> list[np.ndarray]:

@@ -4,14 +4,13 @@ Parts: gaps (cut into measured paths, filled, compared), exchanges (labels excha
 joints (the hip's centre carried from a functional trial into walking), events (of the gait, against given ones).
 """
 
-import argparse
 import sys
 import warnings
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from parts import run_parts
 
 from marey.io.c3d_forces import read_events, read_force_plates
 from marey.io.markers import read_markers
@@ -29,17 +28,9 @@ LENGTHS = (5, 10, 24, 60, 120, 240)
 
 
 def main() -> None:
-    parts: dict[str, Callable[[Path], None]] = {
-        "gaps": gaps, "exchanges": exchanges, "joints": joints, "events": events,
-    }  # fmt: skip
-    reader = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    reader.add_argument("shared", type=Path)
-    reader.add_argument("part", nargs="?", choices=[*parts])
-    asked = reader.parse_args()
-    for name, part in parts.items():
-        if asked.part in (None, name):
-            print(f"\n{name}")
-            part(asked.shared / "data" / "markers")
+    run_parts(
+        __doc__, {"gaps": gaps, "exchanges": exchanges, "joints": joints, "events": events}, within="data/markers"
+    )
 
 
 def lmam(folder: Path) -> tuple[MarkerTrajectories, tuple[Cluster, ...]]:

@@ -3,24 +3,25 @@
 Parts: paper (the ten frames of nonrigid/paper_video whose points are given), followed (the same points followed through
 the clip, rank constraint on, with the orthographic answer beside it), made (sheets and bodies of `made_perspective`).
 Printed are shape_percent as in score/tracks.py (no mirror image allowed but for the orthographic answer), the number of
-basis shapes, noise, change of distances, and by how much the mirror image is less probable.
+basis shapes, noise, change of distances, by how much the mirror image is less probable, and what shares of the shapes'
+coordinates and of the turns lie within 1.96 stated standard deviations.
 """
 
-import argparse
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import cv2
 import numpy as np
 from made_perspective import KINDS, bending_sheet, deforming_body, filmed, rubber_sheet
+from parts import run_parts
 
 from marey.arrays import Floats
 from marey.geometry import rotations
 from marey.images.feature_tracks import follow_points
 from marey.io.video import open_clip
+from marey.nonrigid.alignment import mean_shape
 from marey.nonrigid.one_view import factorise_tracks
-from marey.nonrigid.perspective import factorise_perspective
+from marey.nonrigid.perspective import PerspectiveShapes, factorise_perspective
 from marey.nonrigid.rank_tracking import refine_tracks
 from marey.nonrigid.rotation_paths import MIRROR
 
@@ -28,14 +29,7 @@ SEEDS = (0, 1)
 
 
 def main() -> None:
-    parts: dict[str, Callable[[Path], None]] = {"paper": paper, "followed": followed, "made": made}
-    reader = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    reader.add_argument("shared", type=Path)
-    reader.add_argument("part", nargs="?", choices=[*parts])
-    asked = reader.parse_args()
-    for name, part in parts.items():
-        if asked.part in (None, name):
-            part(asked.shared)
+    run_parts(__doc__, {"paper": paper, "followed": followed, "made": made})
 
 
 def percent(points: Floats, truth: Floats) -> float:
@@ -51,9 +45,25 @@ def row(name: str, tracks: Floats, matrix: Floats, truth: Floats, frames: Floats
     sys.stdout.write(
         f"{name}: shape_percent {percent(found.points[frames], truth):.2f}, K {found.rank}, noise "
         f"{found.noise_sd:.2f} px, distances change by {found.stretch:.4f}, "
-        f"mirror image worse by {found.mirror_gap:.0f}\n"
+        f"mirror image worse by {found.mirror_gap:.0f}, held: shape %.2f, turns %.2f\n" % held(found, truth, frames)
     )
     sys.stdout.flush()
+
+
+def held(found: PerspectiveShapes, truth: Floats, frames: Floats | slice) -> tuple[float, float]:
+    """Give the shares of coordinates and turns that 95 % intervals hold, the truth parted and scaled as the answer."""
+    shape, rotation = found.shape[frames], found.rotation[frames]
+    shape = shape - shape.mean(2, keepdims=True)
+    points = np.swapaxes(truth - truth.mean(2, keepdims=True), 1, 2)
+    _, camera_from_object, _ = mean_shape(points, np.ones(points.shape[:2], bool))
+    true = np.swapaxes(points @ camera_from_object, 1, 2)
+    rows, others = (x.transpose(1, 0, 2).reshape(3, -1) for x in (shape, true))
+    axes = rotations.nearest(rows @ others.T)
+    scale = np.sum(rows * (axes @ others)) / np.sum(others**2)
+    wrong = np.abs(shape - scale * axes @ true)
+    turn = np.abs(rotations.log(rotation @ axes @ np.swapaxes(camera_from_object, 1, 2)))
+    sd = 1.96 * found.shape_sd[frames], 1.96 * found.rotation_sd[frames]
+    return float(np.mean(wrong < sd[0])), float(np.mean(turn < sd[1]))
 
 
 def paper(shared: Path) -> None:
