@@ -12,6 +12,8 @@ MOST_CROSSINGS = 16
 """So many crossings of one ray are kept, the nearest."""
 _LEAF = 4
 _DEEPEST = 64
+SCRATCH = (2, 2 * _DEEPEST)
+"""Shape of what a search writes on: boxes that wait, with their squared distances, and a trial point."""
 _SAME_MM = 1e-6
 
 
@@ -168,34 +170,47 @@ def _to_box(point, low, high):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True)
-def _nearest(points, corners, low, high, starts, found, face):  # pragma: no cover - compiled
-    """Go down into the nearer box first; leave out those that lie farther than what was found."""
+def nearest_triangle(point, corners, low, high, starts, guess, found, scratch):  # pragma: no cover - compiled
+    """Write the nearest point (3,) of a tree's triangles and give the triangle's number.
+
+    It goes down into the nearer box first, and leaves out those that lie farther than what was found. A good guess, a
+    triangle's number, saves most of the way; -1 stands for none. Scratch is of `SCRATCH`'s shape.
+    """
     leaves = len(starts) - 1
-    trial = np.empty(3)
-    waiting, away = np.empty(_DEEPEST, np.int64), np.empty(_DEEPEST)
+    waiting, trial = scratch[0], scratch[1]
+    best, face, count = np.inf, -1, 1
+    if guess >= 0:
+        best, face = _nearest_on_triangle(point, corners[guess], trial), guess
+        found[:] = trial[:3]
+    waiting[0], waiting[1] = 0.0, 0.0
+    while count > 0:
+        count -= 1
+        box = int(waiting[2 * count])
+        if waiting[2 * count + 1] >= best:
+            continue
+        if box >= leaves - 1:
+            for t in range(starts[box - leaves + 1], starts[box - leaves + 2]):
+                squared = _nearest_on_triangle(point, corners[t], trial)
+                if squared < best:
+                    best, face = squared, t
+                    found[:] = trial[:3]
+            continue
+        one, two = 2 * box + 1, 2 * box + 2
+        to_one, to_two = _to_box(point, low[one], high[one]), _to_box(point, low[two], high[two])
+        if to_one < to_two:
+            one, two, to_one, to_two = two, one, to_two, to_one
+        waiting[2 * count], waiting[2 * count + 1] = one, to_one
+        waiting[2 * count + 2], waiting[2 * count + 3] = two, to_two
+        count += 2
+    return face
+
+
+@numba.njit(cache=True, nogil=True)
+def _nearest(points, corners, low, high, starts, found, face):  # pragma: no cover - compiled
+    """Find the nearest point of each, one after the other."""
+    scratch = np.empty(SCRATCH)
     for n in range(len(points)):
-        best, count = np.inf, 1
-        waiting[0], away[0] = 0, 0.0
-        while count > 0:
-            count -= 1
-            box = waiting[count]
-            if away[count] >= best:
-                continue
-            if box >= leaves - 1:
-                for t in range(starts[box - leaves + 1], starts[box - leaves + 2]):
-                    squared = _nearest_on_triangle(points[n], corners[t], trial)
-                    if squared < best:
-                        best = squared
-                        found[n] = trial
-                        face[n] = t
-                continue
-            one, two = 2 * box + 1, 2 * box + 2
-            to_one, to_two = _to_box(points[n], low[one], high[one]), _to_box(points[n], low[two], high[two])
-            if to_one < to_two:
-                one, two, to_one, to_two = two, one, to_two, to_one
-            waiting[count], away[count] = one, to_one
-            waiting[count + 1], away[count + 1] = two, to_two
-            count += 2
+        face[n] = nearest_triangle(points[n], corners, low, high, starts, -1, found[n], scratch)
 
 
 @numba.njit(cache=True, nogil=True)
