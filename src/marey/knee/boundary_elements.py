@@ -127,7 +127,7 @@ def step_costs(elements: BoundaryElements, learned: LearnedCosts | None = None) 
     """
     features = elements.features
     if learned is None:
-        clear = max(_CLEAR * float(np.median(elements.usual[:, 3])), np.finfo(np.float32).tiny)
+        clear = max(_CLEAR * float(np.median(elements.usual[:, 3])), float(np.finfo(np.float32).tiny))
         unlikely = 1 / (1 + (features[..., 3] / clear) ** 2)
     else:
         unlikely = np.empty(features.shape[:3], np.float32)
