@@ -73,6 +73,7 @@ def markers(path: Path, options: MarkersOptions, progress: Progress) -> Path:
         results = MarkersResults(
             gait=gait, path=path, measured=trial.measured, used=trial.used, filling=trial.filling, asked=trial.asked,
             runs=runs, anatomical=trial.anatomical, side=trial.side,
+            reference_frames=trial.problem.calibration.frames,
         )  # fmt: skip
         write_results(results, options, out, progress)
     for line in told(results):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from marey.arrays import Mask
+from marey.arrays import Integers, Mask
 from marey.cli.markers_events import CycleCurves, Gait, cycle_curves
 from marey.cli.markers_settings import MarkersOptions
 from marey.cli.progress import Progress
@@ -57,6 +57,8 @@ class MarkersResults:
     """Whether the bones' frames are anatomical ones."""
     side: str | None = None
     """`left` or `right` where it is known and the segments' names do not tell."""
+    reference_frames: Integers | None = None
+    """(K,) frames of the trial in which the bones were known; None of a model's."""
     coordinates: Table | None = None
     """Coordinates of a model, for angles.mot instead of the joints between bones."""
 
@@ -77,7 +79,10 @@ def write_results(results: MarkersResults, options: MarkersOptions, out: Path, p
         with progress.stage("Results"):
             for run in runs:
                 name = "bones.npz" if run is first else f"bones_{run.name}.npz"
-                write_bones(folder / name, BoneFile(motion=run.motion, time=time, side=results.side))
+                known = results.reference_frames
+                write_bones(
+                    folder / name, BoneFile(motion=run.motion, time=time, side=results.side, reference_frames=known)
+                )  # fmt: skip
             if results.coordinates is not None:
                 write_table(folder / "angles.mot", results.coordinates)
             elif first.joints.angle_names:

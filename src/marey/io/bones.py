@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from marey.arrays import Floats
+from marey.arrays import Floats, Integers
 from marey.errors import FileProblem
 from marey.io.npz import read_arrays, write_arrays
 from marey.markers.bone_motion import BoneMotion
@@ -22,12 +22,14 @@ class BoneFile:
     """(F,) [s]."""
     side: str | None = None
     """`left` or `right`, where the file says it and the segments' names do not."""
+    reference_frames: Integers | None = None
+    """(K,) frames in which the bones were known, where the file says so."""
 
 
 def write_bones(path: Path | str, bones: BoneFile) -> None:
     """Write NAME_rotation, NAME_origin and their standard deviations; millimetres, a row a frame.
 
-    `time` [s], `rate` [Hz], `segments` and, where it is known, `side` stand beside them.
+    `time` [s], `rate` [Hz], `segments` and, where they are known, `side` and `reference_frames` stand beside them.
 
     Args:
         path: The file.
@@ -39,6 +41,8 @@ def write_bones(path: Path | str, bones: BoneFile) -> None:
         arrays["rate"] = 1 / float(np.median(np.diff(time)))
     if bones.side is not None:
         arrays["side"] = bones.side
+    if bones.reference_frames is not None:
+        arrays["reference_frames"] = bones.reference_frames
     for s, name in enumerate(motion.segments):
         arrays[f"{name}_rotation"] = motion.rotation[:, s]
         arrays[f"{name}_origin"] = motion.origin[:, s] * _MM
@@ -74,7 +78,10 @@ def read_bones(path: Path | str) -> BoneFile:
         segments=tuple(names), rotation=np.stack([arrays[f"{n}_rotation"] for n in names], 1),
         origin=np.stack([arrays[f"{n}_origin"] for n in names], 1) / _MM, covariance=covariance,
     )  # fmt: skip
-    return BoneFile(motion=motion, time=_time(path, arrays, frames), side=_side(arrays))
+    return BoneFile(
+        motion=motion, time=_time(path, arrays, frames), side=_side(arrays),
+        reference_frames=_reference_frames(path, arrays, frames),
+    )  # fmt: skip
 
 
 def _covariance(arrays: dict[str, np.ndarray], name: str, frames: int) -> Floats:
@@ -90,6 +97,20 @@ def _time(path: Path | str, arrays: dict[str, np.ndarray], frames: int) -> Float
     if rate is None or np.size(rate) != 1 or not float(rate) > 0:
         raise FileProblem(path, "tells neither time nor rate", "Add `rate` in Hz, or `time` in seconds.")
     return np.arange(frames) / float(rate)
+
+
+def _reference_frames(path: Path | str, arrays: dict[str, np.ndarray], frames: int) -> Integers | None:
+    """Give the frames in which the bones were known.
+
+    Raises:
+        FileProblem: The file has no such frames.
+    """
+    if "reference_frames" not in arrays:
+        return None
+    known = np.atleast_1d(np.asarray(arrays["reference_frames"], np.int64))
+    if not len(known) or known.min() < 0 or known.max() >= frames:
+        raise FileProblem(path, f"has reference_frames outside of its {frames} frames", "Run `marey markers` again.")
+    return known
 
 
 def _side(arrays: dict[str, np.ndarray]) -> str | None:

@@ -1,0 +1,193 @@
+"""Which of the scanner's balls is which of the laboratory's markers, told by the distances between them."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import gammaincc
+
+from marey.arrays import Floats, Integers, Mask, frozen
+from marey.errors import MareyError
+from marey.geometry import rotations
+from marey.geometry.rigid import RigidTransform
+
+FEWEST = 3
+_REACH = 4.0  # standard deviations by which a distance may differ
+_LEAST_CHANCE = 1e-4  # of the residuals of a match
+_AHEAD = 12.0  # in chi square, by which the best match is better than any other: odds of 400 to 1
+_MOST = 4000  # matches of one bone; where so many fit, distances tell nothing
+LARGEST_KNEE_TURN = np.radians(75.0)
+"""Between the scanner and standing a knee bends by less than this [rad]."""
+LARGEST_KNEE_SHIFT_MM = 25.0
+"""And its middle, carried by the femur and by the tibia, comes apart by less than this."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Markers:
+    """Places of N markers with one standard deviation each."""
+
+    places_mm: Floats
+    """(N, 3); NaN where not known."""
+    sd_mm: Floats
+    """(N,)."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "places_mm", frozen(self.places_mm))
+        object.__setattr__(self, "sd_mm", frozen(self.sd_mm))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class GroupMatch:
+    """One way to match the balls of a bone to markers."""
+
+    markers: Integers
+    """(M,) the marker of each ball; -1 for a ball without one."""
+    chi_square: float
+    """Sum of the squared residuals of the rigid fit in their standard deviations."""
+    to_from: RigidTransform
+    """The markers' frame from the balls' [mm]."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "markers", frozen(self.markers, np.int64))
+
+    @property
+    def count(self) -> int:
+        """How many balls have a marker."""
+        return int((self.markers >= 0).sum())
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Matching:
+    """The match of the balls of all bones."""
+
+    groups: Mapping[str, GroupMatch]
+    """By bone."""
+    rivals: tuple[tuple[str, tuple[int, ...]], ...]
+    """Bone, and balls of it that other markers fit as well: ambiguous; empty where the match is the only one."""
+
+
+def match_group(balls: Markers, markers: Markers, allowed: Mask) -> list[GroupMatch]:
+    """List all matches of one rigid group of balls to markers that leave the fewest balls without a marker.
+
+    A mirror image is none: the fit is a proper rotation, and its residuals must be chance.
+
+    Args:
+        balls: M of them.
+        markers: N of them.
+        allowed: (M, N) which marker a ball may be.
+
+    Returns:
+        The best one first; empty where no three balls fit.
+    """
+    fits = _compatible(balls, markers)
+    for lost in range(len(balls.places_mm) - FEWEST + 1):
+        found = []
+        for assignment in _assignments(fits, allowed & np.isfinite(markers.places_mm).all(1), lost):
+            group = _fitted(balls, markers, assignment)
+            if group is not None:
+                found.append(group)
+            if len(found) > _MOST:
+                raise MareyError("too many markers lie about as the balls do; write marker_names into markers.json")
+        if found:
+            return sorted(found, key=lambda group: group.chi_square)
+    return []
+
+
+def _compatible(balls: Markers, markers: Markers) -> Mask:
+    """Tell for balls b, c and markers A, B whether their distances are alike: (M, M, N, N)."""
+    here, there = (np.linalg.norm(m.places_mm[:, None] - m.places_mm, axis=-1) for m in (balls, markers))
+    variance = [m.sd_mm[:, None] ** 2 + m.sd_mm**2 for m in (balls, markers)]
+    reach = _REACH * np.sqrt(variance[0][:, :, None, None] + variance[1])
+    alike = np.abs(here[:, :, None, None] - there) < reach
+    different = ~np.eye(len(markers.places_mm), dtype=bool)
+    return np.asarray(alike & different)
+
+
+def _assignments(fits: Mask, allowed: Mask, lost: int) -> Iterator[list[int]]:
+    """Give every assignment of markers to balls whose distances are all alike, with so many balls lost."""
+    count = len(allowed)
+
+    def extended(assignment: list[int], left: Mask, lost: int) -> Iterator[list[int]]:
+        ball = len(assignment)
+        if ball == count:
+            if lost == 0:
+                yield assignment
+            return
+        for marker in np.flatnonzero(left[ball]).tolist():
+            narrowed = left & fits[ball][:, marker]
+            if (narrowed[ball + 1 :].any(1)).sum() >= count - ball - 1 - lost:
+                yield from extended([*assignment, marker], narrowed, lost)
+        if lost:
+            yield from extended([*assignment, -1], left, lost - 1)
+
+    yield from extended([], allowed, lost)
+
+
+def _fitted(balls: Markers, markers: Markers, assignment: Sequence[int]) -> GroupMatch | None:
+    """Fit an assignment rigidly; None where its residuals are no chance (a mirror image, chance distances)."""
+    pairs = np.array([(ball, marker) for ball, marker in enumerate(assignment) if marker >= 0])
+    here, there = balls.places_mm[pairs[:, 0]], markers.places_mm[pairs[:, 1]]
+    weight = 1 / (balls.sd_mm[pairs[:, 0]] ** 2 + markers.sd_mm[pairs[:, 1]] ** 2)
+    middles = [weight @ each / weight.sum() for each in (here, there)]
+    rotation = rotations.nearest((weight[:, None] * (there - middles[1])).T @ (here - middles[0]))
+    motion = RigidTransform(rotation, middles[1] - rotation @ middles[0])
+    chi_square = float((weight[:, None] * (there - motion.apply(here)) ** 2).sum())
+    if gammaincc((3 * len(pairs) - 6) / 2, chi_square / 2) < _LEAST_CHANCE:
+        return None
+    return GroupMatch(markers=np.asarray(assignment), chi_square=chi_square, to_from=motion)
+
+
+def best_matching(
+    found: Mapping[str, Sequence[GroupMatch]], knee_mm: Floats, posture: Mapping[str, RigidTransform]
+) -> Matching:
+    """Choose one match a bone so that the bones make a knee, and say where others would do as well.
+
+    No marker is on two bones; between the scanner and standing the knee bends by less than `LARGEST_KNEE_TURN`, and
+    its middle stays together to `LARGEST_KNEE_SHIFT_MM`.
+
+    Args:
+        found: Bone to its matches; bones without any are left out.
+        knee_mm: (3,) the middle of the knee in the scanner.
+        posture: Bone to the laboratory from the frame in which its markers are given [mm].
+    """
+    bones = [bone for bone, matches in found.items() if matches]
+    ranked = sorted(_joint(bones, found, knee_mm, posture), key=lambda pair: pair[0])
+    if not ranked:
+        return Matching(groups={}, rivals=())
+    least, chosen = ranked[0]
+    rivals: dict[str, set[int]] = {}
+    for chi_square, other in ranked[1:]:
+        if chi_square - least < _AHEAD:
+            for bone in bones:
+                differ = np.flatnonzero(chosen[bone].markers != other[bone].markers)
+                rivals.setdefault(bone, set()).update(differ.tolist())
+    told = tuple((bone, tuple(sorted(balls))) for bone, balls in rivals.items() if balls)
+    return Matching(groups=chosen, rivals=told)
+
+
+def _joint(
+    bones: Sequence[str], found: Mapping[str, Sequence[GroupMatch]], knee_mm: Floats,
+    posture: Mapping[str, RigidTransform],
+) -> Iterator[tuple[float, dict[str, GroupMatch]]]:  # fmt: skip
+    """Give the combinations of matches that make a knee, with their chi square."""
+    if not bones:
+        return
+    partial: list[tuple[float, dict[str, GroupMatch]]] = [(0.0, {})]
+    for bone in bones:
+        partial = [
+            (chi_square + match.chi_square, {**others, bone: match})
+            for chi_square, others in partial
+            for match in found[bone]
+            if all(_makes_knee({bone: match, name: other}, knee_mm, posture) for name, other in others.items())
+        ]
+    yield from partial
+
+
+def _makes_knee(pair: Mapping[str, GroupMatch], knee_mm: Floats, posture: Mapping[str, RigidTransform]) -> bool:
+    first, second = pair.values()
+    if set(first.markers[first.markers >= 0].tolist()) & set(second.markers[second.markers >= 0].tolist()):
+        return False
+    there = [posture[bone] @ match.to_from for bone, match in pair.items()]
+    turn = np.linalg.norm((there[0].inverse() @ there[1]).rotation_vector)
+    shift = np.linalg.norm(there[0].apply(knee_mm) - there[1].apply(knee_mm))
+    return bool(turn < LARGEST_KNEE_TURN and shift < LARGEST_KNEE_SHIFT_MM)
