@@ -3,9 +3,10 @@
 import numpy as np
 from numba import njit
 
-from marey.arrays import Mask
+from marey.arrays import Integers, Mask
 
 _ITERATIONS = 150
+_SETTLED = 50.0
 
 
 def minimal_cut(
@@ -29,37 +30,47 @@ def minimal_cut(
     steps = np.asarray(spacing_mm, dtype=np.float32)
     inside = start.astype(np.float32)
     odds = np.ascontiguousarray(evidence, dtype=np.float32)
-    _primal_dual(odds, inside, np.float32(surface_nats_mm), steps, _ITERATIONS)
+    settled = np.abs(odds) > _SETTLED
+    inside[settled] = odds[settled] > 0
+    moving, flowing = _moving_and_flowing(~settled)
+    _primal_dual(odds, inside, moving, flowing, np.float32(surface_nats_mm), steps, _ITERATIONS)
     return inside
 
 
+def _moving_and_flowing(open_: Mask) -> tuple[Integers, Integers]:
+    """(n, 3), (m, 3) the voxels that are not settled, and those with one before or at them along an axis."""
+    flowing = open_.copy()
+    flowing[:-1] |= open_[1:]
+    flowing[:, :-1] |= open_[:, 1:]
+    flowing[:, :, :-1] |= open_[:, :, 1:]
+    return np.argwhere(open_).astype(np.int32), np.argwhere(flowing).astype(np.int32)
+
+
 @njit(cache=True, nogil=True, fastmath=True)
-def _primal_dual(evidence, inside, price, spacing, iterations):  # type: ignore[no-untyped-def]
-    """Turn `inside` into the solution, in place."""
+def _primal_dual(evidence, inside, moving, flowing, price, spacing, iterations):  # type: ignore[no-untyped-def]
+    """Turn `inside` into the solution, in place; only the moving voxels change."""
     deep, high, wide = evidence.shape
     hz, hy, hx = spacing[0], spacing[1], spacing[2]
     tau = np.float32(1.0) / (2 / hz + 2 / hy + 2 / hx)
     pz, py, px = np.zeros_like(evidence), np.zeros_like(evidence), np.zeros_like(evidence)
     ahead = inside.copy()
     for _ in range(iterations):
-        for z in range(deep):
-            for y in range(high):
-                for x in range(wide):
-                    here = ahead[z, y, x]
-                    a = pz[z, y, x] + np.float32(0.5) * (ahead[z + 1, y, x] - here) if z < deep - 1 else np.float32(0)
-                    b = py[z, y, x] + np.float32(0.5) * (ahead[z, y + 1, x] - here) if y < high - 1 else np.float32(0)
-                    c = px[z, y, x] + np.float32(0.5) * (ahead[z, y, x + 1] - here) if x < wide - 1 else np.float32(0)
-                    size = np.sqrt(a * a + b * b + c * c)
-                    share = price / size if size > price else np.float32(1)
-                    pz[z, y, x], py[z, y, x], px[z, y, x] = a * share, b * share, c * share
-        for z in range(deep):
-            for y in range(high):
-                for x in range(wide):
-                    flow = pz[z, y, x] / hz + py[z, y, x] / hy + px[z, y, x] / hx
-                    flow -= pz[z - 1, y, x] / hz if z > 0 else np.float32(0)
-                    flow -= py[z, y - 1, x] / hy if y > 0 else np.float32(0)
-                    flow -= px[z, y, x - 1] / hx if x > 0 else np.float32(0)
-                    before = inside[z, y, x]
-                    value = min(max(before + tau * (flow + evidence[z, y, x]), np.float32(0)), np.float32(1))
-                    inside[z, y, x] = value
-                    ahead[z, y, x] = 2 * value - before
+        for n in range(len(flowing)):
+            z, y, x = flowing[n, 0], flowing[n, 1], flowing[n, 2]
+            here = ahead[z, y, x]
+            a = pz[z, y, x] + np.float32(0.5) * (ahead[z + 1, y, x] - here) if z < deep - 1 else np.float32(0)
+            b = py[z, y, x] + np.float32(0.5) * (ahead[z, y + 1, x] - here) if y < high - 1 else np.float32(0)
+            c = px[z, y, x] + np.float32(0.5) * (ahead[z, y, x + 1] - here) if x < wide - 1 else np.float32(0)
+            size = np.sqrt(a * a + b * b + c * c)
+            share = price / size if size > price else np.float32(1)
+            pz[z, y, x], py[z, y, x], px[z, y, x] = a * share, b * share, c * share
+        for n in range(len(moving)):
+            z, y, x = moving[n, 0], moving[n, 1], moving[n, 2]
+            flow = pz[z, y, x] / hz + py[z, y, x] / hy + px[z, y, x] / hx
+            flow -= pz[z - 1, y, x] / hz if z > 0 else np.float32(0)
+            flow -= py[z, y - 1, x] / hy if y > 0 else np.float32(0)
+            flow -= px[z, y, x - 1] / hx if x > 0 else np.float32(0)
+            before = inside[z, y, x]
+            value = min(max(before + tau * (flow + evidence[z, y, x]), np.float32(0)), np.float32(1))
+            inside[z, y, x] = value
+            ahead[z, y, x] = 2 * value - before
