@@ -8,7 +8,7 @@ import numpy as np
 from marey.arrays import Floats, Integers, Mask, frozen
 from marey.errors import MareyError
 from marey.geometry import rotations
-from marey.knee.joint_surface import COMPARTMENTS, Heights, JointSurface
+from marey.knee.joint_surface import COMPARTMENTS, JointSurface
 
 LIMIT_MM = 5.0
 """Farther apart than this, surfaces do not count as near."""
@@ -143,44 +143,52 @@ class _Frames:
         onto_base = self._base.heights(moving @ turn.T + shift, self._guess[1])
         self._guess = [onto_moving.triangle, onto_base.triangle]
         self._maps[0][frame], self._maps[1][frame] = onto_moving.distance_mm, onto_base.distance_mm
-        for c, name in enumerate(self._names):
-            here = _within(name, self._base.lateral)
-            there = _within(name, None if self._base.lateral is None else self._base.of_lateral(onto_base.triangle))
-            self._measure(frame, c, here, onto_moving, turn, covariance)
-            wrt = _by_pose(onto_base.upward, moving, turn)
-            self._centre(1, frame, c, there, onto_base.distance_mm, wrt, covariance)
 
-    def _measure(self, frame: int, c: int, here: Mask | slice, found: Heights, turn: Floats, cov: Floats) -> None:
-        """Note the gap, the areas and the centre of one compartment of the base."""
-        distance, area = found.distance_mm[here], self._base.vertex_areas_mm2[here]
-        if not np.isfinite(distance).any():
+        def of_base(chosen: Integers) -> Floats:
+            # What moves is the place below; the vertex stands, so its distance falls as that comes up to it.
+            return -_by_pose(onto_moving.upward[chosen] @ turn.T, onto_moving.places_mm[chosen], turn)
+
+        def of_moving(chosen: Integers) -> Floats:
+            return _by_pose(onto_base.upward[chosen], moving[chosen], turn)
+
+        lateral = self._base.lateral
+        below = None if lateral is None else self._base.of_lateral(onto_base.triangle)
+        for c, name in enumerate(self._names):
+            here = _within(name, lateral, len(base))
+            self._measure(frame, c, here, onto_moving.distance_mm, of_base, covariance)
+            self._centre(0, frame, c, here, onto_moving.distance_mm, of_base, covariance)
+            there = _within(name, below, len(moving))
+            self._centre(1, frame, c, there, onto_base.distance_mm, of_moving, covariance)
+
+    def _measure(
+        self, frame: int, c: int, here: Integers, distance: Floats, by_pose: "_ByPose", covariance: Floats
+    ) -> None:
+        """Note the gap and the areas of one compartment of the base."""
+        known = here[np.isfinite(distance[here])]
+        if not len(known):
             return
-        # The direction away from the moving surface, in the base's frame; the base stands, so its sign turns.
-        wrt = -_by_pose(found.upward @ turn.T, found.places_mm, turn)
-        nearest = int(np.nanargmin(distance))
-        self._gap[frame, c] = distance[nearest]
-        self._gap_sd[frame, c] = np.sqrt(wrt[here][nearest] @ cov @ wrt[here][nearest])
+        nearest = known[[np.argmin(distance[known])]]
+        self._gap[frame, c] = distance[nearest[0]]
+        wrt = by_pose(nearest)[0]
+        self._gap_sd[frame, c] = np.sqrt(wrt @ covariance @ wrt)
         for row, most in zip(self._areas, (0.0, NEAR_MM, self._limit), strict=True):
-            row[frame, c] = area[distance < most].sum()
-        self._centre(0, frame, c, here, found.distance_mm, wrt, cov)
+            row[frame, c] = self._base.vertex_areas_mm2[known[distance[known] < most]].sum()
 
     def _centre(
-        self, which: int, frame: int, c: int, here: Mask | slice, distance: Floats, wrt: Floats, cov: Floats
+        self, which: int, frame: int, c: int, here: Integers, distance: Floats, by_pose: "_ByPose", covariance: Floats
     ) -> None:  # fmt: skip
         """Note a centre of proximity and what the poses leave open of it."""
-        side = (self._base, self._moving)[which]
-        places, area = side.surface.vertices_mm[here], side.vertex_areas_mm2[here]
-        below = np.nan_to_num(np.maximum(self._limit - distance[here], 0.0))
-        weight = area * below
-        if not weight.sum() > 0:
+        near = here[distance[here] < self._limit]
+        if not len(near):
             return
-        share = weight / weight.sum()
-        centre = share @ places
+        side = (self._base, self._moving)[which]
+        places, area = side.surface.vertices_mm[near], side.vertex_areas_mm2[near]
+        weight = area * (self._limit - distance[near])
+        centre = weight @ places / weight.sum()
         # d centre = sum (place - centre) d weight / sum weight, and a weight falls by its area as the distance grows.
-        slope = -(np.where(below > 0, area, 0.0) / weight.sum())[:, None] * wrt[here]
-        jacobian = (places - centre).T @ slope
+        jacobian = -(places - centre).T @ (area[:, None] * by_pose(near)) / weight.sum()
         self._centres[which, frame, c] = centre
-        self._centres_sd[which, frame, c] = np.sqrt(np.diag(jacobian @ cov @ jacobian.T))
+        self._centres_sd[which, frame, c] = np.sqrt(np.diag(jacobian @ covariance @ jacobian.T))
 
     def finished(self, name: str) -> Proximity:
         """Give all of it, the centres on their surfaces."""
@@ -193,11 +201,15 @@ class _Frames:
         )  # fmt: skip
 
 
-def _within(compartment: str, lateral: Mask | None) -> Mask | slice:
-    """Choose what lies in a compartment."""
+_ByPose = Callable[[Integers], Floats]
+"""Vertices (n,) to the derivatives (n, 6) of their distances by the pose."""
+
+
+def _within(compartment: str, lateral: Mask | None, count: int) -> Integers:
+    """Number the vertices of a compartment."""
     if lateral is None or compartment == "all":
-        return slice(None)
-    return lateral if compartment == "lateral" else ~lateral
+        return np.arange(count)
+    return np.flatnonzero(lateral if compartment == "lateral" else ~lateral)
 
 
 def _by_pose(upward: Floats, places: Floats, turn: Floats) -> Floats:

@@ -1,4 +1,4 @@
-"""Cartilage thickness in colours: blue thin, green, yellow and red thick, bone colour where it is bare."""
+"""Colours on a knee: cartilage's thickness, blue thin to red thick; its nearness to another, red near to blue far."""
 
 import numpy as np
 
@@ -7,12 +7,28 @@ from marey.arrays import Floats, Image
 FULL_MM = 4.0
 """Thickness at the end of the scale."""
 BARE = (226, 216, 200)
-_STOPS = np.array([[38, 60, 150], [40, 140, 190], [90, 190, 120], [240, 215, 80], [215, 60, 45]], float)
+STOPS = np.array([[38, 60, 150], [40, 140, 190], [90, 190, 120], [240, 215, 80], [215, 60, 45]], float)
 
 
 def thickness_colours(thickness_mm: Floats, full_mm: float = FULL_MM) -> Image:
     """Give red, green and blue (..., 3) of thicknesses (...) [mm]; 0 and NaN are bare."""
     known = np.nan_to_num(np.asarray(thickness_mm, float))
-    place = np.clip(known / full_mm, 0, 1) * (len(_STOPS) - 1)
-    colours = np.stack([np.interp(place, np.arange(len(_STOPS)), _STOPS[:, channel]) for channel in range(3)], -1)
+    place = np.clip(known / full_mm, 0, 1) * (len(STOPS) - 1)
+    colours = np.stack([np.interp(place, np.arange(len(STOPS)), STOPS[:, channel]) for channel in range(3)], -1)
     return np.where((known > 0)[..., None], np.round(colours), BARE).astype(np.uint8)
+
+
+OVERLAP = (110, 30, 130)
+FAR = (212, 224, 230)
+"""Of cartilage with nothing near."""
+BONE = (232, 222, 203)
+
+
+def proximity_colours(distance_mm: Floats, limit_mm: float) -> Image:
+    """Give red, green and blue (..., 3) of distances (...) [mm]: red at 0, blue at the limit, violet for an overlap."""
+    distance = np.asarray(distance_mm, float)
+    near = np.nan_to_num(distance, nan=np.inf) < limit_mm
+    place = np.clip(1 - np.where(near, distance, 0) / limit_mm, 0, 1) * (len(STOPS) - 1)
+    colours = np.stack([np.interp(place, np.arange(len(STOPS)), STOPS[:, channel]) for channel in range(3)], -1)
+    shown = np.where(near[..., None], np.round(colours), FAR)
+    return np.where((near & (distance < 0))[..., None], OVERLAP, shown).astype(np.uint8)

@@ -19,7 +19,7 @@ function makeScene(canvas, problem, { middle, distance, reach = [0.8, 20], camer
   gl.getExtension("OES_element_index_uint");
   const eye = { turn: -0.7, lift, distance, target: middle.slice(), camera: -1 };
   const lines = program(LINE_VERTEX, LINE_PIXEL), places = gl.createBuffer();
-  const scene = { gl, eye, program, buffer, drawLines, drawPoints, later, turn, draw() {} };
+  const scene = { gl, eye, program, buffer, drawLines, drawPoints, later, turn, draw() {}, see(v, l) { view = v; lens = l; } };
   let view, lens;
 
   function program(vertex, pixel) {

@@ -1,0 +1,298 @@
+"""`marey knee animate`: a knee's bones and cartilage from MR, moved by an activity in the laboratory."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from threadpoolctl import threadpool_limits
+
+from marey.cli.knee_animation_results import AnimationResults, write_animation
+from marey.cli.progress import Progress
+from marey.cli.run_record import StageCache
+from marey.errors import FileProblem, MareyError, SettingProblem
+from marey.io.activity import read_activity
+from marey.io.marker_results import is_y_up
+from marey.io.markers import read_markers
+from marey.io.meshes import read_mesh
+from marey.io.scanner_markers import read_landmarks, read_scanner_markers
+from marey.io.stages import file_fingerprint
+from marey.knee.anatomical_frames import Landmarks
+from marey.knee.correspondence import KneeCorrespondence, bone_chain, correspond
+from marey.knee.joint_motion import (
+    BASE,
+    JOINTS,
+    KneeMotion,
+    joint_proximities,
+    joint_sides,
+    knee_angles,
+    motion_of_chains,
+)
+from marey.knee.joint_surface import JointSurface
+from marey.knee.marker_naming import ScannerMarkers
+from marey.knee.proximity import LIMIT_MM
+from marey.knee.reference_posture import Activity, reference_posture
+from marey.knee.sides import is_left
+from marey.knee.structures import BONE_OF_CARTILAGE, BONES, LABELS
+from marey.knee.surface import Surface
+from marey.markers.trajectories import MarkerTrajectories
+from marey.view.knee_picture import DEFAULT_VIEWS, VIEWS
+
+FRAMES = ("tibia", "room")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class AnimateOptions:
+    """What `marey knee animate` is asked for."""
+
+    out: Path | None = None
+    reference: Path | None = None
+    """A trial of the person standing, with the scanner's markers."""
+    method: str | None = None
+    """Whose bones, of several that `marey markers` ran at once."""
+    compare: str | None = None
+    """Another method, or another folder of `marey markers`."""
+    landmarks: Path | None = None
+    side: str | None = None
+    frame: str = "tibia"
+    views: tuple[str, ...] = DEFAULT_VIEWS
+    limit_mm: float = LIMIT_MM
+
+    def __post_init__(self) -> None:
+        if self.side not in (None, "left", "right"):
+            raise SettingProblem(f"--side is left or right, not '{self.side}'.")
+        if self.frame not in FRAMES:
+            raise SettingProblem(f"--frame is tibia or room, not '{self.frame}'.")
+        strange = [view for view in self.views if view not in VIEWS]
+        if strange or not self.views:
+            raise SettingProblem(f"--view {','.join(strange)} is none of {', '.join(VIEWS)}.")
+        if not self.limit_mm > 0:
+            raise SettingProblem(f"--limit is a length above 0 mm, not {self.limit_mm:g}.")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Knee:
+    """What the scanner saw."""
+
+    folder: Path
+    parts: Mapping[str, Surface]
+    markers: ScannerMarkers
+    landmarks: Landmarks | None
+    left: bool | None
+
+    @property
+    def bones(self) -> dict[str, Surface]:
+        return {name: part for name, part in self.parts.items() if name in BONES}
+
+
+def animate(knee_folder: Path, motion_folder: Path, options: AnimateOptions, progress: Progress) -> Path:
+    """Move a knee by an activity, measure its cartilages' nearness, and write and draw it.
+
+    Args:
+        knee_folder: What `marey knee segment` left.
+        motion_folder: What `marey markers` left.
+        options: What is asked for.
+        progress: Is told.
+
+    Returns:
+        The folder with the results.
+
+    Raises:
+        MareyError: A file or setting cannot be used, or scanner and laboratory cannot be joined.
+    """
+    out = options.out or motion_folder / "knee"
+    with progress.stage("Reading"):
+        activity = read_activity(motion_folder, method=options.method)
+        other = _compared(motion_folder, options)
+        knee = _read_knee(knee_folder, activity, motion_folder, options)
+        standing = None if options.reference is None else read_markers(options.reference)
+    if other is not None and len(other.time) != len(activity.time):
+        wrong = f"has {len(other.time)} frames, and the activity {len(activity.time)}"
+        raise FileProblem(Path(str(options.compare)), wrong, "Compare results of the same trial.")
+    files = _files(knee, motion_folder, options)
+    with threadpool_limits(1), StageCache(out, [file_fingerprint(path) for path in files]):
+        sides, notes = joint_sides(knee.parts, _that_meet(knee.parts), left=knee.left)
+        for note in notes:
+            progress.warn(note)
+        name = options.method or _first_method(motion_folder)
+        joined, found = _moved(knee, activity, standing, sides, options, progress, name)
+        compared = None
+        if other is not None:
+            compared = _moved(knee, other, standing, sides, options, progress, _name_of(options), quiet=True)[1]
+        _say_doubts(found, compared, knee, progress)
+        results = AnimationResults(
+            title=f"{knee_folder.resolve().name} by {motion_folder.resolve().name}", parts=knee.parts, found=found,
+            compared=compared, joined=joined, in_room=options.frame == "room" or BASE not in found.motion.poses,
+            y_up=_y_up(motion_folder), views=options.views, limit_mm=options.limit_mm,
+            settings=_settings(options, found, knee), inputs=files, root=knee_folder.parent,
+        )  # fmt: skip
+        write_animation(results, out, progress)
+    for line in told(found, compared):
+        progress.say(line)
+    return out
+
+
+def _read_knee(folder: Path, activity: Activity, motion_folder: Path, options: AnimateOptions) -> _Knee:
+    """Read what the scanner saw, and which knee it is."""
+    if not folder.is_dir():
+        raise FileProblem(folder, "is no folder", "Give one that `marey knee segment` left.")
+    parts = {name: read_mesh(folder / f"{name}.ply") for name in LABELS if (folder / f"{name}.ply").is_file()}
+    parts = {name: part for name, part in parts.items() if BONE_OF_CARTILAGE.get(name, name) in parts}
+    missing = [bone for bone in ("femur", "tibia") if bone not in parts]
+    if missing:
+        wrong = f"has no {' and no '.join(f'{bone}.ply' for bone in missing)}"
+        raise FileProblem(folder, wrong, "Give a folder that `marey knee segment` left.")
+    own = is_left({name: part for name, part in parts.items() if name in BONES})
+    return _Knee(
+        folder=folder, parts=parts, markers=read_scanner_markers(folder / "markers.json"),
+        landmarks=None if options.landmarks is None else read_landmarks(options.landmarks),
+        left=_side(own, activity, motion_folder, options),
+    )  # fmt: skip
+
+
+def _side(own: bool | None, activity: Activity, motion_folder: Path, options: AnimateOptions) -> bool | None:
+    """Tell which knee it is: as said, as the patella lies, or as the laboratory names its segments."""
+    if options.side is not None:
+        return options.side == "left"
+    named = {True for name in activity.motion.segments if name.startswith("left_")}
+    named |= {False for name in activity.motion.segments if name.startswith("right_")}
+    if activity.side is not None:
+        named.add(activity.side == "left")
+    if own is not None and named and own not in named:
+        words = {True: "left", False: "right"}
+        raise FileProblem(
+            motion_folder, f"has the {words[not own]} leg's bones, and the scanned knee is a {words[own]} one",
+            "Give the motion of that leg, or the side with --side where the patella misleads.",
+        )  # fmt: skip
+    if own is not None:
+        return own
+    return next(iter(named)) if len(named) == 1 else None
+
+
+def _compared(folder: Path, options: AnimateOptions) -> Activity | None:
+    """Read what is to be compared: another method of the same run, or another run's folder."""
+    if options.compare is None:
+        return None
+    path = Path(options.compare)
+    if path.is_dir():
+        return read_activity(path)
+    return read_activity(folder, method=options.compare)
+
+
+def _name_of(options: AnimateOptions) -> str:
+    path = Path(str(options.compare))
+    return _first_method(path) if path.is_dir() else str(options.compare)
+
+
+def _first_method(folder: Path) -> str:
+    """Give the method whose bones are in a folder's bones.npz."""
+    try:
+        methods = json.loads((folder / "run.json").read_text(encoding="utf-8"))["settings"]["methods"]
+        return str(methods[0])
+    except (OSError, ValueError, KeyError, TypeError, IndexError):
+        return folder.resolve().name
+
+
+def _y_up(folder: Path) -> bool:
+    """Tell whether the laboratory has Y up: the trial's C3D says so, or it was a TRC."""
+    try:
+        inputs = json.loads((folder / "run.json").read_text(encoding="utf-8"))["inputs"]
+        if str(next(iter(inputs))).lower().endswith(".trc"):
+            return True
+    except (OSError, ValueError, KeyError, TypeError, StopIteration):
+        pass
+    return is_y_up(folder / "motion.c3d")
+
+
+def _that_meet(parts: Mapping[str, Surface]) -> list[str]:
+    """List the bones of which something can be near to another."""
+    return [bone for bone in BONES if bone in parts and any(bone in joint[1:] for joint in JOINTS)]
+
+
+def _moved(
+    knee: _Knee, activity: Activity, standing: MarkerTrajectories | None, sides: Mapping[str, JointSurface],
+    options: AnimateOptions, progress: Progress, name: str, *, quiet: bool = False,
+) -> tuple[KneeCorrespondence, KneeMotion]:  # fmt: skip
+    """Join scanner and laboratory, and measure the motion by one correction of the skin's motion."""
+    posture = reference_posture(activity, standing)
+    joined = correspond(
+        knee.markers, posture, knee.bones, segment_of_label=activity.segment_of_label, left=knee.left,
+        landmarks=knee.landmarks,
+    )  # fmt: skip
+    if not quiet:
+        for note in joined.notes:
+            progress.warn(note)
+        for bone, each in joined.bones.items():
+            for note in each.notes:
+                progress.warn(f"{bone}: {note}")
+        for bone, why in joined.missing.items():
+            progress.warn(f"The {bone} is not moved: {why}.")
+    chains = {bone: bone_chain(each, activity.motion, activity.cluster) for bone, each in joined.bones.items()}
+    motion = motion_of_chains(chains, activity.time, left=knee.left)
+    if not any(motion.answered(bone).any() for bone in motion.bones):
+        raise MareyError(f"No frame of the activity has a pose of the {' or the '.join(motion.bones)}.")
+    with progress.stage_of_shares(f"Nearness ({name})") as done:
+        joints = joint_proximities(motion, sides, limit_mm=options.limit_mm, done=done)
+    return joined, KneeMotion(method=name, motion=motion, joints=joints, angles=knee_angles(motion))
+
+
+def _say_doubts(found: KneeMotion, compared: KneeMotion | None, knee: _Knee, progress: Progress) -> None:
+    """Say what a reader should know before the numbers."""
+    motion = found.motion
+    if knee.left is None:
+        progress.warn("The knee's side is not known: nearness is that of the whole joint. Give --side.")
+    for bone in motion.bones:
+        lacking = int((~motion.answered(bone)).sum())
+        if lacking:
+            progress.warn(f"The {bone} has no pose in {lacking} of {len(motion)} frames: gaps, and shown as such.")
+    if "patella" in knee.parts and "patella" not in motion.poses:
+        progress.warn(
+            "The patella was not measured in the activity: it is left out of all numbers, of the video and of the GLB. "
+            "The page can draw it with the femur, which it does not follow."
+        )
+    if not found.joints:
+        progress.warn("No two bones that meet were measured: there is no nearness.")
+    for each in (found, *(() if compared is None else (compared,))):
+        for joint in each.joints:
+            for c, name in enumerate(joint.compartments):
+                share = joint.unsure[:, c].sum() / max((joint.gap_mm[:, c] == joint.gap_mm[:, c]).sum(), 1)
+                if share > 0:
+                    progress.warn(
+                        f"{each.method}: the {joint.name} gap, {name}, is smaller than its standard deviation in "
+                        f"{100 * share:.0f} % of the frames."
+                    )
+
+
+def _files(knee: _Knee, motion_folder: Path, options: AnimateOptions) -> list[Path]:
+    """List the files that were read."""
+    files = [knee.folder / f"{name}.ply" for name in knee.parts]
+    files.append(knee.folder / "markers.json")
+    folders = [motion_folder]
+    if options.compare is not None and Path(options.compare).is_dir():
+        folders.append(Path(options.compare))
+    for folder in folders:
+        files += [*sorted(folder.glob("bones*.npz")), folder / "motion.c3d", folder / "marker_motion.csv"]
+    return [*files, *(path for path in (options.reference, options.landmarks) if path is not None)]
+
+
+def _settings(options: AnimateOptions, found: KneeMotion, knee: _Knee) -> dict[str, object]:
+    given = {key: value for key, value in vars(options).items() if value is not None and key != "out"}
+    side = {None: "unknown", True: "left", False: "right"}[knee.left]
+    return {**given, "views": list(options.views), "method": found.method, "side": side}
+
+
+def told(found: KneeMotion, compared: KneeMotion | None) -> list[str]:
+    """Say in a few lines how near the cartilages came."""
+    lines = []
+    for each in (found, *(() if compared is None else (compared,))):
+        for joint in each.joints:
+            for c, name in enumerate(joint.compartments):
+                gap = joint.gap_mm[:, c][joint.gap_mm[:, c] == joint.gap_mm[:, c]]
+                sd = joint.gap_sd_mm[:, c][joint.gap_sd_mm[:, c] == joint.gap_sd_mm[:, c]]
+                if len(gap):
+                    middle, spread = sorted(gap)[len(gap) // 2], sorted(sd)[len(sd) // 2] if len(sd) else float("nan")
+                    lines.append(
+                        f"{each.method}: {joint.name}, {name}: gap {middle:.1f} mm (median; sd {spread:.1f}), "
+                        f"from {gap.min():.1f} to {gap.max():.1f}."
+                    )
+    return lines
