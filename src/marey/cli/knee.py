@@ -130,3 +130,57 @@ def register(
 
     folder = register_bones(template, subject, out, mirror=mirror, progress=Progress(quiet=quiet))
     typer.echo(f"Registered: {folder / 'registered.ply'}")
+
+
+@app.command()
+def animate(
+    knee: Annotated[Path, typer.Argument(metavar="KNEE_DIR", help="A folder of `marey knee segment`.")],
+    motion: Annotated[Path, typer.Argument(metavar="MOTION", help="A folder of `marey markers`.")],
+    reference: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="The person standing, with the markers of the scanner and of the activity."),
+    ] = None,
+    method: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Whose bones, where `marey markers` ran several methods.")
+    ] = None,
+    compare: Annotated[
+        str | None,
+        typer.Option(metavar="NAME|MOTION2", help="Another method, or folder, to set beside it: rigid, for one."),
+    ] = None,
+    frame: Annotated[str, typer.Option(help="What is held in video and GLB: tibia, or nothing (room).")] = "tibia",
+    view: Annotated[
+        str, typer.Option(metavar="NAME,...", help="Views of the video: anterior, posterior, medial, lateral, plateau.")
+    ] = "anterior,medial,plateau",
+    limit: Annotated[float, typer.Option(metavar="MM", help="Nearer than this, cartilages count as near.")] = 5.0,
+    landmarks: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Landmarks picked in the scanner's images, for the angles' axes."),
+    ] = None,
+    side: Annotated[
+        str | None,
+        typer.Option(metavar="SIDE", help="left or right. [default: by the patella, or the segments' names]"),
+    ] = None,
+    out: _Out = None,
+    quiet: Quiet = False,
+) -> None:
+    """Move a knee's bones and cartilage by an activity, and measure how near the cartilages come.
+
+    The markers of KNEE_DIR/markers.json and those of the laboratory join the two. Leaves `knee_motion.npz`,
+    `proximity.csv`, `correspondence.json`, `knee.glb`, `knee.mp4`, the page `knee.html` and `run.json` in
+    `MOTION/knee`, or in DIR.
+
+    Examples:
+    * `marey knee animate knee walk_marey --reference standing.c3d`
+    * `marey knee animate knee walk_marey --method skin --compare rigid`
+    * `marey knee animate knee walk_marey --frame room --view lateral,posterior`
+    """
+    from marey.cli.knee_animate import AnimateOptions
+    from marey.cli.knee_animate import animate as animate_knee
+    from marey.cli.progress import Progress
+
+    options = AnimateOptions(
+        out=out, reference=reference, method=method, compare=compare, landmarks=landmarks, side=side, frame=frame,
+        views=tuple(name.strip() for name in view.split(",") if name.strip()), limit_mm=limit,
+    )  # fmt: skip
+    folder = animate_knee(knee, motion, options, Progress(quiet=quiet))
+    typer.echo(f"Page: {folder / 'knee.html'}")
