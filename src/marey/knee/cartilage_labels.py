@@ -5,7 +5,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from marey.arrays import Floats
-from marey.knee.cartilage import THICKEST_MM, CartilageSheet
+from marey.knee.cartilage import CartilageSheet
+from marey.knee.cartilage_evidence import THICKEST_MM
 from marey.knee.structures import CARTILAGE_OF_BONE, LABELS
 from marey.knee.triangle_tree import TriangleTree, corner_weights
 from marey.knee.volume import Labels

@@ -10,6 +10,8 @@ from marey.knee.mesh_graph import MeshGraph
 from marey.knee.surface import Surface
 from marey.knee.triangle_tree import TriangleTree, corner_weights
 
+TOLD_SHARE = 1 / 3
+"""Standard deviation of the foretold thickness, as a share of it ([Alexander2003])."""
 RIM_MM = 3.0
 """How well the place of the cartilage's rim is foretold, as a standard deviation."""
 FARTHEST_RIM_MM = 12.0

@@ -19,7 +19,7 @@ from marey.knee.thickness import cartilage_thickness
 from marey.knee.volume import Volume
 
 _PASSES = 2
-"""In the second one each bone's cartilage knows how thick the others' was found."""
+"""In the second one each bone's cartilage knows how thick this person's is on the others."""
 _SURE = 0.5
 
 
@@ -101,7 +101,8 @@ def find_knee_cartilage(
             others = [(bones[other], thickness[other]) for other in both if other != bone]
             sheets[bone] = find_cartilage(volumes, bones[bone], told[bone], others)
             done((len(both) * (2 + turn) + n + 1) / steps)
-        thickness = {bone: sheet.thickness_mm for bone, sheet in sheets.items()}
+        # Not what was found: where cartilages touch, it has been placed by this very sharing.
+        thickness = {bone: np.asarray(sheet.foretold_mm) for bone, sheet in sheets.items()}
     return KneeCartilage(sheets=sheets, rigid=rigid, elastic=elastic, notes=_notes(sheets, elastic))
 
 

@@ -1,0 +1,181 @@
+"""What an image says of how thick the cartilage is along each normal: a layer between two blurred edges, or none."""
+
+import math
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from scipy import ndimage
+
+from marey.arrays import Floats, Mask
+from marey.knee.mesh_graph import MeshGraph
+from marey.knee.volume import Volume
+
+STEP_MM = 0.2
+THINNEST_MM, THICKEST_MM = 0.4, 7.0
+LEVELS_MM = np.concatenate([[0.0], np.arange(THINNEST_MM, THICKEST_MM + 1e-9, STEP_MM)])
+"""The thicknesses among which is chosen; 0 is bare."""
+DEPTHS_MM = np.arange(-2.0, THICKEST_MM + 4.0, STEP_MM)
+"""Where along a normal the image is read; 0 is the bone's surface."""
+FIRST_MM = -0.6
+"""From here on the grey values have to be explained."""
+EDGE_SD_MM = 0.3
+"""How blurred an edge is besides what the voxels do: surfaces are curved and rough."""
+CORRELATED_MM = 0.5
+"""Grey values nearer than this along a profile tell the same, or nearer than voxels are."""
+LEAST_SPREAD = 0.04
+"""Grey values of cartilage differ by at least this share of their brightness."""
+STRAY = 0.03
+"""This share of grey values is something else than it should be."""
+BIAS_MM = 12.0
+"""Over such a way the brightness of cartilage may change."""
+OVER_MM = 0.6
+"""What lies over the cartilage is seen in so much of the profile beyond the edge."""
+_BINS = np.arange(-0.5, 3.5001, 0.04)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Profiles:
+    """Grey values along the normals of a bone."""
+
+    values: Floats
+    """(V, D) at `DEPTHS_MM`."""
+    blur_mm: Floats
+    """(V,) standard deviation of an edge's blur along the normal."""
+    alike_mm: Floats
+    """(V,) over such a way along the normal grey values tell the same."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Tissues:
+    """Grey values as shares of cartilage's at that place."""
+
+    relative: Floats
+    """(V, D) the profiles."""
+    marrow: Floats
+    """(V,) below the cartilage."""
+    spread: float
+    """Standard deviation within cartilage."""
+    over: Floats
+    """Density of what lies over cartilage, in `_BINS`."""
+
+
+def read_profiles(volume: Volume, places_mm: Floats, normals: Floats) -> Profiles:
+    """Read an image along normals (V, 3) from places (V, 3)."""
+    along = places_mm[:, None] + DEPTHS_MM[:, None] * normals[:, None]
+    voxels = np.moveaxis(volume.grid.voxels(along)[..., ::-1], -1, 0)
+    values = ndimage.map_coordinates(volume.intensity, voxels, order=1, mode="nearest", output=float)
+    axes = volume.grid.lps_from_voxel[:3, :3]
+    extents = np.abs(normals @ axes)  # (V, 3) of a voxel's edges, along the normal
+    # A voxel is the mean over its box, and reading between voxels is a mean over two boxes.
+    blur = np.sqrt((extents**2).sum(1) * (1 / 12 + 1 / 6) + EDGE_SD_MM**2)
+    return Profiles(values=values, blur_mm=blur, alike_mm=np.maximum(np.sqrt((extents**2).sum(1)), CORRELATED_MM))
+
+
+def tissues(profiles: Profiles, thickness_mm: Floats, present: Mask, theirs: Floats, graph: MeshGraph) -> Tissues:
+    """Learn how bright cartilage, marrow, and what lies over cartilage are, from a first idea of its thickness.
+
+    Args:
+        profiles: Grey values.
+        thickness_mm: (V,) the idea.
+        present: (V,) where cartilage is.
+        theirs: (V, D) how probable it is that another bone's cartilage is there, or that bone.
+        graph: Of the bone.
+    """
+    values = profiles.values
+    column = np.clip(np.round((0.5 * thickness_mm - DEPTHS_MM[0]) / STEP_MM).astype(int), 0, len(DEPTHS_MM) - 1)
+    middle = values[np.arange(len(values)), column]
+    sure = present & (thickness_mm > 3.5 * profiles.blur_mm)
+    if np.count_nonzero(sure) < 0.1 * np.count_nonzero(present):
+        sure = present
+    usual = float(np.median(middle[sure]))
+    rough = 1.4826 * float(np.median(np.abs(middle[sure] - usual)))
+    weights = (sure & (np.abs(middle - usual) < max(3 * rough, 0.2 * abs(usual)))).astype(float)
+    about = graph.filled(middle, weights, BIAS_MM)
+    here = np.maximum(np.where(np.isfinite(about), about, usual), 1e-3 * max(abs(usual), 1e-6))
+    relative = values / here[:, None]
+    spread = 1.4826 * float(np.median(np.abs(middle[sure] / here[sure] - 1)))
+    deep = np.median(relative[:, (DEPTHS_MM > -1.7) & (DEPTHS_MM < -0.9)], axis=1)
+    marrow = graph.filled(deep, np.ones(len(deep)), 1.5)
+    beyond = DEPTHS_MM[None] - thickness_mm[:, None]
+    outside = (beyond > 2.5 * profiles.blur_mm[:, None]) & (beyond < 4.0) & (theirs < 0.3) & np.isfinite(here)[:, None]
+    outside &= present[:, None]
+    return Tissues(relative=relative, marrow=marrow, spread=max(spread, LEAST_SPREAD), over=_density(relative[outside]))
+
+
+def _density(values: Floats) -> Floats:
+    """Give a smooth histogram with a floor: nothing is impossible."""
+    counts = np.histogram(np.clip(values, _BINS[0], _BINS[-1] - 1e-9), _BINS)[0].astype(float)
+    smooth = ndimage.gaussian_filter1d(counts, 1.5, mode="nearest")
+    wide = _BINS[1] - _BINS[0]
+    return np.asarray((0.97 * smooth / max(smooth.sum(), 1.0) + 0.03 / len(counts)) / wide)
+
+
+def layer_costs(profiles: Profiles, seen: Tissues, theirs: Floats, ends: Floats) -> Floats:
+    """Give what each thickness of `LEVELS_MM` costs (V, L): minus the logarithm of the profile's probability.
+
+    Bone, cartilage and what lies over it are three grey values with a blurred edge between each two. Farther out lies
+    whatever usually lies there, or another bone's cartilage.
+
+    Args:
+        profiles: Grey values.
+        seen: The tissues.
+        theirs: (V, D) how probable another bone's cartilage is there.
+        ends: (V,) how far out a profile tells something [mm]: another bone may be in the way.
+    """
+    values = np.clip(seen.relative, _BINS[0], _BINS[-1] - 1e-9)
+    wide = _BINS[1] - _BINS[0]
+    middles = 0.5 * (_BINS[1:] + _BINS[:-1])
+    inside = np.exp(-0.5 * ((middles - 1) / seen.spread) ** 2) / (seen.spread * math.sqrt(2 * math.pi))
+    inside = (1 - STRAY) * inside + STRAY / (_BINS[-1] - _BINS[0])
+    bins = ((values - _BINS[0]) / wide).astype(int).clip(0, len(seen.over) - 1)
+    elsewhere = -np.log((1 - theirs) * seen.over[bins] + theirs * inside[bins])
+    return _layer_costs(
+        values, elsewhere, theirs, seen.over, inside, seen.marrow, profiles.blur_mm, STEP_MM / profiles.alike_mm, ends,
+        seen.spread, LEVELS_MM, DEPTHS_MM, STRAY, _BINS[0], wide,
+    )  # fmt: skip
+
+
+@numba.njit(cache=True, nogil=True)
+def _layer_costs(  # pragma: no cover - compiled
+    values, elsewhere, theirs, over, inside, marrow, blur, share, ends, spread, levels, depths, stray, low, wide
+):
+    count, number = values.shape
+    costs = np.zeros((count, len(levels)))
+    step = depths[1] - depths[0]
+    for v in range(count):
+        for n in range(len(levels)):
+            thick = levels[n]
+            first = int((thick + 1.5 * blur[v] - depths[0]) / step + 0.5)
+            last = min(first + int(OVER_MM / step + 0.5), number - 1)
+            outside = 0.0
+            for d in range(first, last + 1):
+                outside += values[v, d]
+            outside /= last - first + 1
+            total = 0.0
+            for d in range(number):
+                depth = depths[d]
+                if depth < FIRST_MM or depth > ends[v]:
+                    continue
+                if depth > thick + 2 * blur[v]:
+                    total += elsewhere[v, d]
+                    continue
+                inner = 0.5 * math.erfc(-depth / (blur[v] * math.sqrt(2.0)))
+                at = (depth - thick) / blur[v]
+                outer = 0.5 * math.erfc(-at / math.sqrt(2.0))
+                model = marrow[v] + (1 - marrow[v]) * inner + (outside - 1) * outer
+                # What an edge may be off its mean place and form.
+                inner_slope = (1 - marrow[v]) * math.exp(-0.5 * (depth / blur[v]) ** 2)
+                slope = (outside - 1) * math.exp(-0.5 * at * at)
+                sd = math.sqrt(spread**2 + (0.15 * slope) ** 2 + (0.3 * inner_slope) ** 2)
+                off = (values[v, d] - model) / sd
+                fits = (1 - stray) * math.exp(-0.5 * off * off) + stray
+                total -= math.log(fits)
+                if depth <= thick:
+                    total += math.log(spread * math.sqrt(2 * math.pi))
+                else:
+                    # As if nothing were blurred: what lies over is paid for all along.
+                    bin_ = min(max(int((outside - low) / wide), 0), len(over) - 1)
+                    total -= math.log((1 - theirs[v, d]) * over[bin_] + theirs[v, d] * inside[bin_])
+            costs[v, n] = total * share[v]
+    return costs
