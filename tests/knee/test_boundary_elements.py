@@ -53,8 +53,7 @@ def test_a_step_costs_in_proportion_to_its_length():
 def test_learned_costs_tell_an_outline_from_the_same_edge_the_other_way_about(rng: np.random.Generator):
     image = np.where(np.arange(60)[:, None] < 30, 20.0, 80.0) + rng.normal(0, 5, (60, 60))
     elements = boundary_elements(image, (1.0, 1.0))
-    along = np.column_stack([np.full(60, 30), np.arange(60)])
-    learned = learned_costs([(elements, [along])])
+    learned = learned_costs([(elements, np.arange(60)[:, None] + np.zeros(60) < 30)])
     costs = step_costs(elements, learned)
     assert np.median(costs[30, 5:-5, RIGHT]) < 0.2 * MOST_COST
     assert np.median(costs[30, 5:-5, LEFT]) > 0.8 * MOST_COST
@@ -63,8 +62,7 @@ def test_learned_costs_tell_an_outline_from_the_same_edge_the_other_way_about(rn
 
 def test_costs_are_the_odds_of_all_features_taken_together(rng: np.random.Generator):
     elements = boundary_elements(rng.normal(size=(30, 30)), (1.0, 1.0))
-    path = np.column_stack([np.full(28, 12), np.arange(1, 29)])
-    learned = learned_costs([(elements, [path, path + [3, 0]])])
+    learned = learned_costs([(elements, np.arange(30)[:, None] - 0.5 * np.arange(30) < 12)])
     assert learned is not None
     features = elements.features[7, 9, RIGHT].astype(float)
     places = [np.clip(np.searchsorted(learned.ends[i], features[i], side="right") - 1, 0, 40) for i in range(4)]
@@ -75,4 +73,21 @@ def test_costs_are_the_odds_of_all_features_taken_together(rng: np.random.Genera
 
 def test_too_short_an_example_teaches_nothing(rng: np.random.Generator):
     elements = boundary_elements(rng.normal(size=(30, 30)), (1.0, 1.0))
-    assert learned_costs([(elements, [np.array([[5, 5], [5, 6], [5, 7]])])]) is None
+    mask = np.zeros((30, 30), bool)
+    mask[5:10, 5:10] = True
+    assert learned_costs([(elements, mask)]) is None
+
+
+def test_the_steps_round_a_mask_have_it_to_their_left():
+    row, column = np.mgrid[:20, :20]
+    mask = np.hypot(row - 9, column - 11) < 5
+    around = boundary_elements(np.where(mask, 10.0, 50.0), (1.0, 1.0)).around(mask)
+    rows, columns = np.abs(np.diff(mask.astype(int), axis=0)).sum(), np.abs(np.diff(mask.astype(int), axis=1)).sum()
+    assert len(around) == rows + columns
+    assert (around[:, FEATURES.index("across")] > 0).all()
+    assert (around[:, FEATURES.index("inside")] < around[:, FEATURES.index("outside")]).all()
+
+
+def test_where_a_mask_meets_the_border_there_is_no_step():
+    elements = boundary_elements(np.zeros((20, 20)), (1.0, 1.0))
+    assert len(elements.around(np.ones((20, 20), bool))) == 0

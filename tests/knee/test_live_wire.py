@@ -52,7 +52,7 @@ def test_the_wire_goes_from_the_anchor_to_the_pointer_along_the_edge(rng: np.ran
 def test_a_learned_wire_keeps_to_the_edge_it_was_shown(rng: np.random.Generator):
     wire = LiveWire(made_slice(rng), (1.0, 1.0))
     closed = wire.closed(ANCHORS)
-    learned = learned_costs([(wire.elements, [np.concatenate([closed.corners, closed.corners[:1]])])])
+    learned = learned_costs([(wire.elements, closed.mask(wire.shape))])
     other = LiveWire(made_slice(rng), (1.0, 1.0), learned)
     # Two anchors, one of them a pixel and a half on the wrong side, in the bright ring.
     found = other.closed([(34, 9.2), (34, 45.3)])

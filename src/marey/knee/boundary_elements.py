@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from marey.arrays import Floats, Integers, frozen
+from marey.arrays import Floats, Mask, frozen
 from marey.knee.wire_tree import MOST_COST, Costs
 
 FEATURES = ("inside", "outside", "across", "magnitude")
@@ -50,12 +50,18 @@ class BoundaryElements:
         some = self.features[1:-1:2, 1:-1:2].reshape(-1, len(FEATURES))
         return some[np.isfinite(some).all(axis=1)]
 
-    def along(self, path: Integers) -> NDArray[np.float32]:
-        """Give the features (n - 1, 4) of the steps of a path (n, 2) of rows and columns of corners."""
-        rows, columns = np.diff(path, axis=0).T
-        step = np.select([columns == 1, rows == 1, columns == -1], [0, 1, 2], 3)
-        found: NDArray[np.float32] = self.features[path[:-1, 0], path[:-1, 1], step]
-        return found
+    def around(self, mask: Mask) -> NDArray[np.float32]:
+        """Give the features (N, 4) of the steps round what a mask (rows, columns) marks; at the border it goes on."""
+        here, below, beside = mask[:-1], mask[1:], mask[:, 1:]
+        right, left = here & ~below, below & ~here
+        down, up = beside & ~mask[:, :-1], mask[:, :-1] & ~beside
+        # The inside lies above a step to the right, and to the right of a step down.
+        return np.concatenate([
+            self.features[1:-1, :-1, 0][right],
+            self.features[1:-1, 1:, 2][left],
+            self.features[:-1, 1:-1, 1][down],
+            self.features[1:, 1:-1, 3][up],
+        ])  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -91,20 +97,19 @@ def boundary_elements(image: Floats, spacing_mm: tuple[float, float]) -> Boundar
     return BoundaryElements(features=features, spacing_mm=(float(spacing_mm[0]), float(spacing_mm[1])))
 
 
-def learned_costs(examples: Sequence[tuple[BoundaryElements, Sequence[Integers]]]) -> LearnedCosts | None:
-    """Learn from outlines what steps of an outline look like, beside the other steps of the same slices.
+def learned_costs(examples: Sequence[tuple[BoundaryElements, Mask]]) -> LearnedCosts | None:
+    """Learn from examples what steps of an outline look like, beside the other steps of the same slices.
 
     Unlike the paper, which gives each feature a Gaussian about its mean on the example, both sides of an edge may be of
     several kinds here (cartilage here, fat there): each feature's values are counted on and off the outline.
 
     Args:
-        examples: Slices, each with closed paths or parts of paths, (n, 2) rows and columns of corners.
+        examples: Slices, each with the pixels (rows, columns) that were outlined or painted.
 
     Returns:
-        None where the examples are shorter than `_FEWEST` steps in all.
+        None where the examples' outlines have fewer than `_FEWEST` steps in all.
     """
-    on = np.concatenate([np.zeros((0, 4)), *(each.along(path) for each, paths in examples for path in paths)])
-    on = on[np.isfinite(on).all(axis=1)]
+    on = np.concatenate([np.zeros((0, len(FEATURES))), *(each.around(mask) for each, mask in examples)])
     if len(on) < _FEWEST:
         return None
     off = np.concatenate([each.usual for each, _ in examples])

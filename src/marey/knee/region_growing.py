@@ -99,8 +99,8 @@ def _grown(allowed: Mask, inward_mm: Floats, voxel: Integers, radius_mm: float) 
     return np.asarray(allowed & (ndimage.distance_transform_edt(~piece) * WORK_MM <= radius_mm + _REGROWN_MM))
 
 
-def signed_distance(mask: Mask, spacing_mm: tuple[float, float, float]) -> np.ndarray:
-    """(k, j, i) distance [mm] to a mask's edge, positive inside; at the image's end the mask goes on."""
+def signed_distance(mask: Mask, spacing_mm: tuple[float, ...]) -> np.ndarray:
+    """(k, j, i), or (rows, columns), distance [mm] to a mask's edge, positive inside; at the image's end it goes on."""
     if not mask.any():
         return np.full(mask.shape, -1e3, dtype=np.float32)
     inside = ndimage.distance_transform_edt(mask, sampling=spacing_mm)
