@@ -184,3 +184,34 @@ def animate(
     )  # fmt: skip
     folder = animate_knee(knee, motion, options, Progress(quiet=quiet))
     typer.echo(f"Page: {folder / 'knee.html'}")
+
+
+@app.command()
+def template(
+    sources: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="SOURCE...",
+            help="Labels with names.json beside them, or contours.json, if wanted with its volume.",
+        ),
+    ],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", metavar="FOLDER", help="The template. [default: SOURCE_template]")
+    ] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Make a template of a labelled or outlined knee, for `segment --template` and `register`.
+
+    Leaves `labels.nii.gz`, `labels.json` and a closed surface of each structure (`femur.ply`, ...; LPS, mm). Says what
+    is missing or looks wrong: bones, cartilage that does not lie on its bone, pieces, which side it is.
+
+    Examples:
+    * `marey knee template atlas/labels.nii.gz --out my_template`
+    * `marey knee template contours.json knee.nii.gz --out my_template`
+    """
+    from marey.cli.knee_template import make_template
+    from marey.cli.progress import Progress
+
+    folder = out or sources[0].with_name(f"{sources[0].name.split('.')[0]}_template")
+    made = make_template(sources, folder, Progress(quiet=quiet))
+    typer.echo(f"{'A' if made.side is None else f'A {made.side}'} knee with {', '.join(made.surfaces)}: {folder}")
