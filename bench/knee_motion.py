@@ -6,13 +6,13 @@ SHARED holds `data/knee/phantom_a` and `template_a` and `data/markers/sta`. `tri
 (surfaces from the true labels) are laid into the frame of each trial with the straightest knee as they lay in the
 scanner, the middle of the condyles at the trial's own functional centre of the knee; for a left leg the knee is
 mirrored. The true bones carry them. A standing trial is made of that frame: the trial's markers and the simulated
-gadolinium balls, each coordinate with an error of 0.5 mm; the balls in the scanner have one of 0.2 mm. `marey
-markers` runs with the default method and with the rigid fit, `marey knee animate` with both. Printed are the errors
-of the gap in each compartment against the true bones' (mm: mean, RMS, greatest), the share of true gaps within 1.96
-stated deviations, the RMS error of the centre of proximity over the tibia, and of the knee's angles. The bones are
-one person's and the motion is another's: the gaps themselves mean nothing. `speed`: seconds of process time for 100
-frames beside trimesh's and SciPy's searches. Data: Cereatti et al. 2017, J Biomech, doi
-10.1016/j.jbiomech.2017.02.004.
+gadolinium balls, each coordinate with an error of 0.5 mm; the balls in the scanner have one of 0.2 mm, and their
+names in markers.json. `marey markers` runs with the default method and with the rigid fit, `marey knee animate` with
+both. Printed are the errors of the gap in each compartment against the true bones' (mm: mean, RMS, greatest), the
+share of true gaps within 1.96 stated deviations, the RMS error of the centre of proximity over the tibia, and of the
+knee's angles. The bones are one person's and the motion is another's: the gaps themselves mean nothing. `speed`:
+seconds of process time for 100 frames beside trimesh's and SciPy's searches. Data: Cereatti et al. 2017, J Biomech,
+doi 10.1016/j.jbiomech.2017.02.004.
 """
 
 import argparse
@@ -143,7 +143,7 @@ def trial(shared: Path, name: str, work: Path) -> None:
     found = balls + rng.normal(0, BALL_SD_MM, balls.shape)
     markers_json = {
         "marker_centres_lps_mm": found.tolist(), "marker_centres_sd_mm": np.full_like(found, BALL_SD_MM).tolist(),
-        "marker_segment": riding,
+        "marker_names": [f"MR{n}" for n in range(len(balls))], "marker_segment": riding,
     }  # fmt: skip
     (knee_folder / "markers.json").write_text(json.dumps(markers_json), encoding="utf-8")
     known = {"frame": at} | {

@@ -5,11 +5,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 from threadpoolctl import threadpool_limits
 
 from marey.cli.knee_animation_results import AnimationResults, write_animation
 from marey.cli.progress import Progress
-from marey.cli.run_record import StageCache
+from marey.cli.run_record import StageCache, fingerprint
 from marey.errors import FileProblem, MareyError, SettingProblem
 from marey.io.activity import read_activity
 from marey.io.marker_results import is_y_up
@@ -22,11 +23,14 @@ from marey.knee.correspondence import KneeCorrespondence, bone_chain, correspond
 from marey.knee.joint_motion import (
     BASE,
     JOINTS,
+    JointMotion,
     KneeMotion,
     joint_proximities,
     joint_sides,
     knee_angles,
     motion_of_chains,
+    packed_joints,
+    unpacked_joints,
 )
 from marey.knee.joint_surface import JointSurface
 from marey.knee.marker_naming import ScannerMarkers
@@ -35,6 +39,7 @@ from marey.knee.reference_posture import Activity, reference_posture
 from marey.knee.sides import is_left
 from marey.knee.structures import BONE_OF_CARTILAGE, BONES, LABELS
 from marey.knee.surface import Surface
+from marey.markers.joint_angles import JointKinematics
 from marey.markers.trajectories import MarkerTrajectories
 from marey.view.knee_picture import DEFAULT_VIEWS, VIEWS
 
@@ -85,6 +90,16 @@ class _Knee:
         return {name: part for name, part in self.parts.items() if name in BONES}
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Joining:
+    """What every correction of the skin's motion is joined to."""
+
+    knee: _Knee
+    sides: Mapping[str, JointSurface]
+    standing: MarkerTrajectories | None
+    limit_mm: float
+
+
 def animate(knee_folder: Path, motion_folder: Path, options: AnimateOptions, progress: Progress) -> Path:
     """Move a knee by an activity, measure its cartilages' nearness, and write and draw it.
 
@@ -110,15 +125,17 @@ def animate(knee_folder: Path, motion_folder: Path, options: AnimateOptions, pro
         wrong = f"has {len(other.time)} frames, and the activity {len(activity.time)}"
         raise FileProblem(Path(str(options.compare)), wrong, "Compare results of the same trial.")
     files = _files(knee, motion_folder, options)
-    with threadpool_limits(1), StageCache(out, [file_fingerprint(path) for path in files]):
+    with threadpool_limits(1), StageCache(out, [file_fingerprint(path) for path in files]) as cache:
         sides, notes = joint_sides(knee.parts, _that_meet(knee.parts), left=knee.left)
         for note in notes:
             progress.warn(note)
-        name = options.method or _first_method(motion_folder)
-        joined, found = _moved(knee, activity, standing, sides, options, progress, name)
+        joining = _Joining(knee=knee, sides=sides, standing=standing, limit_mm=options.limit_mm)
+        joined = _joined(joining, activity)
+        _say_joined(joined, progress)
+        found = _moved(joining, joined, activity, options.method or _first_method(motion_folder), progress, cache)
         compared = None
         if other is not None:
-            compared = _moved(knee, other, standing, sides, options, progress, _name_of(options), quiet=True)[1]
+            compared = _moved(joining, _joined(joining, other), other, _name_of(options), progress, cache)
         _say_doubts(found, compared, knee, progress)
         results = AnimationResults(
             title=f"{knee_folder.resolve().name} by {motion_folder.resolve().name}", parts=knee.parts, found=found,
@@ -209,31 +226,55 @@ def _that_meet(parts: Mapping[str, Surface]) -> list[str]:
     return [bone for bone in BONES if bone in parts and any(bone in joint[1:] for joint in JOINTS)]
 
 
-def _moved(
-    knee: _Knee, activity: Activity, standing: MarkerTrajectories | None, sides: Mapping[str, JointSurface],
-    options: AnimateOptions, progress: Progress, name: str, *, quiet: bool = False,
-) -> tuple[KneeCorrespondence, KneeMotion]:  # fmt: skip
-    """Join scanner and laboratory, and measure the motion by one correction of the skin's motion."""
-    posture = reference_posture(activity, standing)
-    joined = correspond(
-        knee.markers, posture, knee.bones, segment_of_label=activity.segment_of_label, left=knee.left,
-        landmarks=knee.landmarks,
+def _joined(joining: _Joining, activity: Activity) -> KneeCorrespondence:
+    """Join scanner and laboratory."""
+    knee = joining.knee
+    return correspond(
+        knee.markers, reference_posture(activity, joining.standing), knee.bones,
+        segment_of_label=activity.segment_of_label, left=knee.left, landmarks=knee.landmarks,
     )  # fmt: skip
-    if not quiet:
-        for note in joined.notes:
-            progress.warn(note)
-        for bone, each in joined.bones.items():
-            for note in each.notes:
-                progress.warn(f"{bone}: {note}")
-        for bone, why in joined.missing.items():
-            progress.warn(f"The {bone} is not moved: {why}.")
+
+
+def _say_joined(joined: KneeCorrespondence, progress: Progress) -> None:
+    for note in joined.notes:
+        progress.warn(note)
+    for bone, each in joined.bones.items():
+        for note in each.notes:
+            progress.warn(f"{bone}: {note}")
+    for bone, why in joined.missing.items():
+        progress.warn(f"The {bone} is not moved: {why}.")
+
+
+def _moved(
+    joining: _Joining, joined: KneeCorrespondence, activity: Activity, name: str, progress: Progress, cache: StageCache
+) -> KneeMotion:
+    """Measure the motion by one correction of the skin's motion, or find what an interrupted run left of it."""
     chains = {bone: bone_chain(each, activity.motion, activity.cluster) for bone, each in joined.bones.items()}
-    motion = motion_of_chains(chains, activity.time, left=knee.left)
+    motion = motion_of_chains(chains, activity.time, left=joining.knee.left)
     if not any(motion.answered(bone).any() for bone in motion.bones):
         raise MareyError(f"No frame of the activity has a pose of the {' or the '.join(motion.bones)}.")
     with progress.stage_of_shares(f"Nearness ({name})") as done:
-        joints = joint_proximities(motion, sides, limit_mm=options.limit_mm, done=done)
-    return joined, KneeMotion(method=name, motion=motion, joints=joints, angles=knee_angles(motion))
+
+        def compute() -> dict[str, np.ndarray]:
+            return packed_joints(joint_proximities(motion, joining.sides, limit_mm=joining.limit_mm, done=done))
+
+        poses = [(pose.rotation, pose.translation) for pose in motion.poses.values()]
+        arrays = cache.arrays(
+            f"nearness-{fingerprint(name)}", compute, depends=(joining.limit_mm, motion.bones, poses)
+        )  # fmt: skip
+    joints = unpacked_joints(arrays, joining.sides)
+    return KneeMotion(method=name, motion=motion, joints=joints, angles=_angles(joined, motion, progress))
+
+
+def _angles(joined: KneeCorrespondence, motion: JointMotion, progress: Progress) -> JointKinematics | None:
+    """Give the knee's angles where the bones' frames are anatomical ones; say so where they are not."""
+    plain = [bone for bone, each in joined.bones.items() if each.frame_source.startswith("the markers")]
+    if set(plain) & {"femur", "tibia"}:
+        text = f"No angles: the frame of the {' and the '.join(plain)} is only that of its markers. Give --landmarks."
+        if text not in progress.warnings:
+            progress.warn(text)
+        return None
+    return knee_angles(motion)
 
 
 def _say_doubts(found: KneeMotion, compared: KneeMotion | None, knee: _Knee, progress: Progress) -> None:

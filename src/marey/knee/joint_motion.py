@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -168,3 +169,29 @@ def joint_proximities(
         proximity(name, sides[base], sides[bone], motion.relative(bone, base), limit_mm=limit_mm, step=step)
         for name, base, bone in joints
     )
+
+
+def packed_joints(joints: Sequence[Proximity]) -> dict[str, np.ndarray]:
+    """Give the numbers of joints as plain arrays, to be kept while a run lasts."""
+    arrays = {"names": np.array([joint.name for joint in joints], np.str_)}
+    for joint in joints:
+        arrays |= {f"{joint.name}.{key}": value for key, value in vars(joint).items() if isinstance(value, np.ndarray)}
+        arrays[f"{joint.name}.limit_mm"] = np.array(joint.limit_mm)
+        arrays[f"{joint.name}.compartments"] = np.array(joint.compartments, np.str_)
+    return arrays
+
+
+def unpacked_joints(
+    arrays: Mapping[str, np.ndarray], sides: Mapping[str, JointSurface]
+) -> tuple[Proximity, ...]:  # fmt: skip
+    """Make joints of such arrays again, between the same surfaces."""
+    bones = {name: pair for name, *pair in JOINTS}
+    found = []
+    for name in map(str, arrays["names"]):
+        held: dict[str, Any] = {
+            key.partition(".")[2]: value for key, value in arrays.items() if key.startswith(f"{name}.")
+        }
+        held["limit_mm"], held["compartments"] = float(held["limit_mm"]), tuple(map(str, held["compartments"]))
+        base, moving = (sides[bone] for bone in bones[name])
+        found.append(Proximity(name=name, base=base, moving=moving, **held))
+    return tuple(found)
