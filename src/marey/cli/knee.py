@@ -64,7 +64,7 @@ def segment(
     Dark marrow (fat suppressed) and bright marrow are told apart; seeds are found, too. Leaves `labels.nii.gz` on the
     image's own grid with `labels.json`, `femur.ply`, `tibia.ply`, `patella.ply` (LPS, mm) and `run.json` in
     `VOLUME_marey`, or in DIR; of cartilage its surfaces, `<bone>_thickness.npz`, coloured bones, flat pictures and
-    `cartilage.csv` with its parts.
+    `cartilage.csv` with its parts; `markers.json` where gadolinium markers are on the skin.
 
     Examples:
     * `marey knee segment dess.nii.gz --template atlas`

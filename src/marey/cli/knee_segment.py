@@ -9,9 +9,11 @@ from threadpoolctl import threadpool_limits
 
 from marey.arrays import Floats
 from marey.cli.knee_cartilage import cartilage_by_template, labels_with, write_cartilage
+from marey.cli.knee_markers import earlier_markers, markers_in
 from marey.cli.progress import Progress
 from marey.cli.run_record import StageCache, finished_together, write_record
 from marey.errors import SettingProblem
+from marey.io import gadolinium
 from marey.io.meshes import write_mesh
 from marey.io.stages import file_fingerprint
 from marey.io.volumes import read_template, read_volume, write_labels
@@ -56,6 +58,7 @@ def segment(paths: Sequence[Path], options: SegmentOptions, progress: Progress) 
     with progress.stage("Reading"):
         volumes = [read_volume(path) for path in paths]
         template = None if options.template is None else read_template(options.template)
+        earlier = earlier_markers(out)
     seeds = given_seeds(options, volumes[0])
     with threadpool_limits(1):
         bones = _segmented(volumes, template, seeds, progress)
@@ -64,6 +67,7 @@ def segment(paths: Sequence[Path], options: SegmentOptions, progress: Progress) 
         surfaces = _surfaces(bones, progress)
         cartilage = cartilage_by_template(volumes, bones, surfaces, template, progress)
         labels = labels_with(bones, cartilage)
+        markers = markers_in(volumes, surfaces, earlier, progress)
     files = _files([*paths, *([options.template] if options.template else [])])
     with StageCache(out, [file_fingerprint(path) for path in files]), finished_together(out) as folder:
         write_labels(folder, labels)
@@ -71,6 +75,8 @@ def segment(paths: Sequence[Path], options: SegmentOptions, progress: Progress) 
             write_mesh(folder / f"{name}.ply", surface)
         if cartilage is not None:
             write_cartilage(folder, cartilage, surfaces, options.side, progress)
+        if markers is not None:
+            gadolinium.write_markers(folder / gadolinium.FILE, markers)
         write_record(
             folder, command="knee segment", settings=_settings(options, bones), inputs=files,
             root=paths[0].parent, progress=progress,
