@@ -17,9 +17,13 @@ from marey.markers.transform_chain import MR_ANATOMIC, MR_GLOBAL, NamedTransform
 _UP, _BACK, _RIGHT = np.array([0.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0]), np.array([-1.0, 0.0, 0.0])
 """Directions of a lying person in the scanner's LPS."""
 _SECTION_MM = 4.0
-_SHORTEST_SHAFT_MM = 25.0
+_SHORTEST_SHAFT_MM = 30.0
 _CONDYLES_MM = 40.0  # from the femur's lowest point: the condyles
 _PLATEAU_MM = 20.0  # from the tibia's highest point: the condyles of the tibia
+_BACKMOST_MM = 25.0
+_APART_MM = (25.0, 75.0)  # the centres of the condyles, of a small knee and of a large one
+_NO_CONDYLES = "its posterior condyles are not seen, so that their axis is not known"
+_LEAST_OF_SECTION = 8
 _ROUNDS = 8
 _ALIKE = 0.1  # two principal moments that differ by a smaller share have no axes of their own
 _LANDMARKS = {"femur": ("ME", "LE"), "tibia": ("MC", "LC")}
@@ -83,7 +87,8 @@ def bone_frame(
             notes.append(f"no frame from landmarks without {', '.join(missing)}")
     if surface is not None and bone in _FORMS:
         try:
-            return BoneFrame(scanner_from_bone=_FORMS[bone](surface), source="the bone's form", notes=tuple(notes))
+            frame, said = _FORMS[bone](surface)
+            return BoneFrame(scanner_from_bone=frame, source="the bone's form", notes=(*notes, *said))
         except MareyError as problem:
             notes.append(str(problem))
     frame, said = principal_frame(markers_mm)
@@ -158,13 +163,12 @@ def _frame(origin: Floats, *, up: Floats, right: Floats, keep_right: bool = Fals
     return RigidTransform(np.stack([x, y, np.cross(x, y)], -1), origin)
 
 
-def _femur(surface: Surface) -> RigidTransform:
+def _femur(surface: Surface) -> tuple[RigidTransform, tuple[str, ...]]:
     """Z along the line through the centres of the posterior condyles, Y near the shaft; origin between the centres.
 
     Each condyle's back is nearly a sphere about the axis of flexion.
     """
     height = surface.vertices_mm @ _UP
-    up = _shaft_axis(surface, height.min() + _CONDYLES_MM, height.max())
     low = height < height.min() + _CONDYLES_MM
     back = low & (surface.vertex_normals @ _BACK > 0.3)
     across = surface.vertices_mm @ _RIGHT
@@ -172,52 +176,53 @@ def _femur(surface: Surface) -> RigidTransform:
     centres = []
     for side in (across < middle, across > middle):
         condyle = surface.vertices_mm[back & side]
-        # The backmost 25 mm: farther forward the condyle's side and the notch begin.
-        condyle = condyle[condyle @ _BACK > (condyle @ _BACK).max() - 25.0] if len(condyle) else condyle
+        # The backmost part: farther forward the condyle's side and the notch begin.
+        condyle = condyle[condyle @ _BACK > (condyle @ _BACK).max() - _BACKMOST_MM] if len(condyle) else condyle
         centres.append(_sphere_centre(condyle))
-    return _frame((centres[0] + centres[1]) / 2, up=up, right=centres[1] - centres[0], keep_right=True)
+    if not _APART_MM[0] < np.linalg.norm(centres[1] - centres[0]) < _APART_MM[1]:
+        raise MareyError(_NO_CONDYLES)
+    up, notes = _shaft_axis(surface, height.min() + np.ptp(across[low]), height.max())
+    return _frame((centres[0] + centres[1]) / 2, up=up, right=centres[1] - centres[0], keep_right=True), notes
 
 
-def _tibia(surface: Surface) -> RigidTransform:
-    """Y along the shaft as far as it is seen, Z near the longer axis of the plateau; origin at the plateau's middle."""
+def _tibia(surface: Surface) -> tuple[RigidTransform, tuple[str, ...]]:
+    """Y along the shaft, Z near the longer axis of the plateau; origin at the plateau's middle."""
     height = surface.vertices_mm @ _UP
-    up = _shaft_axis(surface, height.min(), height.max() - _PLATEAU_MM)
-    up = up if up @ _UP > 0 else -up
     top = surface.vertices_mm[height > height.max() - _PLATEAU_MM]
+    up, notes = _shaft_axis(surface, height.min(), height.max() - np.ptp(top @ _RIGHT))
     flat = top - np.outer(top @ up, up)
     across = np.linalg.svd(flat - flat.mean(0), full_matrices=False)[2][0]
-    middle = _section_middle(top)
-    return _frame(middle, up=up, right=across if across @ _RIGHT > 0 else -across)
+    return _frame(_middle(top), up=up, right=across if across @ _RIGHT > 0 else -across), notes
 
 
 _FORMS = {"femur": _femur, "tibia": _tibia}
 
 
-def _shaft_axis(surface: Surface, low: float, high: float) -> Floats:
-    """Fit a line to the middles of the sections between two heights; up.
+def _shaft_axis(surface: Surface, low: float, high: float) -> tuple[Floats, tuple[str, ...]]:
+    """Fit a line to the middles of the shaft's sections between two heights; up.
 
-    Raises:
-        MareyError: Less than some centimetres of the shaft are seen.
+    Next to the joint the bone widens to the back, and the middles of its sections lean: where no more than that is
+    seen, the scanner's own axis, along which a person lies, is nearer to the shaft's than they are. Then it is taken,
+    and said.
     """
-    # The sections next to the image's end are cut slantwise where the person lies so.
-    edges = np.arange(low, high - _SECTION_MM, _SECTION_MM)
-    if high - low < _SHORTEST_SHAFT_MM:
-        raise MareyError(f"only {max(high - low, 0.0):.0f} mm of its shaft are seen, too little to tell its axis")
     height = surface.vertices_mm @ _UP
+    edges = np.arange(low, high - _SECTION_MM, _SECTION_MM)
     sections = [surface.vertices_mm[(height >= edge) & (height < edge + _SECTION_MM)] for edge in edges]
-    middles = np.array([_section_middle(section) for section in sections if len(section) > FEWEST_OF_SECTION])
-    if len(middles) < 3:
-        raise MareyError("its surface is too coarse to tell the axis of its shaft")
+    middles = np.array([_middle(section) for section in sections if len(section) >= _LEAST_OF_SECTION])
+    if len(middles) < 3 and high - low >= _SHORTEST_SHAFT_MM:
+        return _UP, ("its surface is too coarse to tell the axis of its shaft: Y follows the scanner's",)
+    if len(middles) < 3 or high - low < _SHORTEST_SHAFT_MM:
+        said = (
+            f"{max(high - low, 0.0):.0f} mm of its shaft are seen beyond the widening at the joint, too little for its "
+            "axis: Y follows the scanner's, and the joint's bending may be off by some degrees, always the same"
+        )
+        return _UP, (said,)
     axis = np.linalg.svd(middles - middles.mean(0))[2][0]
-    return axis if axis @ _UP > 0 else -axis
+    return (axis if axis @ _UP > 0 else -axis), ()
 
 
-FEWEST_OF_SECTION = 8
-"""Vertices of a section whose middle is taken."""
-
-
-def _section_middle(points: Floats) -> Floats:
-    """Give the middle between a section's extremes, which no finer mesh on one side moves."""
+def _middle(points: Floats) -> Floats:
+    """Give the middle between extremes, which no finer mesh on one side moves."""
     return np.asarray((points.min(0) + points.max(0)) / 2)
 
 
@@ -232,7 +237,7 @@ def _sphere_centre(points: Floats) -> Floats:
     for _ in range(_ROUNDS):
         chosen = points[kept]
         if len(chosen) < 30:
-            raise MareyError("its posterior condyles are not seen, so that their axis is not known")
+            raise MareyError(_NO_CONDYLES)
         system = np.column_stack([2 * chosen, np.ones(len(chosen))])
         solution = np.linalg.lstsq(system, (chosen**2).sum(1), rcond=None)[0]
         centre = solution[:3]
