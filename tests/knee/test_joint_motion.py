@@ -103,6 +103,20 @@ def test_the_gap_stays_where_the_condyles_turn_about_their_middles(motion):
     assert told[-1] == pytest.approx(1.0)
 
 
+def test_a_patella_that_was_measured_has_its_own_joint(motion):
+    both = JointMotion(
+        time=motion.time, left=False, poses={**motion.poses, "patella": motion.poses["femur"]},
+        anatomical=motion.anatomical,
+    )  # fmt: skip
+    sides, _ = joint_sides(made_joint(fine=3), ["femur", "tibia", "patella"], left=False)
+    joints = joint_proximities(both, sides)
+    assert [joint.name for joint in joints] == ["tibiofemoral", "patellofemoral"]
+    # It moves with the femur here: its distance stays what it was in the scanner.
+    gap = joints[1].gap_mm
+    np.testing.assert_allclose(gap[[1, 3, 4]], np.broadcast_to(gap[0], (3, 2)), atol=1e-6)
+    assert (gap[0] > 0).all()
+
+
 def test_packed_joints_come_back_as_they_were(motion):
     sides, _ = joint_sides(made_joint(fine=2), ["femur", "tibia"], left=False)
     joints = joint_proximities(motion, sides, limit_mm=4.0)

@@ -86,8 +86,7 @@ def _joint(joint: Proximity) -> dict[str, object]:
     )
     for side, distance, centre, spread in sides:
         arrays[f"{side.name}_vertices"] = side.sources
-        # Single precision: its step at a metre is a tenth of a micrometre.
-        arrays[f"{side.name}_distance_mm"] = distance.astype(np.float32)
+        arrays[f"{side.name}_distance_mm"] = distance
         arrays[f"{side.name}_centre_mm"], arrays[f"{side.name}_centre_sd_mm"] = centre, spread
     return {f"{joint.name}_{name}": value for name, value in arrays.items()}
 

@@ -72,7 +72,9 @@ class Proximity:
     def __post_init__(self) -> None:
         for name in vars(self):
             if name.endswith(("_mm", "_mm2")) and name != "limit_mm":
-                object.__setattr__(self, name, frozen(getattr(self, name)))
+                # Maps are long; the step of single precision at a metre is a tenth of a micrometre.
+                kind = np.float32 if name.endswith("_distance_mm") else np.float64
+                object.__setattr__(self, name, frozen(getattr(self, name), kind))
 
     def __len__(self) -> int:
         return len(self.gap_mm)
@@ -128,7 +130,7 @@ class _Frames:
     ):
         self._base, self._moving, self._limit, self._names = base, moving, limit_mm, compartments
         count = len(compartments)
-        self._maps = [np.full((frames, len(s.surface.vertices_mm)), np.nan) for s in (base, moving)]
+        self._maps = [np.full((frames, len(s.surface.vertices_mm)), np.nan, np.float32) for s in (base, moving)]
         self._gap, self._gap_sd = np.full((2, frames, count), np.nan)
         self._areas = np.full((3, frames, count), np.nan)
         self._centres, self._centres_sd = np.full((2, 2, frames, count, 3), np.nan)

@@ -273,12 +273,12 @@ def _difference_table(report: KneeReport) -> NumberTable:
 def _groups(report: KneeReport, keys: Sequence[tuple[str, str]]) -> list[PlotGroup]:
     return [
         PlotGroup(
-            title="Gap", keys=keys, wide=True, plots=[*_joint_plots(report, "gap_mm", "gap_sd_mm", "gap", " mm", 1.0)],
+            title="Gap", keys=keys, wide=True, plots=[*_joint_plots(report, "gap_mm", "gap_sd_mm", "", " mm", 1.0)],
             legend="Least distance of the two cartilages, millimetres over seconds; below zero they overlap. The band "
             "is the 95 % interval of the poses.",
         ),
         PlotGroup(
-            title="Area", keys=keys, plots=_joint_plots(report, "near_mm2", None, "within the limit", " mm²", 50.0),
+            title="Area", keys=keys, plots=_joint_plots(report, "near_mm2", None, ", within the limit", " mm²", 50.0),
             legend=f"Of the tibia's or patella's cartilage; proximity.csv has those below {NEAR_MM:g} mm and 0, too.",
         ),
         PlotGroup(
@@ -315,6 +315,11 @@ def _joint_plots(
     return plots
 
 
+def _part_name(report: KneeReport, joint: Proximity, compartment: str) -> str:
+    """Name a compartment, and its joint where there are several."""
+    return compartment if len(report.found.joints) == 1 else f"{joint.name}, {compartment}"
+
+
 def _centre_plots(report: KneeReport) -> list[CurvePlot]:
     plots = []
     for j, joint in enumerate(report.found.joints):
@@ -326,7 +331,7 @@ def _centre_plots(report: KneeReport) -> list[CurvePlot]:
                     if j < len(each.joints)
                 ]
                 if any(np.isfinite(curve.values).any() for curve in curves):
-                    title = f"{joint.name}, {name}, {way}"
+                    title = f"{_part_name(report, joint, name)}, {way}"
                     plots.append(CurvePlot(title=title, curves=curves[::-1], unit=" mm", least=4.0))
     return plots
 

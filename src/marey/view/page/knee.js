@@ -140,7 +140,7 @@ function makeKnee(canvas, problem, knee) {
   return {
     shown, later,
     show(next) { frame = next; later(); },
-    look(turn, lift) { eye.turn = turn; eye.lift = lift; later(); },
+    look(turn, lift, distance) { eye.turn = turn; eye.lift = lift; eye.distance = distance; later(); },
     answered: f => shown.motions.some(n => poseOf(knee.motions[n], "femur", f) || (shown.held === "room" && poseOf(knee.motions[n], "tibia", f))),
   };
 }
@@ -153,7 +153,7 @@ followers.push(fromUser => {
 });
 function showScale() {
   const bar = document.createElement("i"), stops = data.knee.stops.slice().reverse();
-  bar.style.cssText = `display:inline-block;width:150px;height:11px;vertical-align:-1px;margin:0 6px;background:linear-gradient(90deg,${stops.slice().reverse().join(",")})`;
+  bar.style.cssText = `display:inline-block;width:150px;height:11px;vertical-align:-1px;margin:0 6px;background:linear-gradient(90deg,${stops.join(",")})`;
   const over = document.createElement("i");
   over.style.cssText = `display:inline-block;width:11px;height:11px;vertical-align:-1px;margin:0 6px;background:${data.knee.overlap}`;
   byId("scale").append("overlap", over, "0 mm", bar, `${data.knee.limit} mm.`);
@@ -162,7 +162,7 @@ if (knee) {
   const { shown, later } = knee, lateral = data.knee.left ? 1 : -1;
   showScale();
   // The eye of turn 0 stands in front (y of LPS points back).
-  const sides = { anterior: [0, 0], medial: [-lateral * Math.PI / 2, 0], lateral: [lateral * Math.PI / 2, 0], posterior: [Math.PI, 0], plateau: [Math.PI, 1.5] };
+  const sides = { anterior: [0, 0, 4], medial: [-lateral * Math.PI / 2, 0, 4], lateral: [lateral * Math.PI / 2, 0, 4], posterior: [Math.PI, 0, 4], plateau: [Math.PI, 1.5, 2.6] };
   for (const name in sides) {
     const button = document.createElement("button");
     button.type = "button"; button.textContent = name;
