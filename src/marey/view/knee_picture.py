@@ -4,10 +4,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import cv2
+import numba
 import numpy as np
 
 from marey.arrays import Floats, Image, Integers, Mask
-from marey.cameras.visibility import see
+from marey.cameras.visibility import View, see
 from marey.knee.surface import Surface
 from marey.view.knee_maps import BONE, proximity_colours
 
@@ -117,31 +118,28 @@ class KneePicture:
 
     def draw(self, instant: KneeInstant) -> Image:
         """Draw all views of one frame beside each other: (height, width, 3) blue, green, red."""
-        panels = [self._panel(view, camera, instant) for view, camera in self._cameras.items()]
+        tints = {name: _tint(name, part, instant, self._limit) for name, part in self._parts.items()}
+        panels = [self._panel(view, camera, instant, tints) for view, camera in self._cameras.items()]
         drawn = np.full((self.size[1], self.size[0], 3), _PAPER, np.uint8)
         drawn[_BAR : _BAR + PANEL] = np.concatenate(panels, 1)
         _write(drawn, instant.caption, (10, 20), _INK)
         self._legend(drawn)
         return drawn
 
-    def _panel(self, view: str, camera: KneeCamera, instant: KneeInstant) -> Image:
+    def _panel(self, view: str, camera: KneeCamera, instant: KneeInstant, tints: Mapping[str, Floats]) -> Image:
         size = PANEL * _FINER
-        picture = np.full((size, size, 3), _PAPER, np.uint8)
+        picture, depth = np.full((size, size, 3), _PAPER, np.uint8), np.zeros((size, size))
         shown = {
             name: part for name, part in self._parts.items()
             if part.bone in instant.poses and (view != "plateau" or part.bone == "tibia")
         }  # fmt: skip
-        layers = [
-            _layer([(n, p) for n, p in shown.items() if p.cartilage is cartilage], camera, instant, self._limit, size)
-            for cartilage in (True, False)
-        ]
-        (colour, depth), (bone_colour, bone_depth) = layers
-        there = depth > 0
-        picture[there] = colour[there]
-        over = bone_depth > depth
-        alpha = 1.0 if view == "plateau" else _OPACITY
-        picture[over] = (alpha * bone_colour[over] + (1 - alpha) * picture[over]).astype(np.uint8)
-        _outline(picture, bone_depth > 0)
+        # Bones come after what one sees through them.
+        for cartilage, opacity in ((True, 1.0), (False, 1.0 if view == "plateau" else _OPACITY)):
+            layer = {name: part for name, part in shown.items() if part.cartilage is cartilage}
+            if layer:
+                seen = _draw(layer, camera, instant, tints, opacity, picture, depth)
+                if not cartilage:
+                    _outline(picture, seen)
         small = np.asarray(cv2.resize(picture, (PANEL, PANEL), interpolation=cv2.INTER_AREA), np.uint8)
         if not shown:
             _write(small, "no answer", (PANEL // 2 - 36, PANEL // 2), _SOFT)
@@ -178,31 +176,50 @@ class _Ready:
         return _Ready(part.bone, surface.vertices_mm, surface.faces, normals, part.cartilage)
 
 
-def _layer(
-    parts: Sequence[tuple[str, _Ready]], camera: KneeCamera, instant: KneeInstant, limit_mm: float, size: int
-) -> tuple[Image, Floats]:
-    """Draw structures as solid: colours (h, w, 3) and inverse depth (h, w), 0 where nothing is."""
-    colours, depths = np.full((size, size, 3), _PAPER, np.uint8), np.zeros((size, size))
-    if not parts:
-        return colours, depths
-    places, faces, tints, count = [], [], [], 0
-    for name, part in parts:
+def _draw(
+    parts: Mapping[str, _Ready], camera: KneeCamera, instant: KneeInstant, tints: Mapping[str, Floats],
+    opacity: float, picture: Image, depth: Floats,
+) -> View:  # fmt: skip
+    """Draw structures as one solid over a picture, where they are nearer than what it holds.
+
+    Args:
+        parts: At least one.
+        camera: The view.
+        instant: Where the bones are.
+        tints: Red, green and blue of each face, by structure.
+        opacity: Of the solid.
+        picture: (h, w, 3) is drawn upon.
+        depth: (h, w) inverse depth of what is opaque in it; is kept up.
+    """
+    size = len(picture)
+    places, faces, colours, count = [], [], [], 0
+    for name, part in parts.items():
         pose = instant.poses[part.bone]
-        places.append(part.vertices @ pose[:3, :3].T + pose[:3, 3])
+        places.append(camera.project(part.vertices @ pose[:3, :3].T + pose[:3, 3], size))
         light = _DARKEST + (1.02 - _DARKEST) * np.maximum(part.normals @ (-camera.ahead @ pose[:3, :3]), 0.0)
-        tints.append(np.minimum(_tint(name, part, instant, limit_mm) * light[:, None], 255.0))
+        colours.append(np.minimum(tints[name] * light[:, None], 255.0))
         faces.append(part.faces + count)
         count += len(part.vertices)
     triangles: Integers = np.ascontiguousarray(np.concatenate(faces))
-    projected = np.ascontiguousarray(camera.project(np.concatenate(places), size))
-    view = see(projected, triangles, (size, size), margin=0)
-    x, y = view.corner
-    inside = view.covered
-    tint = np.concatenate(tints).astype(np.uint8)[:, ::-1]
-    window = slice(y, y + view.face.shape[0]), slice(x, x + view.face.shape[1])
-    colours[window][inside] = tint[view.face[inside]]
-    depths[window] = np.where(inside, view.inverse_depth, 0.0)
-    return colours, depths
+    seen = see(np.ascontiguousarray(np.concatenate(places)), triangles, (size, size), margin=0)
+    tint = np.ascontiguousarray(np.concatenate(colours)[:, ::-1])
+    _lay_over(picture, depth, seen.face, seen.inverse_depth, seen.corner[0], seen.corner[1], tint, opacity)
+    return seen
+
+
+@numba.njit(cache=True, nogil=True)
+def _lay_over(picture, depth, face, inverse, left, top, tint, opacity):  # pragma: no cover - compiled
+    """Blend faces over a picture where they are nearer; what is opaque hides what comes later."""
+    for y in range(face.shape[0]):
+        for x in range(face.shape[1]):
+            f = face[y, x]
+            if f < 0 or inverse[y, x] <= depth[top + y, left + x]:
+                continue
+            for c in range(3):
+                below = float(picture[top + y, left + x, c])
+                picture[top + y, left + x, c] = np.uint8(opacity * tint[f, c] + (1.0 - opacity) * below)
+            if opacity >= 1.0:
+                depth[top + y, left + x] = inverse[y, x]
 
 
 def _tint(name: str, part: _Ready, instant: KneeInstant, limit_mm: float) -> Floats:
@@ -214,8 +231,10 @@ def _tint(name: str, part: _Ready, instant: KneeInstant, limit_mm: float) -> Flo
     return np.asarray((corners[:, 0] + corners[:, 1] + corners[:, 2]) / 3)
 
 
-def _outline(picture: Image, mask: np.ndarray) -> None:
-    outlines, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+def _outline(picture: Image, seen: View) -> None:
+    """Draw the outline of a solid."""
+    x, y = seen.corner
+    outlines, _ = cv2.findContours(seen.covered.astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_SIMPLE, offset=(x, y))
     cv2.drawContours(picture, outlines, -1, (150, 140, 128), 2, cv2.LINE_AA)
 
 
