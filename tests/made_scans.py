@@ -1,6 +1,7 @@
 """A made knee in the scanner and in the laboratory: bones, balls on the skin, a standing trial and an activity."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -40,6 +41,7 @@ class MadeScan:
         return [f"MR{n}" for n in range(sum(map(len, BALLS.values())))]
 
 
+@lru_cache(maxsize=1)
 def made_bones() -> dict[str, Surface]:
     femur = made_bone(fine=3)
     over = np.diag([1.0, -1.0, -1.0])

@@ -47,7 +47,7 @@ def test_exact_markers_close_the_chain_from_the_scanner_to_the_moving_bone(rng, 
 @pytest.mark.parametrize("balls_are_clusters", [False, True])
 def test_the_stated_covariance_is_that_of_random_draws(rng, balls_are_clusters):
     distances = {"femur": [], "tibia": []}
-    for _ in range(150):
+    for _ in range(80):
         scan = made_scan(rng, noise_mm=0.5, balls_are_clusters=balls_are_clusters)
         found = joined(scan)
         for bone, truth in scan.laboratory_from_scanner.items():
@@ -58,8 +58,8 @@ def test_the_stated_covariance_is_that_of_random_draws(rng, balls_are_clusters):
             distances[bone].append(error @ np.linalg.solve(covariance, error))
     for squared in distances.values():
         # Six degrees of freedom, variance 12; raised covariances of unlucky draws make the mean a little smaller.
-        assert np.mean(squared) == pytest.approx(6.0, abs=4 * np.sqrt(12 / 150) + 0.3)
-        assert 0.88 < np.mean(np.array(squared) < chi2.ppf(0.95, 6)) < 0.995
+        assert np.mean(squared) == pytest.approx(6.0, abs=4 * np.sqrt(12 / 80) + 0.3)
+        assert 0.86 < np.mean(np.array(squared) < chi2.ppf(0.95, 6)) <= 1.0
 
 
 def test_a_surfaces_doubt_is_that_of_drawn_transforms(rng):
@@ -70,9 +70,8 @@ def test_a_surfaces_doubt_is_that_of_drawn_transforms(rng):
     )  # fmt: skip
     points = rng.normal(0, 40, (5, 3))
     draws = rng.normal(size=(20000, 6)) @ root.T
-    moved = np.stack(
-        [points @ (transform.rotation @ rotations.exp(d[:3])).T + transform.translation + d[3:] for d in draws]
-    )
+    turned = transform.rotation @ rotations.exp(draws[:, :3])
+    moved = points @ np.swapaxes(turned, 1, 2) + (transform.translation + draws[:, 3:])[:, None]
     errors = moved - transform.apply(points)
     seen = np.sqrt((errors**2).sum(-1).mean(0))
     assert surface_doubt(transform, points).sd_mm == pytest.approx(seen, rel=0.03)

@@ -4,7 +4,7 @@ import pytest
 from marey.geometry.rigid import RigidTransform
 from marey.knee.marker_matching import Markers, best_matching, match_group
 
-PLACES = np.array([[-40.0, 0, 10], [35, -20, 20], [0, 40, 45], [20, 30, -15], [-25, -35, 60]])
+PLACES = np.array([[-40.0, 0, 10], [35, -20, 20], [0, 40, 45], [20, 30, -15], [-25, -35, 80]])
 
 
 def markers(places: np.ndarray, sd_mm: float = 0.5) -> Markers:

@@ -1,0 +1,364 @@
+"""From the scanner to the moving bone and back, end to end: `python bench/knee_chain.py SHARED [PART]`.
+
+Parts: exact (nothing is off: how well the chain closes, over all frames with the true motion), draws (the balls as
+`marey knee segment` finds them in the simulated volumes, noise of 0.5 mm a coordinate in the laboratory, 200 draws:
+error of each bone's surface and turn, and what the stated 95 % hold), moved (a ball put back 5 to 20 mm beside its
+place: named or not), motion (the simulated knees on the real trials of markers/sta, driven by the true motion and by
+methods). Which ball is which, and rides on which bone, is never given: the program tells it by distance and place. The
+trials: Cereatti et al. 2017, J Biomech, doi 10.1016/j.jbiomech.2017.02.004.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from parts import run_parts
+from scipy.special import gammaincc
+
+from marey.arrays import Floats
+from marey.errors import MareyError
+from marey.geometry import rotations
+from marey.geometry.rigid import RigidTransform
+from marey.io.markers import read_markers
+from marey.io.volumes import read_volume
+from marey.knee.anatomical_frames import bone_frame
+from marey.knee.correspondence import KneeCorrespondence, bone_chain, correspond, mean_error_quantile
+from marey.knee.gadolinium import find_gadolinium
+from marey.knee.marker_naming import ScannerMarkers
+from marey.knee.reference_posture import Activity, reference_posture
+from marey.knee.surface import Surface
+from marey.knee.surfacing import surface_of_labels
+from marey.knee.volume import Labels
+from marey.markers.bone_motion import BoneMotion
+from marey.markers.clusters import AnatomicalCalibration
+from marey.markers.labels import find_clusters
+from marey.markers.methods import DEFAULT, choose_methods
+from marey.markers.problem import MarkerProblem
+from marey.markers.trajectories import MarkerTrajectories, trajectories
+from marey.markers.transform_chain import CAPTURE_GLOBAL, MR_GLOBAL
+
+PHANTOMS = ("phantom_a", "phantom_spl", "phantom_spl_t1")
+TRIALS = {"left": ("lmam_treadmill_walking",), "right": ("ottawa_walking", "unibo_step_up")}
+SEGMENTS = {"femur": "thigh", "tibia": "shank"}
+NOISE_MM = 0.5
+DRAWS = 200
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Phantom:
+    """A simulated knee."""
+
+    bones: Mapping[str, Surface]
+    """True ones."""
+    true_balls_mm: Floats
+    riding: tuple[str, ...]
+    """The true bone of each ball."""
+    found: ScannerMarkers
+    """As the program finds them."""
+    left: bool
+
+    def exact(self) -> ScannerMarkers:
+        """The true balls, as if found without an error."""
+        return ScannerMarkers(centres_mm=self.true_balls_mm, sd_mm=np.full(self.true_balls_mm.shape, 0.05))
+
+    def order(self, scanner: ScannerMarkers) -> list[int]:
+        """The true ball of each of the scanner's."""
+        return np.linalg.norm(scanner.centres_mm[:, None] - self.true_balls_mm, axis=-1).argmin(1).tolist()
+
+
+@lru_cache(maxsize=1)
+def phantom(shared: Path, name: str) -> Phantom:
+    folder = shared / "data" / "knee" / name
+    truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+    values = read_volume(folder / "truth_labels.nii.gz")
+    labels = Labels(labels=np.round(values.intensity).astype(np.uint8), grid=values.grid)
+    bones = {bone: surface_of_labels(labels, bone, edge_mm=2.0) for bone in ("femur", "tibia", "patella")}
+    balls = find_gadolinium(read_volume(folder / "image.nii.gz"), bones)
+    return Phantom(
+        bones=bones, true_balls_mm=np.array(truth["marker_centres_lps_mm"]), riding=tuple(truth["marker_segment"]),
+        found=ScannerMarkers(centres_mm=balls.centres_mm, sd_mm=balls.centres_sd_mm), left=truth["side"] == "left",
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Placed:
+    """A simulated knee in the leg of a real trial."""
+
+    knee: Phantom
+    trial: MarkerTrajectories
+    motion: BoneMotion
+    """True."""
+    frame: int
+    """The reference posture."""
+    bone_from_scanner: Mapping[str, RigidTransform]
+    """True [mm]."""
+
+    def laboratory_from_scanner(self, bone: str) -> list[RigidTransform]:
+        """True, a frame of the trial."""
+        rotation, origin = self.motion.bone(SEGMENTS[bone])
+        return [
+            RigidTransform(r, o * 1e3) @ self.bone_from_scanner[bone] for r, o in zip(rotation, origin, strict=True)
+        ]
+
+    def balls_m(self, frame: int) -> Floats:
+        """Where the balls are in the laboratory, each with its bone."""
+        at = {bone: self.laboratory_from_scanner(bone)[frame] for bone in SEGMENTS}
+        places = zip(self.knee.true_balls_mm, self.knee.riding, strict=True)
+        return np.array([at[bone].apply(place) for place, bone in places]) / 1e3
+
+
+def placed(shared: Path, knee: Phantom, name: str) -> Placed:
+    """Put the knee's anatomical frames on the trial's, the tibia where the trial's knee is in the shank."""
+    folder = shared / "data" / "markers" / "sta"
+    truth = np.load(folder / f"{name}.npz")
+    segments = tuple(SEGMENTS.values())
+    motion = BoneMotion(
+        segments=segments, rotation=np.stack([truth[f"{s}_rotation"] for s in segments], 1),
+        origin=np.stack([truth[f"{s}_origin"] for s in segments], 1) / 1e3,
+        covariance=np.zeros((len(truth["thigh_rotation"]), 2, 6, 6)),
+    )  # fmt: skip
+    known = np.flatnonzero(motion.answered.all(1))
+    bend = rotations.log(np.swapaxes(motion.rotation[known, 0], 1, 2) @ motion.rotation[known, 1])
+    frame = int(known[np.linalg.norm(bend, axis=1).argmin()])  # the straightest: nearest to standing
+    shank = RigidTransform(motion.rotation[frame, 1], motion.origin[frame, 1] * 1e3)
+    knee_in_shank = shank.inverse().apply(motion.origin[frame, 0] * 1e3)
+    frames = {
+        bone: bone_frame(bone, knee.bones[bone], np.zeros((0, 3)), left=knee.left).scanner_from_bone
+        for bone in SEGMENTS
+    }
+    middle = frames["femur"].translation
+    shifts = {"femur": np.zeros(3), "tibia": knee_in_shank - frames["tibia"].inverse().apply(middle)}
+    on = {bone: RigidTransform(np.eye(3), shifts[bone]) @ frames[bone].inverse() for bone in SEGMENTS}
+    return Placed(
+        knee=knee, trial=read_markers(folder / f"{name}.c3d"), motion=motion, frame=frame, bone_from_scanner=on
+    )  # fmt: skip
+
+
+def standing(scene: Placed, noise_mm: float, rng: np.random.Generator) -> MarkerTrajectories:
+    """The reference posture as a trial of its own: the activity's markers and the balls."""
+    points = np.concatenate([scene.trial.points[scene.frame], scene.balls_m(scene.frame)])
+    labels = [*scene.trial.labels, *(f"B{n}" for n in rng.permutation(len(scene.knee.riding)))]
+    return trajectories(labels, points[None] + rng.normal(0, noise_mm / 1e3, points.shape), scene.trial.rate)
+
+
+def activity(scene: Placed, motion: BoneMotion) -> Activity:
+    clusters = find_clusters(scene.trial.labels).clusters
+    return Activity(
+        motion=motion, markers=scene.trial, time=scene.trial.time, reference_frames=np.array([scene.frame]),
+        segment_of_label={label: cluster.segment for cluster in clusters for label in cluster.labels},
+    )  # fmt: skip
+
+
+def with_balls(done: Activity, stood: MarkerTrajectories, frame: int) -> Activity:
+    """The activity whose own reference posture shows the balls."""
+    balls = [label for label in stood.labels if label not in done.markers.labels]
+    shape = (len(done.markers), len(balls), 3)
+    points = np.full(shape, np.nan)
+    points[frame] = stood.select(balls).points[0]
+    every = np.concatenate([done.markers.points, points], 1)
+    return replace(done, markers=trajectories([*done.markers.labels, *balls], every, done.markers.rate))
+
+
+def joined(
+    scene: Placed, scanner: ScannerMarkers, done: Activity, stood: MarkerTrajectories | None
+) -> KneeCorrespondence:
+    posture = reference_posture(done, stood, noise_mm=NOISE_MM)
+    # The activity's labels would tell which bone a ball rides on only if a ball were one of its markers.
+    return correspond(scanner, posture, scene.knee.bones, segment_of_label=done.segment_of_label, left=scene.knee.left)
+
+
+def scenes(shared: Path) -> list[tuple[str, str]]:
+    sides = {"phantom_a": "right", "phantom_spl": "left", "phantom_spl_t1": "left"}
+    return [(name, trial) for name in PHANTOMS for trial in TRIALS[sides[name]]]
+
+
+def exact(shared: Path) -> None:
+    print("volume          trial                    bone   frames  largest distance from the true place, mm")
+    for name, trial in scenes(shared):
+        scene = placed(shared, phantom(shared, name), trial)
+        done = activity(scene, scene.motion)
+        found = joined(scene, scene.knee.exact(), done, standing(scene, 0.0, np.random.default_rng(0)))
+        for bone in SEGMENTS:
+            frames = np.flatnonzero(scene.motion.answered.all(1))
+            off = surface_errors(scene, found, bone, scene.motion, frames, pick=np.max)
+            print(f"{name:15} {trial:24} {bone:6} {len(frames):6}  {off.max():.1e}")
+
+
+def surface_errors(scene, found, bone, motion, frames, pick=np.mean) -> Floats:  # type: ignore[no-untyped-def]
+    """Mean (or another) distance of a bone's vertices from their true places, a frame."""
+    vertices = scene.knee.bones[bone].vertices_mm[::10]
+    chain = bone_chain(found.bones[bone], motion).between(CAPTURE_GLOBAL, MR_GLOBAL)
+    true = scene.laboratory_from_scanner(bone)
+    return np.array(
+        [pick(np.linalg.norm(chain.at(f).apply(vertices) - true[f].apply(vertices), axis=1)) for f in frames]
+    )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Draw:
+    """The error of one bone in one draw."""
+
+    surface_mm: float
+    turn_deg: float
+    turn_held: Floats
+    """(3,) whether 1.96 standard deviations hold the turn about each axis."""
+    place_held: Floats
+    """(3,) and the translation along each."""
+    pose_held: bool
+    """Whether the 95 % ellipsoid of the pose holds it."""
+    surface_held: bool
+    """Whether the stated 95 % limit holds the mean distance of the surface."""
+
+
+def drawn(scene: Placed, found: KneeCorrespondence, bone: str) -> Draw:
+    transform = found.bones[bone].capture_anatomic_from_mr_global
+    true = scene.bone_from_scanner[bone]
+    vertices = scene.knee.bones[bone].vertices_mm[::40]
+    distance = float(np.linalg.norm(transform.apply(vertices) - true.apply(vertices), axis=1).mean())
+    turn = rotations.log(transform.rotation.T @ true.rotation)
+    error = np.concatenate([turn, true.translation - transform.translation])
+    assert transform.covariance is not None
+    held = np.abs(error) < 1.96 * np.sqrt(np.diag(transform.covariance))
+    square = float(error @ np.linalg.solve(transform.covariance, error))
+    return Draw(
+        surface_mm=distance, turn_deg=float(np.degrees(np.linalg.norm(turn))), turn_held=held[:3], place_held=held[3:],
+        pose_held=bool(gammaincc(3, square / 2) > 0.05),
+        surface_held=distance < mean_error_quantile(transform, vertices, draws=400),
+    )  # fmt: skip
+
+
+def draws(shared: Path) -> None:
+    print(
+        "balls: the bones are known in the reference posture; clusters: they are told by the activity's noisy markers"
+    )
+    print(
+        "volume          trial                    noise on  bone   balls  surface mm  90 %  turn deg  90 %"
+        "  held: surface  pose  turn  place  wrong names  no answer"
+    )
+    for name, trial in scenes(shared):
+        scene = placed(shared, phantom(shared, name), trial)
+        for kind in ("balls", "clusters"):
+            rng = np.random.default_rng(2003)
+            told: dict[str, list[Draw]] = {bone: [] for bone in SEGMENTS}
+            wrong = none = 0
+            for _ in range(DRAWS):
+                stood, done = standing(scene, NOISE_MM, rng), activity(scene, scene.motion)
+                own = kind == "balls"
+                done = with_balls(done, stood, scene.frame) if own else done
+                try:
+                    found = joined(scene, scene.knee.found, done, None if own else stood)
+                except MareyError:
+                    none += 1
+                    continue
+                wrong += misnamed(scene, found, stood)
+                for bone in set(SEGMENTS) & set(found.bones):
+                    told[bone].append(drawn(scene, found, bone))
+            for bone, each in told.items():
+                print(f"{name:15} {trial:24} {kind:8}  {bone:6} {scene.knee.riding.count(bone):5}  {row(each)}", end="")
+                print(f"  {wrong:11}  {none:9}", flush=True)
+
+
+def misnamed(scene: Placed, found: KneeCorrespondence, stood: MarkerTrajectories) -> bool:
+    balls = [label for label in stood.labels if label not in scene.trial.labels]
+    right = [balls[ball] for ball in scene.knee.order(scene.knee.found)]
+    return any(label not in (None, true) for label, true in zip(found.naming.labels, right, strict=True))
+
+
+def row(each: list[Draw]) -> str:
+    surface, turn = np.array([d.surface_mm for d in each]), np.array([d.turn_deg for d in each])
+    held = [np.mean([getattr(d, f"{what}_held") for d in each]) for what in ("surface", "pose", "turn", "place")]
+    return (
+        f"{np.median(surface):10.2f}  {np.quantile(surface, 0.9):4.2f}  {np.median(turn):8.2f}  "
+        f"{np.quantile(turn, 0.9):4.2f}  {held[0]:13.3f} {held[1]:5.3f} {held[2]:5.3f}  {held[3]:5.3f}"
+    )
+
+
+def moved(shared: Path) -> None:
+    print("a ball of a bone with four or more lies elsewhere in the laboratory; 50 draws each")
+    print("volume        moved by mm  named: it alone  another  none     surface mm of its bone, median")
+    for name, trial in (("phantom_spl", "lmam_treadmill_walking"),):
+        scene = placed(shared, phantom(shared, name), trial)
+        for by in (0.0, 3.0, 5.0, 10.0, 20.0):
+            rng = np.random.default_rng(5)
+            counts, off = np.zeros(3, int), []
+            for _ in range(50):
+                right, another, error = one_moved(scene, by, rng)
+                counts += (right, another, not right and not another)
+                off.append(error)
+            print(f"{name:13} {by:11.0f}  {counts[0]:15} {counts[1]:8} {counts[2]:5}  {np.median(off):12.2f}")
+
+
+def one_moved(scene: Placed, by: float, rng: np.random.Generator) -> tuple[bool, bool, float]:
+    """Move one ball in the laboratory; names are given, as after a remounting."""
+    stood = standing(scene, NOISE_MM, rng)
+    balls = [label for label in stood.labels if label not in scene.trial.labels]
+    ball = int(rng.integers(len(balls)))
+    aside = rng.normal(size=3)
+    points = np.array(stood.points)
+    points[0, stood.labels.index(balls[ball])] += by / 1e3 * aside / np.linalg.norm(aside)
+    done = with_balls(activity(scene, scene.motion), replace(stood, points=points), scene.frame)
+    order = scene.knee.order(scene.knee.found)
+    scanner = replace(
+        scene.knee.found, names=tuple(balls[o] for o in order), bones=tuple(scene.knee.riding[o] for o in order)
+    )
+    found = joined(scene, scanner, done, None)
+    left_out = {
+        name
+        for each in found.bones.values()
+        for name, used in zip(each.fit.names, each.fit.used, strict=True)
+        if not used
+    }
+    error = drawn(scene, found, scene.knee.riding[ball]).surface_mm
+    return left_out == {balls[ball]}, bool(left_out - {balls[ball]}), error
+
+
+def motion(shared: Path) -> None:
+    print(
+        "distance of a bone's surface from its true place, mean over the surface, median and 90 % over the frames, mm;"
+    )
+    print("gap: of the tibia as seen from the femur. Balls as found, noise of 0.5 mm in the reference posture.")
+    print("volume          trial                    driven by  femur  90 %  tibia  90 %    gap  90 %")
+    for name, trial in scenes(shared):
+        scene = placed(shared, phantom(shared, name), trial)
+        stood = standing(scene, NOISE_MM, np.random.default_rng(7))
+        for method in ("truth", "rigid", DEFAULT):
+            driven = scene.motion if method == "truth" else estimated(scene, method)
+            found = joined(scene, scene.knee.found, with_balls(activity(scene, driven), stood, scene.frame), None)
+            frames = np.flatnonzero((scene.motion.answered & driven.answered).all(1))
+            off = [surface_errors(scene, found, bone, driven, frames) for bone in SEGMENTS]
+            off.append(gap_errors(scene, found, driven, frames))
+            cells = "  ".join(f"{np.median(each):5.2f} {np.quantile(each, 0.9):5.2f}" for each in off)
+            print(f"{name:15} {trial:24} {method:9}  {cells}", flush=True)
+
+
+def estimated(scene: Placed, method: str) -> BoneMotion:
+    """The trial's bones by a method, known in the reference posture alone."""
+    at = scene.frame
+    calibration = AnatomicalCalibration(
+        segments=scene.motion.segments, frames=np.array([at]), rotation=scene.motion.rotation[[at]],
+        origin=scene.motion.origin[[at]],
+    )  # fmt: skip
+    problem = MarkerProblem(
+        trajectories=scene.trial, clusters=find_clusters(scene.trial.labels).clusters, calibration=calibration,
+        joints=(("thigh", "shank"),),
+    )  # fmt: skip
+    return choose_methods([method])[0].run(problem)
+
+
+def gap_errors(scene: Placed, found: KneeCorrespondence, driven: BoneMotion, frames: Floats) -> Floats:
+    vertices = scene.knee.bones["tibia"].vertices_mm[::10]
+    chains = {b: bone_chain(found.bones[b], driven).between(CAPTURE_GLOBAL, MR_GLOBAL) for b in SEGMENTS}
+    true = {b: scene.laboratory_from_scanner(b) for b in SEGMENTS}
+    off = []
+    for f in frames:
+        ours = chains["femur"].at(f).inverse().apply(chains["tibia"].at(f).apply(vertices))
+        right = (true["femur"][f].inverse() @ true["tibia"][f]).apply(vertices)
+        off.append(np.linalg.norm(ours - right, axis=1).mean())
+    return np.array(off)
+
+
+if __name__ == "__main__":
+    run_parts(__doc__, {"exact": exact, "draws": draws, "moved": moved, "motion": motion})
