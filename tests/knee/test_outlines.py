@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from marey.knee.outlines import filled, on_the_edge
+from marey.knee.outlines import edge_image, filled, on_the_edge
 
 
 def circle(radius: float, centre: tuple[float, float], count: int = 200) -> np.ndarray:
@@ -35,7 +35,7 @@ def test_an_outline_of_pixels_is_moved_onto_a_blurred_edge():
     image = 1 / (1 + np.exp((radius - 17.4) / 0.7))
     mask = radius < 18.0
     corners = stairs_of(mask)
-    found = np.hypot(*(on_the_edge(corners, image) - (30.2, 29.7)).T)
+    found = np.hypot(*(on_the_edge(corners, edge_image(image)) - (30.2, 29.7)).T)
     before = np.hypot(*(corners - (30.2, 29.7)).T)
     assert np.abs(found - 17.4).mean() < 0.4 * np.abs(before - 17.4).mean()
 
@@ -48,7 +48,7 @@ def test_what_lies_on_the_border_stays_there():
     bottom = np.column_stack([np.arange(11, 21), np.full(10, 30)])
     right = np.column_stack([np.full(29, 20), np.arange(29, 0, -1)])
     outline = np.concatenate([top, left, bottom, right]) - 0.5
-    moved = on_the_edge(outline, image)
+    moved = on_the_edge(outline, edge_image(image))
     assert np.array_equal(moved[:11], outline[:11])
     assert filled(moved, (30, 30)).sum() == 300
 

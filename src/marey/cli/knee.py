@@ -215,3 +215,33 @@ def template(
     folder = out or sources[0].with_name(f"{sources[0].name.split('.')[0]}_template")
     made = make_template(sources, folder, Progress(quiet=quiet))
     typer.echo(f"{'A' if made.side is None else f'A {made.side}'} knee with {', '.join(made.surfaces)}: {folder}")
+
+
+@app.command()
+def outline(
+    volume: Annotated[
+        Path, typer.Argument(metavar="VOLUME", help="A folder of DICOM slices, NIfTI, NRRD or MetaImage.")
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", metavar="FILE", help="The outlines. [default: VOLUME_contours.json]"),
+    ] = None,
+    port: Annotated[int, typer.Option(metavar="N", help="Of the page's address. [default: any that is free]")] = 0,
+    no_browser: Annotated[bool, typer.Option("--no-browser", help="Only print the address.")] = False,
+    quiet: Quiet = False,
+) -> None:
+    """Outline bones and cartilage slice by slice in the browser, with a wire that follows the edges.
+
+    The page is served to this computer alone. Each change is kept at once; the same command goes on with it.
+    `marey knee template` makes a template of the outlines. Ctrl-C ends it.
+
+    Examples:
+    * `marey knee outline knee.nii.gz`
+    * `marey knee outline series --out contours.json --no-browser`
+    """
+    from marey.cli.knee_outline import outline_server, serve
+    from marey.cli.progress import Progress
+
+    server = outline_server(volume, out, port, Progress(quiet=quiet))
+    typer.echo(f"Outlining at {server.address}; kept in {server.session.path}. Ctrl-C ends it.")
+    serve(server, browser=not no_browser)

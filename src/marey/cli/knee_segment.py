@@ -54,7 +54,7 @@ def segment(paths: Sequence[Path], options: SegmentOptions, progress: Progress) 
     """
     if options.side not in (None, "left", "right"):
         raise SettingProblem(f"--side is left or right, not '{options.side}'.")
-    out = options.out or paths[0].with_name(f"{_stem(paths[0])}_marey")
+    out = options.out or paths[0].with_name(f"{stem(paths[0])}_marey")
     with progress.stage("Reading"):
         volumes = [read_volume(path) for path in paths]
         template = None if options.template is None else read_template(options.template)
@@ -140,7 +140,8 @@ def _within(folder: Path) -> list[Path]:
     return [file for file in folder.iterdir() if file.is_file()]
 
 
-def _stem(path: Path) -> str:
+def stem(path: Path) -> str:
+    """Give a volume's name without the endings of its format."""
     name = path.resolve().name
     for ending in (".nii.gz", ".nii", ".nrrd", ".nhdr", ".mha", ".mhd", ".dcm"):
         if name.lower().endswith(ending):

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
@@ -143,7 +144,7 @@ def labels_of_contours(contours: Sequence[Contour], grid: Grid) -> Labels:
     return Labels(labels=labels, grid=grid)
 
 
-def _by_slice(contours: Sequence[Contour], structure: str) -> tuple[str, dict[int, list[Contour]]]:
+def _by_slice(contours: Sequence[Contour], structure: str) -> tuple[str, dict[int, tuple[Contour, ...]]]:
     """Sort a structure's outlines by their slices, and give the one axis they have."""
     own = [contour for contour in contours if contour.structure == structure]
     axes = sorted({contour.axis for contour in own})
@@ -152,13 +153,14 @@ def _by_slice(contours: Sequence[Contour], structure: str) -> tuple[str, dict[in
         raise MareyError(
             f"The {name} is outlined in slices across {' and '.join(axes)}: keep those across one of them."
         )
-    found: dict[int, list[Contour]] = {}
+    found: dict[int, tuple[Contour, ...]] = {}
     for contour in own:
-        found.setdefault(contour.index, []).append(contour)
+        found[contour.index] = (*found.get(contour.index, ()), contour)
     return (axes[0] if axes else AXES[2]), found
 
 
-def _distance_to(contours: Sequence[Contour], grid: Grid, axis: str) -> Floats:
+@lru_cache(maxsize=16)
+def _distance_to(contours: tuple[Contour, ...], grid: Grid, axis: str) -> Floats:
     rows_mm, columns_mm = slice_spacing_mm(grid, axis)
     mask = outlined_mask(contours, slice_shape(grid, axis))
     return np.asarray(signed_distance(mask, (rows_mm, columns_mm)))

@@ -10,7 +10,7 @@ import numpy as np
 from marey.arrays import Floats, Integers, Mask, frozen
 from marey.errors import MareyError
 from marey.knee.boundary_elements import BoundaryElements, LearnedCosts, boundary_elements, step_costs
-from marey.knee.outlines import filled
+from marey.knee.outlines import edge_image, filled
 from marey.knee.wire_tree import WireTree, reversed_costs
 
 _TREES_KEPT = 8
@@ -67,6 +67,8 @@ class LiveWire:
             raise MareyError("A slice for a live wire needs finite values, and distances above 0 between its pixels.")
         self.shape = (int(np.shape(image)[0]), int(np.shape(image)[1]))
         self.elements: BoundaryElements = boundary_elements(image, spacing_mm)
+        self.edges = edge_image(image)
+        """(rows, columns) the image in which `on_the_edge` finds where an outline's edge truly lies."""
         self.learn(learned)
 
     def learn(self, learned: LearnedCosts | None) -> None:
@@ -135,6 +137,10 @@ class LiveWire:
         sides[index - 1] = self.side(before, corner)
         sides[index] = self.side(corner, after, keep_end=True)
         return ClosedWire(anchors=np.array(anchors), sides=tuple(sides))
+
+    def forget(self) -> None:
+        """Let the trees go that were kept for the next point: some megabytes each."""
+        self._trees.clear()
 
     def _round(self, corners: Sequence[Corner]) -> ClosedWire:
         pairs = zip(corners, [*corners[1:], corners[0]], strict=True)

@@ -36,6 +36,11 @@ def filled(outline: Floats, shape: tuple[int, int]) -> Mask:
     return np.asarray(np.cumsum(winding, axis=1)[:, :-1] != 0)
 
 
+def edge_image(image: Floats) -> Floats:
+    """Smooth a slice as `on_the_edge` wants it."""
+    return np.asarray(ndimage.gaussian_filter(np.asarray(image, float), _EDGE_BLUR))
+
+
 def on_the_edge(outline: Floats, image: Floats) -> Floats:
     """Take the steps of pixels out of an outline, and move it, by 1.5 pixels at most, to where the image is steepest.
 
@@ -44,12 +49,11 @@ def on_the_edge(outline: Floats, image: Floats) -> Floats:
 
     Args:
         outline: (N, 2) x and y of a wire's corners [px].
-        image: (rows, columns) the slice.
+        image: (rows, columns) the slice, as `edge_image` gives it.
 
     Returns:
         (N, 2); what lies on the slice's border stays there.
     """
-    image = ndimage.gaussian_filter(np.asarray(image, float), _EDGE_BLUR)
     size = np.array(image.shape)[::-1]
     smooth = _smoothed(outline, _SMOOTHING)
     along = _smoothed(np.roll(smooth, -1, axis=0) - np.roll(smooth, 1, axis=0), _SMOOTHING)
