@@ -1,5 +1,7 @@
 """bones.npz comes back as it was written, and a file that does not fit says what is wrong."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -28,6 +30,15 @@ def test_bones_come_back_with_their_gaps_and_deviations(bones, tmp_path):
     np.testing.assert_array_equal(back.time, bones.time)
     for name in ("rotation", "origin", "rotation_sd", "origin_sd"):
         np.testing.assert_allclose(getattr(back.motion, name), getattr(bones.motion, name), rtol=1e-12)
+
+
+def test_what_turn_and_place_have_in_common_comes_back(bones, tmp_path, rng):
+    root = rng.normal(0, 0.01, (6, 2, 6, 6))
+    motion = replace(bones.motion, covariance=root @ np.swapaxes(root, -1, -2))
+    write_bones(tmp_path / "bones.npz", replace(bones, motion=motion))
+    arrays = read_arrays(tmp_path / "bones.npz")
+    np.testing.assert_allclose(arrays["thigh_covariance"][:, 0, 3], 1e3 * motion.covariance[:, 0, 0, 3])
+    np.testing.assert_allclose(read_bones(tmp_path / "bones.npz").motion.covariance, motion.covariance, rtol=1e-9)
 
 
 def test_places_stand_in_millimetres_and_turns_in_radians(bones, tmp_path):

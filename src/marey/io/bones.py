@@ -11,6 +11,7 @@ from marey.io.npz import read_arrays, write_arrays
 from marey.markers.bone_motion import BoneMotion
 
 _MM = 1e3
+_IN_MM, _IN_M = (np.diag([1.0] * 3 + [unit] * 3) for unit in (_MM, 1 / _MM))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -27,7 +28,7 @@ class BoneFile:
 
 
 def write_bones(path: Path | str, bones: BoneFile) -> None:
-    """Write NAME_rotation, NAME_origin and their standard deviations; millimetres, a row a frame.
+    """Write NAME_rotation, NAME_origin, their standard deviations and NAME_covariance; millimetres, a row a frame.
 
     `time` [s], `rate` [Hz], `segments` and, where they are known, `side` and `reference_frames` stand beside them.
 
@@ -48,13 +49,15 @@ def write_bones(path: Path | str, bones: BoneFile) -> None:
         arrays[f"{name}_origin"] = motion.origin[:, s] * _MM
         arrays[f"{name}_rotation_sd"] = motion.rotation_sd[:, s]
         arrays[f"{name}_origin_sd"] = motion.origin_sd[:, s] * _MM
+        # What turn and place have in common: far from the origin, at the knee of a thigh for one, it counts most.
+        arrays[f"{name}_covariance"] = _IN_MM @ motion.covariance[:, s] @ _IN_MM
     write_arrays(path, arrays)
 
 
 def read_bones(path: Path | str) -> BoneFile:
     """Read bones.npz, or a file of true bone poses with the same keys.
 
-    Errors of a bone count as independent of each other where they are read from standard deviations.
+    Errors of a bone count as independent of each other where the file has no covariance, but standard deviations.
 
     Args:
         path: The file.
@@ -85,6 +88,9 @@ def read_bones(path: Path | str) -> BoneFile:
 
 
 def _covariance(arrays: dict[str, np.ndarray], name: str, frames: int) -> Floats:
+    whole = arrays.get(f"{name}_covariance")
+    if whole is not None and whole.shape == (frames, 6, 6):
+        return np.asarray(_IN_M @ whole @ _IN_M)
     unknown = np.full((frames, 3), np.nan)
     turn, place = arrays.get(f"{name}_rotation_sd", unknown), arrays.get(f"{name}_origin_sd", unknown) / _MM
     return np.concatenate([turn, place], 1)[:, :, None] ** 2 * np.eye(6)
