@@ -98,3 +98,25 @@ def filmed(
         frame, point = rng.integers(frames), rng.integers(points.shape[2])
         tracks[frame : frame + 10, :, point] = np.nan
     return tracks, matrix, points, rotation
+
+
+def hidden(rng: np.random.Generator, tracks: Floats, share: float, *, together: bool) -> Floats:
+    """Hide places of tracks (F, 2, P), until so many more are missing.
+
+    Args:
+        rng: Chooses them.
+        tracks: Some may be missing already.
+        share: Of all places.
+        together: A sixth of the points, neighbours, for a tenth of the frames, as things before the object do; else
+            single points for ten frames.
+    """
+    tracks = tracks.copy()
+    frames, _, points = tracks.shape
+    most, length = np.isnan(tracks[:, 0]).mean() + share, max(1, frames // 10) if together else 10
+    while np.isnan(tracks[:, 0]).mean() < most:
+        frame, point = rng.integers(frames), rng.integers(points)
+        away = np.linalg.norm(tracks[frame] - tracks[frame, :, point : point + 1], axis=0)
+        if np.isfinite(away[point]):
+            gone = np.argsort(away)[: max(1, points // 6)] if together else [point]
+            tracks[np.ix_(np.arange(frame, min(frame + length, frames)), [0, 1], gone)] = np.nan
+    return tracks

@@ -1,7 +1,9 @@
-"""Shapes before one camera in full perspective: `python bench/perspective.py SHARED [paper|followed|made]`.
+"""Shapes before one camera in full perspective: `python bench/perspective.py SHARED [paper|followed|made|hidden]`.
 
-Parts: paper (the ten frames of nonrigid/paper_video whose points are given), followed (the same points followed through
-the clip, rank constraint on, with the orthographic answer beside it), made (sheets and bodies of `made_perspective`).
+Parts: paper (the ten frames of nonrigid/paper_video whose points are given), followed (the same points followed
+through the clip, rank constraint on: where they were seen, as `marey nonrigid` takes them; with a tenth of that hidden;
+with the predicted places; and orthographic), made (sheets and bodies of `made_perspective`), hidden (the same with 5,
+10 and 20 % of the places hidden, in runs of ten frames, or neighbours together for a tenth of the frames).
 Printed are shape_percent as in score/tracks.py (no mirror image allowed but for the orthographic answer), the number of
 basis shapes, noise, change of distances, by how much the mirror image is less probable, and what shares of the shapes'
 coordinates and of the turns lie within 1.96 stated standard deviations.
@@ -12,7 +14,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from made_perspective import KINDS, bending_sheet, deforming_body, filmed, rubber_sheet
+from made_perspective import KINDS, bending_sheet, deforming_body, filmed, hidden, rubber_sheet
 from parts import run_parts
 
 from marey.arrays import Floats
@@ -26,10 +28,11 @@ from marey.nonrigid.rank_tracking import refine_tracks
 from marey.nonrigid.rotation_paths import MIRROR
 
 SEEDS = (0, 1)
+SHARES = (0.05, 0.1, 0.2)
 
 
 def main() -> None:
-    run_parts(__doc__, {"paper": paper, "followed": followed, "made": made})
+    run_parts(__doc__, {"paper": paper, "followed": followed, "made": made, "hidden": with_hidden})
 
 
 def percent(points: Floats, truth: Floats) -> float:
@@ -77,9 +80,12 @@ def followed(shared: Path) -> None:
     with np.load(shared / "data" / "nonrigid" / "paper_video" / "truth.npz") as truth:
         frames = truth["frames"].astype(int)
         points = follow_points(pictures, truth["points2d"][0].T, frame=int(frames[0]))
-        tracks = refine_tracks(pictures, points).tracks.tracks
-        row("paper, followed", tracks, truth["matrix"], truth["points3d"], frames)
-        answer = factorise_tracks(tracks)
+        found = refine_tracks(pictures, points).tracks
+        seen = np.where(found.visible[:, None], found.tracks, np.nan)
+        fewer = hidden(np.random.default_rng(0), seen, 0.1, together=True)
+        for name, tracks in (("as seen", seen), ("a tenth hidden", fewer), ("with predicted places", found.tracks)):
+            row(f"paper, followed, {name}", tracks, truth["matrix"], truth["points3d"], frames)
+        answer = factorise_tracks(seen)
         camera = (answer.rotation @ answer.shape)[frames]
         both = (percent(side, truth["points3d"]) for side in (camera, MIRROR @ camera))
         sys.stdout.write(f"paper, followed, orthographic: shape_percent {min(both):.2f}\n")
@@ -90,12 +96,26 @@ def made(shared: Path) -> None:
     for kind in KINDS:
         for seed in SEEDS:
             rng = np.random.default_rng(seed)
-            makers = {"sheet": bending_sheet, "rubber": rubber_sheet, "body": deforming_body}
-            shapes = makers.get(kind, deforming_body)(rng)
-            if kind == "rigid":
-                shapes = np.repeat(shapes[:1], len(shapes), axis=0)
-            tracks, matrix, points, _ = filmed(rng, shapes, 1.0, 3.0, 660.0, 0.5, 0.1)
+            tracks, matrix, points, _ = filmed(rng, _shapes(kind, rng), 1.0, 3.0, 660.0, 0.5, 0.1)
             row(f"{kind}, seed {seed}", tracks, matrix, points)
+
+
+def with_hidden(shared: Path) -> None:
+    """Film as `made` does, and hide more and more."""
+    for kind in KINDS:
+        rng = np.random.default_rng(SEEDS[0])
+        tracks, matrix, points, _ = filmed(rng, _shapes(kind, rng), 1.0, 3.0, 660.0, 0.5, 0.0)
+        for share in SHARES:
+            for together in (False, True):
+                fewer = hidden(np.random.default_rng(0), tracks, share, together=together)
+                name = f"{kind}, {share:.0%} hidden {'together' if together else 'in runs'}"
+                row(name, fewer, matrix, points)
+
+
+def _shapes(kind: str, rng: np.random.Generator) -> Floats:
+    makers = {"sheet": bending_sheet, "rubber": rubber_sheet}
+    shapes = makers.get(kind, deforming_body)(rng)
+    return np.repeat(shapes[:1], len(shapes), axis=0) if kind == "rigid" else shapes
 
 
 if __name__ == "__main__":

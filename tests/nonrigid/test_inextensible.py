@@ -59,6 +59,27 @@ def test_one_lost_track_bends_nothing_else(sheet):
     assert depth_error(depth[:, others], sheet[:, :, others]) < 0.015
 
 
+def test_points_seen_apart_from_all_others_get_no_depth(sheet):
+    rays, seen = rays_of(sheet), np.ones((FRAMES, sheet.shape[2]), bool)
+    pairs = neighbours(rays[:, :2], seen, 8)
+    seen[5] = np.arange(sheet.shape[2]) % 7 < 3
+    seen[5, [6, 13]] = True
+    # The two are seen one behind the other: their distance would be kept at any depth.
+    rays[5, :, 13] = rays[5, :, 6] + np.array([1e-4, 0, 0])
+    depth = inextensible_depths(rays, seen, pairs)[0]
+    assert np.isnan(depth[5, [6, 13]]).all()
+    assert np.nanmax(depth) < 2 * np.nanmedian(depth)
+    assert np.isfinite(depth[5]).sum() == 18
+
+
+def test_two_things_that_never_hang_together_both_get_depths(sheet):
+    both = np.concatenate([sheet, sheet + np.array([3.0, 0, 0])[:, None]], 2)
+    rays, seen = rays_of(both), np.ones((FRAMES, both.shape[2]), bool)
+    seen[4, :5] = False
+    depth = inextensible_depths(rays, seen, neighbours(rays[:, :2], seen, 8))[0]
+    np.testing.assert_array_equal(np.isfinite(depth), seen)
+
+
 def test_neighbours_are_near_in_every_frame_and_named_once():
     place = np.array([[0.0, 1, 2.2, 3.5], [0, 0, 0, 0]])
     tracks = np.stack([place, place, place])

@@ -26,3 +26,11 @@ def test_the_answer_is_the_least_of_its_sum(rng):
 def test_the_nuclear_norm_is_the_sum_of_singular_values(rng):
     shapes = rng.normal(size=(7, 3, 4))
     np.testing.assert_allclose(nuclear_norm(shapes), np.linalg.svd(shapes.reshape(7, -1), compute_uv=False).sum())
+
+
+def test_rotations_that_turn_about_the_sight_alone_give_no_depth(rng):
+    path = rotations.about(np.array([0.0, 0.0, 1.0]), 0.1 * np.arange(30))
+    shape = rng.normal(size=(3, 9))
+    found = smooth_shapes((path @ shape)[:, :2], path)
+    np.testing.assert_allclose(found[:, :2], np.tile(shape[:2], (30, 1, 1)), atol=1e-7)
+    np.testing.assert_allclose(found[:, 2], 0, atol=1e-6)

@@ -7,6 +7,8 @@ programme has one minimum, so no start is needed, and perspective tells the sign
 
 import numpy as np
 from numba import njit
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from marey.arrays import Floats, Integers, Mask
 
@@ -62,10 +64,10 @@ def inextensible_depths(rays: Floats, seen: Mask, pairs: Integers) -> tuple[Floa
         pairs: (E, 2) neighbours.
 
     Returns:
-        Depths (F, P), NaN where a point is not seen or has no neighbour that is; distances (E,).
+        Depths (F, P), NaN where a point is not seen or hangs together with too little of what is; distances (E,).
     """
     first, second = np.ascontiguousarray(pairs[:, 0]), np.ascontiguousarray(pairs[:, 1])
-    used = seen[:, first] & seen[:, second]
+    used = _within_largest_pieces(seen, pairs)
     tied = np.zeros(seen.shape, bool)
     for ends in (first, second):
         np.logical_or.at(tied.T, ends, used.T)
@@ -80,6 +82,32 @@ def inextensible_depths(rays: Floats, seen: Mask, pairs: Integers) -> tuple[Floa
         widest / widest.mean(), push, DEAREST * PUSH, ROUNDS, STILL,
     )  # fmt: skip
     return np.where(tied, found, np.nan), distance
+
+
+def _within_largest_pieces(seen: Mask, pairs: Integers) -> Mask:
+    """Tell which pairs (F, E) are seen and hang together with most of what they hang together with otherwise.
+
+    A few points that a frame shows apart from the rest would be pushed away alone: seen one behind the other, to
+    hundreds of times the depth of all others.
+    """
+    count, (first, second) = seen.shape[1], pairs.T
+    used = np.asarray(seen[:, first] & seen[:, second])
+    whole = _pieces(np.ones(len(pairs), bool), pairs, count)
+    for now in used:
+        piece = _pieces(now, pairs, count)
+        size = np.bincount(piece, minlength=count)[piece]
+        largest = np.zeros(count, int)
+        np.maximum.at(largest, whole, size)
+        chosen = np.full(count, count)
+        np.minimum.at(chosen, whole, np.where(size == largest[whole], piece, count))
+        now &= (piece == chosen[whole])[first]
+    return used
+
+
+def _pieces(used: Mask, pairs: Integers, count: int) -> Integers:
+    """Number the pieces (P,) in which points hang together by the pairs that are used."""
+    ties = coo_array((used[used], (pairs[used, 0], pairs[used, 1])), shape=(count, count))
+    return np.asarray(connected_components(ties, directed=False)[1])
 
 
 def _inverses(rays: Floats, used: Mask, first: Integers, second: Integers) -> Floats:

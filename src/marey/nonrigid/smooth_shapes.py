@@ -7,6 +7,8 @@ from marey.arrays import Floats
 
 STIFFNESS = 1e-3
 """What a squared change of a coordinate weighs beside a squared residual of the tracks, both in the tracks' unit."""
+LEAST = 1e-9
+"""The same of a squared coordinate, where the rotations tell no depth: then it is 0."""
 
 
 def smooth_shapes(tracks: Floats, rotation: Floats) -> Floats:
@@ -30,7 +32,11 @@ def smooth_shapes(tracks: Floats, rotation: Floats) -> Floats:
             band[j - i, i::3] = diagonal[:, j, i]
     band[3, : 3 * (frames - 1)] = -STIFFNESS
     right = np.einsum("fki,fkp->fip", rows, tracks).reshape(3 * frames, points)
-    solved = scipy.linalg.solveh_banded(band, right, lower=True, check_finite=False)
+    try:
+        solved = scipy.linalg.solveh_banded(band, right, lower=True, check_finite=False)
+    except np.linalg.LinAlgError:
+        band[0] += LEAST
+        solved = scipy.linalg.solveh_banded(band, right, lower=True, check_finite=False)
     return np.asarray(solved.reshape(frames, 3, points))
 
 
