@@ -6,11 +6,14 @@ import pytest
 from marey.geometry import rotations
 from marey.nonrigid.perspective_model import (
     MOTION,
+    _give_up_modes,
+    _moved,
     _set_gauge,
     begin,
     distance_jacobians,
     improve,
     residuals_and_jacobians,
+    solve_frames,
 )
 
 FRAMES, POINTS, MODES = 14, 9, 2
@@ -76,3 +79,42 @@ def test_rounds_find_poses_and_shapes_from_a_start_that_is_off(made, rng):
     ratio = (true**2).sum() / (true * model.points).sum()
     assert np.sqrt(((ratio * model.points - true) ** 2).mean()) < 0.02 * model.shift[:, 2].mean()
     assert np.sqrt(model.variance) < 5e-4
+
+
+def test_what_is_not_known_of_weights_and_motion_moves_the_points_together(made):
+    model, tracks = made
+    solve_frames(model, tracks, np.ones((FRAMES, POINTS)))
+    wanted = np.zeros((FRAMES, 1 + MODES, 3, POINTS))
+    roots = np.linalg.cholesky(model.covariance[0])
+    for column in np.moveaxis(roots, 2, 0):
+        carried = np.cross(column[:, None, :3], np.swapaxes(model.rotation @ model.shapes, 1, 2))
+        carried = (carried + column[:, None, 3:MOTION]) @ model.rotation
+        wanted[:, 1:] += column[:, MOTION:, None, None] * np.swapaxes(carried, 1, 2)[:, None]
+    np.testing.assert_allclose(_moved(model), wanted, atol=1e-12)
+
+
+def test_modes_that_do_nothing_are_given_up(made):
+    model, tracks = made
+    seen = np.ones((FRAMES, POINTS))
+    solve_frames(model, tracks, seen)
+    before = model.points
+    model.modes = np.concatenate([model.modes[:1], 1e-9 * model.modes[1:], model.modes[1:]])
+    model.weights = model.weights[:, [0, 1, 1]]
+    model.processes = model.processes.among(np.array([0, 1, 1]))
+    model.covariance = tuple(
+        part[:, [*range(MOTION + 1), 7, 7]][:, :, [*range(MOTION + 1), 7, 7]] for part in model.covariance
+    )
+    _give_up_modes(model)
+    assert model.modes.shape[0] == model.weights.shape[1] == len(model.processes.spread) == MODES
+    assert model.covariance[0].shape[1] == MOTION + MODES
+    np.testing.assert_allclose(model.points, before, atol=1e-9)
+
+
+def test_many_rounds_do_not_leave_the_answer_again(made, rng):
+    model, tracks = made
+    noisy = tracks + 1e-3 * rng.normal(size=tracks.shape)
+    model = begin(
+        model.rotation, model.shift, model.shapes + 0.01 * rng.normal(size=model.shapes.shape), 6, 0.01, model.pairs
+    )
+    improve(model, noisy, np.ones((FRAMES, POINTS)), 150, 1e-4)
+    assert np.sqrt(model.variance) < 2e-3

@@ -27,6 +27,8 @@ STRETCH_FREEDOM = 4.0
 LEAST_STRETCH = 0.005
 """Least standard deviation of a pair's distance, as a share of it."""
 HALVINGS = 6
+SLIGHTEST = 1e-5
+"""A mode that moves the points by less than this share of the object's size is given up."""
 
 
 @dataclass
@@ -224,8 +226,9 @@ def solve_shapes(model: PerspectiveModel, tracks: Floats, seen: Floats) -> None:
     basis = np.concatenate([model.mean[None], model.modes])
     sharp, tight = 1 / np.sqrt(model.variance), np.sqrt(model.share / model.stretch)
     basis = solve_shape_equations(
-        basis, row, square, by_shape * sharp, wanted * sharp, model.pairs, direction * tight, model.distance * tight
-    )
+        basis, row, square, by_shape * sharp, wanted * sharp, _moved(model), model.pairs, direction * tight,
+        model.distance * tight,
+    )  # fmt: skip
     # What is not known of the weights counts here and not in `_squares`, which therefore may rise a little.
     enough, start = _squares(model, tracks, seen) + float(seen.sum()), (model.mean, model.modes)
     for halving in range(HALVINGS):
@@ -236,7 +239,32 @@ def solve_shapes(model: PerspectiveModel, tracks: Floats, seen: Floats) -> None:
             break
     else:
         model.mean, model.modes = start
+    _give_up_modes(model)
     _set_gauge(model)
+
+
+def _give_up_modes(model: PerspectiveModel) -> None:
+    """Leave out modes that do next to nothing: nothing holds their weights, which would grow without limit."""
+    own = np.einsum("fmm->m", model.covariance[0][:, MOTION:, MOTION:]) / len(model.weights)
+    moved = ((model.weights**2).mean(0) + own) * (model.modes**2).mean((1, 2))
+    kept = np.flatnonzero(moved > SLIGHTEST**2)
+    unknowns = np.concatenate([np.arange(MOTION), MOTION + kept])
+    model.modes, model.weights = model.modes[kept], model.weights[:, kept]
+    model.processes = model.processes.among(kept)
+    here, near, far = (part[:, unknowns][:, :, unknowns] for part in model.covariance)
+    model.covariance = (here, near, far)
+
+
+def _moved(model: PerspectiveModel) -> Floats:
+    """Give the expected product (F, 1 + M, 3, P) of what is not known of the weights and of the motion of the points.
+
+    A size that swells while the object moves away is hardly known, neither as weight nor as distance, but both
+    together explain the tracks: without this product such modes would shrink, as if each were wrong alone.
+    """
+    together = np.pad(model.covariance[0][:, MOTION:, :MOTION], ((0, 0), (1, 0), (0, 0)))
+    carried = (model.rotation @ model.shapes)[:, None]
+    moved = np.cross(together[..., :3, None], carried, axis=2) + together[..., 3:, None]
+    return np.asarray(np.swapaxes(model.rotation, 1, 2)[:, None] @ moved)
 
 
 def _set_gauge(model: PerspectiveModel) -> None:

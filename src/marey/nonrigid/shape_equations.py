@@ -14,6 +14,7 @@ def solve_shape_equations(
     square: Floats,
     by_shape: Floats,
     wanted: Floats,
+    moved: Floats,
     pairs: Integers,
     direction: Floats,
     distance: Floats,
@@ -26,6 +27,8 @@ def solve_shape_equations(
         square: (F, K, K) expected products of the weights.
         by_shape: (F, 2, 3, P) derivative of the image by a shape's point, over the noise.
         wanted: (F, 2, P) what these derivatives times the shape should be.
+        moved: (F, K, 3, P) expected product of what is not known of a weight with how what is not known of the motion
+            carries a point, in the object's frame; 0 of the mean shape.
         pairs: (E, 2) neighbours.
         direction: (F, 3, E) from the second to the first, over the distance's standard deviation.
         distance: (E,) over the same.
@@ -34,15 +37,18 @@ def solve_shape_equations(
         (K, 3, P).
     """
     count, _, points = basis.shape
-    diagonal = _blocks(square, np.einsum("fkip,fkjp->pfij", by_shape, by_shape))
-    right = np.einsum("fa,fip->pai", row, np.einsum("fkip,fkp->fip", by_shape, wanted)).reshape(points, 3 * count)
+    seen_of = np.einsum("fkip,fkjp->pfij", by_shape, by_shape)
+    diagonal = _blocks(square, seen_of)
+    right = np.einsum("fa,fip->pai", row, np.einsum("fkip,fkp->fip", by_shape, wanted))
+    right -= np.einsum("pfij,fajp->pai", seen_of, moved, optimize=True)
+    right = right.reshape(points, 3 * count)
     across = _blocks(square, np.einsum("fie,fje->efij", direction, direction))
     pull = np.einsum("fa,fie->eai", row, direction * distance).reshape(len(pairs), 3 * count)
     for sign, ends in ((1, pairs[:, 0]), (-1, pairs[:, 1])):
         np.add.at(diagonal, ends, across)
         np.add.at(right, ends, sign * pull)
-    ridge = 1e-9 * np.einsum("pnn->p", diagonal)[:, None] / (3 * count)
-    diagonal[:, range(3 * count), range(3 * count)] += ridge
+    # Each coordinate's own share: a mode of large weights would hold all others else.
+    diagonal[:, range(3 * count), range(3 * count)] *= 1 + 1e-9
     diagonal[:, range(3, 3 * count), range(3, 3 * count)] += 1
     start = basis.transpose(2, 0, 1).reshape(points, 3 * count)
     solved = _conjugate_gradients(diagonal, across, pairs, right, start)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from marey.arrays import Floats
+from marey.arrays import Floats, Integers
 
 FIRST_MEMORY = (1.9, -0.95)
 LEAST = 1e-16
@@ -20,6 +20,10 @@ class WeightProcesses:
     """(M, 2)."""
     surprise: Floats
     """(M,) variance."""
+
+    def among(self, kept: Integers) -> "WeightProcesses":
+        """Keep some weights alone."""
+        return WeightProcesses(self.spread[kept], self.memory[kept], self.surprise[kept])
 
     def left(self, weights: Floats) -> Floats:
         """Give what the memory does not foretell (F - 2, M)."""
