@@ -36,7 +36,7 @@ def test_all_files_are_there_and_nothing_else(out: Path):
     record = json.loads((out / "run.json").read_text(encoding="utf-8"))
     assert record["command"] == "knee animate"
     assert record["settings"]["side"] == "right"
-    assert any("patella was not measured" in note for note in record["warnings"])
+    assert any("The patella is not moved" in note for note in record["warnings"])
     assert any("The femur has no pose in 1 of 6 frames" in note for note in record["warnings"])
 
 

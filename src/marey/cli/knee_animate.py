@@ -136,7 +136,7 @@ def animate(knee_folder: Path, motion_folder: Path, options: AnimateOptions, pro
         compared = None
         if other is not None:
             compared = _moved(joining, _joined(joining, other), other, _name_of(options), progress, cache)
-        _say_doubts(found, compared, knee, progress)
+        _say_doubts(found, compared, joined, knee, progress)
         results = AnimationResults(
             title=f"{knee_folder.resolve().name} by {motion_folder.resolve().name}", parts=knee.parts, found=found,
             compared=compared, joined=joined, in_room=options.frame == "room" or BASE not in found.motion.poses,
@@ -242,7 +242,8 @@ def _say_joined(joined: KneeCorrespondence, progress: Progress) -> None:
         for note in each.notes:
             progress.warn(f"{bone}: {note}")
     for bone, why in joined.missing.items():
-        progress.warn(f"The {bone} is not moved: {why}.")
+        if bone != "patella":  # of which more is said when the motion is there
+            progress.warn(f"The {bone} is not moved: {why}.")
 
 
 def _moved(
@@ -277,7 +278,9 @@ def _angles(joined: KneeCorrespondence, motion: JointMotion, progress: Progress)
     return knee_angles(motion)
 
 
-def _say_doubts(found: KneeMotion, compared: KneeMotion | None, knee: _Knee, progress: Progress) -> None:
+def _say_doubts(
+    found: KneeMotion, compared: KneeMotion | None, joined: KneeCorrespondence, knee: _Knee, progress: Progress
+) -> None:
     """Say what a reader should know before the numbers."""
     motion = found.motion
     if knee.left is None:
@@ -287,9 +290,10 @@ def _say_doubts(found: KneeMotion, compared: KneeMotion | None, knee: _Knee, pro
         if lacking:
             progress.warn(f"The {bone} has no pose in {lacking} of {len(motion)} frames: gaps, and shown as such.")
     if "patella" in knee.parts and "patella" not in motion.poses:
+        why = joined.missing.get("patella", "it was not measured")
         progress.warn(
-            "The patella was not measured in the activity: it is left out of all numbers, of the video and of the GLB. "
-            "The page can draw it with the femur, which it does not follow."
+            f"The patella is not moved: {why}. It is left out of all numbers, of the video and of the GLB; the page "
+            "can draw it with the femur, which it does not follow."
         )
     if not found.joints:
         progress.warn("No two bones that meet were measured: there is no nearness.")

@@ -159,8 +159,11 @@ class _Film:
         self._results, self._poses = results, results.poses
         self._parts = _drawn(results)
         self._matrices = {bone: pose.matrix() for bone, pose in self._poses.items()}
+        if results.in_room:
+            self._follow()
         self._maps = {name: distances_of(name, results.found) for name, p in self._parts.items() if p.cartilage}
-        note = f"Skin: {results.found.method}. " + ("In the room." if results.in_room else "The tibia is held.")
+        held = "In the room; the eye goes along." if results.in_room else "The tibia is held."
+        note = f"Skin: {results.found.method}. {held}"
         cameras = {view: self._camera(view) for view in results.views}
         self._picture = KneePicture(self._parts, cameras, limit_mm=results.limit_mm, note=note)
 
@@ -174,6 +177,15 @@ class _Film:
     def _at(self, bone: str, frame: int) -> Floats:
         matrix = self._matrices[bone]
         return matrix if matrix.ndim == 2 else matrix[frame]
+
+    def _follow(self) -> None:
+        """Let the eye go along with the knee, without turning: take away where the tibia, or another bone, is."""
+        way = np.full((len(self._results.found.motion), 3), np.nan)
+        for bone in sorted(self._poses, key=lambda name: name != BASE):
+            middle = self._results.parts[bone].vertices_mm.mean(0)
+            way = np.where(np.isfinite(way), way, self._poses[bone].apply(middle[None])[:, 0])
+        for matrix in self._matrices.values():
+            matrix[:, :3, 3] -= way
 
     def _camera(self, view: str) -> KneeCamera:
         """Look along the tibia's axes, in the room along those of its mean posture."""

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from marey.arrays import Floats, Integers
+from marey.geometry import rotations
 from marey.io.atomic import replacing
 from marey.knee.joint_motion import BASE, KneeMotion
 from marey.knee.proximity import NEAR_MM, Proximity
@@ -44,7 +45,8 @@ _MEANING = {
     "lie below the limit, carried to the nearest place on the cartilage. It is no centre of pressure.",
     "Area": "Of the cartilage whose distance from the other one is below a limit.",
     "Medial, lateral": "The parts of the tibia's, or of the patella's, cartilage on either side of its middle.",
-    "Held": "With the tibia held the other bones move as seen from it; in the room all move as they did.",
+    "Held": "With the tibia held the other bones move as seen from it; in the room all turn as they did, and the eye "
+    "goes along with the knee.",
     "Angles": "After Grood and Suntay, by the anatomical frames of the scanned bones themselves, which are not those "
     "of `marey markers`: constants between the two are no error. Positive are flexion, adduction, inward rotation.",
 }
@@ -121,19 +123,26 @@ def _scene(report: KneeReport, stride: int) -> dict[str, object]:
     places = np.concatenate([part.surface.vertices_mm for part in report.parts.values()])
     low, high = places.min(0), places.max(0)
     answered = motion.answered(BASE if held else motion.bones[0])[::stride]
-    room = np.zeros(3)
-    if held:
-        middle = motion.poses[BASE].apply((low + high)[None] / 2)[:, 0] @ report.upright.T
-        room = np.nanmean(middle, axis=0) if np.isfinite(middle).any() else room
     return {
         "parts": [_part(name, part, report, stride) for name, part in report.parts.items()],
         "motions": [_motion(each, report, stride) for each in report.both],
         "carried": dict.fromkeys(report.carried, "femur"), "held": "room" if report.in_room or not held else "tibia",
-        "room": held, "middle": ((low + high) / 2).tolist(), "room_middle": room.tolist(),
+        "room": held, "middle": ((low + high) / 2).tolist(), "heading": _heading(report),
         "size": float((high - low).max()) / 1.9, "left": bool(motion.left), "first": int(np.argmax(answered)),
         "limit": report.found.joints[0].limit_mm if report.found.joints else 0.0,
         "stops": [_hex(colour) for colour in STOPS], "overlap": _hex(OVERLAP), "far": _hex(FAR), "bone": _hex(BONE),
     }  # fmt: skip
+
+
+def _heading(report: KneeReport) -> float:
+    """Give the turn about the vertical [rad] that brings the eye before the knee in the room, as it mostly stands."""
+    motion = report.found.motion
+    turns = motion.poses[BASE if BASE in motion.poses else motion.bones[0]].rotation
+    known = turns[np.isfinite(turns).all((1, 2))]
+    if not len(known):
+        return 0.0
+    front = report.upright @ rotations.mean(known) @ np.array([0.0, -1.0, 0.0])
+    return float(np.arctan2(front[0], -front[1]))
 
 
 def _hex(colour: Sequence[float] | Floats) -> str:

@@ -28,6 +28,7 @@ function makeKnee(canvas, problem, knee) {
   if (!scene) return null;
   const { gl, eye, buffer, drawLines, drawPoints, later } = scene;
   gl.getExtension("OES_element_index_uint");
+  if (shown.held === "room") eye.turn += knee.heading;
   const paint = scene.program(KNEE_VERTEX, KNEE_PIXEL), stops = new Float32Array(knee.stops.flatMap(rgb)), bone = rgb(knee.bone);
   for (const motion of knee.motions) for (const name in motion.poses) motion.poses[name] = floats(motion.poses[name]);
   for (const motion of knee.motions) for (const path of motion.paths) path.places = floats(path.places);
@@ -76,9 +77,17 @@ function makeKnee(canvas, problem, knee) {
       pose = times(inverse(base), room);
     }
     if (pose[0] !== pose[0]) return null;
-    const middle = shown.held === "tibia" ? knee.middle : knee.room_middle, made = Float64Array.from(pose);
+    const middle = shown.held === "tibia" ? knee.middle : along(motion, f), made = Float64Array.from(pose);
     for (let r = 0; r < 3; r++) made[4 * r + 3] -= middle[r];
     return made;
+  }
+  // In the room the eye goes along with the knee.
+  function along(motion, f) {
+    for (const name of ["tibia", "femur"]) {
+      const p = motion.poses[name] && motion.poses[name].subarray(12 * f, 12 * f + 12), m = knee.middle;
+      if (p && p[0] === p[0]) return [0, 1, 2].map(r => p[4 * r] * m[0] + p[4 * r + 1] * m[1] + p[4 * r + 2] * m[2] + p[4 * r + 3]);
+    }
+    return [0, 0, 0];
   }
   const at = (m, p) => [0, 1, 2].map(r => SIZE * (m[4 * r] * p[0] + m[4 * r + 1] * p[1] + m[4 * r + 2] * p[2] + m[4 * r + 3]));
   const matrix = m => new Float32Array([0, 1, 2, 3].flatMap(c => [0, 1, 2].map(r => SIZE * m[4 * r + c]).concat(c === 3 ? 1 : 0)));
@@ -140,7 +149,8 @@ function makeKnee(canvas, problem, knee) {
   return {
     shown, later,
     show(next) { frame = next; later(); },
-    look(turn, lift, distance) { eye.turn = turn; eye.lift = lift; eye.distance = distance; later(); },
+    hold(what) { if (what !== shown.held) eye.turn += what === "room" ? knee.heading : -knee.heading; shown.held = what; },
+    look(turn, lift, distance) { eye.turn = turn + (shown.held === "room" ? knee.heading : 0); eye.lift = lift; eye.distance = distance; later(); },
     answered: f => shown.motions.some(n => poseOf(knee.motions[n], "femur", f) || (shown.held === "room" && poseOf(knee.motions[n], "tibia", f))),
   };
 }
@@ -185,7 +195,7 @@ if (knee) {
   byId("motion").addEventListener("change", event => { shown.motions = event.target.value === "all" ? motions.map((_, n) => n) : [Number(event.target.value)]; showFrame(current, false); });
   byId("held").value = shown.held;
   if (!data.knee.room) byId("held").parentElement.hidden = true;
-  byId("held").addEventListener("change", event => { shown.held = event.target.value; showFrame(current, false); });
+  byId("held").addEventListener("change", event => { knee.hold(event.target.value); showFrame(current, false); });
   byId("show-through").addEventListener("change", event => { shown.through = event.target.checked; later(); });
   byId("show-paths").addEventListener("change", event => { shown.paths = event.target.checked; later(); });
   window.addEventListener("resize", later);
