@@ -40,7 +40,7 @@ def test_a_femurs_frame_lies_between_its_condyles_with_their_axis_to_the_right()
 
 def test_a_short_shaft_leaves_the_scanners_axis_and_a_word_about_it():
     found = bone_frame("femur", made_femur(60.0), BALLS_MM, left=False)
-    assert "too little for its axis" in found.notes[0]
+    assert "too little of its shaft" in found.notes[0]
     assert found.scanner_from_bone.rotation[:, 1] == pytest.approx([0, 0, 1], abs=0.02)
 
 

@@ -75,6 +75,8 @@ def test_a_surfaces_doubt_is_that_of_drawn_transforms(rng):
     errors = moved - transform.apply(points)
     seen = np.sqrt((errors**2).sum(-1).mean(0))
     assert surface_doubt(transform, points).sd_mm == pytest.approx(seen, rel=0.03)
+    held = np.linalg.norm(errors, axis=-1) < surface_doubt(transform, points).within_mm
+    assert held.mean(0) == pytest.approx(0.95, abs=0.01)
     within = np.linalg.norm(errors, axis=-1).mean(1)
     assert mean_error_quantile(transform, points) == pytest.approx(np.quantile(within, 0.95), rel=0.1)
 

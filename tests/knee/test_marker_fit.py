@@ -82,6 +82,19 @@ def test_a_marker_put_back_elsewhere_is_left_out_and_named(rng):
         assert (fit.gain[:, moved] == 0).all()
 
 
+def test_of_four_markers_one_of_two_that_may_have_moved_is_not_guessed(rng):
+    # M0 turns about the line through M2 and M3: only its distance from M1 changes, as if M1 had turned the other way.
+    markers = common(rng, count=4, motion=RigidTransform.identity())
+    line = PLACES[3] - PLACES[2]
+    turn = rotations.exp(np.radians(8) * line / np.linalg.norm(line))
+    moved = np.array(markers.to_mm)
+    moved[0] = PLACES[2] + turn @ (PLACES[0] - PLACES[2])
+    fit = fit_markers(replace(markers, to_mm=moved, to_sd_mm=np.full((4, 3), 0.5)))
+    assert fit.used.all()
+    assert fit.raised > 1
+    assert any("M0 or M1" in note for note in fit.notes)
+
+
 def test_of_three_markers_the_moved_one_is_named_and_kept_with_raised_deviations(rng):
     apart = PLACES[2] - PLACES[:2].mean(0)
     motion = RigidTransform.identity()

@@ -71,6 +71,8 @@ def test_segments_are_bones_of_the_knee_that_was_scanned():
     assert bone_of_segment("right_thigh", left=True) is None
     assert bone_of_segment("shank", left=True) == "tibia"
     assert bone_of_segment("pelvis") is None
+    assert bone_of_segment("femur_r", left=False) == "femur"
+    assert bone_of_segment("tibia_l", left=False) is None
     assert bone_of_label("right_shank_3", {}, left=False) == "tibia"
     assert bone_of_label("LT1", {"LT1": "left_shank"}, left=True) == "tibia"
     assert segment_of_bone("femur", ["pelvis", "left_thigh", "right_thigh"], left=False) == "right_thigh"

@@ -1,6 +1,7 @@
 """`correspondence.json`: where each bone of the scanner lies in its frame in the laboratory, and how well."""
 
 import json
+import re
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -11,6 +12,10 @@ from marey.errors import FileProblem
 from marey.io.atomic import replacing
 from marey.knee.correspondence import BoneCorrespondence, KneeCorrespondence
 from marey.markers.transform_chain import CAPTURE_ANATOMIC, MR_ANATOMIC, MR_GLOBAL, NamedTransform
+
+
+_ROWS = re.compile(r"\[\s+([-+.\deE,\s]+?)\s+\]")
+"""A list of numbers, which is read more easily in one line."""
 
 
 def write_correspondence(path: Path | str, found: KneeCorrespondence) -> None:
@@ -30,7 +35,11 @@ def write_correspondence(path: Path | str, found: KneeCorrespondence) -> None:
         "notes": list(found.notes),
     }
     with replacing(path) as beside:
-        beside.write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
+        beside.write_text(_ROWS.sub(_in_one_line, json.dumps(table, indent=1)) + "\n", encoding="utf-8")
+
+
+def _in_one_line(numbers: re.Match[str]) -> str:
+    return "[" + ", ".join(numbers[1].split()).replace(",,", ",") + "]"
 
 
 def _bone(found: BoneCorrespondence) -> dict[str, object]:

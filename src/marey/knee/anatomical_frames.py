@@ -213,8 +213,8 @@ def _shaft_axis(surface: Surface, low: float, high: float) -> tuple[Floats, tupl
         return _UP, ("its surface is too coarse to tell the axis of its shaft: Y follows the scanner's",)
     if len(middles) < 3 or high - low < _SHORTEST_SHAFT_MM:
         said = (
-            f"{max(high - low, 0.0):.0f} mm of its shaft are seen beyond the widening at the joint, too little for its "
-            "axis: Y follows the scanner's, and the joint's bending may be off by some degrees, always the same"
+            f"too little of its shaft is seen for its axis ({max(high - low, 0.0):.0f} mm beyond the widening at the "
+            "joint): Y follows the scanner's, and the joint's bending may be off by some degrees, always the same"
         )
         return _UP, (said,)
     axis = np.linalg.svd(middles - middles.mean(0))[2][0]

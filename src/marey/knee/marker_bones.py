@@ -21,12 +21,13 @@ def bone_of_segment(segment: str, *, left: bool | None = None) -> str | None:
     """Give the bone of a segment of the laboratory (`left_thigh`: femur); None for one that is no part of this knee.
 
     Args:
-        segment: Its name, with or without a side.
+        segment: Its name, with or without a side; also as OpenSim's models have it (`tibia_r`).
         left: Which knee it is; None where it is not known, or the names of the segments tell no side.
     """
-    for side, is_left in (("left_", True), ("right_", False)):
-        if segment.startswith(side):
-            return None if left not in (None, is_left) else BONE_OF_SEGMENT.get(segment.removeprefix(side))
+    for before, after, is_left in (("left_", "_l", True), ("right_", "_r", False)):
+        if segment.startswith(before) or segment.endswith(after):
+            bare = segment.removeprefix(before).removesuffix(after)
+            return None if left not in (None, is_left) else BONE_OF_SEGMENT.get(bare)
     return BONE_OF_SEGMENT.get(segment)
 
 

@@ -16,6 +16,7 @@ LARGEST_TURN_SD = np.radians(10.0)
 DOUBTED = 1e-3
 """Residuals that chance makes as large as this seldom are no chance: a marker is elsewhere."""
 _LARGER = 0.05  # the stated deviations are raised where chance makes the residuals so large as seldom as this
+_AHEAD = 9.0  # in chi square, by which leaving one marker out is better than another: odds of 90 to 1
 _EXPLAINED = 0.01  # the others fit again without the marker that was elsewhere
 
 
@@ -101,8 +102,9 @@ def fit_markers(common: CommonMarkers) -> MarkerFit:
 
     The linear least squares of [Alexander2003] section 2.2, in closed form (singular values). Unlike the paper, each
     marker counts by its standard deviation. Where the residuals are no chance, the marker without which the others
-    agree is left out, and named; three markers are too few for that, but one that was moved among them is named, too,
-    where the distance of the other two is right. What remains unexplained raises the deviations.
+    agree is left out, and named; where it may be one of several, they are named, and none is left out. Three markers are
+    too few to leave one out, but the one that moved is named where the distance of the other two is right. What
+    remains unexplained raises the deviations.
 
     Args:
         common: At least three markers, not in a line.
@@ -116,9 +118,13 @@ def fit_markers(common: CommonMarkers) -> MarkerFit:
     if len(common.names) == FEWEST:
         return _with_raised(replace(fit, notes=_exchanged(common) or _suspect_of_three(common)))
     without = [(_weighted(common.without(m)), m) for m in range(len(common.names)) if _determined(common.without(m))]
-    best, moved = max(without, key=lambda pair: pair[0].chance, default=(fit, -1))
-    if best.chance >= _EXPLAINED:
-        return _with_raised(_left_out(common, best, moved))
+    likely = sorted([pair for pair in without if pair[0].chance >= _EXPLAINED], key=lambda pair: pair[0].chi_square)
+    alike = [m for each, m in likely if each.chi_square - likely[0][0].chi_square < _AHEAD]
+    if len(alike) == 1:
+        return _with_raised(_left_out(common, *likely[0]))
+    if alike:
+        either = " or ".join(common.names[m] for m in sorted(alike))
+        return _with_raised(replace(fit, notes=(f"{either} lies elsewhere in one of the two; which, cannot be told",)))
     several = "more than one marker lies elsewhere in one of the two; none can be left out"
     return _with_raised(replace(fit, notes=_exchanged(common) or (several,)))
 
