@@ -13,7 +13,6 @@ from marey.io.atomic import replacing
 from marey.knee.correspondence import BoneCorrespondence, KneeCorrespondence
 from marey.markers.transform_chain import CAPTURE_ANATOMIC, MR_ANATOMIC, MR_GLOBAL, NamedTransform
 
-
 _ROWS = re.compile(r"\[\s+([-+.\deE,\s]+?)\s+\]")
 """A list of numbers, which is read more easily in one line."""
 

@@ -102,8 +102,8 @@ def fit_markers(common: CommonMarkers) -> MarkerFit:
 
     The linear least squares of [Alexander2003] section 2.2, in closed form (singular values). Unlike the paper, each
     marker counts by its standard deviation. Where the residuals are no chance, the marker without which the others
-    agree is left out, and named; where it may be one of several, they are named, and none is left out. Three markers are
-    too few to leave one out, but the one that moved is named where the distance of the other two is right. What
+    agree is left out, and named; where it may be one of several, they are named, and none is left out. Three markers
+    are too few to leave one out, but the one that moved is named where the distance of the other two is right. What
     remains unexplained raises the deviations.
 
     Args:
