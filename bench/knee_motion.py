@@ -1,6 +1,6 @@
 """A scanned knee moved by real skin markers, beside the same knee moved by the true bones; and how fast nearness is.
 
-    python bench/knee_motion.py SHARED [trials|speed] [--trials NAME ...] [--keep DIR]
+    python bench/knee_motion.py SHARED [trials|surfaces|speed] [--trials NAME ...] [--knee DIR] [--keep DIR]
 
 SHARED holds `data/knee/phantom_a` and `template_a` and `data/markers/sta`. `trials`: femur, tibia and their cartilage
 (surfaces from the true labels) are laid into the frame of each trial with the straightest knee as they lay in the
@@ -32,12 +32,12 @@ from marey.cli.progress import Progress
 from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
 from marey.io.c3d import write_c3d
-from marey.io.meshes import write_mesh
+from marey.io.meshes import read_mesh, write_mesh
 from marey.io.trc import PointPaths
 from marey.io.volumes import read_template
 from marey.knee.anatomical_frames import bone_frame
 from marey.knee.joint_motion import KneeMotion, joint_proximities, joint_sides, knee_angles, motion_of_chains
-from marey.knee.joint_surface import joint_surface
+from marey.knee.joint_surface import JointSurface, joint_surface
 from marey.knee.proximity import RelativePoses, proximity
 from marey.knee.sides import MIRROR, mirrored
 from marey.knee.structures import BONE_OF_CARTILAGE, LABELS
@@ -197,14 +197,39 @@ def rms(values: np.ndarray) -> float:
     return round(float(np.sqrt(np.nanmean(values**2))), 2)
 
 
+def both_sides(parts: dict[str, Surface]) -> list[JointSurface]:
+    return [
+        joint_surface(name, parts[name], parts[BONE_OF_CARTILAGE[name]], left=False)
+        for name in ("tibial_cartilage", "femoral_cartilage")
+    ]
+
+
+def surfaces(shared: Path, work: Path, knee: Path) -> None:
+    """What the segmentation's errors do to the gap."""
+    true = both_sides(knee_of(shared, work, left=False)[0])
+    found = both_sides({name: read_mesh(knee / f"{name}.ply") for name in LABELS})
+    middle = true[1].surface.vertices_mm.mean(0)
+    degrees = np.arange(0, 61, 15)
+    turns = rotations.exp(np.radians(degrees)[:, None] * np.array([1.0, 0, 0]))
+    poses = RelativePoses(rotation=turns, translation_mm=middle - turns @ middle)
+    wanted, got = (proximity("", *sides, poses) for sides in (true, found))
+    print(
+        json.dumps(
+            {
+                "degrees": degrees.tolist(),
+                "gap_error_mm": (got.gap_mm - wanted.gap_mm).T.round(2).tolist(),
+                "near_area_ratio": (got.near_mm2 / wanted.near_mm2).T.round(2).tolist(),
+                "centre_error_mm": np.linalg.norm(got.centre_mm - wanted.centre_mm, axis=2).T.round(1).tolist(),
+            }
+        )
+    )
+
+
 def speed(shared: Path, work: Path) -> None:
     import trimesh
 
     parts, _, _ = knee_of(shared, work, left=False)
-    base, moving = (
-        joint_surface(name, parts[name], parts[BONE_OF_CARTILAGE[name]], left=False)
-        for name in ("tibial_cartilage", "femoral_cartilage")
-    )
+    base, moving = both_sides(parts)
     middle = parts["femoral_cartilage"].vertices_mm.mean(0)
     turns = rotations.exp(np.radians(np.linspace(0, 60, 100))[:, None] * np.array([1.0, 0, 0]))
     poses = RelativePoses(rotation=turns, translation_mm=middle - turns @ middle, covariance=np.zeros((100, 6, 6)))
@@ -238,8 +263,9 @@ def speed(shared: Path, work: Path) -> None:
 def main() -> None:
     reader = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     reader.add_argument("shared", type=Path)
-    reader.add_argument("part", nargs="?", choices=("trials", "speed"))
+    reader.add_argument("part", nargs="?", choices=("trials", "surfaces", "speed"))
     reader.add_argument("--trials", nargs="+", choices=TRIALS, default=TRIALS)
+    reader.add_argument("--knee", type=Path, help="a folder of `marey knee segment` of phantom_a")
     reader.add_argument("--keep", type=Path, help="folder in which everything stays")
     asked = reader.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
@@ -248,6 +274,8 @@ def main() -> None:
             for name in asked.trials:
                 (folder / name).mkdir(parents=True, exist_ok=True)
                 trial(asked.shared, name, folder / name)
+        if asked.part in (None, "surfaces") and asked.knee is not None:
+            surfaces(asked.shared, folder / "surfaces", asked.knee)
         if asked.part in (None, "speed"):
             speed(asked.shared, folder / "speed")
 

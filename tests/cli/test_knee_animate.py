@@ -114,6 +114,23 @@ def test_the_room_and_another_method_can_be_asked_for(made: MadeActivity, tmp_pa
     assert float(found["tibiofemoral_limit_mm"]) == 4
 
 
+def test_an_interrupted_run_goes_on_with_what_it_measured(made: MadeActivity, tmp_path: Path, monkeypatch):
+    words = ["knee", "animate", str(made.knee), str(made.motion), "--reference", str(made.standing), "--quiet"]
+    words += ["--view", "plateau", "--out", str(tmp_path / "out")]
+
+    def stopped(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as first:
+        first.setattr("marey.cli.knee_animation_results.VideoWriter", stopped)
+        assert run(words) == 130
+    assert [path.name for path in (tmp_path / "out").iterdir()] == [".work"]
+    with monkeypatch.context() as second:
+        second.setattr("marey.cli.knee_animate.joint_proximities", stopped)
+        assert run(words) == 0
+    assert {path.name for path in (tmp_path / "out").iterdir()} == FILES
+
+
 @pytest.fixture
 def failing(made: MadeActivity, capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
     """Run the command, which is to fail and to leave nothing, and give what it says."""

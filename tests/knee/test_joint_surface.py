@@ -44,6 +44,14 @@ def test_lateral_is_away_from_the_other_leg(joint):
     assert whole_surface("tibia", joint["tibia"], left=None).lateral is None
 
 
+def test_where_one_plateau_is_bare_the_other_keeps_its_name(joint):
+    plates = joint["tibial_cartilage"]
+    medial = plates.faces[(plates.corners_mm[..., 0] > 0).all(1)]
+    alone = Surface(vertices_mm=plates.vertices_mm, faces=medial)
+    upper = joint_surface("tibial_cartilage", alone, joint["tibia"], left=False)
+    assert not upper.lateral.any()
+
+
 def test_heights_over_a_box_have_the_right_sign_at_faces_edges_and_corners(rng):
     points = rng.uniform(-18, 18, (600, 3))
     found = box().heights(points)

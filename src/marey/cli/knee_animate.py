@@ -297,6 +297,11 @@ def _say_doubts(
         )
     if not found.joints:
         progress.warn("No two bones that meet were measured: there is no nearness.")
+    for joint in found.joints:
+        for c, name in enumerate(joint.compartments):
+            if np.isfinite(joint.base_distance_mm).any() and not np.isfinite(joint.gap_mm[:, c]).any():
+                what = joint.base.name.replace("_", " ")
+                progress.warn(f"There is no {what} on the {name} side: it has no gap.")
     for each in (found, *(() if compared is None else (compared,))):
         for joint in each.joints:
             for c, name in enumerate(joint.compartments):

@@ -44,7 +44,7 @@ class JointSurface:
     sources: Integers
     """(V,) which vertex of the whole structure each one is."""
     lateral: Mask | None
-    """(V,) true on the lateral side of its middle; None where the knee's side is not known."""
+    """(V,) true on the lateral side of the bone's middle; None where the knee's side is not known."""
 
     @cached_property
     def tree(self) -> TriangleTree:
@@ -144,20 +144,21 @@ def joint_surface(name: str, cartilage: Surface, bone: Surface, *, left: bool | 
     faces = cartilage.faces[(cartilage.face_normals * under).sum(1) > FACING]
     if not len(faces):
         raise MareyError(f"The {name.replace('_', ' ')} has no side that faces away from its bone.")
-    return _part(name, cartilage, faces, left)
+    return _part(name, cartilage, faces, left, bone)
 
 
 def whole_surface(name: str, bone: Surface, *, left: bool | None) -> JointSurface:
     """Take a bone without cartilage as it is."""
-    return _part(name, bone, bone.faces, left)
+    return _part(name, bone, bone.faces, left, bone)
 
 
-def _part(name: str, whole: Surface, faces: Integers, left: bool | None) -> JointSurface:
+def _part(name: str, whole: Surface, faces: Integers, left: bool | None, bone: Surface) -> JointSurface:
     sources, numbers = np.unique(faces, return_inverse=True)
     places = whole.vertices_mm[sources]
     lateral = None
     if left is not None:
-        low, high = np.quantile(places[:, 0], (_TRIMMED, 1 - _TRIMMED))
+        # The bone's middle, not the cartilage's: one side of it may be bare.
+        low, high = np.quantile(bone.vertices_mm[:, 0], (_TRIMMED, 1 - _TRIMMED))
         lateral = (places[:, 0] > 0.5 * (low + high)) == left
     surface = Surface(vertices_mm=places, faces=numbers.reshape(-1, 3))
     return JointSurface(name=name, surface=surface, sources=frozen(sources, np.int64), lateral=lateral)

@@ -44,7 +44,7 @@ _MEANING = {
     "Centre of proximity": "The mean of a cartilage's vertices, weighted by their areas and by how far their distances "
     "lie below the limit, carried to the nearest place on the cartilage. It is no centre of pressure.",
     "Area": "Of the cartilage whose distance from the other one is below a limit.",
-    "Medial, lateral": "The parts of the tibia's, or of the patella's, cartilage on either side of its middle.",
+    "Medial, lateral": "The parts of the tibia's, or of the patella's, cartilage on either side of the bone's middle.",
     "Held": "With the tibia held the other bones move as seen from it; in the room all turn as they did, and the eye "
     "goes along with the knee.",
     "Angles": "After Grood and Suntay, by the anatomical frames of the scanned bones themselves, which are not those "
