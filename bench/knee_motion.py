@@ -8,15 +8,16 @@ scanner, the middle of the condyles at the trial's own functional centre of the 
 mirrored. The true bones carry them. A standing trial is made of that frame: the trial's markers and the simulated
 gadolinium balls, each coordinate with an error of 0.5 mm; the balls in the scanner have one of 0.2 mm, and their
 names in markers.json. `marey markers` runs with the default method and with the rigid fit, `marey knee animate` with
-both. Printed are the errors of the gap in each compartment against the true bones' (mm: mean, RMS, greatest), the
-share of true gaps within 1.96 stated deviations, the RMS error of the centre of proximity over the tibia, and of the
-knee's angles. The bones are one person's and the motion is another's: the gaps themselves mean nothing. `speed`:
-seconds of process time for 100 frames beside trimesh's and SciPy's searches. Data: Cereatti et al. 2017, J Biomech,
-doi 10.1016/j.jbiomech.2017.02.004.
+both, and once more with the true bones, where the balls alone err. Printed are the errors of the gap in each
+compartment against the true bones' (mm: mean, RMS, greatest), the share of true gaps within 1.96 stated deviations,
+the RMS error of the centre of proximity over the tibia, and of the knee's angles. The bones are one person's and the
+motion is another's: the gaps themselves mean nothing. `speed`: seconds of process time for 100 frames beside
+trimesh's and SciPy's searches. Data: Cereatti et al. 2017, J Biomech, doi 10.1016/j.jbiomech.2017.02.004.
 """
 
 import argparse
 import json
+import shutil
 import tempfile
 import time
 from pathlib import Path
@@ -31,6 +32,7 @@ from marey.cli.markers_settings import MarkersOptions
 from marey.cli.progress import Progress
 from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
+from marey.io.bones import BoneFile, write_bones
 from marey.io.c3d import write_c3d
 from marey.io.meshes import read_mesh, write_mesh
 from marey.io.trc import PointPaths
@@ -43,6 +45,7 @@ from marey.knee.sides import MIRROR, mirrored
 from marey.knee.structures import BONE_OF_CARTILAGE, LABELS
 from marey.knee.surface import Surface
 from marey.knee.surfacing import surface_of_labels
+from marey.markers.bone_motion import BoneMotion
 from marey.markers.transform_chain import (
     CAPTURE_ANATOMIC,
     CAPTURE_BONE,
@@ -161,36 +164,58 @@ def trial(shared: Path, name: str, work: Path) -> None:
     out = animate(
         knee_folder, motion, AnimateOptions(reference=work / "standing.c3d", compare="rigid", out=work / "out"), quiet
     )
-    motion_truth = motion_of_chains(true_chains(truth, laid, at, frames), np.arange(len(places)) / 1.0, left=left)
+    chains = true_chains(truth, laid, at, frames)
+    moved = motion_of_chains(chains, np.arange(len(places)) / float(truth["rate"]), left=left)
     sides, _ = joint_sides(parts, ["femur", "tibia"], left=left)
     true = KneeMotion(
-        method="true",
-        motion=motion_truth,
-        joints=joint_proximities(motion_truth, sides),
-        angles=knee_angles(motion_truth),
-    )
-    compare(name, true, dict(np.load(out / "knee_motion.npz")))
+        method="true", motion=moved, joints=joint_proximities(moved, sides), angles=knee_angles(moved)
+    )  # fmt: skip
+    got = dict(np.load(out / "knee_motion.npz"))
+    compare(name, true, got)
+    compare(name, true, got, prefix="compared_")
+    known = animate(
+        knee_folder, with_true_bones(motion, truth, at, work / "true"),
+        AnimateOptions(reference=work / "standing.c3d", out=work / "out_true", views=("plateau",)), quiet,
+    )  # fmt: skip
+    compare(name, true, dict(np.load(known / "knee_motion.npz")), method="true bones")
 
 
-def compare(name: str, true: KneeMotion, got: dict[str, np.ndarray]) -> None:
+def with_true_bones(motion: Path, truth: dict[str, np.ndarray], at: int, folder: Path) -> Path:
+    """The same folder of `marey markers`, with the bones' true poses, known exactly."""
+    folder.mkdir()
+    for name in ("motion.c3d", "marker_motion.csv"):
+        shutil.copy(motion / name, folder / name)
+    segments = tuple(SEGMENT.values())
+    bones = BoneMotion(
+        segments=segments, rotation=np.stack([truth[f"{s}_rotation"] for s in segments], 1),
+        origin=np.stack([truth[f"{s}_origin"] for s in segments], 1) / 1e3,
+        covariance=np.zeros((len(truth["thigh_rotation"]), 2, 6, 6)),
+    )  # fmt: skip
+    time = np.arange(len(bones)) / float(truth["rate"])
+    write_bones(folder / "bones.npz", BoneFile(motion=bones, time=time, reference_frames=np.array([at])))
+    return folder
+
+
+def compare(
+    name: str, true: KneeMotion, got: dict[str, np.ndarray], *, prefix: str = "", method: str | None = None
+) -> None:
     joint = true.joints[0]
-    for prefix in ("", "compared_"):
-        row: dict[str, object] = {"trial": name, "method": str(got[f"{prefix}method"])}
-        for c, compartment in enumerate(joint.compartments):
-            off = got[f"{prefix}tibiofemoral_gap_mm"][:, c] - joint.gap_mm[:, c]
-            sd, true_gap = got[f"{prefix}tibiofemoral_gap_sd_mm"][:, c], joint.gap_mm[:, c]
-            centre = got[f"{prefix}tibiofemoral_tibial_cartilage_centre_mm"][:, c] - joint.centre_mm[:, c]
-            row[compartment] = {
-                "mean": round(float(np.nanmean(off)), 2), "rms": rms(off), "most": round(float(np.nanmax(abs(off))), 2),
-                "stated_sd": round(float(np.nanmedian(sd)), 2),
-                "within": round(float((abs(off) <= 1.96 * sd)[np.isfinite(off)].mean()), 3),
-                "centre_rms": rms(np.linalg.norm(centre, axis=1)),
-                "true_gap": [round(float(end(true_gap)), 1) for end in (np.nanmin, np.nanmax)],
-            }  # fmt: skip
-        if true.angles is not None:
-            off = got[f"{prefix}angles_deg"] - np.degrees(true.angles.angles)
-            row["angles_rms_deg"] = [rms(column) for column in off.T]
-        print(json.dumps(row), flush=True)
+    row: dict[str, object] = {"trial": name, "method": method or str(got[f"{prefix}method"])}
+    for c, compartment in enumerate(joint.compartments):
+        off = got[f"{prefix}tibiofemoral_gap_mm"][:, c] - joint.gap_mm[:, c]
+        sd, true_gap = got[f"{prefix}tibiofemoral_gap_sd_mm"][:, c], joint.gap_mm[:, c]
+        centre = got[f"{prefix}tibiofemoral_tibial_cartilage_centre_mm"][:, c] - joint.centre_mm[:, c]
+        row[compartment] = {
+            "mean": round(float(np.nanmean(off)), 2), "rms": rms(off), "most": round(float(np.nanmax(abs(off))), 2),
+            "stated_sd": round(float(np.nanmedian(sd)), 2),
+            "within": round(float((abs(off) <= 1.96 * sd)[np.isfinite(off)].mean()), 3),
+            "centre_rms": rms(np.linalg.norm(centre, axis=1)),
+            "true_gap": [round(float(end(true_gap)), 1) for end in (np.nanmin, np.nanmax)],
+        }  # fmt: skip
+    if true.angles is not None and f"{prefix}angles_deg" in got:
+        off = got[f"{prefix}angles_deg"] - np.degrees(true.angles.angles)
+        row["angles_rms_deg"] = [rms(column) for column in off.T]
+    print(json.dumps(row), flush=True)
 
 
 def rms(values: np.ndarray) -> float:

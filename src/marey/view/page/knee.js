@@ -170,7 +170,7 @@ function showScale() {
 }
 if (knee) {
   const { shown, later } = knee, lateral = data.knee.left ? 1 : -1;
-  showScale();
+  if (data.knee.limit) showScale();
   // The eye of turn 0 stands in front (y of LPS points back).
   const sides = { anterior: [0, 0, 4], medial: [-lateral * Math.PI / 2, 0, 4], lateral: [lateral * Math.PI / 2, 0, 4], posterior: [Math.PI, 0, 4], plateau: [Math.PI, 1.5, 2.6] };
   for (const name in sides) {
@@ -191,10 +191,10 @@ if (knee) {
   const motions = data.knee.motions;
   motions.forEach((motion, n) => byId("motion").add(new Option(motion.label, n)));
   if (motions.length > 1) { byId("motion").add(new Option("side by side", "all")); byId("motion").value = "all"; shown.motions = motions.map((_, n) => n); }
-  else byId("choose-motion").hidden = true;
+  else byId("choose-motion").style.display = "none";
   byId("motion").addEventListener("change", event => { shown.motions = event.target.value === "all" ? motions.map((_, n) => n) : [Number(event.target.value)]; showFrame(current, false); });
   byId("held").value = shown.held;
-  if (!data.knee.room) byId("held").parentElement.hidden = true;
+  if (!data.knee.room) byId("held").parentElement.style.display = "none";
   byId("held").addEventListener("change", event => { knee.hold(event.target.value); showFrame(current, false); });
   byId("show-through").addEventListener("change", event => { shown.through = event.target.checked; later(); });
   byId("show-paths").addEventListener("change", event => { shown.paths = event.target.checked; later(); });
