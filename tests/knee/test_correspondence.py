@@ -106,3 +106,10 @@ def test_an_activity_without_the_knees_segments_is_an_error_that_names_the_bones
     only = replace(posture, bones={"foot": posture.bones["thigh"]})
     with pytest.raises(MareyError, match=r"femur: no segment of the activity.*tibia"):
         correspond(scan.scanner, only, scan.bones, segment_of_label={})
+
+
+def test_a_reference_without_the_balls_is_an_error_that_says_so(rng):
+    scan = made_scan(rng, named=False)
+    without = [label for label in scan.standing.labels if not label.startswith("MR")]
+    with pytest.raises(MareyError, match=r"No three of the scanner's markers.*Are they in it"):
+        joined(replace(scan, standing=scan.standing.select(without)))

@@ -94,3 +94,17 @@ def test_a_name_that_is_given_holds(rng):
     found = match_group(markers(square), markers(square), allowed)
     assert all(match.markers[0] == 2 for match in found)
     assert found[0].markers.tolist() == pytest.approx([2, 3, 0, 1])
+
+
+def test_how_many_matches_chance_makes_is_about_what_is_counted(rng):
+    balls = markers(PLACES[:3])
+    expected, seen = [], 0
+    for _ in range(150):
+        # Nearly in one sphere, so that their distances spread about as is assumed.
+        strewn = rng.uniform(-60, 60, (14, 3))
+        found = match_group(balls, markers(strewn), np.ones((3, 14), bool))
+        seen += len(found)
+        expected += [match.by_chance for match in found]
+    # Of the best of many tries the expected number is that of matches at least as good: between nothing and all.
+    assert 0.1 < seen / 150 < 10
+    assert 0.2 < np.median(expected) / (seen / 150) < 5

@@ -66,6 +66,32 @@ def test_balls_that_stand_too_regularly_are_an_error_that_names_them(rng):
         named_balls(scanner, regular, scan.bones, segment_of_label={}, left=None)
 
 
+def test_balls_that_fit_some_of_very_many_markers_are_not_taken_for_them(rng):
+    scan = made_scan(rng, named=False)
+    posture = reference_posture(scan.activity, scan.standing)
+    # Three balls of one bone, among 200 other markers in half a metre.
+    others = rng.uniform(-250, 250, (200, 3))
+    thigh = posture.bones["thigh"]
+    rows = [posture.labels.index(label) for label in scan.ball_labels[:3]]
+    many = replace(
+        posture, labels=tuple(f"M{n}_a" for n in range(203)),
+        bones={"thigh": replace(thigh, places_mm=np.concatenate([thigh.places_mm[rows], others]),
+                                sd_mm=np.full((203, 3), 0.5))},
+    )  # fmt: skip
+    scanner = ScannerMarkers(centres_mm=scan.scanner.centres_mm[:3], sd_mm=np.full((3, 3), 0.1), bones=("femur",) * 3)
+    with pytest.raises(MareyError, match=r"in more than one way|by chance"):
+        named_balls(scanner, many, scan.bones, segment_of_label={}, left=None)
+
+
+def test_a_marker_that_rides_elsewhere_in_the_activity_is_no_ball_of_this_bone(rng):
+    scan = made_scan(rng, named=False)
+    posture = reference_posture(scan.activity, scan.standing)
+    segments = {**scan.activity.segment_of_label, "MR2": "pelvis"}
+    told = named_balls(scan.scanner, posture, scan.bones, segment_of_label=segments, left=None)
+    assert list(told.labels) == ["MR0", "MR1", None, *scan.ball_labels[3:]]
+    assert any("Of the femur, marker 2: no marker of the reference" in note for note in told.notes)
+
+
 def test_segments_are_bones_of_the_knee_that_was_scanned():
     assert bone_of_segment("left_thigh", left=True) == "femur"
     assert bone_of_segment("right_thigh", left=True) is None

@@ -112,6 +112,12 @@ def correspond(
 
 
 def _nothing(missing: Mapping[str, str], naming: NamedBalls) -> str:
+    """Say why no bone has a correspondence."""
+    if all(label is None for label in naming.labels):
+        return (
+            "No three of the scanner's markers lie as far from each other as markers of the reference do. Are they in "
+            "it? Give the trial that shows them as reference, or write marker_names into markers.json."
+        )
     why = "; ".join(f"{bone}: {reason}" for bone, reason in missing.items())
     said = " ".join(naming.notes)
     return f"No bone can be carried from the scanner into the laboratory ({why}). {said}".rstrip()

@@ -43,6 +43,20 @@ def bone_of_label(label: str, segments: Mapping[str, str], *, left: bool | None 
     return None if named is None else bone_of_segment(named, left=left)
 
 
+def may_ride(label: str, bone: str, segments: Mapping[str, str], *, left: bool | None = None) -> bool:
+    """Tell whether a label may be on a bone: the activity puts it nowhere else, and its name says nothing else.
+
+    Args:
+        label: Of the laboratory.
+        bone: Of the knee.
+        segments: Label to segment, where it is known.
+        left: As `bone_of_segment`.
+    """
+    if label in segments:
+        return bone_of_segment(segments[label], left=left) == bone
+    return bone_of_label(label, segments, left=left) in (None, bone)
+
+
 def bones_by_place(places_mm: Floats, bones: Mapping[str, Surface]) -> tuple[tuple[str, ...], tuple[int, ...]]:
     """Take each marker to the nearer one of femur and tibia.
 

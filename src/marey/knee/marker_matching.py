@@ -1,10 +1,10 @@
 """Which of the scanner's balls is which of the laboratory's markers, told by the distances between them."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import gammaincc
+from scipy.special import gamma, gammaincc
 
 from marey.arrays import Floats, Integers, Mask, frozen
 from marey.errors import MareyError
@@ -14,6 +14,7 @@ from marey.geometry.rigid import RigidTransform
 FEWEST = 3
 _REACH = 5.0  # standard deviations by which a distance may differ
 _LEAST_CHANCE = 1e-6  # of the residuals of a match: one that is less likely is none
+_LEAST_OF_THREE = 1e-3  # of three balls, whose few distances are soon alike by chance
 _AHEAD = 12.0  # in chi square, by which the best match is better than any other: odds of 400 to 1
 _MOST = 4000  # matches of one bone; where so many fit, distances tell nothing
 LARGEST_KNEE_TURN = np.radians(75.0)
@@ -46,6 +47,8 @@ class GroupMatch:
     """Sum of the squared residuals of the rigid fit in their standard deviations."""
     to_from: RigidTransform
     """The markers' frame from the balls' [mm]."""
+    by_chance: float
+    """How many such matches are to be expected of markers that are none of the balls."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "markers", frozen(self.markers, np.int64))
@@ -64,6 +67,9 @@ class Matching:
     """By bone."""
     rivals: tuple[tuple[str, tuple[int, ...]], ...]
     """Bone, and balls of it that other markers fit as well: ambiguous; empty where the match is the only one."""
+    by_chance: float = 0.0
+    """How many such matches are to be expected of markers that are none of the balls: the bones' own, times the share
+    of chance poses that make a knee."""
 
 
 def match_group(balls: Markers, markers: Markers, allowed: Mask) -> list[GroupMatch]:
@@ -80,12 +86,13 @@ def match_group(balls: Markers, markers: Markers, allowed: Mask) -> list[GroupMa
         The best one first; empty where no three balls fit.
     """
     fits = _compatible(balls, markers)
+    spread = spread_of(markers, allowed)
     for lost in range(len(balls.places_mm) - FEWEST + 1):
         found = []
         for assignment in _assignments(fits, allowed & np.isfinite(markers.places_mm).all(1), lost):
             group = _fitted(balls, markers, assignment)
             if group is not None:
-                found.append(group)
+                found.append(replace(group, by_chance=_by_chance(group, balls, markers, allowed, spread)))
             if len(found) > _MOST:
                 raise MareyError("too many markers lie about as the balls do; write marker_names into markers.json")
         if found:
@@ -132,14 +139,51 @@ def _fitted(balls: Markers, markers: Markers, assignment: Sequence[int]) -> Grou
     rotation = rotations.nearest((weight[:, None] * (there - middles[1])).T @ (here - middles[0]))
     motion = RigidTransform(rotation, middles[1] - rotation @ middles[0])
     chi_square = float((weight[:, None] * (there - motion.apply(here)) ** 2).sum())
-    if gammaincc((3 * len(pairs) - 6) / 2, chi_square / 2) < _LEAST_CHANCE:
+    least = _LEAST_OF_THREE if len(pairs) == FEWEST else _LEAST_CHANCE
+    if gammaincc((3 * len(pairs) - 6) / 2, chi_square / 2) < least:
         return None
-    return GroupMatch(markers=np.asarray(assignment), chi_square=chi_square, to_from=motion)
+    return GroupMatch(markers=np.asarray(assignment), chi_square=chi_square, to_from=motion, by_chance=0.0)
+
+
+def spread_of(markers: Markers, allowed: Mask) -> float:
+    """Give the mean distance between the markers that a ball may be."""
+    there = markers.places_mm[allowed.any(0) & np.isfinite(markers.places_mm).all(1)]
+    count = len(there)
+    apart = np.linalg.norm(there[:, None] - there, axis=-1).sum() / max(count * (count - 1), 1)
+    return max(float(apart), 1.0)
+
+
+def _by_chance(group: GroupMatch, balls: Markers, markers: Markers, allowed: Mask, spread_mm: float) -> float:
+    """Give how many matches as good as this one are to be expected of as many markers strewn over their spread.
+
+    The number of assignments, times the share of the residuals' space that is as near to none: a ball of as many
+    dimensions as coordinates are left over.
+    """
+    kept = np.flatnonzero(group.markers >= 0)
+    assignments = 1.0
+    for taken, ball in enumerate(kept):
+        assignments *= max(int(allowed[ball].sum()) - taken, 1)
+    free = 3 * len(kept) - 6
+    variance = (balls.sd_mm[kept] ** 2).mean() + (markers.sd_mm[group.markers[kept]] ** 2).mean()
+    radius = np.sqrt(max(group.chi_square, free) * variance)
+    return float(assignments * min(_volume(free) * (radius / spread_mm) ** free, 1.0))
+
+
+def _volume(dimensions: int) -> float:
+    """Give the volume of a ball of radius 1."""
+    return float(np.pi ** (dimensions / 2) / gamma(dimensions / 2 + 1))
+
+
+def _share_of_knees(spread_mm: float) -> float:
+    """Give the share of chance poses of one bone beside another that make a knee."""
+    turns = (LARGEST_KNEE_TURN - np.sin(LARGEST_KNEE_TURN)) / np.pi
+    return float(min(turns * _volume(3) * (LARGEST_KNEE_SHIFT_MM / spread_mm) ** 3, 1.0))
 
 
 def best_matching(
-    found: Mapping[str, Sequence[GroupMatch]], knee_mm: Floats, posture: Mapping[str, RigidTransform]
-) -> Matching:
+    found: Mapping[str, Sequence[GroupMatch]], knee_mm: Floats, posture: Mapping[str, RigidTransform],
+    *, spread_mm: float = 200.0,
+) -> Matching:  # fmt: skip
     """Choose one match a bone so that the bones make a knee, and say where others would do as well.
 
     No marker is on two bones; between the scanner and standing the knee bends by less than `LARGEST_KNEE_TURN`, and
@@ -149,6 +193,7 @@ def best_matching(
         found: Bone to its matches; bones without any are left out.
         knee_mm: (3,) the middle of the knee in the scanner.
         posture: Bone to the laboratory from the frame in which its markers are given [mm].
+        spread_mm: Over what the laboratory's markers are strewn.
     """
     bones = [bone for bone, matches in found.items() if matches]
     ranked = sorted(_joint(bones, found, knee_mm, posture), key=lambda pair: pair[0])
@@ -162,7 +207,9 @@ def best_matching(
                 differ = np.flatnonzero(chosen[bone].markers != other[bone].markers)
                 rivals.setdefault(bone, set()).update(differ.tolist())
     told = tuple((bone, tuple(sorted(balls))) for bone, balls in rivals.items() if balls)
-    return Matching(groups=chosen, rivals=told)
+    by_chance = float(np.prod([match.by_chance for match in chosen.values()]))
+    by_chance *= _share_of_knees(spread_mm) ** (len(chosen) - 1)
+    return Matching(groups=chosen, rivals=told, by_chance=by_chance)
 
 
 def _joint(

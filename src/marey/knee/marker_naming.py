@@ -8,14 +8,16 @@ import numpy as np
 from marey.arrays import Floats, Mask, frozen
 from marey.errors import MareyError
 from marey.geometry.rigid import RigidTransform
-from marey.knee.marker_bones import bone_of_label, bone_of_segment, bones_by_place, in_order
-from marey.knee.marker_matching import GroupMatch, Markers, Matching, best_matching, match_group
-from marey.knee.reference_posture import ReferencePosture
+from marey.knee.marker_bones import bone_of_label, bone_of_segment, bones_by_place, in_order, may_ride
+from marey.knee.marker_matching import GroupMatch, Markers, Matching, best_matching, match_group, spread_of
+from marey.knee.reference_posture import BonePlaces, ReferencePosture
 from marey.knee.structures import BONES
 from marey.knee.surface import Surface
 
 _NEAR = 4.0  # standard deviations within which a lost ball belongs to the other bone's marker
 _FEWEST = 3
+_MOST_BY_CHANCE = 0.05
+_REMEDY = "Write marker_names into markers.json."
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -99,30 +101,51 @@ def named_balls(
     riding, notes = _bones(scanner, bones, segment_of_label, left)
     if all(name is not None for name in scanner.names):
         return NamedBalls(labels=scanner.names, bones=riding, notes=tuple(notes))
-    segments = {bone: segment_of_bone(bone, posture.bones, left=left) for bone in set(riding)}
-    found, said = _matched(scanner, posture, riding, {b: s for b, s in segments.items() if s is not None}, bones)
+    named = {bone: segment_of_bone(bone, posture.bones, left=left) for bone in in_order(dict.fromkeys(riding))}
+    open_ = {
+        bone: _OpenBone(
+            places=posture.bones[segment], labels=posture.labels,
+            free=np.array([may_ride(label, bone, segment_of_label, left=left) for label in posture.labels]),
+        )
+        for bone, segment in named.items()
+        if segment is not None
+    }  # fmt: skip
+    found, said = _matched(scanner, riding, open_, bones)
     notes += said
-    labels, riding, said = _told(scanner, posture, riding, segments, found)
-    notes += said
-    riding, said = _by_labels(scanner, labels, riding, segment_of_label, left)
+    labels, riding, said = _told(scanner, riding, open_, found)
     return NamedBalls(labels=labels, bones=riding, notes=(*notes, *said))
 
 
-def _by_labels(
-    scanner: ScannerMarkers, labels: Sequence[str | None], riding: Sequence[str],
-    segment_of_label: Mapping[str, str], left: bool | None,
-) -> tuple[tuple[str, ...], list[str]]:  # fmt: skip
-    """Give a ball whose bone was told by its place to the bone that its label tells, when it is found."""
-    notes, final = [], list(riding)
-    for ball, label in enumerate(labels):
-        told = None if label is None else bone_of_label(label, segment_of_label, left=left)
-        if scanner.bones[ball] is None and told not in (None, riding[ball]):
-            assert told is not None
-            notes.append(
-                f"{_numbers([ball])} is {label} and so rides on the {told}, though the {riding[ball]} is nearer."
-            )
-            final[ball] = told
-    return tuple(final), notes
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _OpenBone:
+    """A bone among whose markers balls are sought."""
+
+    places: BonePlaces
+    labels: tuple[str, ...]
+    """N of the reference."""
+    free: Mask
+    """(N,) whether a label may be on this bone, as far as the activity tells."""
+
+    def markers(self) -> Markers:
+        """Give the markers with one deviation each."""
+        sd = np.where(np.isfinite(self.places.sd_mm), self.places.sd_mm, 1.0)
+        return _markers(self.places.places_mm, sd)
+
+    def allowed(self, scanner: ScannerMarkers, group: Sequence[int]) -> Mask:
+        """Tell which label each ball of a group may have (M, N): its own name, or any free one that no ball has."""
+        given = {name for name in scanner.names if name is not None}
+        open_ = self.free & np.array([label not in given for label in self.labels])
+        named = [np.array([label == scanner.names[ball] for label in self.labels]) for ball in group]
+        return np.array([own if own.any() else open_ for own in named])
+
+    def nearby(
+        self, scanner: ScannerMarkers, ball: int, motion: RigidTransform, taken: Sequence[str | None]
+    ) -> str | None:
+        """Give the free marker where a ball would lie if it rode on this bone."""
+        off = np.linalg.norm(self.places.places_mm - motion.apply(scanner.centres_mm[ball]), axis=1)
+        reach = _NEAR * np.sqrt((self.places.sd_mm**2).mean(1) + (scanner.sd_mm[ball] ** 2).mean())
+        near = [m for m in np.flatnonzero((off < reach) & self.free) if self.labels[m] not in taken]
+        return self.labels[near[0]] if len(near) == 1 else None
 
 
 def _bones(
@@ -154,36 +177,41 @@ def _numbers(balls: Sequence[int]) -> str:
 
 
 def _matched(
-    scanner: ScannerMarkers, posture: ReferencePosture, riding: Sequence[str], segments: Mapping[str, str],
-    bones: Mapping[str, Surface],
-) -> tuple[Matching, list[str]]:  # fmt: skip
+    scanner: ScannerMarkers, riding: Sequence[str], open_: Mapping[str, _OpenBone], bones: Mapping[str, Surface]
+) -> tuple[Matching, list[str]]:
     """Match the balls of every bone by their distances."""
     found: dict[str, list[GroupMatch]] = {}
     notes: list[str] = []
-    for bone in in_order(segments):
+    spread = 0.0
+    for bone, there in open_.items():
         group = _group(riding, bone)
         if len(group) < _FEWEST:
             continue
-        found[bone] = match_group(
-            _markers(scanner.centres_mm[group], scanner.sd_mm[group]), _of_bone(posture, segments[bone]),
-            _allowed(scanner, posture, group),
-        )  # fmt: skip
+        balls, markers = _markers(scanner.centres_mm[group], scanner.sd_mm[group]), there.markers()
+        allowed = there.allowed(scanner, group)
+        found[bone] = match_group(balls, markers, allowed)
+        spread = max(spread, spread_of(markers, allowed))
         if not found[bone]:
             notes.append(f"{bone}: no three of its markers lie as far from each other as any in the reference do.")
-    frames = {bone: posture.bones[segments[bone]].laboratory_from_bone for bone in found}
-    matching = best_matching(found, _knee_middle(bones, scanner), frames)
+    frames = {bone: open_[bone].places.laboratory_from_bone for bone in found}
+    matching = best_matching(found, _knee_middle(bones, scanner), frames, spread_mm=spread)
     if any(found.values()) and not matching.groups:
         raise MareyError(
-            "The markers' distances fit, but not so that femur and tibia make a knee: write marker_names into "
-            "markers.json."
+            "The markers' distances fit some of the reference, but not so that femur and tibia make a knee. Are the "
+            f"scanner's markers in it? {_REMEDY}"
         )
     if matching.rivals:
         doubt = "; ".join(
-            f"{_numbers([_group(riding, b)[k] for k in balls])} of the {b}" for b, balls in matching.rivals
+            f"{_numbers([_group(riding, bone)[k] for k in balls])} of the {bone}" for bone, balls in matching.rivals
         )
         raise MareyError(
             f"The markers' distances fit the reference in more than one way ({doubt}): they stand too regularly to be "
-            "told apart. Write marker_names into markers.json."
+            f"told apart. {_REMEDY}"
+        )
+    if matching.by_chance > _MOST_BY_CHANCE:
+        raise MareyError(
+            "The markers' distances fit the reference, but among so many markers so few distances would by chance, too "
+            f"(to be expected: {matching.by_chance:.2g} times). {_REMEDY}"
         )
     return matching, notes
 
@@ -204,56 +232,29 @@ def _markers(places_mm: Floats, sd_mm: Floats) -> Markers:
     return Markers(places_mm=places_mm, sd_mm=np.sqrt((sd_mm**2).mean(1)))
 
 
-def _of_bone(posture: ReferencePosture, segment: str) -> Markers:
-    places = posture.bones[segment]
-    return _markers(places.places_mm, np.where(np.isfinite(places.sd_mm), places.sd_mm, 1.0))
-
-
-def _allowed(scanner: ScannerMarkers, posture: ReferencePosture, group: Sequence[int]) -> Mask:
-    """Tell which label each ball of a group may have (M, N): its own name, or any that no ball has."""
-    given = {name for name in scanner.names if name is not None}
-    free = np.array([label not in given for label in posture.labels])
-    named = [np.array([label == scanner.names[ball] for label in posture.labels]) for ball in group]
-    return np.array([own if own.any() else free for own in named])
-
-
 def _told(
-    scanner: ScannerMarkers, posture: ReferencePosture, riding: Sequence[str], segments: Mapping[str, str | None],
-    found: Matching,
-) -> tuple[tuple[str | None, ...], tuple[str, ...], list[str]]:  # fmt: skip
+    scanner: ScannerMarkers, riding: Sequence[str], open_: Mapping[str, _OpenBone], found: Matching
+) -> tuple[tuple[str | None, ...], tuple[str, ...], list[str]]:
     """Give the labels, and see whether a ball that was lost belongs to the other bone."""
     labels: list[str | None] = list(scanner.names)
     riding = list(riding)
     for bone, match in found.groups.items():
         for ball, marker in zip(_group(riding, bone), match.markers.tolist(), strict=True):
-            labels[ball] = posture.labels[marker] if marker >= 0 else None
+            labels[ball] = open_[bone].labels[marker] if marker >= 0 else None
     notes = []
-    for ball in [ball for ball, label in enumerate(labels) if label is None]:
+    for ball in [ball for ball, label in enumerate(labels) if label is None and scanner.bones[ball] is None]:
         for bone, match in found.groups.items():
-            segment = segments[bone]
-            label = None if bone == riding[ball] or scanner.bones[ball] is not None or segment is None else _nearby(
-                scanner, ball, posture, segment, match.to_from, labels)  # fmt: skip
-            if label is not None:
+            label = open_[bone].nearby(scanner, ball, match.to_from, labels)
+            if label is not None and labels[ball] is None and bone != riding[ball]:
                 notes.append(f"{_numbers([ball])} is {label} if it rides on the {bone}, so it does.")
                 labels[ball], riding[ball] = label, bone
     pairs = ", ".join(f"{ball} is {label}" for ball, label in enumerate(labels) if label != scanner.names[ball])
     if pairs:
         notes.append(f"By the distances between them: marker {pairs}.")
+    lost = {bone: [b for b in _group(riding, bone) if labels[b] is None] for bone in dict.fromkeys(riding)}
     notes += [
-        f"{_numbers([ball])} of the {riding[ball]} has no marker of the reference where it should be; passed over."
-        for ball, label in enumerate(labels)
-        if label is None
+        f"Of the {bone}, {_numbers(balls)}: no marker of the reference where it should be; passed over."
+        for bone, balls in lost.items()
+        if balls
     ]
     return tuple(labels), tuple(riding), notes
-
-
-def _nearby(
-    scanner: ScannerMarkers, ball: int, posture: ReferencePosture, segment: str, motion: RigidTransform,
-    taken: Sequence[str | None],
-) -> str | None:  # fmt: skip
-    """Give the free marker where a ball would lie if it rode on a bone."""
-    places = posture.bones[segment]
-    off = np.linalg.norm(places.places_mm - motion.apply(scanner.centres_mm[ball]), axis=1)
-    reach = _NEAR * np.sqrt((places.sd_mm**2).mean(1) + (scanner.sd_mm[ball] ** 2).mean())
-    near = [m for m in np.flatnonzero(off < reach) if posture.labels[m] not in taken]
-    return posture.labels[near[0]] if len(near) == 1 else None
