@@ -1,6 +1,5 @@
 """`marey knee animate`: a knee's bones and cartilage from MR, moved by an activity in the laboratory."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,8 +11,7 @@ from marey.cli.knee_animation_results import AnimationResults, write_animation
 from marey.cli.progress import Progress
 from marey.cli.run_record import StageCache, fingerprint
 from marey.errors import FileProblem, MareyError, SettingProblem
-from marey.io.activity import read_activity
-from marey.io.marker_results import is_y_up
+from marey.io.activity import first_method, read_activity, room_is_y_up
 from marey.io.markers import read_markers
 from marey.io.meshes import read_mesh
 from marey.io.scanner_markers import read_landmarks, read_scanner_markers
@@ -132,7 +130,7 @@ def animate(knee_folder: Path, motion_folder: Path, options: AnimateOptions, pro
         joining = _Joining(knee=knee, sides=sides, standing=standing, limit_mm=options.limit_mm)
         joined = _joined(joining, activity)
         _say_joined(joined, progress)
-        found = _moved(joining, joined, activity, options.method or _first_method(motion_folder), progress, cache)
+        found = _moved(joining, joined, activity, options.method or first_method(motion_folder), progress, cache)
         compared = None
         if other is not None:
             compared = _moved(joining, _joined(joining, other), other, _name_of(options), progress, cache)
@@ -140,7 +138,7 @@ def animate(knee_folder: Path, motion_folder: Path, options: AnimateOptions, pro
         results = AnimationResults(
             title=f"{knee_folder.resolve().name} by {motion_folder.resolve().name}", parts=knee.parts, found=found,
             compared=compared, joined=joined, in_room=options.frame == "room" or BASE not in found.motion.poses,
-            y_up=_y_up(motion_folder), views=options.views, limit_mm=options.limit_mm,
+            y_up=room_is_y_up(motion_folder), views=options.views, limit_mm=options.limit_mm,
             settings=_settings(options, found, knee), inputs=files, root=knee_folder.parent,
         )  # fmt: skip
         write_animation(results, out, progress)
@@ -198,27 +196,7 @@ def _compared(folder: Path, options: AnimateOptions) -> Activity | None:
 
 def _name_of(options: AnimateOptions) -> str:
     path = Path(str(options.compare))
-    return _first_method(path) if path.is_dir() else str(options.compare)
-
-
-def _first_method(folder: Path) -> str:
-    """Give the method whose bones are in a folder's bones.npz."""
-    try:
-        methods = json.loads((folder / "run.json").read_text(encoding="utf-8"))["settings"]["methods"]
-        return str(methods[0])
-    except (OSError, ValueError, KeyError, TypeError, IndexError):
-        return folder.resolve().name
-
-
-def _y_up(folder: Path) -> bool:
-    """Tell whether the laboratory has Y up: the trial's C3D says so, or it was a TRC."""
-    try:
-        inputs = json.loads((folder / "run.json").read_text(encoding="utf-8"))["inputs"]
-        if str(next(iter(inputs))).lower().endswith(".trc"):
-            return True
-    except (OSError, ValueError, KeyError, TypeError, StopIteration):
-        pass
-    return is_y_up(folder / "motion.c3d")
+    return first_method(path) if path.is_dir() else str(options.compare)
 
 
 def _that_meet(parts: Mapping[str, Surface]) -> list[str]:
@@ -259,7 +237,7 @@ def _moved(
         def compute() -> dict[str, np.ndarray]:
             return packed_joints(joint_proximities(motion, joining.sides, limit_mm=joining.limit_mm, done=done))
 
-        poses = [(pose.rotation, pose.translation) for pose in motion.poses.values()]
+        poses = [(pose.rotation, pose.translation, pose.covariance) for pose in motion.poses.values()]
         arrays = cache.arrays(
             f"nearness-{fingerprint(name)}", compute, depends=(joining.limit_mm, motion.bones, poses)
         )  # fmt: skip
@@ -302,15 +280,19 @@ def _say_doubts(
             if np.isfinite(joint.base_distance_mm).any() and not np.isfinite(joint.gap_mm[:, c]).any():
                 what = joint.base.name.replace("_", " ")
                 progress.warn(f"There is no {what} on the {name} side: it has no gap.")
-    for each in (found, *(() if compared is None else (compared,))):
+    for each in _both(found, compared):
         for joint in each.joints:
             for c, name in enumerate(joint.compartments):
-                share = joint.unsure[:, c].sum() / max((joint.gap_mm[:, c] == joint.gap_mm[:, c]).sum(), 1)
+                share = joint.unsure[:, c].sum() / max(np.isfinite(joint.gap_mm[:, c]).sum(), 1)
                 if share > 0:
                     progress.warn(
                         f"{each.method}: the {joint.name} gap, {name}, is smaller than its standard deviation in "
                         f"{100 * share:.0f} % of the frames."
                     )
+
+
+def _both(found: KneeMotion, compared: KneeMotion | None) -> list[KneeMotion]:
+    return [found] if compared is None else [found, compared]
 
 
 def _files(knee: _Knee, motion_folder: Path, options: AnimateOptions) -> list[Path]:
@@ -334,15 +316,15 @@ def _settings(options: AnimateOptions, found: KneeMotion, knee: _Knee) -> dict[s
 def told(found: KneeMotion, compared: KneeMotion | None) -> list[str]:
     """Say in a few lines how near the cartilages came."""
     lines = []
-    for each in (found, *(() if compared is None else (compared,))):
+    for each in _both(found, compared):
         for joint in each.joints:
             for c, name in enumerate(joint.compartments):
-                gap = joint.gap_mm[:, c][joint.gap_mm[:, c] == joint.gap_mm[:, c]]
-                sd = joint.gap_sd_mm[:, c][joint.gap_sd_mm[:, c] == joint.gap_sd_mm[:, c]]
-                if len(gap):
-                    middle, spread = sorted(gap)[len(gap) // 2], sorted(sd)[len(sd) // 2] if len(sd) else float("nan")
+                known = np.isfinite(joint.gap_mm[:, c])
+                if known.any():
+                    gap, sd = joint.gap_mm[known, c], joint.gap_sd_mm[known, c]
+                    spread = f"; sd {np.median(sd):.1f}" if np.isfinite(sd).all() else ""
                     lines.append(
-                        f"{each.method}: {joint.name}, {name}: gap {middle:.1f} mm (median; sd {spread:.1f}), "
-                        f"from {gap.min():.1f} to {gap.max():.1f}."
+                        f"{each.method}: {joint.name}, {name}: gap {np.median(gap):.1f} mm (median{spread}), from "
+                        f"{gap.min():.1f} to {gap.max():.1f}."
                     )
     return lines

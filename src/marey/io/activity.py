@@ -6,6 +6,7 @@ from pathlib import Path
 
 from marey.errors import FileProblem
 from marey.io.bones import BoneFile, read_bones
+from marey.io.marker_results import is_y_up
 from marey.io.markers import read_markers
 from marey.knee.reference_posture import Activity
 
@@ -43,12 +44,33 @@ def read_activity(folder: Path | str, *, method: str | None = None) -> Activity:
     )  # fmt: skip
 
 
+def first_method(folder: Path | str) -> str:
+    """Give the method whose bones stand in `bones.npz`; the folder's name where it has no record of it."""
+    folder = Path(folder)
+    return next(iter(_methods(folder)), folder.resolve().name)
+
+
+def room_is_y_up(folder: Path | str) -> bool:
+    """Tell whether the laboratory has Y up: the trial was a TRC, or its C3D says so."""
+    folder = Path(folder)
+    inputs = _recorded(folder, "inputs")
+    if isinstance(inputs, dict) and any(str(name).lower().endswith(".trc") for name in list(inputs)[:1]):
+        return True
+    return is_y_up(folder / "motion.c3d")
+
+
+def _recorded(folder: Path, key: str) -> object:
+    """Give what the record of a run says; None where there is none."""
+    try:
+        return json.loads((folder / "run.json").read_text(encoding="utf-8"))[key]
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
 def _methods(folder: Path) -> list[str]:
     """Give the methods of a run, that of `bones.npz` first; none where the folder has no record of it."""
-    try:
-        said = json.loads((folder / "run.json").read_text(encoding="utf-8"))["settings"]["methods"]
-    except (OSError, ValueError, KeyError, TypeError):
-        return []
+    settings = _recorded(folder, "settings")
+    said = settings.get("methods") if isinstance(settings, dict) else None
     return [str(method) for method in said] if isinstance(said, list) else []
 
 
