@@ -14,7 +14,7 @@ from marey.geometry.rigid import RigidTransform
 FEWEST = 3
 _REACH = 5.0  # standard deviations by which a distance may differ
 _LEAST_CHANCE = 1e-6  # of the residuals of a match: one that is less likely is none
-_LEAST_OF_THREE = 1e-3  # of three balls, whose few distances are soon alike by chance
+_LEAST_OF_THREE = 1e-5  # of three balls, whose few distances are soon alike by chance
 _AHEAD = 12.0  # in chi square, by which the best match is better than any other: odds of 400 to 1
 _MOST = 4000  # matches of one bone; where so many fit, distances tell nothing
 LARGEST_KNEE_TURN = np.radians(75.0)
