@@ -93,6 +93,26 @@ def test_a_bone_with_two_common_markers_is_told_and_the_other_one_is_carried(rng
     assert "2 markers in common" in found.missing["tibia"]
 
 
+def test_named_markers_that_the_reference_never_shows_are_not_used(rng):
+    scan = made_scan(rng)
+    points = np.array(scan.standing.points)
+    for label in ("MR1", "MR5", "MR7", "MR8"):
+        points[:, scan.standing.labels.index(label)] = np.nan
+    found = joined(replace(scan, standing=replace(scan.standing, points=points)))
+    assert found.bones["femur"].fit.names == ("MR0", "MR2", "MR3", "MR4")
+    assert any("not used: MR1" in note for note in found.bones["femur"].notes)
+    assert found.missing["tibia"].startswith("2 markers in common (MR5, MR7, MR8 in no frame of the reference)")
+
+
+def test_a_patella_that_is_tracked_but_carries_no_ball_is_told(rng):
+    scan = made_scan(rng)
+    posture = reference_posture(scan.activity, scan.standing)
+    with_patella = replace(posture, bones={**posture.bones, "patella": posture.bones["thigh"]})
+    bones = {**scan.bones, "patella": scan.bones["femur"]}
+    found = correspond(scan.scanner, with_patella, bones, segment_of_label={})
+    assert found.missing == {"patella": "0 markers in common, and a bone needs 3"}
+
+
 def test_markers_that_are_not_in_the_reference_are_named(rng):
     scan = made_scan(rng)
     wrong = replace(scan.scanner, names=("ball", *scan.scanner.names[1:]))

@@ -105,3 +105,12 @@ def test_a_models_bones_have_no_reference_frame_and_take_the_markers_mean_place(
     activity: Activity = replace(scan.activity, reference_frames=None)
     known = scan.activity.places("thigh", ("thigh_0",))
     assert activity.places("thigh", ("thigh_0",)) == pytest.approx(known, abs=1e-12)
+
+
+def test_only_the_segments_of_a_knee_are_looked_for(rng):
+    scan = made_scan(rng)
+    motion = replace(scan.activity.motion, segments=("pelvis", "shank"))
+    activity = replace(scan.activity, motion=motion)
+    assert list(reference_posture(activity, scan.standing).bones) == ["shank"]
+    with pytest.raises(MareyError, match=r"no segment of a knee.*pelvis, foot"):
+        reference_posture(replace(activity, motion=replace(motion, segments=("pelvis", "foot"))), scan.standing)

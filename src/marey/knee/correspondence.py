@@ -4,17 +4,17 @@ Millimetres throughout, also in the chain that is made here.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import gammaincinv
 
-from marey.arrays import Floats, frozen
+from marey.arrays import Floats, Mask, frozen
 from marey.errors import MareyError
 from marey.geometry import rotations
 from marey.knee.anatomical_frames import BoneFrame, Landmarks, bone_frame
 from marey.knee.marker_bones import in_order
-from marey.knee.marker_fit import CommonMarkers, MarkerFit, fit_markers
+from marey.knee.marker_fit import FEWEST, CommonMarkers, MarkerFit, fit_markers
 from marey.knee.marker_naming import NamedBalls, ScannerMarkers, named_balls, segment_of_bone
 from marey.knee.reference_posture import BonePlaces, ReferencePosture
 from marey.knee.surface import Surface
@@ -68,7 +68,7 @@ class KneeCorrespondence:
     """Bones that have no correspondence, and why."""
     naming: NamedBalls
     """Which ball is which marker of the laboratory and rides on which bone."""
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = ()
 
 
 def correspond(
@@ -96,12 +96,12 @@ def correspond(
     missing: dict[str, str] = {}
     for bone in in_order(dict.fromkeys([*bones, *naming.bones])):
         segment = segment_of_bone(bone, posture.bones, left=left)
-        balls = naming.of(bone)
         if segment is None:
             missing[bone] = f"no segment of the activity is this bone (it has {', '.join(posture.bones) or 'none'})"
             continue
-        markers = scanner.centres_mm[[b for b, its in enumerate(naming.bones) if its == bone]]
         try:
+            balls = _seen(naming, bone, posture, posture.bones[segment])
+            markers = scanner.centres_mm[list(balls)]
             frame = bone_frame(bone, bones.get(bone), markers, left=left, landmarks=landmarks)
             found[bone] = _bone(bone, scanner, balls, posture, posture.bones[segment], naming, frame)
         except MareyError as problem:
@@ -123,6 +123,22 @@ def _nothing(missing: Mapping[str, str], naming: NamedBalls) -> str:
     return f"No bone can be carried from the scanner into the laboratory ({why}). {said}".rstrip()
 
 
+def _seen(naming: NamedBalls, bone: str, posture: ReferencePosture, places: BonePlaces) -> tuple[int, ...]:
+    """Give a bone's balls whose markers the reference shows.
+
+    Raises:
+        MareyError: They are too few; it names those that are in no frame.
+    """
+    balls = naming.of(bone)
+    there: Mask = np.asarray(np.isfinite(places.places_mm).all(1))
+    seen = tuple(ball for ball in balls if there[posture.labels.index(naming.labels[ball])])
+    if len(seen) >= FEWEST:
+        return seen
+    unseen = ", ".join(str(naming.labels[ball]) for ball in balls if ball not in seen)
+    why = f" ({unseen} in no frame of the reference)" if unseen else ""
+    raise MareyError(f"{len(seen)} markers in common{why}, and a bone needs {FEWEST}")
+
+
 def _bone(
     bone: str, scanner: ScannerMarkers, balls: Sequence[int], posture: ReferencePosture, places: BonePlaces,
     naming: NamedBalls, frame: BoneFrame,
@@ -136,6 +152,8 @@ def _bone(
         names=tuple(posture.labels[m] for m in chosen), from_mm=inverse.apply(scanner.centres_mm[list(balls)]),
         from_sd_mm=sd, to_mm=places.places_mm[chosen], to_sd_mm=places.sd_mm[chosen],
     )  # fmt: skip
+    unseen = [naming.labels[ball] for ball in naming.of(bone) if ball not in balls]
+    said = (f"in no frame of the reference, and not used: {', '.join(map(str, unseen))}",) if unseen else ()
     fit = fit_markers(common)
     fit = replace(fit, covariance=_with_posture(fit, chosen, places))
     return BoneCorrespondence(
@@ -144,7 +162,8 @@ def _bone(
             to=CAPTURE_ANATOMIC, from_=MR_ANATOMIC, rotation=fit.rotation, translation=fit.translation_mm,
             covariance=fit.covariance,
         ),
-        frame_source=frame.source, posture_residual_mm=places.residual_mm, notes=(*frame.notes, *fit.notes),
+        frame_source=frame.source, posture_residual_mm=places.residual_mm,
+        notes=(*frame.notes, *said, *fit.notes),
     )  # fmt: skip
 
 

@@ -1,6 +1,6 @@
 """Where the laboratory's markers lie on the bones: in the activity's own reference posture, or a standing trial."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -10,6 +10,7 @@ from marey.arrays import Floats, Integers, frozen
 from marey.errors import MareyError
 from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
+from marey.knee.marker_bones import BONE_OF_SEGMENT, bone_of_segment
 from marey.markers.bone_motion import BoneMotion
 from marey.markers.rigid_fit import FEWEST, RigidFit, fit_rigid
 from marey.markers.trajectories import MarkerTrajectories
@@ -103,12 +104,16 @@ def reference_posture(
             its place, and what the laboratory's calibration leaves.
 
     Raises:
-        MareyError: No bone can be found in the standing trial.
+        MareyError: The activity has no segment of a knee, or no bone can be found in the standing trial.
     """
+    segments = [segment for segment in activity.motion.segments if bone_of_segment(segment) is not None]
+    if not segments:
+        there = ", ".join(activity.motion.segments)
+        raise MareyError(f"The activity has no segment of a knee ({', '.join(BONE_OF_SEGMENT)}); it has {there}.")
     if standing is None:
-        return _own_posture(activity, noise_mm)
+        return _own_posture(activity, segments, noise_mm)
     bones, notes = {}, []
-    for segment in activity.motion.segments:
+    for segment in segments:
         try:
             bones[segment], said = _standing_bone(activity, segment, standing, noise_mm)
             notes += said
@@ -119,11 +124,11 @@ def reference_posture(
     return ReferencePosture(labels=standing.labels, bones=bones, notes=tuple(notes))
 
 
-def _own_posture(activity: Activity, noise_mm: float) -> ReferencePosture:
+def _own_posture(activity: Activity, segments: Sequence[str], noise_mm: float) -> ReferencePosture:
     labels = activity.markers.labels
     frames = np.arange(len(activity.motion)) if activity.reference_frames is None else activity.reference_frames
     bones, notes = {}, []
-    for segment in activity.motion.segments:
+    for segment in segments:
         rotation, origin = (each[frames] for each in activity.motion.bone(segment))
         answered = np.flatnonzero(np.isfinite(rotation).all((1, 2)))
         if not len(answered):
