@@ -46,6 +46,9 @@ class OutlineServer(ThreadingHTTPServer):
 
 class _Handler(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
+    # A kept connection would otherwise hold short answers back for 40 ms.
+    disable_nagle_algorithm = True
+    wbufsize = -1
     server: OutlineServer
 
     def do_GET(self) -> None:

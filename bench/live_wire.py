@@ -1,0 +1,245 @@
+"""The live wire: how soon it answers, how near to the true outline it runs, and templates outlined with it.
+
+`python bench/live_wire.py SHARED [speed|outlines|template]`; nobody sits at the screen: anchors lie on the true
+outlines, evenly along them and off by half a pixel (one standard deviation, each way) as a hand is.
+"""
+
+import http.client
+import json
+import tempfile
+import threading
+import time
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from parts import run_parts
+from scipy import ndimage
+from scipy.spatial import cKDTree
+from skimage.measure import find_contours
+from threadpoolctl import threadpool_limits
+
+from marey.arrays import Floats, Mask
+from marey.cli.knee_outline import serve
+from marey.io.volumes import read_template, read_volume
+from marey.knee.bones import segment_bones
+from marey.knee.boundary_elements import LearnedCosts, learned_costs
+from marey.knee.contours import (
+    AXES,
+    Contour,
+    labels_of_contours,
+    outlined_mask,
+    slice_of,
+    slice_shape,
+    slice_spacing_mm,
+)
+from marey.knee.live_wire import LiveWire
+from marey.knee.outlining import drawn
+from marey.knee.structures import BONES, LABELS
+from marey.knee.template import checked_template
+from marey.knee.volume import Labels, Volume
+from marey.view.outline_server import OutlineServer
+from marey.view.outline_session import OutlineSession
+
+HAND_PX = 0.5
+SHORTEST_PX = 60
+EVERY = 6
+PIXELS_PER_ANCHOR = 50
+
+
+def volume_and_truth(folder: Path) -> tuple[Volume, Labels, str]:
+    """A volume, its true labels, and the axis across which its slices lie farthest apart."""
+    volume = read_volume(folder / "image.nii.gz")
+    name = "reference_labels.nii.gz" if folder.name == "dess" else "truth_labels.nii.gz"
+    labels = read_volume(folder / name).intensity.astype(np.uint8)
+    return volume, Labels(labels=labels, grid=volume.grid), AXES[int(np.argmax(volume.grid.spacing_mm))]
+
+
+def true_outlines(mask: Mask) -> list[Floats]:
+    """(N, 2) x and y of the level lines of a mask that is smoothed by a pixel: its staircase is not the truth."""
+    smooth = ndimage.gaussian_filter(np.pad(mask.astype(float), 6), 1.0)
+    return [line[:-1, ::-1] - 6 for line in find_contours(smooth, 0.5) if len(line) > SHORTEST_PX]
+
+
+def hand_set(outline: Floats, count: int, draw: np.random.Generator) -> Floats:
+    """(count, 2) anchors evenly along an outline, begun anywhere, as a hand sets them."""
+    start = draw.integers(len(outline))
+    places = (start + np.arange(count) * len(outline) // count) % len(outline)
+    return outline[places] + draw.normal(0, HAND_PX, (count, 2))
+
+
+def distance_mm(first: Floats, second: Floats, spacing_mm: tuple[float, float]) -> float:
+    """Mean distance of two outlines, both ways."""
+    dense = []
+    for outline in (first, second):
+        corners = np.vstack([outline, outline[:1]]) * spacing_mm[::-1]
+        along = np.r_[0, np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))]
+        at = np.arange(0, along[-1], 0.05)
+        dense.append(np.column_stack([np.interp(at, along, corners[:, n]) for n in range(2)]))
+    there, back = cKDTree(dense[1]).query(dense[0])[0], cKDTree(dense[0]).query(dense[1])[0]
+    return float(there.mean() + back.mean()) / 2
+
+
+def dice(first: Mask, second: Mask) -> float:
+    return float(2 * (first & second).sum() / (first.sum() + second.sum()))
+
+
+def speed(folder: Path) -> None:
+    """A slice of 512 x 512: all corners as anchors, the farthest corner first, then moves about the picture."""
+    volume, truth, axis = volume_and_truth(folder / "dess")
+    index = 30
+    image, spacing = slice_of(volume.intensity, axis, index), slice_spacing_mm(volume.grid, axis)
+    mask = slice_of(truth.mask("femur"), axis, index)
+    LiveWire(image, spacing).closed([(100, 100), (300, 120), (200, 300)])  # compiled, or read from Numba's cache
+    started = time.perf_counter()
+    wire = LiveWire(image, spacing)
+    made = time.perf_counter() - started
+    learned = learned_costs([(wire.elements, mask)])
+    started = time.perf_counter()
+    wire.learn(learned)
+    taught = time.perf_counter() - started
+    print(f"{image.shape} slice made ready in {1e3 * made:.0f} ms, taught in {1e3 * taught:.0f} ms")
+    for name, costs in (("untaught", None), ("taught", learned)):
+        wire.learn(costs)
+        print(f"{name}: {timed_moves(wire)}")
+    print(f"by HTTP, both ways round: {timed_answers(volume, axis, index)}")
+
+
+def timed_moves(wire: LiveWire) -> str:
+    far, near = [], []
+    draw = np.random.default_rng(1)
+    corners = [(0.0, 0.0), (511.0, 0.0), (511.0, 511.0), (0.0, 511.0), (255.0, 255.0)]
+    for anchor in corners * 4:
+        wire.forget()
+        opposite = max(corners, key=lambda each: np.hypot(each[0] - anchor[0], each[1] - anchor[1]))
+        started = time.perf_counter()
+        wire.anchor(anchor)
+        wire.path_to(opposite)
+        far.append(time.perf_counter() - started)
+        for point in draw.uniform(0, 511, (10, 2)):
+            started = time.perf_counter()
+            wire.path_to(point)
+            near.append(time.perf_counter() - started)
+    return f"first move, across the whole slice {spread(far)}; every next one {spread(near)}"
+
+
+def timed_answers(volume: Volume, axis: str, index: int) -> str:
+    """The same as the page asks: from the question sent to the answer read."""
+    with tempfile.TemporaryDirectory() as folder:
+        server = OutlineServer(OutlineSession(volume, Path(folder) / "contours.json", "dess"))
+        thread = threading.Thread(target=serve, args=(server,), kwargs={"browser": False})
+        thread.start()
+        connection = http.client.HTTPConnection("127.0.0.1", server.server_address[1])
+
+        def seconds(path: str, body: dict[str, object]) -> float:
+            started = time.perf_counter()
+            connection.request("POST", path, json.dumps(body), {"Content-Type": "application/json"})
+            answer = connection.getresponse()
+            answer.read()
+            assert answer.status == 200
+            return time.perf_counter() - started
+
+        asking = {"axis": axis, "index": index, "structure": "femur"}
+        seconds("/prepare", asking)
+        far, near = [], []
+        draw = np.random.default_rng(2)
+        for anchor in draw.uniform(0, 60, (20, 2)):
+            far.append(seconds("/wire", asking | {"anchors": [anchor.tolist()], "pointer": [500, 500]}))
+            for point in draw.uniform(0, 511, (5, 2)):
+                near.append(seconds("/wire", asking | {"anchors": [anchor.tolist()], "pointer": point.tolist()}))
+        connection.close()
+        server.shutdown()
+        thread.join()
+    return f"first move {spread(far)}; every next one {spread(near)}"
+
+
+def spread(seconds: list[float]) -> str:
+    return f"{1e3 * float(np.median(seconds)):.1f} ms, worst of {len(seconds)} {1e3 * max(seconds):.1f}"
+
+
+def outlines(folder: Path) -> None:
+    """Outlines through so many anchors in eight slices, untaught, and taught by the true outline before each."""
+    print(
+        "volume, bone, anchors: mean mm of wire untaught / taught / taught and on the edge; Dice; 95 % of slices within"
+    )
+    for name, bones in (("phantom_a", BONES), ("phantom_spl", BONES), ("dess", ("femur", "tibia"))):
+        volume, truth, axis = volume_and_truth(folder / name)
+        for bone in bones:
+            for count in (4, 8, 12):
+                print(f"{name}, {bone}, {count}: {judged(volume, truth, axis, bone, count)}", flush=True)
+
+
+def judged(volume: Volume, truth: Labels, axis: str, bone: str, count: int) -> str:
+    spacing, draw = slice_spacing_mm(volume.grid, axis), np.random.default_rng(7)
+    masks = np.moveaxis(truth.mask(bone), len(AXES) - 1 - AXES.index(axis), 0)
+    filled = np.flatnonzero(masks.sum(axis=(1, 2)) > 150)
+    indices = filled[np.linspace(2, len(filled) - 3, 9).astype(int)]
+    found = []
+    before = LiveWire(slice_of(volume.intensity, axis, indices[0]), spacing)
+    for teacher, index in pairwise(indices):
+        learned = learned_costs([(before.elements, masks[teacher])])
+        wire = before = LiveWire(slice_of(volume.intensity, axis, index), spacing)
+        for true in true_outlines(masks[index]):
+            found.append(measured(wire, learned, true, hand_set(true, count, draw), spacing, masks.shape[1:]))
+    plain, taught, laid, overlap = np.array(found).T
+    return (
+        f"{plain.mean():.2f} / {taught.mean():.2f} / {laid.mean():.2f} mm; {overlap.mean():.3f};"
+        f" {np.percentile(laid, 95):.2f} mm"
+    )
+
+
+def measured(
+    wire: LiveWire, learned: LearnedCosts | None, true: Floats, anchors: Floats, spacing: tuple[float, float],
+    shape: tuple[int, int],
+) -> tuple[float, float, float, float]:  # fmt: skip
+    wire.learn(None)
+    plain = distance_mm(wire.closed(anchors).outline, true, spacing)
+    wire.learn(learned)
+    taught = distance_mm(wire.closed(anchors).outline, true, spacing)
+    contour = drawn(wire, anchors, structure="femur", axis="k", index=0)
+    whole = outlined_mask([Contour(structure="femur", axis="k", index=0, anchors=anchors, outline=true)], shape)
+    overlap = dice(outlined_mask([contour], shape), whole)
+    return plain, taught, distance_mm(contour.outline, true, spacing), overlap
+
+
+def template(folder: Path) -> None:
+    """The bones of phantom_a outlined in every sixth slice, made a template, and phantom_spl segmented by it."""
+    volume, truth, axis = volume_and_truth(folder / "phantom_a")
+    started = time.perf_counter()
+    contours = [contour for bone in BONES for contour in outlined(volume, truth, axis, bone)]
+    own = checked_template(labels_of_contours(contours, volume.grid))
+    slices = len({(contour.structure, contour.index) for contour in contours})
+    anchors = sum(len(contour.anchors) for contour in contours)
+    print(f"{len(contours)} outlines in {slices} slices, {anchors} anchors, {time.perf_counter() - started:.0f} s")
+    print("Dice with the truth", {bone: round(dice(own.labels.mask(bone), truth.mask(bone)), 3) for bone in BONES})
+    print("said:", own.side, *own.faults, *own.notes)
+    for name in ("phantom_spl",):
+        image, wanted, _ = volume_and_truth(folder / name)
+        for label, by in (("own outlines", own.labels), ("template_a", read_template(folder / "template_a"))):
+            found = segment_bones([image], template=by)
+            scores = {bone: round(dice(found.labels.mask(bone), wanted.mask(bone)), 3) for bone in BONES}
+            print(f"{name} by {label}: {scores}", flush=True)
+
+
+def outlined(volume: Volume, truth: Labels, axis: str, bone: str) -> list[Contour]:
+    """Outline a bone as a person would: slice by slice, each taught by the nearest three before."""
+    draw, spacing = np.random.default_rng(LABELS[bone]), slice_spacing_mm(volume.grid, axis)
+    masks = np.moveaxis(truth.mask(bone), len(AXES) - 1 - AXES.index(axis), 0)
+    filled = np.flatnonzero([bool(true_outlines(mask)) for mask in masks])
+    contours: list[Contour] = []
+    wires: dict[int, LiveWire] = {}
+    for index in dict.fromkeys([*range(filled[0], filled[-1], EVERY), filled[-1]]):
+        wire = wires[int(index)] = LiveWire(slice_of(volume.intensity, axis, index), spacing)
+        near = list(wires)[-4:-1]
+        shape = slice_shape(volume.grid, axis)
+        lessons = [(wires[n].elements, outlined_mask([c for c in contours if c.index == n], shape)) for n in near]
+        wire.learn(learned_costs(lessons))
+        for true in true_outlines(masks[index]):
+            count = max(4, round(len(true) / PIXELS_PER_ANCHOR))
+            contours.append(drawn(wire, hand_set(true, count, draw), structure=bone, axis=axis, index=int(index)))
+    return contours
+
+
+if __name__ == "__main__":
+    with threadpool_limits(1):
+        run_parts(__doc__, {"speed": speed, "outlines": outlines, "template": template}, within="data/knee")
