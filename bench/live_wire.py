@@ -1,6 +1,6 @@
 """The live wire: how soon it answers, how near to the true outline it runs, and templates outlined with it.
 
-`python bench/live_wire.py SHARED [speed|outlines|template]`; nobody sits at the screen: anchors lie on the true
+`python bench/live_wire.py SHARED [speed|outlines|between|template]`; nobody sits at the screen: anchors lie on the true
 outlines, evenly along them and off by half a pixel (one standard deviation, each way) as a hand is.
 """
 
@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from parts import run_parts
 from scipy import ndimage
+from scipy.interpolate import interp1d
 from scipy.spatial import cKDTree
 from skimage.measure import find_contours
 from threadpoolctl import threadpool_limits
@@ -32,9 +33,11 @@ from marey.knee.contours import (
     slice_of,
     slice_shape,
     slice_spacing_mm,
+    structure_distance,
 )
 from marey.knee.live_wire import LiveWire
 from marey.knee.outlining import drawn
+from marey.knee.region_growing import signed_distance
 from marey.knee.structures import BONES, LABELS
 from marey.knee.template import checked_template
 from marey.knee.volume import Labels, Volume
@@ -159,19 +162,17 @@ def spread(seconds: list[float]) -> str:
 
 def outlines(folder: Path) -> None:
     """Outlines through so many anchors in eight slices, untaught, and taught by the true outline before each."""
-    print(
-        "volume, bone, anchors: mean mm of wire untaught / taught / taught and on the edge; Dice; 95 % of slices within"
-    )
-    for name, bones in (("phantom_a", BONES), ("phantom_spl", BONES), ("dess", ("femur", "tibia"))):
+    print("volume, structure, anchors: mean mm of wire untaught, taught, taught and on the edge; Dice; 95 % within")
+    for name, structures in (("phantom_a", tuple(LABELS)), ("phantom_spl", BONES), ("dess", ("femur", "tibia"))):
         volume, truth, axis = volume_and_truth(folder / name)
-        for bone in bones:
+        for structure in structures:
             for count in (4, 8, 12):
-                print(f"{name}, {bone}, {count}: {judged(volume, truth, axis, bone, count)}", flush=True)
+                print(f"{name}, {structure}, {count}: {judged(volume, truth, axis, structure, count)}", flush=True)
 
 
-def judged(volume: Volume, truth: Labels, axis: str, bone: str, count: int) -> str:
+def judged(volume: Volume, truth: Labels, axis: str, structure: str, count: int) -> str:
     spacing, draw = slice_spacing_mm(volume.grid, axis), np.random.default_rng(7)
-    masks = np.moveaxis(truth.mask(bone), len(AXES) - 1 - AXES.index(axis), 0)
+    masks = np.moveaxis(truth.mask(structure), len(AXES) - 1 - AXES.index(axis), 0)
     filled = np.flatnonzero(masks.sum(axis=(1, 2)) > 150)
     indices = filled[np.linspace(2, len(filled) - 3, 9).astype(int)]
     found = []
@@ -200,6 +201,27 @@ def measured(
     whole = outlined_mask([Contour(structure="femur", axis="k", index=0, anchors=anchors, outline=true)], shape)
     overlap = dice(outlined_mask([contour], shape), whole)
     return plain, taught, distance_mm(contour.outline, true, spacing), overlap
+
+
+def between(folder: Path) -> None:
+    """Every fourth, sixth or eighth true slice of a bone given, the others interpolated; and linearly, as the paper."""
+    volume, truth, axis = volume_and_truth(folder / "phantom_a")
+    along = len(AXES) - 1 - AXES.index(axis)
+    for bone in BONES:
+        masks = np.moveaxis(truth.mask(bone), along, 0)
+        filled = np.flatnonzero(masks.any(axis=(1, 2)))
+        for every in (4, 6, 8):
+            given = list(dict.fromkeys([*range(filled[0], filled[-1], every), filled[-1]]))
+            contours = [
+                Contour(structure=bone, axis=axis, index=index, anchors=line[:2, ::-1] - 1, outline=line[:-1, ::-1] - 1)
+                for index in given
+                for line in find_contours(np.pad(masks[index], 1).astype(float), 0.5)
+            ]
+            cubic = np.moveaxis(structure_distance(contours, volume.grid, bone) > 0, along, 0)
+            apart = [signed_distance(masks[index], slice_spacing_mm(volume.grid, axis)) for index in given]
+            straight = interp1d(given, np.maximum(apart, -1e3), axis=0)(np.arange(filled[0], filled[-1] + 1)) > 0
+            scores = dice(cubic, masks), dice(straight, masks[filled[0] : filled[-1] + 1])
+            print(f"{bone}, every {every}th: Dice {scores[0]:.3f}, linearly {scores[1]:.3f}", flush=True)
 
 
 def template(folder: Path) -> None:
@@ -242,4 +264,8 @@ def outlined(volume: Volume, truth: Labels, axis: str, bone: str) -> list[Contou
 
 if __name__ == "__main__":
     with threadpool_limits(1):
-        run_parts(__doc__, {"speed": speed, "outlines": outlines, "template": template}, within="data/knee")
+        run_parts(
+            __doc__,
+            {"speed": speed, "outlines": outlines, "between": between, "template": template},
+            within="data/knee",
+        )
