@@ -150,6 +150,7 @@ def test_impossible_settings_are_named(failing):
     assert "--frame is tibia or room" in failing("--frame", "femur")
     assert "--view above is none of" in failing("--view", "above")
     assert "--limit" in failing("--limit", "0")
+    assert "--noise" in failing("--noise", "-1")
     assert "--side" in failing("--side", "middle")
 
 

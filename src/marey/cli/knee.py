@@ -152,6 +152,10 @@ def animate(
         str, typer.Option(metavar="NAME,...", help="Views of the video: anterior, posterior, medial, lateral, plateau.")
     ] = "anterior,medial,plateau",
     limit: Annotated[float, typer.Option(metavar="MM", help="Nearer than this, cartilages count as near.")] = 5.0,
+    noise: Annotated[
+        float,
+        typer.Option(metavar="MM", help="How well a marker's coordinate is known, and it came back to its place."),
+    ] = 0.5,
     landmarks: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Landmarks picked in the scanner's images, for the angles' axes."),
@@ -180,7 +184,7 @@ def animate(
 
     options = AnimateOptions(
         out=out, reference=reference, method=method, compare=compare, landmarks=landmarks, side=side, frame=frame,
-        views=tuple(name.strip() for name in view.split(",") if name.strip()), limit_mm=limit,
+        views=tuple(name.strip() for name in view.split(",") if name.strip()), limit_mm=limit, noise_mm=noise,
     )  # fmt: skip
     folder = animate_knee(knee, motion, options, Progress(quiet=quiet))
     typer.echo(f"Page: {folder / 'knee.html'}")

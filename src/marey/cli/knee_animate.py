@@ -33,7 +33,7 @@ from marey.knee.joint_motion import (
 from marey.knee.joint_surface import JointSurface
 from marey.knee.marker_naming import ScannerMarkers
 from marey.knee.proximity import LIMIT_MM
-from marey.knee.reference_posture import Activity, reference_posture
+from marey.knee.reference_posture import NOISE_MM, Activity, reference_posture
 from marey.knee.sides import is_left
 from marey.knee.structures import BONE_OF_CARTILAGE, BONES, LABELS
 from marey.knee.surface import Surface
@@ -60,6 +60,8 @@ class AnimateOptions:
     frame: str = "tibia"
     views: tuple[str, ...] = DEFAULT_VIEWS
     limit_mm: float = LIMIT_MM
+    noise_mm: float = NOISE_MM
+    """Standard deviation of a marker's coordinate in the laboratory, its putting back with it."""
 
     def __post_init__(self) -> None:
         if self.side not in (None, "left", "right"):
@@ -71,6 +73,8 @@ class AnimateOptions:
             raise SettingProblem(f"--view {','.join(strange)} is none of {', '.join(VIEWS)}.")
         if not self.limit_mm > 0:
             raise SettingProblem(f"--limit is a length above 0 mm, not {self.limit_mm:g}.")
+        if not 0 < self.noise_mm < 100:
+            raise SettingProblem(f"--noise is a length above 0 and below 100 mm, not {self.noise_mm:g}.")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -96,6 +100,7 @@ class _Joining:
     sides: Mapping[str, JointSurface]
     standing: MarkerTrajectories | None
     limit_mm: float
+    noise_mm: float
 
 
 def animate(knee_folder: Path, motion_folder: Path, options: AnimateOptions, progress: Progress) -> Path:
@@ -127,7 +132,9 @@ def animate(knee_folder: Path, motion_folder: Path, options: AnimateOptions, pro
         sides, notes = joint_sides(knee.parts, _that_meet(knee.parts), left=knee.left)
         for note in notes:
             progress.warn(note)
-        joining = _Joining(knee=knee, sides=sides, standing=standing, limit_mm=options.limit_mm)
+        joining = _Joining(
+            knee=knee, sides=sides, standing=standing, limit_mm=options.limit_mm, noise_mm=options.noise_mm
+        )  # fmt: skip
         joined = _joined(joining, activity)
         _say_joined(joined, progress)
         found = _moved(joining, joined, activity, options.method or first_method(motion_folder), progress, cache)
@@ -207,8 +214,9 @@ def _that_meet(parts: Mapping[str, Surface]) -> list[str]:
 def _joined(joining: _Joining, activity: Activity) -> KneeCorrespondence:
     """Join scanner and laboratory."""
     knee = joining.knee
+    posture = reference_posture(activity, joining.standing, noise_mm=joining.noise_mm)
     return correspond(
-        knee.markers, reference_posture(activity, joining.standing), knee.bones,
+        knee.markers, posture, knee.bones,
         segment_of_label=activity.segment_of_label, left=knee.left, landmarks=knee.landmarks,
     )  # fmt: skip
 

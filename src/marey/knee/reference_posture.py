@@ -15,6 +15,8 @@ from marey.markers.bone_motion import BoneMotion
 from marey.markers.rigid_fit import FEWEST, RigidFit, fit_rigid
 from marey.markers.trajectories import MarkerTrajectories
 
+NOISE_MM = 0.5
+"""Standard deviation of a marker's coordinate, where nothing else is said."""
 _MM = 1e3
 _NO_CHANCE = 0.05
 
@@ -89,7 +91,7 @@ class ReferencePosture:
 
 
 def reference_posture(
-    activity: Activity, standing: MarkerTrajectories | None = None, *, noise_mm: float = 0.5
+    activity: Activity, standing: MarkerTrajectories | None = None, *, noise_mm: float = NOISE_MM
 ) -> ReferencePosture:
     """Find where the markers lie on the bones.
 
