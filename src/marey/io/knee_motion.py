@@ -86,7 +86,8 @@ def _joint(joint: Proximity) -> dict[str, object]:
     )
     for side, distance, centre, spread in sides:
         arrays[f"{side.name}_vertices"] = side.sources
-        arrays[f"{side.name}_distance_mm"] = distance
+        # To a micrometre: what lies behind that is chance, and does not pack.
+        arrays[f"{side.name}_distance_mm"] = np.round(distance, 3)
         arrays[f"{side.name}_centre_mm"], arrays[f"{side.name}_centre_sd_mm"] = centre, spread
     return {f"{joint.name}_{name}": value for name, value in arrays.items()}
 
