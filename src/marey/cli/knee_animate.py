@@ -20,7 +20,6 @@ from marey.knee.anatomical_frames import Landmarks
 from marey.knee.correspondence import KneeCorrespondence, bone_chain, correspond
 from marey.knee.joint_motion import (
     BASE,
-    JOINTS,
     JointMotion,
     KneeMotion,
     joint_proximities,
@@ -129,7 +128,7 @@ def animate(knee_folder: Path, motion_folder: Path, options: AnimateOptions, pro
         raise FileProblem(Path(str(options.compare)), wrong, "Compare results of the same trial.")
     files = _files(knee, motion_folder, options)
     with threadpool_limits(1), StageCache(out, [file_fingerprint(path) for path in files]) as cache:
-        sides, notes = joint_sides(knee.parts, _that_meet(knee.parts), left=knee.left)
+        sides, notes = joint_sides(knee.parts, tuple(knee.bones), left=knee.left)
         for note in notes:
             progress.warn(note)
         joining = _Joining(
@@ -204,11 +203,6 @@ def _compared(folder: Path, options: AnimateOptions) -> Activity | None:
 def _name_of(options: AnimateOptions) -> str:
     path = Path(str(options.compare))
     return first_method(path) if path.is_dir() else str(options.compare)
-
-
-def _that_meet(parts: Mapping[str, Surface]) -> list[str]:
-    """List the bones of which something can be near to another."""
-    return [bone for bone in BONES if bone in parts and any(bone in joint[1:] for joint in JOINTS)]
 
 
 def _joined(joining: _Joining, activity: Activity) -> KneeCorrespondence:

@@ -10,7 +10,7 @@ import numpy as np
 from marey.arrays import Floats, Integers, Mask, frozen
 from marey.errors import MareyError
 from marey.knee.surface import Surface
-from marey.knee.triangle_tree import SCRATCH, TriangleTree, corner_weights, nearest_triangle
+from marey.knee.triangle_tree import SCRATCH, TriangleTree, nearest_triangle
 
 FACING = 0.3
 """A face of a cartilage belongs to the joint's side when the cosine between its normal and the bone's is above this:
@@ -162,13 +162,6 @@ def _part(name: str, whole: Surface, faces: Integers, left: bool | None, bone: S
         lateral = (places[:, 0] > 0.5 * (low + high)) == left
     surface = Surface(vertices_mm=places, faces=numbers.reshape(-1, 3))
     return JointSurface(name=name, surface=surface, sources=frozen(sources, np.int64), lateral=lateral)
-
-
-def sides_of(corners_mm: Floats, places_mm: Floats) -> Integers:
-    """Tell on which part of a triangle (..., 3, 3) places (..., 3) lie, as `_feature` does: its plain meaning."""
-    there = corner_weights(corners_mm, places_mm) > _ON
-    count = there.sum(-1)
-    return np.select([count == 3, count == 2], [0, 1 + np.argmin(there, -1)], 4 + np.argmax(there, -1))
 
 
 @numba.njit(cache=True, nogil=True)
