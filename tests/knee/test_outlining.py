@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -82,3 +84,11 @@ def test_an_outline_of_two_anchors_can_be_changed(contour: Contour, wire: LiveWi
     two = drawn(wire, [ANCHORS[0], ANCHORS[2]], structure="femur", axis="k", index=3)
     moved = anchor_moved(two, wire, 0, ANCHORS[1])
     assert off_circle(moved).mean() < 0.4
+
+
+def test_anchors_that_do_not_lie_in_their_order_on_the_outline_let_it_be_drawn_anew(contour: Contour, wire: LiveWire):
+    # As on a sheet so thin that the other side is nearer to an anchor than its own.
+    turned = replace(contour, outline=contour.outline[::-1])
+    moved = anchor_moved(turned, wire, 1, contour.anchors[1])
+    assert len(moved.outline) == len(contour.outline)
+    assert off_circle(moved).mean() < 0.25

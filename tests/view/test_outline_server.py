@@ -178,6 +178,7 @@ def test_other_sites_and_other_names_are_refused(server: OutlineServer):
     assert asked(server, "/", Host="evil.example")[0] == 403
     assert asked(server, "/undo", body, Origin="http://evil.example")[0] == 403
     assert asked(server, "/undo", body, **{"Content-Type": "text/plain"})[0] == 415
+    assert asked(server, "/undo", body, **{"Content-Length": "2000000"})[0] == 413
     assert server.server_address[0] == "127.0.0.1"
 
 

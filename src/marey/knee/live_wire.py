@@ -69,14 +69,15 @@ class LiveWire:
         self.elements: BoundaryElements = boundary_elements(image, spacing_mm)
         self.edges = edge_image(image)
         """(rows, columns) the image in which `on_the_edge` finds where an outline's edge truly lies."""
+        self._trees: OrderedDict[tuple[Corner, bool], WireTree] = OrderedDict()
+        self._anchor: Corner | None = None
         self.learn(learned)
 
     def learn(self, learned: LearnedCosts | None) -> None:
         """Take other costs; an anchor that was set stays."""
         self._costs = step_costs(self.elements, learned)
         self._turned = reversed_costs(self._costs)
-        self._trees: OrderedDict[tuple[Corner, bool], WireTree] = OrderedDict()
-        self._anchor: Corner | None = getattr(self, "_anchor", None)
+        self.forget()
 
     def anchor(self, point: Sequence[float]) -> Floats:
         """Set the anchor where the wire begins, and give the place (2,) it has snapped to."""

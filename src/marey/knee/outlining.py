@@ -73,10 +73,19 @@ def anchor_places(contour: Contour) -> Integers:
     return np.asarray(np.argmin(apart, axis=1), np.int64)
 
 
+def _in_order(places: Integers) -> bool:
+    """Tell whether places follow each other once round."""
+    return int((np.diff(np.append(places, places[0])) < 0).sum()) <= 1
+
+
 def _spliced(
     contour: Contour, wire: LiveWire, sides: Sequence[Integers], start: int, end: int, anchors: Floats
 ) -> Contour:
     """Put new sides in the place of an outline's part from one anchor to another."""
+    if not _in_order(anchor_places(contour)):
+        # A sheet so thin that an anchor is nearest to its other side: nothing tells which part is which.
+        fresh = drawn(wire, anchors.tolist(), structure=contour.structure, axis=contour.axis, index=contour.index)
+        return replace(fresh, anchors=anchors)
     new = points_of(np.concatenate([*(side[:-1] for side in sides), sides[-1][-1:]]))
     places = anchor_places(contour)
     if start == end:

@@ -1,6 +1,7 @@
 """A knee whose labels are to be another one's template: its surfaces, its side, and what is wrong with it."""
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -81,6 +82,7 @@ def _notes_on_shape(name: str, mask: Mask, labels: Labels) -> list[str]:
         notes.append(f"The {spoken} is only {mask.sum() * labels.grid.voxel_mm3:.0f} mm3 large.")
     if name not in BONES:
         return notes
+    mask = mask[_box(mask, [1, 1, 1])]
     pieces, count = ndimage.label(mask)
     sizes = np.bincount(pieces.ravel())[1:]
     if count > 1 and sizes.max() < (1 - _CRUMB) * sizes.sum():
@@ -102,8 +104,12 @@ def _notes_on_cartilage(bone: str, masks: Mapping[str, Mask], labels: Labels) ->
         return [f"The {spoken} is missing: none will be found on the {bone}."] if bone in masks else []
     if bone not in masks:
         return [f"There is {spoken}, but no {bone} for it to lie on."]
-    distance = ndimage.distance_transform_edt(~masks[bone], sampling=labels.grid.array_spacing_mm)
-    away = distance[masks[cartilage]] - min(labels.grid.array_spacing_mm)
+    box = _box(masks[cartilage], [math.ceil(1.2 * _ON_BONE_MM / mm) + 1 for mm in labels.grid.array_spacing_mm])
+    if masks[bone][box].any():
+        distance = ndimage.distance_transform_edt(~masks[bone][box], sampling=labels.grid.array_spacing_mm)
+    else:
+        distance = np.full(masks[bone][box].shape, np.inf)
+    away = distance[masks[cartilage][box]] - min(labels.grid.array_spacing_mm)
     off = float((away > _ON_BONE_MM).mean())
     if off > _OFF_BONE:
         return [f"{100 * off:.0f} % of the {spoken} lies more than {_ON_BONE_MM:.0f} mm away from the {bone}."]
@@ -112,6 +118,12 @@ def _notes_on_cartilage(bone: str, masks: Mapping[str, Mask], labels: Labels) ->
     if float((away <= reach).mean()) < _LEAST_CONTACT:
         return [f"The {spoken} does not touch the {bone}: a gap lies between them."]
     return []
+
+
+def _box(mask: Mask, margins: Sequence[int]) -> tuple[slice, ...]:
+    """Where a mask lies, with margins of voxels along each axis."""
+    found = ndimage.find_objects(mask.astype(np.uint8))[0]
+    return tuple(slice(max(each.start - more, 0), each.stop + more) for each, more in zip(found, margins, strict=True))
 
 
 def _listed(names: list[str]) -> str:

@@ -65,8 +65,12 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_POST(self) -> None:
         """Do what the page asks."""
+        if not self._is_ours():
+            return
         length = int(self.headers.get("Content-Length") or 0)
-        if not self._is_ours() or length > _LONGEST:
+        if length > _LONGEST:
+            self.close_connection = True
+            self._send(413, _JSON, b'{"error": "This is more than an outline."}')
             return
         body = self.rfile.read(length)
         # A form of another site cannot send this kind without asking first, which is never answered.

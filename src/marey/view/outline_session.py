@@ -67,8 +67,8 @@ class OutlineSession:
         self._sides: dict[tuple[Corner, Corner], tuple[Integers, int]] = {}
         self._current: tuple[str, int, str, int] | None = None
         self._lock = RLock()
-        low, high = np.percentile(volume.intensity, [0.0, 100.0])
-        self._range = float(low), float(max(high, low + 1e-6))
+        low, high = float(volume.intensity.min()), float(volume.intensity.max())
+        self._range = low, max(high, low + 1e-6)
 
     def about(self) -> Reply:
         """Tell what the page must know once."""
