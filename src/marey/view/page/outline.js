@@ -136,9 +136,10 @@ function showState() {
 
 let shown = 0;
 async function show(newAxis, newIndex) {
+  if (draft.length) { showState(); say("Close the outline first (Enter), or give it up (Escape)."); return; }
   axis = newAxis; index = Math.max(0, Math.min(about.counts[axis] - 1, newIndex));
   const mine = ++shown, where = `axis=${axis}&index=${index}`;
-  draft = []; wire = null; preview = null; drag = null; hover = null; between = {};
+  wire = null; preview = null; drag = null; hover = null; between = {};
   await tried(async () => {
     const [pixels, state] = await Promise.all([ask(`/slice?${where}`).then((each) => each.arrayBuffer()), told(`/state?${where}`)]);
     if (mine !== shown) return;
@@ -265,7 +266,7 @@ view.addEventListener("contextmenu", (event) => event.preventDefault());
 $("stage").addEventListener("wheel", (event) => {
   event.preventDefault();
   if (event.ctrlKey) zoomBy(event.deltaY < 0 ? 1.15 : 1 / 1.15, placeOf(event));
-  else if (!draft.length) show(axis, index + (event.deltaY > 0 ? 1 : -1));
+  else show(axis, index + (event.deltaY > 0 ? 1 : -1));
 }, { passive: false });
 function zoomBy(factor, place) {
   const kept_at = inSlice(place);
@@ -275,7 +276,8 @@ function zoomBy(factor, place) {
   draw();
 }
 function chosen(name) {
-  structure = name; draft = []; wire = null; hover = null;
+  if (draft.length) { say("Close the outline first (Enter), or give it up (Escape)."); return; }
+  structure = name; hover = null;
   showState();
   tried(() => told("/prepare", { axis, index, structure }));
 }
@@ -285,7 +287,7 @@ async function removeAnchor() {
 window.addEventListener("keydown", (event) => {
   const middle = [view.clientWidth / 2, view.clientHeight / 2];
   const keys = {
-    Enter: closeDraft, Escape: () => { draft = []; wire = null; showState(); }, Backspace: () => draft.length && undo(), Delete: removeAnchor,
+    Enter: closeDraft, Escape: () => { draft = []; wire = null; say(""); showState(); }, Backspace: () => draft.length && undo(), Delete: removeAnchor,
     ArrowUp: () => show(axis, index + 1), ArrowDown: () => show(axis, index - 1), PageUp: () => show(axis, index + 8), PageDown: () => show(axis, index - 8),
     "+": () => zoomBy(1.25, middle), "-": () => zoomBy(0.8, middle), 0: () => { zoom = 1; shift = [0, 0]; draw(); }, a: () => $("accept").click(),
   };
