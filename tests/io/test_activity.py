@@ -5,7 +5,7 @@ import pytest
 from tests.made_scans import made_scan
 
 from marey.errors import FileProblem
-from marey.io.activity import read_activity
+from marey.io.activity import first_method, read_activity, room_is_y_up
 from marey.io.bones import BoneFile, write_bones
 from marey.io.c3d import write_c3d
 from marey.io.marker_results import write_marker_motion
@@ -69,3 +69,15 @@ def test_a_folder_without_bones_and_one_with_other_frames_are_errors(folder, tmp
     write_bones(folder / "bones.npz", BoneFile(motion=cut, time=np.arange(4) / 100))
     with pytest.raises(FileProblem, match="6 frames of markers and 4 of bones"):
         read_activity(folder)
+
+
+def test_the_first_method_is_that_of_the_record_else_the_folder_s_name(folder):
+    assert first_method(folder) == "skin"
+    (folder / "run.json").write_text("{}", encoding="utf-8")
+    assert first_method(folder) == folder.name
+
+
+def test_a_room_is_y_up_where_the_trial_was_a_trc(folder):
+    assert not room_is_y_up(folder)
+    (folder / "run.json").write_text(json.dumps({"inputs": {"walk.TRC": "", "frame0.npz": ""}}), encoding="utf-8")
+    assert room_is_y_up(folder)
