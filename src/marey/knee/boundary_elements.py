@@ -16,16 +16,21 @@ FEATURES = ("inside", "outside", "across", "magnitude")
 """Intensity on the left and on the right of a step; how it rises to the right, and in whatever direction, per mm."""
 _BLUR_PIXELS = 1.0
 _BLUR_MM = 0.6
+"""Standard deviation of the smoothing before features are measured: the smaller of the two."""
 _REACH_MM = 0.7
+"""So far from the edge its inside and outside are read, a pixel at least."""
 _FLOOR = 0.05
 """What a step costs at least, as a share of the most: of two outlines as good the shorter one is taken."""
 _BORDER = 0.15
+"""What a step along the border of the slice costs, as such a share."""
 _CLEAR = 1.5
 """Gradients of so many times the usual one are as much edge as not, before anything is learned."""
 _QUANTILES = 21
 _RARITY = 4.0
+"""Logarithm of the odds against a step being on an outline, before its features are looked at."""
 _FEWEST = 40
 _SPREAD = 1.5
+"""Classes over which counts are smoothed: standard deviation."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

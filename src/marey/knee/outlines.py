@@ -6,12 +6,15 @@ from scipy import ndimage
 from marey.arrays import Floats, Mask
 
 _SMOOTHING = 2.0
+"""Of an outline along itself, in points: standard deviation."""
 _REACH = 1.5
 _NEAR = 1.0
+"""Places along the normal count within the reach, by a Gaussian of this deviation [px]."""
 _STEP = 0.1
 _SHARPNESS = 4
 _EDGE_BLUR = 0.7
 _CROSSING = 1.0
+"""The image is read so much farther out [px], for differences at the reach's ends."""
 
 
 def filled(outline: Floats, shape: tuple[int, int]) -> Mask:
