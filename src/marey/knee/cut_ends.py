@@ -9,14 +9,20 @@ from marey.arrays import Floats, Mask, frozen
 from marey.knee.surface import Surface
 
 LEAST_CUT_MM2 = 200.0
-"""A flat end is at least so large: a rounded one of 50 mm radius has 60 mm2 so near a plane."""
-FLAT_MM = 0.2
-"""It lies so near a plane; smoothing rounds only its edge by more."""
+"""A flat end is at least so large."""
+FLAT_MM = 0.6
+"""It lies so near a plane: labels often end by a step of half a voxel, not all at one height."""
 ALIGNED = 0.99
 """Cosine of the angle by which its faces may lean, 8 degrees."""
+EVEN = np.radians(4.4)
+"""The root mean square of that angle is less: it is 5.7 degrees in a cap of a ball, and 1 to 4.4 in cut shafts."""
+LEANING = 0.94
+"""The same, 20 degrees, before the plane's own slant is known."""
 _CANDIDATES = 300
 SAME_END = 0.9
 """Planes of normals nearer than that are one."""
+SAME = 0.995
+"""Cosine of the angle, 6 degrees, within which no second plane is tried."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -45,20 +51,35 @@ def cut_planes(surface: Surface) -> tuple[CutPlane, ...]:
     size = _areas(surface.vertices_mm[hull.simplices])
     large = np.argsort(-size)[:_CANDIDATES]
     spread = (normals[large] @ normals.T > ALIGNED) @ size
-    area, middle = surface.face_areas_mm2, surface.corners_mm.mean(1)
-    facing = surface.face_normals
     planes: list[CutPlane] = []
-    for simplex in large[np.argsort(-spread)[: np.count_nonzero(spread > LEAST_CUT_MM2)]]:
-        normal, offset = normals[simplex], offsets[simplex]
-        if any(plane.normal @ normal > SAME_END for plane in planes):
+    round_ends: list[Floats] = []
+    for simplex in large[np.argsort(-spread)[: np.count_nonzero(spread > LEAST_CUT_MM2 / 2)]]:
+        normal = normals[simplex]
+        if any(plane.normal @ normal > SAME_END for plane in planes) or any(end @ normal > SAME for end in round_ends):
             continue
-        within = (facing @ normal > ALIGNED) & (np.abs(middle @ normal + offset) < FLAT_MM)
-        if area[within].sum() < LEAST_CUT_MM2:
-            continue
+        plane = _flat_end(surface, normal, offsets[simplex])
+        if plane is None:
+            round_ends.append(normal)
+        elif not any(known.normal @ plane.normal > SAME_END for known in planes):
+            planes.append(plane)
+    return tuple(planes)
+
+
+def _flat_end(surface: Surface, normal: Floats, offset: float) -> CutPlane | None:
+    """Lay a plane through the faces about one that touches a bone; none where they are too few or round."""
+    near = np.flatnonzero(surface.face_normals @ normal > LEANING)
+    area, facing, middle = surface.face_areas_mm2[near], surface.face_normals[near], surface.corners_mm[near].mean(1)
+    point = -offset * normal
+    for _ in range(3):
+        within = (facing @ normal > ALIGNED) & (np.abs((middle - point) @ normal) < FLAT_MM)
+        if area[within].sum() < LEAST_CUT_MM2 / 2:
+            return None
         point = np.average(middle[within], axis=0, weights=area[within])
         mean = area[within] @ facing[within]
-        planes.append(CutPlane(point_mm=point, normal=mean / np.linalg.norm(mean)))
-    return tuple(planes)
+        normal = mean / np.linalg.norm(mean)
+    leaning = np.arccos(np.clip(facing[within] @ normal, -1, 1))
+    even = np.sqrt(np.average(leaning**2, weights=area[within])) < EVEN
+    return CutPlane(point_mm=point, normal=normal) if even and area[within].sum() > LEAST_CUT_MM2 else None
 
 
 def known_faces(surface: Surface, planes: tuple[CutPlane, ...], margin_mm: float) -> Mask:

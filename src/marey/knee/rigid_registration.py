@@ -16,6 +16,7 @@ from marey.errors import MareyError
 from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
 from marey.knee.cut_ends import CutPlane, cut_planes, known_faces
+from marey.knee.registration_covariance import bounded_stiffness, pulls_covariance, smoothed_normals
 from marey.knee.surface import Surface
 from marey.knee.triangle_tree import TriangleTree
 
@@ -35,8 +36,8 @@ LEAST_SHARE = 0.3
 """At least such a share of the points must find a place."""
 FARTHEST_MM = 6.0
 """A template whose surface lies farther off than this on average is no such bone."""
-_PATCH_MM = 20.0
-"""Deviations of places nearer than this are taken for dependent, in the covariance."""
+_NUDGE_MM = 0.5
+"""By such a shift, and turns of the same size, the stiffness is measured."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -223,7 +224,7 @@ def _descend(
         for _ in range(steps):
             weight = _weights(fit, scale)
             about = motion.apply(centre)
-            jacobian = np.concatenate([np.cross(fit.moved - about, fit.normals), fit.normals], axis=1)
+            jacobian = _jacobian(fit, about)
             hessian = jacobian.T @ (weight[:, None] * jacobian)
             gradient = jacobian.T @ (weight * fit.residual)
             floor = 1e-9 * np.diag(hessian).max() + 1e-12
@@ -277,23 +278,44 @@ def _result(
         )
     return RigidRegistration(
         subject_from_template=motion,
-        covariance=_covariance(fit, scale, motion.apply(centre)),
+        covariance=_covariance(motion, points, supports, motion.apply(centre), scale),
         residual_mm=float(np.sqrt(np.mean(fit.residual[lying] ** 2))),
         surface_distance_mm=distance,
         used=float(lying.mean()),
     )
 
 
-def _covariance(fit: _Fit, scale: float, about: Floats) -> Floats:
-    """Give the covariance (6, 6): within a patch deviations are one, so the patches' pulls are what scatters."""
-    weight = _weights(fit, scale)
-    jacobian = np.concatenate([np.cross(fit.moved - about, fit.normals), fit.normals], axis=1)
-    patch = np.unique(np.floor(fit.moved / _PATCH_MM), axis=0, return_inverse=True)[1].reshape(-1)
-    pulls = np.zeros((patch.max() + 1, 6))
-    np.add.at(pulls, patch, (weight * fit.residual)[:, None] * jacobian)
-    # How the pull of a point changes with its residual: less than its weight says, for the weight falls, too.
+def _covariance(motion: RigidTransform, points: Points, supports: Supports, about: Floats, scale: float) -> Floats:
+    """Give the covariance (6, 6): what the deviations pull, over how the pull changes with the motion.
+
+    The change of the pull is measured: by the planes' slopes alone a rough surface would seem to hold better than it
+    does, for what is rough has slopes, too, and they give way.
+    """
+    fit = _residuals(motion, points, supports)
+    lying = fit.matched & (np.abs(fit.residual) < 2 * scale)
+    weight, jacobian = _weights(fit, scale), _jacobian(fit, about)
     squared = (fit.residual / scale) ** 2
-    stiffness = np.where(fit.matched, (1 - 3 * squared) / (1 + squared) ** 3, 0.0).sum() / weight.sum()
-    inverse = np.linalg.pinv(max(stiffness, 0.1) * jacobian.T @ (weight[:, None] * jacobian))
-    count = len(pulls)
-    return np.asarray(inverse @ (pulls.T @ pulls) @ inverse * count / max(count - 6, 1))
+    # How the pull of a point changes with its residual: less than its weight says, for the weight falls, too.
+    falling = np.where(fit.matched, (1 - 3 * squared) / (1 + squared) ** 3, 0.0).sum() / weight.sum()
+    supposed = max(falling, 0.1) * jacobian.T @ (weight[:, None] * jacobian)
+    reach = np.sqrt(np.mean(np.sum((fit.moved - about) ** 2, axis=1)))
+    nudges = _NUDGE_MM * np.diag(np.repeat([1 / reach, 1.0], 3))
+    measured = np.zeros((6, 6))
+    for row, nudge in enumerate(nudges):
+        ahead, behind = (_pull(_stepped(motion, step, about), points, supports, about, scale) for step in (nudge, -nudge))
+        measured[row] = (ahead - behind) / (2 * nudge[row])
+    inverse = np.linalg.inv(bounded_stiffness((measured + measured.T) / 2, supposed))
+    smooth = _Fit(fit.residual, fit.matched, smoothed_normals(fit.moved, fit.normals), fit.moved)
+    pulls = pulls_covariance(fit.moved[lying], (weight * fit.residual)[lying], _jacobian(smooth, about)[lying])
+    return np.asarray(inverse @ pulls @ inverse)
+
+
+def _pull(motion: RigidTransform, points: Points, supports: Supports, about: Floats, scale: float) -> Floats:
+    """Give half the slope (6,) of the robust cost, summed."""
+    fit = _residuals(motion, points, supports)
+    return np.asarray(_jacobian(fit, about).T @ (_weights(fit, scale) * fit.residual))
+
+
+def _jacobian(fit: _Fit, about: Floats) -> Floats:
+    """Give the derivatives (N, 6) of the residuals by a turn about a point, and a shift."""
+    return np.concatenate([np.cross(fit.moved - about, fit.normals), fit.normals], axis=1)

@@ -1,0 +1,36 @@
+"""Meshes of bones as users give them: read, and checked for what goes wrong with them."""
+
+from pathlib import Path
+
+from marey.cli.progress import Progress
+from marey.errors import FileProblem
+from marey.io.meshes import read_mesh
+from marey.knee.orientation import turned_alike
+from marey.knee.surface import Surface
+
+SMALLEST_MM, LARGEST_MM = 10.0, 700.0
+"""The longest side of a bone of a knee, a patella or a whole femur, lies between them."""
+
+
+def read_bone(path: Path, progress: Progress) -> Surface:
+    """Read a bone's mesh; faces that turn another way than their neighbours are turned, and that is said.
+
+    The vertices stay as they are, in number and order.
+
+    Raises:
+        FileProblem: It cannot be read, or its size is not that of a bone in millimetres.
+    """
+    surface = read_mesh(path)
+    used = surface.vertices_mm[surface.faces]
+    longest = float((used.max((0, 1)) - used.min((0, 1))).max())
+    if not SMALLEST_MM < longest < LARGEST_MM:
+        remedy = "Meshes are in millimetres here (GLB alone in metres)."
+        for factor, unit in ((1000.0, "metres"), (10.0, "centimetres"), (0.001, "micrometres")):
+            if SMALLEST_MM < factor * longest < LARGEST_MM:
+                remedy = f"Is it in {unit}? {remedy} Multiply its coordinates by {factor:g}."
+                break
+        raise FileProblem(path, f"is {longest:.3g} mm long, which no bone of a knee is", remedy)
+    alike, turned = turned_alike(surface)
+    if turned.any():
+        progress.warn(f"{path.name}: {turned.sum()} of {len(turned)} faces turned inward; they were turned.")
+    return alike

@@ -1,0 +1,82 @@
+"""How sure a registration is where the deviations of neighbouring places go together."""
+
+import numpy as np
+from scipy import sparse
+from scipy.optimize import nnls
+from scipy.spatial import cKDTree
+
+from marey.arrays import Floats, Integers
+
+LENGTHS_MM = (0.7, 1.5, 3.0, 5.0, 8.0, 12.0, 18.0)
+"""Deviations are a sum of parts that are smooth over such lengths, and of one that is a place's own."""
+_BIN_MM = 1.0
+_FAR_MM = 30.0
+"""Pairs farther apart say nothing that the six numbers of the motion have not taken away."""
+_POINTS = 1000
+"""So many places are looked at, by pairs."""
+_SMOOTH_MM = 4.0
+"""Roughness finer than this is no shape of the bone."""
+
+
+def pulls_covariance(places_mm: Floats, deviations: Floats, jacobian: Floats) -> Floats:
+    """Give the covariance (6, 6) of jacobian.T @ deviations, whatever length the deviations are smooth over.
+
+    The mean product of two places' deviations, by how far they lie apart, is taken for a sum of Gaussians of
+    `LENGTHS_MM`; their shares are found by least squares, none below nothing. What the fit has taken away from the
+    deviations is taken away from each Gaussian, too.
+
+    Args:
+        places_mm: (N, 3).
+        deviations: (N,) what is left after the fit, weighted.
+        jacobian: (N, 6) of the fitted numbers.
+    """
+    chosen = np.random.default_rng(0).permutation(len(places_mm))[:_POINTS]
+    slopes, left = jacobian[chosen], deviations[chosen]
+    apart = np.linalg.norm(places_mm[chosen][:, None] - places_mm[chosen], axis=2)
+    parts = [np.eye(len(chosen)), *(np.exp(-0.5 * (apart / length) ** 2) for length in LENGTHS_MM)]
+    bins = np.where(apart < _FAR_MM, 1 + (apart / _BIN_MM).astype(int), 0)
+    np.fill_diagonal(bins, bins.max() + 1)
+    fitted = np.linalg.qr(slopes / np.maximum(np.linalg.norm(slopes, axis=0), 1e-12))[0]
+    table = np.stack([_by_distance(_less_fit(part, fitted), bins) for part in parts], 1)
+    seen = _by_distance(np.outer(left, left), bins)
+    weight = np.sqrt(np.bincount(bins.ravel()))
+    weight[0] = 0.0
+    shares = nnls(weight[:, None] * table, weight * seen)[0]
+    # The places stand for all: of pairs there are as many more as the square of what of places there are more.
+    more = len(places_mm) / len(chosen)
+    together = sum(share * (slopes.T @ part @ slopes) for share, part in zip(shares[1:], parts[1:], strict=True))
+    return np.asarray(more * shares[0] * slopes.T @ slopes + more**2 * together)
+
+
+def _less_fit(matrix: Floats, fitted: Floats) -> Floats:
+    """Take away from a covariance (N, N) what a fit of columns (N, 6) takes away."""
+    half = matrix - fitted @ (fitted.T @ matrix)
+    return np.asarray(half - (half @ fitted) @ fitted.T)
+
+
+def _by_distance(matrix: Floats, bins: Integers) -> Floats:
+    """Give the means of a matrix's terms, bin by bin."""
+    flat = bins.ravel()
+    return np.asarray(np.bincount(flat, matrix.ravel()) / np.maximum(np.bincount(flat), 1))
+
+
+def bounded_stiffness(measured: Floats, supposed: Floats) -> Floats:
+    """Take a measured stiffness (6, 6) where it lies between a fifth and twice the supposed one along each direction."""
+    scale = np.sqrt(np.maximum(np.diag(supposed), 1e-12 * np.diag(supposed).max() + 1e-300))
+    values, vectors = np.linalg.eigh(supposed / np.outer(scale, scale))
+    root = vectors * np.sqrt(np.maximum(values, 1e-12 * values.max()))
+    inverse = np.linalg.inv(root)
+    shares, turns = np.linalg.eigh(inverse @ (measured / np.outer(scale, scale)) @ inverse.T)
+    back = root @ turns
+    return np.asarray((back * np.clip(shares, 0.2, 2.0)) @ back.T * np.outer(scale, scale))
+
+
+def smoothed_normals(places_mm: Floats, normals: Floats) -> Floats:
+    """Give the mean normals (N, 3) of the places about each: those of the bone under its roughness."""
+    summed = np.empty_like(normals)
+    tree = cKDTree(places_mm)
+    for part in np.array_split(np.arange(len(places_mm)), max(len(places_mm) // 1000, 1)):
+        pairs = cKDTree(places_mm[part]).sparse_distance_matrix(tree, 2 * _SMOOTH_MM, output_type="coo_matrix")
+        near = np.exp(-0.5 * (pairs.data / _SMOOTH_MM) ** 2)
+        summed[part] = sparse.coo_matrix((near, (pairs.row, pairs.col)), shape=pairs.shape) @ normals
+    return np.asarray(summed / np.maximum(np.linalg.norm(summed, axis=1, keepdims=True), 1e-12))
