@@ -17,18 +17,45 @@ def test_a_bone_of_the_other_side_is_registered(tmp_path: Path, capsys):
     motion = RigidTransform.from_vector(np.radians([10.0, -5, 20]), np.array([20.0, -10, 5]))
     write_mesh(tmp_path / "template.ply", mirrored(bone))
     write_mesh(tmp_path / "femur.ply", Surface(vertices_mm=motion.apply(bone.vertices_mm), faces=bone.faces))
-    arguments = ["knee", "register", str(tmp_path / "template.ply"), str(tmp_path / "femur.ply"), "--mirror"]
-    assert run([*arguments, "--quiet"]) == 0
+    assert run(["knee", "register", str(tmp_path / "template.ply"), str(tmp_path / "femur.ply")]) == 0
+    assert "other side" in capsys.readouterr().err
     out = tmp_path / "femur_marey"
     np.testing.assert_allclose(read_rigid(out / "rigid.json"), motion.matrix @ MIRROR, atol=1e-3)
     np.testing.assert_allclose(read_mesh(out / "registered.ply").vertices_mm, motion.apply(bone.vertices_mm), atol=0.05)
-    assert json.loads((out / "rigid.json").read_text())["least_jacobian_determinant"] > 0
+    about = json.loads((out / "rigid.json").read_text(encoding="utf-8"))
+    assert about["least_jacobian_determinant"] > 0
+    assert about["mirrored"]
+    assert about["side_clear"]
+    assert len(about["sd_mm"]) == len(about["sd_deg"]) == 3
+
+
+def test_meshes_as_people_have_them_are_told_and_mended(tmp_path: Path, capsys):
+    bone = made_bone(shaft_mm=30.0, size=0.55, fine=3)
+    write_mesh(tmp_path / "femur.stl", bone)
+    faces = bone.faces.copy()
+    faces[:40] = faces[:40, ::-1]
+    # Single triangles, some of them inside out, in the order of their corners.
+    soup = Surface(vertices_mm=bone.vertices_mm[faces].reshape(-1, 3), faces=np.arange(faces.size).reshape(-1, 3))
+    write_mesh(tmp_path / "template.ply", soup)
+    arguments = ["knee", "register", str(tmp_path / "template.ply"), str(tmp_path / "femur.stl"), "--no-mirror"]
+    assert run(arguments) == 0
+    assert "40 of" in capsys.readouterr().err
+    registered = read_mesh(tmp_path / "femur_marey" / "registered.ply").vertices_mm
+    np.testing.assert_allclose(registered, soup.vertices_mm, atol=0.1)
+
+
+def test_metres_are_told(tmp_path: Path, capsys):
+    bone = made_bone(fine=3)
+    write_mesh(tmp_path / "femur.ply", bone)
+    write_mesh(tmp_path / "metres.ply", Surface(vertices_mm=bone.vertices_mm / 1000, faces=bone.faces))
+    assert run(["knee", "register", str(tmp_path / "metres.ply"), str(tmp_path / "femur.ply"), "--quiet"]) == 2
+    assert "Is it in metres?" in capsys.readouterr().err
 
 
 def test_bones_that_do_not_fit_leave_nothing(tmp_path: Path, capsys):
     bone = made_bone(fine=3)
     write_mesh(tmp_path / "template.ply", bone)
-    write_mesh(tmp_path / "whale.ply", Surface(vertices_mm=8 * bone.vertices_mm, faces=bone.faces))
+    write_mesh(tmp_path / "whale.ply", Surface(vertices_mm=6 * bone.vertices_mm, faces=bone.faces))
     assert run(["knee", "register", str(tmp_path / "template.ply"), str(tmp_path / "whale.ply"), "--quiet"]) == 2
     assert "does not fit whale.ply" in capsys.readouterr().err
     assert not (tmp_path / "whale_marey").exists()

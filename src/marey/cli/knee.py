@@ -112,18 +112,24 @@ def thickness(
 def register(
     template: Annotated[Path, typer.Argument(metavar="TEMPLATE.ply", help="A bone of somebody else.")],
     subject: Annotated[Path, typer.Argument(metavar="SUBJECT.ply", help="The same bone of the subject.")],
-    mirror: Annotated[bool, typer.Option("--mirror", help="Mirror the template, of the other side, first.")] = False,
+    mirror: Annotated[
+        bool | None,
+        typer.Option(
+            "--mirror/--no-mirror", help="The template is, or is not, of the other side. [default: found out]"
+        ),
+    ] = None,
     out: _Out = None,
     quiet: Quiet = False,
 ) -> None:
     """Lay a template's bone on a subject's: by a rigid motion, then bent.
 
-    The template may lie 30 degrees and 30 mm off. Leaves `rigid.json` (`subject_from_template`, 4x4, mm) and
-    `registered.ply` (the template's vertices, in their order, on the subject) in `SUBJECT_marey`, or in DIR.
+    The template may lie 30 degrees and 30 mm off and be of either side. Leaves `rigid.json` (`subject_from_template`,
+    4x4, mm, `sd_deg`, `sd_mm`, `mirrored`) and `registered.ply` (the template's vertices, in their order, on the
+    subject) in `SUBJECT_marey`, or in DIR.
 
     Examples:
     * `marey knee register atlas_femur.ply femur.ply`
-    * `marey knee register left_femur.ply right_femur.ply --mirror --out femur`
+    * `marey knee register left_patella.ply right_patella.ply --mirror --out patella`
     """
     from marey.cli.knee_register import register as register_bones
     from marey.cli.progress import Progress

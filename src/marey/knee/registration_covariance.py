@@ -61,7 +61,7 @@ def _by_distance(matrix: Floats, bins: Integers) -> Floats:
 
 
 def bounded_stiffness(measured: Floats, supposed: Floats) -> Floats:
-    """Take a measured stiffness (6, 6) where it lies between a fifth and twice the supposed one along each direction."""
+    """Take a measured stiffness (6, 6), but no less than a fifth and no more than twice the supposed one."""
     scale = np.sqrt(np.maximum(np.diag(supposed), 1e-12 * np.diag(supposed).max() + 1e-300))
     values, vectors = np.linalg.eigh(supposed / np.outer(scale, scale))
     root = vectors * np.sqrt(np.maximum(values, 1e-12 * values.max()))

@@ -24,6 +24,8 @@ COARSE, FINE = 400, 4000
 """Points of the template by which starts are tried, and by which the best is refined."""
 TRIED_TURN = np.radians(22.0)
 """How far the starts lie from the given one, about each axis."""
+ROUGHLY = 2e-3
+"""On the first round a start is left when a step lowers its cost by less than this share."""
 KEPT = 4
 """So many of the starts are refined further."""
 COARSE_MM, FINEST_MM = 6.0, 0.15
@@ -137,7 +139,7 @@ def register_rigidly(
     tried = []
     starts = _starts(template, subject, centre, start)
     for n, first in enumerate(starts):
-        motion = _descend(first, few, supports, centre, scales=(COARSE_MM, COARSE_MM / 2), steps=8)
+        motion = _descend(first, few, supports, centre, scales=(COARSE_MM, COARSE_MM / 2), steps=8, enough=ROUGHLY)
         tried.append((_both_ways(motion, few, supports, back), n, motion))
         done(0.7 * (n + 1) / len(starts))
     tried.sort(key=lambda item: item[:2])
@@ -215,9 +217,19 @@ def _scale(fit: _Fit) -> float:
 
 
 def _descend(
-    motion: RigidTransform, points: Points, supports: Supports, centre: Floats, *, scales: tuple[float, ...], steps: int
+    motion: RigidTransform,
+    points: Points,
+    supports: Supports,
+    centre: Floats,
+    *,
+    scales: tuple[float, ...],
+    steps: int,
+    enough: float = 0.0,
 ) -> RigidTransform:
-    """Lower the robust cost by Levenberg-Marquardt; the places are found anew for every motion that is tried."""
+    """Lower the robust cost by Levenberg-Marquardt; the places are found anew for every motion that is tried.
+
+    A step that lowers it by a smaller share than enough is the last.
+    """
     for scale in scales:
         damping = 1e-2
         fit = _residuals(motion, points, supports)
@@ -237,7 +249,10 @@ def _descend(
                 damping = 5 * max(damping, 1e-4)
             else:
                 break
+            gained = 1 - _cost(tried, scale) / max(_cost(fit, scale), 1e-300)
             motion, fit, damping = trial, tried, damping / 5
+            if gained < enough:
+                break
             if np.abs(step[:3]).max() < 1e-6 and np.abs(step[3:]).max() < 1e-4:
                 break
     return motion
@@ -302,7 +317,9 @@ def _covariance(motion: RigidTransform, points: Points, supports: Supports, abou
     nudges = _NUDGE_MM * np.diag(np.repeat([1 / reach, 1.0], 3))
     measured = np.zeros((6, 6))
     for row, nudge in enumerate(nudges):
-        ahead, behind = (_pull(_stepped(motion, step, about), points, supports, about, scale) for step in (nudge, -nudge))
+        ahead, behind = (
+            _pull(_stepped(motion, step, about), points, supports, about, scale) for step in (nudge, -nudge)
+        )
         measured[row] = (ahead - behind) / (2 * nudge[row])
     inverse = np.linalg.inv(bounded_stiffness((measured + measured.T) / 2, supposed))
     smooth = _Fit(fit.residual, fit.matched, smoothed_normals(fit.moved, fit.normals), fit.moved)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -9,7 +10,7 @@ from marey.arrays import Floats, Mask
 from marey.errors import MareyError
 from marey.geometry import rotations
 from marey.knee.cut_ends import cut_planes
-from marey.knee.rigid_registration import RigidRegistration, Supports, register_rigidly, spread_points
+from marey.knee.rigid_registration import Points, RigidRegistration, Supports, register_rigidly, spread_points
 from marey.knee.sides import mirrored
 from marey.knee.surface import Surface
 
@@ -61,20 +62,26 @@ def register_on_either_side(
     if mirror is not None:
         rigid = register_rigidly(mirrored(template) if mirror else template, subject, done=done)
         return SidedRegistration(rigid=rigid, mirrored=mirror, same_side_mm=np.nan, other_side_mm=np.nan)
-    found: list[tuple[float, RigidRegistration | None]] = []
+    found: dict[bool, RigidRegistration] = {}
+    distance = {False: np.inf, True: np.inf}
     problems = []
-    for n, side in enumerate((template, mirrored(template))):
+    for flipped in (False, True):
+        side = mirrored(template) if flipped else template
         try:
-            fit = register_rigidly(side, subject, done=lambda share, n=n: done((n + share) / 2))
-            found.append((_scaled_distance(side, subject, fit), fit))
+            found[flipped] = register_rigidly(side, subject, done=partial(_told, done, flipped))
+            distance[flipped] = _scaled_distance(side, subject, found[flipped])
         except MareyError as error:
             problems.append(error)
-            found.append((np.inf, None))
-    (same, first), (other, second) = found
-    rigid = second if other < same else first
-    if rigid is None:
+    if not found:
         raise problems[0]
-    return SidedRegistration(rigid=rigid, mirrored=other < same, same_side_mm=same, other_side_mm=other)
+    better = distance[True] < distance[False]
+    return SidedRegistration(
+        rigid=found[better], mirrored=better, same_side_mm=distance[False], other_side_mm=distance[True]
+    )
+
+
+def _told(done: Callable[[float], None], second: bool, share: float) -> None:
+    done((second + share) / 2)
 
 
 def _scaled_distance(template: Surface, subject: Surface, start: RigidRegistration) -> float:
@@ -99,7 +106,7 @@ def _scaled_distance(template: Surface, subject: Surface, start: RigidRegistrati
 
 
 def _deviations(
-    pairs: list[tuple], matrix: Floats, shift: Floats
+    pairs: list[tuple[Points, Supports]], matrix: Floats, shift: Floats
 ) -> tuple[Floats, Floats, Floats, Mask]:
     """Give places and normals in the subject, deviations along them, and which places have a counterpart."""
     (own, subject), (other, template) = pairs
