@@ -15,5 +15,5 @@ def test_the_table_names_the_machine_and_every_speed(capsys, monkeypatch):
     speeds = bench.bench(None)
     shown = " ".join(capsys.readouterr().out.split())
     assert "cores" in shown
-    assert len(speeds) == 3
+    assert len(speeds) == 4
     assert "2.00 ms" in shown

@@ -35,6 +35,7 @@ from marey.images.silhouettes import segment
 from marey.io.calibration import read_rig
 from marey.io.take import open_take
 from marey.io.video import read_picture
+from marey.knee.live_wire import LiveWire
 from marey.observations.correspondence import view_of
 from marey.observations.silhouette import SilhouettePlanes
 
@@ -42,6 +43,8 @@ CORRESPONDENCES = 5000
 SOLVE_LIMIT_MS = 1.0
 LEVEL_SET_LIMIT_MS = 10.0
 FRAMES_LIMIT_HZ = 8.0
+WIRE_LIMIT_MS = 50.0
+WIRE_SIDE = 512
 AFTER_POSE = ("Comparison", "Results", "Overlays", "Report")
 """Stages of a capture that only tell of the poses."""
 _SEED = 20060101
@@ -70,7 +73,7 @@ def bench(trial: Path | None, *, example: Path | None = None) -> list[Speed]:
     """
     cv2.setNumThreads(1)
     with threadpool_limits(1):
-        speeds = [*solve_speeds(), drawing_speed()]
+        speeds = [*solve_speeds(), drawing_speed(), wire_speed()]
         if example is not None:
             speeds += [*silhouette_speeds(example), surface_speed()]
     if trial is not None:
@@ -234,6 +237,21 @@ def surface_speed() -> Speed:
     seconds, count = surface_seconds()
     return Speed(what=f"surface, {SIDE}x{SIDE} triplet every {SPACING} px", measured=f"{seconds:.1f} s",
                  beside=f"limit {SURFACE_LIMIT_S:g} s", remark=f"{count} points, all cores")  # fmt: skip
+
+
+def wire_speed() -> Speed:
+    """Time the live wire's longest answer: from an anchor just set in one corner of a slice to the pointer opposite."""
+    row, column = np.mgrid[:WIRE_SIDE, :WIRE_SIDE]
+    disc = 60.0 * (np.hypot(row - WIRE_SIDE / 2, column - WIRE_SIDE / 2) < WIRE_SIDE / 3)
+    wire = LiveWire(disc + np.random.default_rng(_SEED).normal(0, 10, disc.shape), (0.3, 0.3))
+
+    def move() -> None:
+        wire.forget()
+        wire.anchor((0, 0))
+        wire.path_to((WIRE_SIDE, WIRE_SIDE))
+
+    return Speed(what=f"live wire's first move across a slice of {WIRE_SIDE}x{WIRE_SIDE}",
+                 measured=f"{median_ms(move, repeats=15):.2f} ms", beside=f"limit {WIRE_LIMIT_MS:g} ms")  # fmt: skip
 
 
 def _peer_level_set(picture: Image, start: Mask) -> Callable[[], object] | None:
