@@ -14,7 +14,7 @@ RADIUS_MM = 26.0
 """Of the limb, a cylinder along z."""
 
 
-def limb_grid(spacing: tuple[float, float, float], *, turn: float = 0.2, length_mm: float = 44.0) -> Grid:
+def limb_grid(spacing: tuple[float, float, float], *, turn: float = 0.2, length_mm: float = 36.0) -> Grid:
     """About 84 x 84 mm across the limb, turned a little about z; the first two axes point right and forward."""
     counts = np.ceil(np.array([84.0, 84.0, length_mm]) / spacing).astype(int)
     axes = np.array([[-np.cos(turn), np.sin(turn), 0], [-np.sin(turn), -np.cos(turn), 0], [0, 0, 1]])

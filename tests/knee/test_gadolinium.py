@@ -1,16 +1,18 @@
 import numpy as np
 import pytest
+import trimesh
 from tests.made_balls import limb_grid, limb_with_balls, on_skin
 from tests.made_knees import made_grid, made_volume
 
 from marey.knee.gadolinium import Gadolinium, find_gadolinium, joined
+from marey.knee.surface import Surface
 from marey.knee.volume import Volume
 
 ANGLES = np.array([0.3, 1.8, 3.1, 4.5])
 
 
 def places(radius: float, sunk: float = 0.4) -> np.ndarray:
-    return np.array([on_skin(angle, 10 * np.sin(5 * angle), radius, sunk) for angle in ANGLES])
+    return np.array([on_skin(angle, 8 * np.sin(5 * angle), radius, sunk) for angle in ANGLES])
 
 
 def errors_mm(found: Gadolinium, true: np.ndarray) -> np.ndarray:
@@ -35,7 +37,7 @@ def test_balls_half_in_the_skin_are_found_to_a_tenth_of_a_millimetre(kind, spaci
 
 @pytest.mark.parametrize("kind", ["dark", "bright"])
 def test_a_limb_without_balls_has_none(kind):
-    grid = limb_grid((0.9, 0.9, 1.2))
+    grid = limb_grid((1.0, 1.0, 1.2))
     assert len(find_gadolinium(limb_with_balls(grid, np.empty((0, 3)), [], kind))) == 0
     assert len(find_gadolinium(made_volume(made_grid((1.0, 1.0, 2.0)), kind))) == 0
 
@@ -69,3 +71,29 @@ def test_a_marker_that_moved_between_the_volumes_is_less_sure_and_said():
     both = joined(made([[0.0, 0, 0]]), made([[2.0, 0, 0]]))
     assert both.centres_sd_mm[0, 0] > 0.5
     assert "2.0 mm apart" in both.notes[0]
+
+
+def test_two_balls_that_touch_are_two():
+    grid = limb_grid((0.8, 0.8, 1.0), length_mm=30.0)
+    true = np.array([on_skin(1.0, -3.2, 3.0, 0.3), on_skin(1.0, 3.2, 3.0, 0.3)])
+    found = find_gadolinium(limb_with_balls(grid, true, [3.0, 3.0], "bright"))
+    assert errors_mm(found, true).max() < 0.15
+
+
+def test_a_ball_cut_by_the_images_end_is_said_and_one_that_is_hardly_seen_is_not_given():
+    grid = limb_grid((0.8, 0.8, 1.0), length_mm=30.0)
+    end = float(grid.lps(np.array(grid.shape[::-1]) - 0.5)[2])
+    true = np.array([on_skin(0.5, end - 2.0, 4.0), on_skin(2.5, end + 1.0, 4.0)])
+    found = find_gadolinium(limb_with_balls(grid, true, [4.0, 4.0], "dark"))
+    assert errors_mm(found, true[:1]).max() < 0.15
+    assert any("cut by the image's end" in note for note in found.notes)
+
+
+def test_a_ball_within_a_bone_is_none():
+    grid = limb_grid((0.8, 0.8, 1.0), length_mm=30.0)
+    true = np.array([on_skin(1.0, 0.0, 3.0)])
+    volume = limb_with_balls(grid, true, [3.0], "dark")
+    ball = trimesh.creation.icosphere(radius=10)
+    bone = Surface(vertices_mm=np.asarray(ball.vertices) + true[0], faces=np.asarray(ball.faces))
+    assert len(find_gadolinium(volume, {"femur": bone})) == 0
+    assert len(find_gadolinium(volume, {"femur": Surface(vertices_mm=bone.vertices_mm + 20, faces=bone.faces)})) == 1

@@ -6,7 +6,7 @@ import numpy as np
 from scipy import ndimage
 
 from marey.arrays import Floats, Mask
-from marey.knee.bias_field import bias_field
+from marey.knee.bias_field import BiasField, bias_field
 from marey.knee.resampling import on_grid, read_at, resampled, upright_grid
 from marey.knee.volume import Grid, Volume
 
@@ -26,6 +26,8 @@ _DROP = 0.4
 _SMOOTHING_MM = 0.7
 _BRIGHT_PERCENT = 95
 _AIR_SPREADS, _AIR_SHARE = 5.0, 0.1
+_AIR_BIAS = 1.4
+"""Air lies so far over its peak where a scanner has evened out its coils."""
 _NEAR_AIR = 0.1
 """Least share of air in the box that is twice as wide as the largest ball."""
 _MOST = 80
@@ -54,20 +56,27 @@ class LimbImage:
     """(k, j, i) what is as dark as air and hangs together with the image's sides."""
     bright: float
     """Level of the bright tissue: what nineteen of twenty voxels that are no air do not exceed."""
+    known: Mask
+    """(k, j, i) where the image reaches."""
+    bias: BiasField
     grid: Grid
 
 
 def limb_image(volume: Volume) -> LimbImage:
     """Correct an image's bias, lay it on an upright grid, and find the air about the limb in it."""
     grid = upright_grid(volume.grid, WORK_MM)
-    intensity = on_grid(volume, grid, _SMOOTHING_MM) / bias_field(volume).on(grid)
+    bias = bias_field(volume)
+    plain = on_grid(volume, grid, _SMOOTHING_MM)
     # A turned image leaves corners of the upright grid empty: nothing is known there, least of all air.
     known = resampled(np.ones(volume.grid.shape, dtype=np.uint8), volume.grid, grid, order=0) > 0
-    values = intensity[known]
+    # Air as the scanner gave it: taking out the bias would raise its noise here and there.
+    values = plain[known]
     high = float(np.percentile(values, 99.5))
     level = max(_top_of_lowest_peak(values, high), _AIR_SHARE * _bright(values, 0.3 * high))
-    dark = known & (intensity < level)
-    return LimbImage(intensity=intensity, air=_from_sides(dark, known), bright=_bright(values, level), grid=grid)
+    dark = known & (plain < level)
+    intensity = plain / bias.on(grid)
+    air, bright = _from_sides(dark, known), _bright(intensity[known & ~dark], 0.0)
+    return LimbImage(intensity=intensity, air=air, bright=bright, known=known, bias=bias, grid=grid)
 
 
 def _bright(values: np.ndarray, over: float) -> float:
@@ -83,7 +92,7 @@ def _top_of_lowest_peak(values: np.ndarray, high: float) -> float:
     peak = float(edges[int(np.argmax(peaks))] + edges[1] / 2)
     below = values[values < peak]
     spread = float(np.sqrt(((below - peak) ** 2).mean())) if below.size else 0.0
-    return peak + _AIR_SPREADS * spread
+    return max(peak + _AIR_SPREADS * spread, _AIR_BIAS * peak)
 
 
 def _from_sides(dark: Mask, known: Mask) -> Mask:

@@ -33,6 +33,10 @@ _SEEN = 0.03
 _BANDWIDTH = 2
 """Voxels within which residuals may depend on each other, by the scanner's filters or by the model's faults."""
 
+_FAULT, _FAULT_IN_TISSUE = 0.03, 0.07
+"""Standard deviations of what the model cannot follow, as shares of the width of an edge: of any ball, and of one in
+tissue as bright as itself. Made balls ask for them (bench/knee_gadolinium.py); noise alone would give microns."""
+
 _BALL = 7
 """Numbers of the ball and the air: centre, radius, blur, level, level of the air."""
 _ALL = _BALL + 8
@@ -46,7 +50,7 @@ class BallFit:
     centre_mm: Floats
     """(3,) LPS."""
     covariance_mm2: Floats
-    """(3, 3) of the centre."""
+    """(3, 3) of the centre, by the noise and by what the model cannot follow."""
     radius_mm: float
     radius_sd_mm: float
     level: float
@@ -71,6 +75,8 @@ class _Patch:
     """(n, m, 3) mm from the start's centre: points spread within each voxel."""
     middles: Floats
     """(n, 3)"""
+    voxel_mm: float
+    """Standard deviation of the place within a voxel, the root mean square of the axes."""
     point_mm: float
     """Standard deviation of the place within what each point stands for, along an axis."""
     index: Integers
@@ -129,7 +135,8 @@ def _patch(volume: Volume, start: BallCandidate, others: Sequence[tuple[Floats, 
     middles = middles[kept] - start.centre_mm
     within, point = _within_voxel(part, max(_WITHIN_MM, start.radius_mm / _FINE))
     points = middles[:, None, :] + within[None]
-    return _Patch(values[tuple(index[kept].T)].astype(float), points, middles, point, index[kept], values.shape)
+    voxel = float(np.sqrt((part.spacing_mm**2).mean() / 12))
+    return _Patch(values[tuple(index[kept].T)].astype(float), points, middles, voxel, point, index[kept], values.shape)
 
 
 def _coarser(values: np.ndarray, grid: Grid, wanted_mm: float) -> tuple[np.ndarray, Grid]:
@@ -183,25 +190,33 @@ def _start_at_skin(patch: _Patch, start: BallCandidate) -> Floats | None:
 
 
 def _model(numbers: Floats, patch: _Patch, *, derivatives: bool) -> tuple[Floats, Floats]:
-    """(n,) intensity and (n, p) its derivatives by the numbers."""
+    """(n,) intensity and (n, p) its derivatives by the numbers.
+
+    A ball of radius r under a Gaussian of width s has at the distance d from its centre, with A = (r - d) / s and
+    B = (r + d) / s, the value Phi(A) + Phi(B) - 1 - s / d (phi(A) - phi(B)): half of it lies within r, not at r.
+    """
     centre, (radius, blur, level, air) = numbers[:3], numbers[3:_BALL]
     off = patch.points - centre
-    away = np.sqrt((off**2).sum(axis=-1)) + 1e-12
+    away = np.maximum(np.sqrt((off**2).sum(axis=-1)), 1e-3)
     # What a point stands for blurs the ball's edge, too.
     wide = np.hypot(blur, patch.point_mm)
-    across = (radius - away) / wide
-    ball = ndtr(across).mean(axis=1)
+    near, far = _density((radius - away) / wide), _density((radius + away) / wide)
+    ball = ndtr((radius - away) / wide) + ndtr((radius + away) / wide) - 1 - wide / away * (near - far)
+    ball = ball.mean(axis=1)
     skin, tissue = _skin(numbers, patch)
     behind = air + (tissue - air) * skin
     given = behind + (level - behind) * ball
     if not derivatives:
         return given, np.empty((0, 0))
-    density = np.exp(-0.5 * across**2) / (np.sqrt(2 * np.pi) * wide)
     jacobian = np.empty((len(given), len(numbers)))
     height = level - behind
-    jacobian[:, :3] = height[:, None] * (density[..., None] * off / away[..., None]).mean(axis=1)
-    jacobian[:, 3] = height * density.mean(axis=1)
-    jacobian[:, 4] = -height * (density * across).mean(axis=1) * blur / wide
+    inner, outer = (radius - away) / wide * near, (radius + away) / wide * far
+    by_away = (wide / away**2 - 1 / wide) * (near - far) - (inner + outer) / away
+    bent = (radius - away) / wide * inner - (radius + away) / wide * outer
+    by_wide = -(inner + outer) / wide - (near - far + bent) / away
+    jacobian[:, :3] = -height[:, None] * (by_away[..., None] * off / away[..., None]).mean(axis=1)
+    jacobian[:, 3] = height * (radius / (wide * away) * (near - far)).mean(axis=1)
+    jacobian[:, 4] = height * by_wide.mean(axis=1) * blur / wide
     jacobian[:, 5] = ball
     jacobian[:, 6] = (1 - ball) * (1 - skin)
     if len(numbers) == _ALL:
@@ -294,9 +309,11 @@ def _told(grid: Grid, patch: _Patch, best: _Solution, start: BallCandidate) -> B
     away = np.linalg.norm(patch.middles - numbers[:3], axis=1) - radius
     edge = np.abs(away) < 1.0 + blur
     share, tissue = _bright_beside(patch, away, level, air)
+    like = np.clip((tissue - air) / max(level - air, 1e-12), 0, 1)
+    fault = (_FAULT + _FAULT_IN_TISSUE * like) * float(np.hypot(blur, patch.voxel_mm))
     return BallFit(
         centre_mm=centre,
-        covariance_mm2=covariance[:3, :3],
+        covariance_mm2=covariance[:3, :3] + np.eye(3) * fault**2,
         radius_mm=radius,
         radius_sd_mm=float(sds[3]),
         level=level,

@@ -7,7 +7,6 @@ import numpy as np
 
 from marey.arrays import Floats, frozen
 from marey.knee.ball_candidates import (
-    RADII_MM,
     BallCandidate,
     LimbImage,
     ball_candidates,
@@ -20,16 +19,20 @@ from marey.knee.surface import Surface
 from marey.knee.triangle_tree import TriangleTree
 from marey.knee.volume import Volume
 
-_OPEN = 0.3
-"""Least share of the directions in which air lies beyond a ball."""
-_OPEN_FROM_MM, _OPEN_TO_MM = 2.0, 7.0
-_BRIGHT = 0.7
+_OPEN = 0.2
+"""Least share of the directions in which nothing but air lies beyond a ball."""
+_AIRY = 0.9
+_OPEN_FROM_MM, _OPEN_TO_MM = 2.0, 6.0
+_RADII_MM = (1.75, 10.75)
+_BRIGHT = 0.9
 """Least level of a ball, as a share of the body's bright tissue."""
-_MISFIT = 0.12
+_MISFIT = 0.1
 """Most root mean square residual about its edge, as a share of its contrast: what is not round misses by more."""
-_EMBEDDED, _DEEP = 0.1, 0.75
+_EMBEDDED, _DEEP = 0.1, 0.7
 """Share of tissue about a ball from which it must be brighter than the tissue; and the most that there may be."""
 _OVER_TISSUE = 0.07
+_BLURRED_MM = 2.5
+"""Below this radius the image at work is too smooth to tell a ball's level."""
 _SURE_MM = 0.4
 """Most standard deviation of a coordinate."""
 _SLICES = 1.5
@@ -62,8 +65,8 @@ class Gadolinium:
 def find_gadolinium(volume: Volume, bones: Mapping[str, Surface] | None = None) -> Gadolinium:
     """Find bright balls of 2 to 10 mm radius on the skin or beside it.
 
-    A ball is bright, round, as sharp as the image, open to the air on a third of its surface at least, and brighter
-    than the tissue in which the rest of it lies. Its centre comes from a fit of the image's own voxels
+    A ball is bright, round, as sharp as the image, open to the air in a fifth of all directions at least, and
+    brighter than the tissue in which the rest of it lies. Its centre comes from a fit of the image's own voxels
     (`ball_fit.fit_ball`); the standard deviation is the fit's and knows nothing of the scanner's distortions.
 
     Args:
@@ -81,11 +84,13 @@ def find_gadolinium(volume: Volume, bones: Mapping[str, Surface] | None = None) 
         if not _may_be(place, limb, volume):
             continue
         ball = fit_ball(volume, place)
-        if ball is not None and _is_ball(ball, limb) and not any(_same(ball, other) for other in found):
+        if ball is None or any(_same(ball, other) for other in found):
+            continue
+        # A neighbour that is taken for even tissue makes it look less round.
+        if _is_ball(ball, limb, misfit=2 * _MISFIT):
             found.append(ball)
-    found = [_beside_others(volume, ball, found) for ball in found]
-    outside = [ball for ball in found if not _within_bone(ball, bones or {})]
-    return _told(outside)
+    alone = [_beside_others(volume, ball, found) for ball in found]
+    return _told([ball for ball in alone if _is_ball(ball, limb) and not _within_bone(ball, bones or {})])
 
 
 def joined(first: Gadolinium, second: Gadolinium) -> Gadolinium:
@@ -140,14 +145,10 @@ def _pairs(first: Gadolinium, second: Gadolinium) -> list[tuple[int, int]]:
 
 def _may_be(place: BallCandidate, limb: LimbImage, volume: Volume) -> bool:
     """Judge a candidate by what costs little: its size in voxels, what lies about it, and whether that is air."""
-    if 2 * place.radius_mm < _SLICES * float(volume.grid.spacing_mm.max()):
+    if 2 * place.radius_mm < _SLICES * float(volume.grid.spacing_mm.max()) or _open_share(place, limb) < _OPEN:
         return False
-    steps = place.radius_mm + np.arange(_OPEN_FROM_MM, _OPEN_TO_MM + 0.1, 0.5)
-    points = place.centre_mm + steps[None, :, None] * sphere_directions()[:, None, :]
-    air = read_at(limb.air.astype(np.float32), limb.grid, points, outside=np.nan)
-    known = np.isfinite(air).all(axis=1)
-    if not known.any() or (np.median(air[known], axis=1) > 0.5).mean() < _OPEN:
-        return False
+    if place.radius_mm < _BLURRED_MM:
+        return True
     level, beside = (
         read_at(limb.intensity, limb.grid, place.centre_mm + steps[None, :, None] * sphere_directions()[:, None, :])
         for steps in (place.radius_mm * np.array([0.0, 0.25, 0.5]), place.radius_mm + np.array([1.5, 2.5]))
@@ -158,12 +159,32 @@ def _may_be(place: BallCandidate, limb: LimbImage, volume: Volume) -> bool:
     )
 
 
-def _is_ball(ball: BallFit, limb: LimbImage) -> bool:
+def _open_share(place: BallCandidate, limb: LimbImage) -> float:
+    """Give the share of directions in which air reaches from a ball to the image's end.
+
+    To its end, since dark marrow may hang together with an end of the image, too: from a place in the joint the cut
+    shaft fills a small share of all directions. Those that leave the image at once tell nothing.
+    """
+    ends = limb.grid.spacing_mm * limb.grid.shape[::-1]
+    steps = np.arange(place.radius_mm + _OPEN_FROM_MM, float(np.linalg.norm(ends)), 1.5)
+    points = place.centre_mm + steps[None, :, None] * sphere_directions()[:, None, :]
+    voxels = np.rint(limb.grid.voxels(points)).astype(np.int64)[..., ::-1]
+    within = ((voxels >= 0) & (voxels < limb.grid.shape)).all(axis=-1)
+    within[within] = limb.known[tuple(voxels[within].T)]
+    air = np.zeros(within.shape, dtype=bool)
+    air[within] = limb.air[tuple(voxels[within].T)]
+    count = within.sum(axis=1)
+    told = count * 1.5 >= _OPEN_TO_MM
+    return float((air.sum(axis=1)[told] >= _AIRY * count[told]).mean()) if told.any() else 0.0
+
+
+def _is_ball(ball: BallFit, limb: LimbImage, misfit: float = _MISFIT) -> bool:
     sds = np.sqrt(np.diag(ball.covariance_mm2))
+    bias = float(read_at(limb.bias.factor, limb.bias.grid, ball.centre_mm[None], outside=1.0)[0])
     sound = (
-        RADII_MM[0] <= ball.radius_mm <= RADII_MM[1]
-        and ball.level >= _BRIGHT * limb.bright
-        and ball.misfit <= _MISFIT
+        _RADII_MM[0] <= ball.radius_mm <= _RADII_MM[1]
+        and ball.level >= _BRIGHT * limb.bright * bias
+        and ball.misfit <= misfit
         and ball.tissue_share <= _DEEP
         and sds.max() <= _SURE_MM
         and ball.seen >= _LEAST_SEEN

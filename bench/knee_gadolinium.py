@@ -1,0 +1,106 @@
+"""Gadolinium markers in MR volumes: `python bench/knee_gadolinium.py SHARED [volumes|made]`.
+
+volumes: the simulated volumes against their true centres, and two real ones without a marker, with seconds of process
+time. made: balls on a made limb, of many sizes, voxels, noises and blurs, half of them beside fat nearly as bright.
+"""
+
+import json
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from parts import run_parts
+from tests.made_balls import limb_grid, limb_with_balls, on_skin
+from threadpoolctl import threadpool_limits
+
+from marey.io.volumes import read_volume
+from marey.knee.gadolinium import Gadolinium, find_gadolinium, joined
+
+NEAR_MM = 2.0
+DRAWS = 60
+SPACINGS = ((0.4, 0.4, 1.4), (0.6, 0.6, 1.0), (0.8, 0.8, 0.8), (0.5, 0.5, 2.0))
+RADII = (2.0, 2.5, 3.0, 4.0, 5.0, 7.0, 9.5)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Found:
+    """Errors (n, 3) of the markers that were found and (n, 3) what was stated, of how many, and the false ones."""
+
+    errors_mm: np.ndarray
+    sds_mm: np.ndarray
+    true: int
+    false: int
+
+    def told(self) -> str:
+        """Say it in a line."""
+        away = np.linalg.norm(self.errors_mm, axis=1)
+        said = f"{len(away)} of {self.true} found, {self.false} false"
+        if not len(away):
+            return said
+        hold = float((np.abs(self.errors_mm) < 1.96 * self.sds_mm).mean())
+        return (
+            f"{said}; mm: rms {np.sqrt((away**2).mean()):.3f}, worst {away.max():.3f},"
+            f" stated sd {np.median(self.sds_mm):.3f}, 95 % intervals hold {hold:.2f}"
+        )
+
+
+def compared(found: Gadolinium, true: np.ndarray) -> Found:
+    apart = np.linalg.norm(true[:, None] - found.centres_mm[None], axis=2)
+    hits = [(n, int(row.argmin())) for n, row in enumerate(apart) if row.size and row.min() < NEAR_MM]
+    errors = np.array([found.centres_mm[m] - true[n] for n, m in hits]).reshape(-1, 3)
+    sds = np.array([found.centres_sd_mm[m] for _, m in hits]).reshape(-1, 3)
+    return Found(errors_mm=errors, sds_mm=sds, true=len(true), false=len(found) - len({m for _, m in hits}))
+
+
+def volumes(shared: Path) -> None:
+    knee = shared / "data" / "knee"
+    seen: dict[str, Gadolinium] = {}
+    for name in ("phantom_a", "phantom_spl", "phantom_spl_t1", "dess", "mese"):
+        volume = read_volume(knee / name if name == "mese" else knee / name / "image.nii.gz")
+        started = time.process_time()
+        seen[name] = find_gadolinium(volume)
+        seconds = time.process_time() - started
+        print(f"{name}: {compared(seen[name], true_centres(knee / name)).told()}; {seconds:.1f} s", flush=True)
+    both = joined(seen["phantom_spl"], seen["phantom_spl_t1"])
+    print(f"phantom_spl and phantom_spl_t1: {compared(both, true_centres(knee / 'phantom_spl')).told()}")
+
+
+def true_centres(folder: Path) -> np.ndarray:
+    truth = folder / "truth.json"
+    if not truth.exists():
+        return np.empty((0, 3))
+    return np.array(json.loads(truth.read_text(encoding="utf-8"))["marker_centres_lps_mm"])
+
+
+def made(shared: Path) -> None:
+    draw = np.random.default_rng(13)
+    groups: dict[str, list[Found]] = {}
+    for turn in range(DRAWS):
+        kind, radius = ("dark", "bright")[turn % 2], float(draw.choice(RADII))
+        grid = limb_grid(SPACINGS[draw.integers(len(SPACINGS))], turn=draw.uniform(0, 0.6))
+        count = 5 if radius < 5 else 3
+        angles = np.arange(count) * 2 * np.pi / count + draw.uniform(-0.2, 0.2, count)
+        heights, sunk = draw.uniform(-1, 1, count) * (20 - radius), draw.uniform(0, 0.5, count)
+        true = np.array([on_skin(*each) for each in zip(angles, heights, np.full(count, radius), sunk, strict=True)])
+        volume = limb_with_balls(
+            grid, true, np.full(count, radius), kind, noise=draw.uniform(1, 8), bias=draw.uniform(0, 0.3),
+            blur_mm=float(draw.choice([0, 0.3, 0.6])), seed=turn,
+        )  # fmt: skip
+        found = compared(find_gadolinium(volume), true)
+        small = "radius 2 and 2.5 mm" if radius < 3 else "radius 3 to 5 mm" if radius < 6 else "radius 7 and 9.5 mm"
+        for group in ("all", f"{kind} fat", small):
+            groups.setdefault(group, []).append(found)
+    for group, each in groups.items():
+        whole = Found(
+            errors_mm=np.concatenate([one.errors_mm for one in each]),
+            sds_mm=np.concatenate([one.sds_mm for one in each]),
+            true=sum(one.true for one in each),
+            false=sum(one.false for one in each),
+        )
+        print(f"{group}: {whole.told()}")
+
+
+if __name__ == "__main__":
+    with threadpool_limits(1):
+        run_parts(__doc__, {"volumes": volumes, "made": made})
