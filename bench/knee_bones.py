@@ -1,8 +1,9 @@
 """Bones from MR against the shared references: `python bench/knee_bones.py SHARED OUT [NAME ...] [--no-template]`.
 
 Each NAME is segmented, its labels and surfaces go to OUT/NAME, and Dice, ASD and HD95 of the bones are printed as
-../shared/score/knee.py counts them, with the time and the memory. Names: dess, phantom_a, phantom_spl,
-phantom_spl_t1, phantom_spl+phantom_spl_t1 (two volumes), mese (no reference: volumes only).
+../shared/score/knee.py counts them, with the time, the memory, and whether the surfaces are closed, in one piece and
+without handles. Names: dess, phantom_a, phantom_spl, phantom_spl_t1, phantom_spl+phantom_spl_t1 (two volumes), mese (no
+reference: volumes only), varied (made knees of other people, see made_knee_images.py; `--seeds` says how many).
 """
 
 import argparse
@@ -11,16 +12,23 @@ import resource
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+from made_knee_images import Make, made_knee
+from scipy import sparse
 from threadpoolctl import threadpool_limits
 
 from marey.io.meshes import write_mesh
-from marey.io.volumes import read_template, read_volume, write_labels
+from marey.io.volumes import read_template, read_volume, write_labels, write_volume
 from marey.knee.bones import segment_bones
+from marey.knee.structures import LABELS
+from marey.knee.surface import Surface
 from marey.knee.surfacing import surface_of_field
+from marey.knee.volume import Volume
 
-NAMES = ("dess", "phantom_a", "phantom_spl", "phantom_spl_t1", "phantom_spl+phantom_spl_t1", "mese")
+NAMES = ("dess", "phantom_a", "phantom_spl", "phantom_spl_t1", "phantom_spl+phantom_spl_t1", "mese", "varied")
 TEMPLATES = {"dess": "atlas", "phantom_a": "atlas", "mese": "atlas"}
 
 
@@ -29,28 +37,86 @@ def volume_path(shared: Path, name: str) -> Path:
     return folder if name == "mese" else folder / "image.nii.gz"
 
 
-def segment(shared: Path, name: str, out: Path, *, with_template: bool) -> dict[str, object]:
+def segment(volumes: list[Volume], template: Path | None, out: Path) -> dict[str, object]:
     started = time.perf_counter()
-    volumes = [read_volume(volume_path(shared, each)) for each in name.split("+")]
-    folder = shared / "data" / "knee" / TEMPLATES.get(name, "template_a")
-    found = segment_bones(volumes, template=read_template(folder) if with_template else None)
+    found = segment_bones(volumes, template=None if template is None else read_template(template))
     write_labels(out, found.labels)
-    volumes_cm3 = {}
+    volumes_cm3: dict[str, float] = {}
+    faults: dict[str, str] = {}
     for bone, each in found.bones.items():
         surface = surface_of_field(each.distance_mm, each.grid)
         write_mesh(out / f"{bone}.ply", surface)
         volumes_cm3[bone] = round(surface.volume_mm3 / 1000, 1)
+        if fault := surface_fault(surface):
+            faults[bone] = fault
     seconds = round(time.perf_counter() - started, 1)
-    return {"marrow": found.kinds, "cm3": volumes_cm3, "seconds": seconds, "notes": found.notes}
+    told = {"marrow": found.kinds, "cm3": volumes_cm3, "seconds": seconds, "notes": found.notes}
+    return told | {"surfaces": faults or "closed, one piece each, no handle, outward"}
 
 
-def score(shared: Path, name: str, out: Path) -> dict[str, object]:
-    first = shared / "data" / "knee" / name.split("+")[0]
-    truth = first / ("reference_labels.nii.gz" if name == "dess" else "truth_labels.nii.gz")
-    rows = ["--rows", "60", "400"] if name == "dess" else []
+def surface_fault(surface: Surface) -> str:
+    """Say what is wrong with a surface, if anything."""
+    edges = np.sort(surface.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    own, shared = np.unique(edges, axis=0, return_counts=True)
+    count = len(surface.vertices_mm)
+    links = sparse.coo_matrix((np.ones(len(own)), (own[:, 0], own[:, 1])), shape=(count, count))
+    pieces = sparse.csgraph.connected_components(links, directed=False)[0]
+    handles = pieces - (count - len(own) + len(surface.faces)) // 2
+    faults = {"open": (shared != 2).any(), f"{pieces} pieces": pieces > 1, f"{handles} handles": handles > 0}
+    faults["inward"] = surface.volume_mm3 <= 0
+    return ", ".join(text for text, wrong in faults.items() if wrong)
+
+
+def score(shared: Path, truth: Path, out: Path, rows: list[str]) -> dict[str, object]:
     script = [sys.executable, str(shared / "score" / "knee.py"), str(out / "labels.nii.gz"), str(truth), *rows]
     told = json.loads(subprocess.run(script, check=True, capture_output=True, text=True).stdout)
-    return {bone: told.get(bone) for bone in ("femur", "tibia", "patella")}
+    values = {bone: told.get(bone, told.get(str(LABELS[bone]))) for bone in ("femur", "tibia", "patella")}
+    return {bone: [*each.values()] if each else None for bone, each in values.items()}
+
+
+def one(shared: Path, name: str, out: Path, *, with_template: bool) -> None:
+    """Segment shared volumes and score them."""
+    volumes = [read_volume(volume_path(shared, each)) for each in name.split("+")]
+    folder = shared / "data" / "knee" / TEMPLATES.get(name, "template_a")
+    told = segment(volumes, folder if with_template else None, out)
+    if name != "mese":
+        first = shared / "data" / "knee" / name.split("+")[0]
+        truth = first / ("reference_labels.nii.gz" if name == "dess" else "truth_labels.nii.gz")
+        told |= score(shared, truth, out, ["--rows", "60", "400"] if name == "dess" else [])
+    said(name, told)
+
+
+def varied(shared: Path, out: Path, seeds: int) -> None:
+    """Segment made knees of other people, each with the template of the source that it is not made of."""
+    for seed in range(1, seeds + 1):
+        for name, (template, makes) in variations(seed).items():
+            made = [made_knee(shared, make) for make in makes]
+            folder = out / f"{name}_{seed}"
+            told = segment([volume for volume, _ in made], shared / "data" / "knee" / template, folder)
+            write_volume(folder / "image.nii.gz", made[0][0])
+            write_labels(folder / "truth", made[0][1])
+            told |= score(shared, folder / "truth" / "labels.nii.gz", folder, [])
+            said(f"{name} {seed}", told)
+
+
+def variations(seed: int) -> dict[str, tuple[str, list[Make]]]:
+    """What varies with the seed: the person, the side, the slices' direction, noise, bias, what is cut."""
+    directions = ("sagittal", "axial", "coronal")
+    fine = {"orientation": directions[seed % 3], "spacing_mm": (0.4, 0.4, 1.4), "mirror": seed % 2 == 0}
+    person = Make(seed=seed, source="phantom_a", noise=1 + (seed == 2), bias=0.3 + 0.2 * (seed > 2), **fine)
+    plain = Make(seed=seed, mirror=seed % 2 == 1, noise=1 + (seed == 2), cut_mm=(4.0 + 8 * (seed == 1), 4.0))
+    bright = replace(plain, kind="bright")
+    return {
+        "a": ("atlas", [person]),
+        "spl": ("template_a", [plain]),
+        "spl_t1": ("template_a", [bright]),
+        "spl+spl_t1": ("template_a", [plain, bright]),
+    }
+
+
+def said(name: str, told: dict[str, object]) -> None:
+    told["peak_gb"] = round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6, 2)
+    print(name, json.dumps(told), flush=True)
 
 
 def main() -> None:
@@ -59,15 +125,15 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("names", nargs="*", default=NAMES)
     parser.add_argument("--no-template", action="store_true")
+    parser.add_argument("--seeds", type=int, default=1)
     asked = parser.parse_args()
     for name in asked.names:
-        out = asked.out / name.replace("+", "_and_")
         with threadpool_limits(1):
-            told = segment(asked.shared, name, out, with_template=not asked.no_template)
-        if name != "mese":
-            told |= score(asked.shared, name, out)
-        told["peak_gb"] = round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6, 2)
-        print(name, json.dumps(told), flush=True)
+            if name == "varied":
+                varied(asked.shared, asked.out / "varied", asked.seeds)
+            else:
+                out = asked.out / name.replace("+", "_and_")
+                one(asked.shared, name, out, with_template=not asked.no_template)
 
 
 if __name__ == "__main__":

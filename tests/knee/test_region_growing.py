@@ -3,7 +3,7 @@ import pytest
 
 from marey.errors import SettingProblem
 from marey.knee.marrow import Knee
-from marey.knee.region_growing import Level, grow, marrow_level, signed_distance
+from marey.knee.region_growing import Level, grow, marrow_level, outgrowth, signed_distance
 from marey.knee.seeds import seed_voxel
 from marey.knee.volume import Grid
 
@@ -65,3 +65,18 @@ def test_signed_distance_goes_on_where_the_image_ends():
     np.testing.assert_allclose(distance[4, 4, [0, 9, 10, 19]], [5.0, 0.25, -0.25, -5.0], atol=0.3)
     assert np.ptp(distance[:, :, 3]) == 0
     assert (signed_distance(np.zeros_like(mask), (1.0, 1.0, 1.0)) < -100).all()
+
+
+def test_a_handle_on_a_thick_bone_is_an_outgrowth_and_a_corner_is_none():
+    bone = np.zeros((60, 50, 60), dtype=bool)
+    bone[:, 10:40, 10:40] = True
+    bone[20:25, 20:25, 20:25] = False
+    # An edge of a square of 90 degrees is 8 (sqrt(2) - 1) = 3.3 mm beyond a ball of 8 mm.
+    assert not outgrowth(bone).any()
+    leaked = bone.copy()
+    leaked[20:28, 20:28, 40:58] = True
+    part = outgrowth(leaked)
+    assert part.any()
+    assert np.argwhere(part)[:, 2].min() > 42
+    assert part[24, 24, 50:58].all()
+    assert not outgrowth(leaked & (np.arange(60) > 41)).any()

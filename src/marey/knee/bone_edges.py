@@ -13,10 +13,11 @@ from marey.knee.region_growing import signed_distance
 from marey.knee.resampling import smoothed
 from marey.knee.volume import Grid
 
-_SURFACE_NATS_MM = {"dark": 1.5, "bright": 6.0}
+_COARSE_NATS_MM = {"dark": 1.5, "bright": 6.0}
+_FINE_NATS_MM = {"dark": 1.5, "bright": 3.0}
 """Price of a bone's surface: about bright marrow only the thin black cortex keeps it from fat that looks alike."""
-_OUTWARD = {"dark": 1.0, "bright": 0.5}
-"""How far the edge may move outward, as a share of how far inward."""
+_OUTWARD = {"dark": 0.5, "bright": 0.3}
+"""How far the edge may move outward, as a share of how far inward, where nothing but the image says where it ends."""
 _MOST_NATS = 4.0
 _INSIDE_MM, _OUTSIDE_MM = 4.0, 2.0
 """Widths [mm] of the Gaussians over which levels are averaged: of marrow, and of the dark line about bright marrow."""
@@ -24,6 +25,11 @@ _CORTEX_MM = (0.4, 2.5)
 _SOFT_TISSUE = (0.35, 0.75)
 """How bright muscle and cartilage are beside bright marrow, as shares of it."""
 _SOFT_NATS = 1.0
+_FAT_SMOOTHING_MM, _FAT_STEPS, _FAT_SHARE = 0.7, 3.0, 0.12
+"""Fat counts as brighter than dark marrow when, smoothed, it is so by this many times the marrow's own unevenness, and
+this share of what is next to the bone is of one level."""
+_FEW_VOXELS = 200
+_FAT_FROM_BRIGHT_MM, _FAT_BRIGHT = 1.0, 6.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,6 +59,11 @@ class Piece:
     """(k, j, i) log odds to be inside by what else is known, a template."""
     grid: Grid
 
+    @property
+    def guarded(self) -> bool:
+        """Whether anything but the image says where the bone cannot be."""
+        return bool(self.prior_nats.any())
+
 
 def refined(piece: Piece, kind: Kind, others: list[np.ndarray] | None = None) -> np.ndarray:
     """Move a bone's edge from its coarse place to where the image changes.
@@ -69,15 +80,20 @@ def refined(piece: Piece, kind: Kind, others: list[np.ndarray] | None = None) ->
     distance = _cut(piece, kind, settled, piece.distance_mm, _COARSE_RING)
     # Again with the levels just beside the edge, now that it is known to a voxel or two.
     distance = _cut(piece, kind, settled, distance, _FINE_RING)
-    return distance if kind == "dark" else distance + _cortex(piece, distance)
+    if kind == "dark":
+        return distance
+    # Beside bright marrow the edge may go outward by little at a time, lest it jumps over the black line.
+    distance = _cut(piece, kind, settled, distance, _FINE_RING)
+    return distance + _cortex(piece, distance)
 
 
 def _cut(piece: Piece, kind: Kind, known: np.ndarray, distance: np.ndarray, ring: "_Ring") -> np.ndarray:
     odds = marrow_odds(piece, kind, distance, ring) + known
-    outward = _OUTWARD[kind] * ring.band_mm
+    outward = (1.0 if kind == "dark" and piece.guarded else _OUTWARD[kind]) * ring.band_mm
     odds = np.where(distance > ring.band_mm, 100.0, np.where(distance < -outward, -100.0, odds))
     spacing = piece.grid.array_spacing_mm
-    inside = minimal_cut(odds.astype(np.float32), distance > 0, spacing, surface_nats_mm=_SURFACE_NATS_MM[kind])
+    price = (_FINE_NATS_MM if ring is _FINE_RING else _COARSE_NATS_MM)[kind]
+    inside = minimal_cut(odds.astype(np.float32), distance > 0, spacing, surface_nats_mm=price)
     return signed_distance(_main_part(inside > 0.5), spacing)
 
 
@@ -97,8 +113,48 @@ def marrow_odds(
     else:
         outside = _darkest_near(intensity, distance, grid)
         step = np.minimum(outside - level, -2 * noise)
-    odds = -(intensity - level - step / 2) * step / (noise**2 + (step / 4) ** 2)
+    odds = _half_level_odds(intensity - level, step, noise)
+    if kind == "dark" and ring is _FINE_RING:
+        odds = _against_fat(piece, distance, level, noise, odds)
     return np.clip(odds, -_MOST_NATS, _MOST_NATS)
+
+
+def _half_level_odds(above: np.ndarray, step: np.ndarray | float, noise: float) -> np.ndarray:
+    return np.asarray(-(above - step / 2) * step / (noise**2 + (step / 4) ** 2))
+
+
+def _against_fat(piece: Piece, distance: np.ndarray, level: np.ndarray, noise: float, odds: np.ndarray) -> np.ndarray:
+    """(k, j, i) the odds, less where it looks like the fat next to dark marrow: a film of it before muscle is no bone.
+
+    The level outside is that of the muscle there, and halfway to it a film of fat would be marrow.
+    """
+    even = smoothed(piece.intensity, piece.grid, _FAT_SMOOTHING_MM)
+    fat, marrow, most = _fat_level(even[distance > 2.5], even[(distance < -1) & (distance > -6)])
+    if fat is None:
+        return odds
+    step = fat - marrow
+    # What is next to something bright, cartilage, looks like fat where it is half of it.
+    size = [2 * round(_FAT_FROM_BRIGHT_MM / each) + 1 for each in piece.grid.array_spacing_mm]
+    plain = ndimage.maximum_filter(even, size) < marrow + _FAT_BRIGHT * step
+    above = piece.intensity - level - (most - marrow) / 2
+    return np.where(plain & (above < 2 * step), np.minimum(odds, _half_level_odds(above, step, noise)), odds)
+
+
+def _fat_level(deep: np.ndarray, ring: np.ndarray) -> tuple[float | None, float, float]:
+    """Give the level of fat beside a bone, its marrow's, and the most of its marrow's.
+
+    Fat is none where no level stands out of the ring, or none that is clearly brighter than marrow is uneven.
+    """
+    if len(deep) < _FEW_VOXELS or len(ring) < _FEW_VOXELS:
+        return None, 0.0, 0.0
+    marrow, most = np.percentile(deep, [50, 95])
+    deviation = 1.4826 * float(np.median(np.abs(deep - marrow)))
+    bins = np.arange(most, max(float(ring.max()), most + 10 * deviation), deviation / 2)
+    counts = np.convolve(np.histogram(ring, bins)[0], np.ones(5), "same")
+    fat = float(bins[counts.argmax()] + deviation / 4)
+    share = float((np.abs(ring[ring > most] - fat) < 1.5 * deviation).mean()) if (ring > most).any() else 0.0
+    clear = fat - marrow > _FAT_STEPS * (most - marrow) and share > _FAT_SHARE
+    return fat if clear else None, float(marrow), float(most)
 
 
 def soft_tissue_odds(piece: Piece) -> np.ndarray:
@@ -172,6 +228,22 @@ def _line_ends(profile: Floats, steps: Floats) -> tuple[Floats, np.ndarray, np.n
     length = np.argmin(after, axis=1)
     ends = length > 0
     step = steps[1] - steps[0]
-    outer = steps[np.minimum(start + length, len(steps) - 1)] - step / 2
+    outer = _outer_end(profile, steps, start, length, black)
     bright = profile[np.arange(len(dark)), np.minimum(start + length + 2, len(steps) - 1)] > 0.8 * marrow
     return outer, black & ends & bright & (length * step < 3), black
+
+
+def _outer_end(profile: Floats, steps: Floats, start: np.ndarray, length: np.ndarray, black: np.ndarray) -> Floats:
+    """(N,) where the dark line ends: from its middle half of its width on.
+
+    The width is what is missing from marrow, over what is missing where lines are darkest: the half level of a line
+    thinner than a voxel lies too far out, its area is the same however blurred it is.
+    """
+    marrow = np.median(profile[:, steps < -1], axis=1)[:, None]
+    near = profile[:, (steps >= -0.5) & (steps <= 1.5)].min(axis=1)
+    darkest = float(np.percentile(near[black], 10)) if black.any() else 0.0
+    index = np.arange(len(steps))
+    line = (index >= start[:, None] - 2) & (index <= (start + length)[:, None] + 1)
+    missing = np.clip((marrow - profile) / np.maximum(marrow - darkest, 1e-6), 0, 1) * line
+    total = np.maximum(missing.sum(axis=1), 1e-6)
+    return np.asarray((missing * steps).sum(axis=1) / total + total * (steps[1] - steps[0]) / 2)

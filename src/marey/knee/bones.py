@@ -4,13 +4,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy import ndimage
 
 from marey.arrays import Floats, Integers, Mask
 from marey.errors import MareyError, SettingProblem
 from marey.knee.bias_field import bias_field
 from marey.knee.bone_edges import Piece, marrow_odds, refined, soft_tissue_odds
 from marey.knee.marrow import WORK_MM, Kind, Knee, prepare
-from marey.knee.region_growing import grow, marrow_level, seed_ball, signed_distance
+from marey.knee.region_growing import grow, marrow_level, outgrowth, seed_ball, signed_distance
 from marey.knee.resampling import part_of, resampled, smoothed
 from marey.knee.seeds import find_seeds, patella_seeds, seed_voxel
 from marey.knee.structures import BONES, LABELS
@@ -31,6 +32,8 @@ _ASTRAY_MM, _SURE_MM = 4.0, 2.0
 _PRIOR_FROM_MM, _PRIOR_NATS = 2.0, 4.0
 _BOX_MM = 8.0
 _PATELLA_CM3 = (4.0, 45.0)
+_LONG_BONES = ("femur", "tibia")
+_OUTGROWTH_CM3 = 1.0
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -125,6 +128,7 @@ def segment_bones(
     for index, name in enumerate(look.grown):
         report(f"edge of the {name}", 0.5 + 0.5 * index / len(look.grown))
         found[name] = _bone(look, name, limits.get(name))
+        notes += _outgrowth_note(name, found[name][0], look.grid)
     report("bones", 1.0)
     return BoneSegmentation(
         labels=_labelled(found, volumes[0].grid),
@@ -183,6 +187,25 @@ def _fit_note(fit: TemplateFit) -> str:
     return f"The template is {side}; {100 * fit.fit:.0f} % of its edges lie on edges of bone."
 
 
+def _outgrowth_note(name: str, bone: Bone, grid: Grid) -> list[str]:
+    """Say where a femur or tibia has a part that none has: it may have leaked there."""
+    if name not in _LONG_BONES:
+        return []
+    part = outgrowth(resampled(bone.distance_mm, bone.grid, grid, outside=-50.0) > 0)
+    pieces, count = ndimage.label(part)
+    if not count:
+        return []
+    sizes = np.bincount(pieces.ravel())[1:]
+    cm3 = float(sizes.max()) * WORK_MM**3 / 1000
+    if cm3 < _OUTGROWTH_CM3:
+        return []
+    x, y, z = grid.lps(np.argwhere(pieces == 1 + int(sizes.argmax())).mean(axis=0)[::-1])
+    return [
+        f"The {name} has an outgrowth of {cm3:.1f} cm3 about LPS {x:.0f} {y:.0f} {z:.0f} mm that may be a leak:"
+        " look there; a template, or another seed, may keep it out."
+    ]
+
+
 def _grow_patella(look: _Look, limit: np.ndarray | None, given: Mapping[str, Floats]) -> None:
     taken = look.grown["femur"] | look.grown["tibia"]
     if "patella" in given:
@@ -209,6 +232,8 @@ def _bone(look: _Look, name: str, limit: np.ndarray | None) -> tuple[Bone, tuple
         coarse = coarse if other == name else coarse & ~mask
     if limit is not None:
         coarse = (coarse & ~(limit < -_ASTRAY_MM)) | ((limit > _SURE_MM) & look.knees[0].body)
+    elif name in _LONG_BONES:
+        coarse = coarse & ~outgrowth(coarse)
     own = look.volumes[0].grid
     distance = resampled(signed_distance(coarse, look.grid.array_spacing_mm), look.grid, own, outside=-50.0)
     reach = [(np.flatnonzero((distance > -_BOX_MM).any(axis=axes))) for axes in ((1, 2), (0, 2), (0, 1))]

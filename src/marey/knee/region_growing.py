@@ -17,6 +17,8 @@ _LEAST_DEVIATION = 0.04
 _OPENINGS_MM = (2.0, 3.0, 4.0, 5.0, 6.0)
 _STEADY = 1.15
 _REGROWN_MM = 0.5
+_CORE_MM, _CORNER_MM = 8.0, 6.0
+"""A femur or tibia is all within so much of where a ball of such a radius fits into it, but a third of a cm3."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -97,6 +99,20 @@ def _grown(allowed: Mask, inward_mm: Floats, voxel: Integers, radius_mm: float) 
         return np.zeros_like(allowed)
     piece = labels == labels[tuple(near[int(away.argmin())])]
     return np.asarray(allowed & (ndimage.distance_transform_edt(~piece) * WORK_MM <= radius_mm + _REGROWN_MM))
+
+
+def outgrowth(mask: Mask) -> Mask:
+    """(k, j, i) what of a femur or tibia is too far from its thick part to be bone: a leak through a neck, mostly.
+
+    Args:
+        mask: (k, j, i) the bone on the upright grid; beyond the image's end it goes on.
+    """
+    whole = ndimage.binary_fill_holes(mask)
+    core = ndimage.distance_transform_edt(np.pad(whole, 1, mode="edge"))[1:-1, 1:-1, 1:-1] * WORK_MM > _CORE_MM
+    if not core.any():
+        return np.zeros_like(mask)
+    away = ndimage.distance_transform_edt(~core) * WORK_MM
+    return np.asarray(mask & (away > _CORE_MM + _CORNER_MM))
 
 
 def signed_distance(mask: Mask, spacing_mm: tuple[float, ...]) -> np.ndarray:
