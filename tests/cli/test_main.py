@@ -116,11 +116,17 @@ def test_a_full_disk_is_the_users_to_mend_but_a_fault_of_the_program_keeps_its_t
         run(["capture", str(tmp_path)])
 
 
-def test_view_prints_where_the_report_is(tmp_path, capsys):
-    (tmp_path / "marey").mkdir()
-    (tmp_path / "marey" / "report.html").write_text("<html>")
+@pytest.mark.parametrize("page", ["report.html", "marey/report.html", "surface.html", "knee.html", "knee/knee.html"])
+def test_view_prints_where_the_report_is(page, tmp_path, capsys):
+    (tmp_path / page).parent.mkdir(exist_ok=True)
+    (tmp_path / page).write_text("<html>")
     assert run(["view", str(tmp_path), "--no-browser"]) == 0
-    assert capsys.readouterr().out.strip() == str((tmp_path / "marey" / "report.html").resolve())
+    assert capsys.readouterr().out.strip() == str((tmp_path / page).resolve())
+
+
+def test_what_was_typed_wrong_is_told_with_the_help_of_its_own_command(capsys):
+    assert run(["knee", "animate", "folder"]) == 2
+    assert capsys.readouterr().err == "marey: Missing argument 'MOTION'. See marey knee animate --help.\n"
 
 
 def test_the_demo_captures_the_example_of_the_clone_in_its_own_folder(capture, capsys):

@@ -17,6 +17,7 @@ from marey.errors import FileProblem, MareyError
 
 INTERRUPTED = 130
 WRONG_INPUT = 2
+_PAGES = ("report.html", "surface.html", "knee.html")
 _USERS_ERRNO = (errno.EACCES, errno.EPERM, errno.ENOSPC, errno.EROFS, errno.ENOTDIR, errno.EDQUOT, errno.EFBIG)
 
 app = typer.Typer(
@@ -423,11 +424,11 @@ def example_folder() -> Path:
 
 
 def _report_in(folder: Path) -> Path:
-    for name in ("report.html", "surface.html"):
-        for report in (folder / name, folder / "marey" / name):
+    for name in _PAGES:
+        for report in (folder / name, folder / "marey" / name, folder / "knee" / name):
             if report.is_file():
                 return report.resolve()
-    raise FileProblem(folder, "holds no report.html", "Give the folder that a command said its results went to.")
+    raise FileProblem(folder, f"holds no {' or '.join(_PAGES)}", "Give the folder that a command said its results went to.")
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
@@ -459,7 +460,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
 
 def _usage_line(problem: Exception) -> str:
     text = problem.format_message() if hasattr(problem, "format_message") else str(problem)
-    return f"{text.rstrip('.')}. See marey --help."
+    context = getattr(problem, "ctx", None)
+    return f"{text.rstrip('.')}. See {context.command_path if context else 'marey'} --help."
 
 
 def _complain(text: str) -> int:
