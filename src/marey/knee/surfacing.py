@@ -37,10 +37,14 @@ def surface_of_field(
     Raises:
         MareyError: The field has no inside, or scikit-image or fast-simplification are not installed.
     """
-    cubes = _padded(upright_grid(grid, max(_FINEST_MM, 0.6 * edge_mm)))
-    field = resampled(np.asarray(distance_mm, dtype=np.float32), grid, cubes, outside=-_FINEST_MM)
-    sigma = _BLUR * grid.spacing_mm.max() / cubes.spacing_mm[0]
-    smooth = ndimage.gaussian_filter(field, sigma)
+    cube_mm = max(_FINEST_MM, 0.6 * edge_mm)
+    sigma = _BLUR * grid.spacing_mm.max() / cube_mm
+    # Deep inside is no deeper than the smoothing reaches: otherwise what the image cuts off would stay open.
+    reach = int(np.ceil(3 * sigma)) + 1
+    cubes = _padded(upright_grid(grid, cube_mm), reach + 1)
+    most = reach * cube_mm
+    field = resampled(np.clip(distance_mm, -most, most).astype(np.float32), grid, cubes, outside=-most)
+    smooth = ndimage.gaussian_filter(field, sigma, truncate=3.0)
     if smooth.max() <= 0:
         raise MareyError("There is nothing to make a surface of.")
     vertices, faces = _marched(smooth)
@@ -83,10 +87,10 @@ def smoothed_surface(surface: Surface, rounds: int = _ROUNDS) -> Surface:
     return Surface(vertices_mm=middle + scale * (vertices - middle), faces=surface.faces)
 
 
-def _padded(grid: Grid) -> Grid:
+def _padded(grid: Grid, rim: int) -> Grid:
     lps_from_voxel = grid.lps_from_voxel.copy()
-    lps_from_voxel[:3, 3] = grid.lps(np.full(3, -2.0))
-    k, j, i = (count + 4 for count in grid.shape)
+    lps_from_voxel[:3, 3] = grid.lps(np.full(3, -float(rim)))
+    k, j, i = (count + 2 * rim for count in grid.shape)
     return Grid(shape=(k, j, i), lps_from_voxel=lps_from_voxel)
 
 
