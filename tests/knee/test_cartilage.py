@@ -70,6 +70,21 @@ def test_cartilage_is_found_though_the_template_is_thicker_and_ends_elsewhere(rn
     np.testing.assert_array_equal(found.mask("femur"), truth.mask("femur"))
 
 
+@pytest.mark.parametrize("told", [1.5, 3.8])
+def test_a_template_of_other_thickness_draws_nothing_to_itself_where_the_edge_is_seen(rng, told):
+    volume, _ = made_volume(rng)
+    bone = ball()
+    sheet = find_cartilage([volume], bone, foretold(bone, thick=told, rim=RIM))
+    inner = bone.vertices_mm[:, 2] / RADIUS > RIM + 0.15
+    off = sheet.thickness_mm[inner] - THICK
+    assert abs(off.mean()) < 0.1
+    assert np.abs(off).mean() < 0.15
+    # What the template foretells has become this person's.
+    assert abs(np.median(sheet.foretold_mm[inner]) - THICK) < 0.15
+    sure = sheet.confidence[inner] > 0.5
+    assert (np.abs(off) < 1.96 * sheet.thickness_sd_mm[inner])[sure].mean() > 0.85
+
+
 def test_the_outer_surface_is_closed_and_has_the_cartilages_volume(rng):
     volume, _ = made_volume(rng)
     bone = ball()

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import erf
 
 from marey.arrays import Floats, Integers, Mask, frozen
 from marey.errors import MareyError
@@ -24,6 +25,7 @@ from marey.knee.cartilage_evidence import (
     layer_costs,
     read_profiles,
     tissues,
+    with_measured_blur,
 )
 from marey.knee.cartilage_prediction import TOLD_SHARE, CartilagePrediction
 from marey.knee.mesh_graph import MeshGraph
@@ -32,12 +34,18 @@ from marey.knee.volume import Volume
 
 SLOPE_SD = 0.4
 """How fast the thickness changes over the bone [mm/mm]."""
+LEAST_PRESENCE = 0.02
+"""No template is so sure that there is none, or some."""
 RIM_COST = 3.0
 """What a rim costs at most, at each edge of the mesh that crosses it."""
 NORMALS_MM = 1.0
 """Normals are smoothed over so much of the bone: they shall not follow its roughness."""
 REGION_MM = 8.0
 """Over such a way a person's cartilage keeps its ratio to the template's."""
+NEAR_MM = 1.0
+"""So far from the answer other thicknesses count in its standard deviation."""
+MODEL_SD_MM = 0.15
+"""What the model of a profile, a bone's surface and its normal are worth, as a standard deviation of the thickness."""
 _FEW = 0.02
 """So little edge nearby, as a share of all vertices about, tells as much of the ratio as the whole cartilage does."""
 _SURE_MM = 0.3
@@ -108,14 +116,14 @@ def find_cartilage(
     Raises:
         MareyError: The template foretells no cartilage on this bone.
     """
-    looked = np.isfinite(prediction.thickness_mm) & (prediction.presence > 1e-3)
+    looked = np.isfinite(prediction.thickness_mm)
     if np.count_nonzero(looked & (prediction.presence > 0.8)) < 20:
         raise MareyError("The template foretells no cartilage on this bone: does it fit?")
     normals = _steady_normals(bone)
     part, told, presence = _part(bone, looked), prediction.thickness_mm[looked], prediction.presence[looked]
     graph, contact = MeshGraph.of(part), contact_with(part.vertices_mm, normals[looked], others)
-    beliefs, foretold = _settled(volumes, part, normals[looked], told, presence, graph, contact)
-    thickness, sd, confidence = _answers(beliefs)
+    answers, foretold = _settled(volumes, part, normals[looked], told, presence, graph, contact)
+    thickness, sd, confidence = answers
 
     def whole(values: Floats, elsewhere: float) -> Floats:
         out = np.full(len(looked), elsewhere)
@@ -131,23 +139,23 @@ def find_cartilage(
 def _settled(
     volumes: Sequence[Volume], part: Surface, normals: Floats, told: Floats, presence: Floats, graph: MeshGraph,
     contact: Contact,
-) -> tuple[Floats, Floats]:  # fmt: skip
-    """Give the sheet's costs (V, L), and the foretold thickness (V,) scaled to the person's, when they agree."""
+) -> tuple[tuple[Floats, Floats, Floats], Floats]:  # fmt: skip
+    """Give the answers, and the foretold thickness (V,) scaled to the person's, when they agree."""
     profiles = [read_profiles(volume, part.vertices_mm, normals) for volume in volumes]
     estimate, present, scaled = told, presence > 0.8, told
     fixed = contact.costs(LEVELS_MM)
     for _ in range(_ROUNDS):
         costs = fixed + _prior_costs(scaled, presence)
-        for each in profiles:
-            seen = tissues(each, estimate, present, contact.theirs, graph)
-            costs += layer_costs(each, seen, contact.theirs, contact.ends_mm)
-        beliefs = graph.choose(costs, LEVELS_MM, SLOPE_SD, RIM_COST)
-        thickness, sd, confidence = _answers(beliefs)
+        known = [tissues(each, estimate, present, contact.theirs, graph) for each in profiles]
+        for each, seen in zip(profiles, known, strict=True):
+            costs += layer_costs(each, seen, contact.begins_mm, contact.begins_sd_mm, contact.ends_mm)
+        thickness, sd, confidence = _answers(graph.choose(costs, LEVELS_MM, SLOPE_SD, RIM_COST), costs)
         # Where two cartilages may touch, the template itself has placed the edge: it tells nothing of the person.
         sure = (thickness > 0) & (np.nan_to_num(sd) < _SURE_MM) & (confidence > 0.8) & ~contact.reached(thickness)
         scaled = _scaled(told, thickness, sure, graph)
+        profiles = [with_measured_blur(*both, thickness, sure) for both in zip(profiles, known, strict=True)]
         estimate, present = np.where(thickness > 0, thickness, scaled), thickness > 0
-    return beliefs, scaled
+    return (thickness, sd, confidence), scaled
 
 
 def _scaled(told: Floats, thickness: Floats, sure: Mask, graph: MeshGraph) -> Floats:
@@ -174,7 +182,7 @@ def _part(bone: Surface, kept: Mask) -> Surface:
 
 def _prior_costs(told: Floats, presence: Floats) -> Floats:
     """Give what each thickness costs (V, L) by the template: minus the logarithm of its probability."""
-    there = np.clip(presence, 0.02, 0.98)[:, None]
+    there = np.clip(presence, LEAST_PRESENCE, 1 - LEAST_PRESENCE)[:, None]
     sd = TOLD_SHARE * told[:, None]
     off = (LEVELS_MM[None] - told[:, None]) / sd
     costs = 0.5 * off**2 - np.log(there) + np.log(np.sqrt(2 * np.pi) * sd / STEP_MM)
@@ -182,8 +190,11 @@ def _prior_costs(told: Floats, presence: Floats) -> Floats:
     return np.asarray(costs)
 
 
-def _answers(beliefs: Floats) -> tuple[Floats, Floats, Floats]:
-    """Give thickness, standard deviation and confidence (V,) from the costs (V, L)."""
+def _answers(beliefs: Floats, costs: Floats) -> tuple[Floats, Floats, Floats]:
+    """Give thickness, standard deviation and confidence (V,) from the sheet's costs (V, L) and each vertex's own.
+
+    The deviation is by the vertex's own costs: neighbours are wrong together, so that their agreement proves little.
+    """
     best = np.argmin(beliefs, axis=1)
     bare = best == 0
     # Between the levels the costs are a parabola.
@@ -191,12 +202,10 @@ def _answers(beliefs: Floats) -> tuple[Floats, Floats, Floats]:
     before, least, after = (beliefs[rows, middle + step] for step in (-1, 0, 1))
     beside = np.clip(0.5 * (before - after) / np.maximum(before - 2 * least + after, 1e-6), -0.5, 0.5)
     thickness = np.where(best == middle, LEVELS_MM[middle] + beside * STEP_MM, LEVELS_MM[best])
-    chance = np.exp(-beliefs)
-    chance /= chance.sum(1, keepdims=True)
-    near = (np.abs(LEVELS_MM[None] - LEVELS_MM[best][:, None]) < 0.5 + 1e-9) & (LEVELS_MM[None] > 0)
-    there = np.where(LEVELS_MM > 0, chance, 0.0)
-    there /= np.maximum(there.sum(1, keepdims=True), 1e-300)
-    variance = np.maximum(there @ LEVELS_MM**2 - (there @ LEVELS_MM) ** 2, 0.0)
-    confidence = np.where(bare, chance[:, 0], np.where(near, chance, 0.0).sum(1))
-    sd = np.sqrt(variance + STEP_MM**2 / 12)
+    off = LEVELS_MM[None] - thickness[:, None]
+    own = np.where((np.abs(off) < NEAR_MM) & (LEVELS_MM > 0), costs, np.inf)
+    chance = np.exp(own.min(1, keepdims=True) - own)
+    sd = np.sqrt((chance * off**2).sum(1) / chance.sum(1) + MODEL_SD_MM**2)
+    bareness = np.exp(beliefs.min(1) - beliefs[:, 0]) / np.exp(beliefs.min(1, keepdims=True) - beliefs).sum(1)
+    confidence = np.where(bare, bareness, (1 - bareness) * erf(0.5 / (np.sqrt(2) * sd)))
     return np.where(bare, 0.0, thickness), np.where(bare, np.nan, sd), confidence

@@ -45,9 +45,8 @@ class Contact:
         return self.away_mm - _BONE_MM
 
     def costs(self, levels_mm: Floats) -> Floats:
-        """Give what each thickness costs (V, L) for the room it leaves to the other cartilage."""
-        over = np.maximum((levels_mm[None] - self.begins_mm[:, None]) / self.begins_sd_mm[:, None], 0.0)
-        return 0.5 * over**2 + np.where(levels_mm[None] > self.away_mm[:, None], _NEVER, 0.0)
+        """Give what each thickness costs (V, L) for the other bone that is in its way."""
+        return np.where(levels_mm[None] > self.away_mm[:, None], _NEVER, 0.0)
 
     def reached(self, thickness_mm: Floats) -> Mask:
         """(V,) true where cartilage so thick would about touch the other bone's."""

@@ -1,11 +1,12 @@
 """What an image says of how thick the cartilage is along each normal: a layer between two blurred edges, or none."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numba
 import numpy as np
 from scipy import ndimage
+from scipy.special import ndtr
 
 from marey.arrays import Floats, Mask
 from marey.knee.mesh_graph import MeshGraph
@@ -31,6 +32,8 @@ BIAS_MM = 12.0
 """Over such a way the brightness of cartilage may change."""
 OVER_MM = 0.6
 """What lies over the cartilage is seen in so much of the profile beyond the edge."""
+_FACTORS = np.arange(0.5, 1.8, 0.05)
+_CLEAR, _ENOUGH, _EDGE_MM = 0.3, 50, 1.2
 _BINS = np.arange(-0.5, 3.5001, 0.04)
 
 
@@ -111,39 +114,68 @@ def _density(values: Floats) -> Floats:
     return np.asarray((0.97 * smooth / max(smooth.sum(), 1.0) + 0.03 / len(counts)) / wide)
 
 
-def layer_costs(profiles: Profiles, seen: Tissues, theirs: Floats, ends: Floats) -> Floats:
+def layer_costs(profiles: Profiles, seen: Tissues, begins_mm: Floats, begins_sd_mm: Floats, ends_mm: Floats) -> Floats:
     """Give what each thickness of `LEVELS_MM` costs (V, L): minus the logarithm of the profile's probability.
 
     Bone, cartilage and what lies over it are three grey values with a blurred edge between each two. Farther out lies
-    whatever usually lies there, or another bone's cartilage.
+    whatever usually lies there, up to where another bone's cartilage begins. Where that begins is not known, only
+    foretold: of all places the likeliest is taken, and where it is the outer surface itself, the two touch, edgeless.
 
     Args:
         profiles: Grey values.
         seen: The tissues.
-        theirs: (V, D) how probable another bone's cartilage is there.
-        ends: (V,) how far out a profile tells something [mm]: another bone may be in the way.
+        begins_mm: (V,) where another bone's cartilage is foretold to begin; infinite where there is none.
+        begins_sd_mm: (V,) standard deviation of that.
+        ends_mm: (V,) how far out a profile tells something: another bone may be in the way.
     """
     values = np.clip(seen.relative, _BINS[0], _BINS[-1] - 1e-9)
     wide = _BINS[1] - _BINS[0]
-    middles = 0.5 * (_BINS[1:] + _BINS[:-1])
-    inside = np.exp(-0.5 * ((middles - 1) / seen.spread) ** 2) / (seen.spread * math.sqrt(2 * math.pi))
-    inside = (1 - STRAY) * inside + STRAY / (_BINS[-1] - _BINS[0])
     bins = ((values - _BINS[0]) / wide).astype(int).clip(0, len(seen.over) - 1)
-    elsewhere = -np.log((1 - theirs) * seen.over[bins] + theirs * inside[bins])
+    peak = 1 / (seen.spread * math.sqrt(2 * math.pi))
+    cartilage = (1 - STRAY) * peak * np.exp(-0.5 * ((values - 1) / seen.spread) ** 2) + STRAY / (_BINS[-1] - _BINS[0])
     return _layer_costs(
-        values, elsewhere, theirs, seen.over, inside, seen.marrow, profiles.blur_mm, STEP_MM / profiles.alike_mm, ends,
-        seen.spread, LEVELS_MM, DEPTHS_MM, STRAY, _BINS[0], wide,
+        values, -np.log(seen.over)[bins], -np.log(cartilage), -np.log(seen.over), seen.marrow, profiles.blur_mm,
+        STEP_MM / profiles.alike_mm, begins_mm, begins_sd_mm, ends_mm, seen.spread, LEVELS_MM, DEPTHS_MM,
+        (STRAY, _BINS[0], wide),
     )  # fmt: skip
+
+
+def with_measured_blur(profiles: Profiles, seen: Tissues, thickness_mm: Floats, sure: Mask) -> Profiles:
+    """Scale the blur to what the image shows at the outer edges of thick cartilage.
+
+    Args:
+        profiles: Grey values.
+        seen: The tissues.
+        thickness_mm: (V,) as found.
+        sure: (V,) where it is known, and free of other cartilage.
+    """
+    used = np.flatnonzero(sure & (thickness_mm > 4 * profiles.blur_mm))
+    off = DEPTHS_MM[None] - thickness_mm[used, None]
+    blur = profiles.blur_mm[used, None]
+    beyond = (off > 2.5 * blur) & (off < 2.5 * blur + OVER_MM)
+    outside = (seen.relative[used] * beyond).sum(1) / np.maximum(beyond.sum(1), 1)
+    clear = (np.abs(1 - outside) > _CLEAR) & beyond.any(1)
+    if np.count_nonzero(clear) < _ENOUGH:
+        return profiles
+    near = clear[:, None] & (np.abs(off) < _EDGE_MM)
+    part = ((1 - seen.relative[used]) / (1 - np.where(clear, outside, 0.0))[:, None])[near]
+    at = (off / blur)[near]
+    misfit = [np.minimum((part - ndtr(at / factor)) ** 2, 0.05).sum() for factor in _FACTORS]
+    return replace(profiles, blur_mm=profiles.blur_mm * _FACTORS[int(np.argmin(misfit))])
 
 
 @numba.njit(cache=True, nogil=True)
 def _layer_costs(  # pragma: no cover - compiled
-    values, elsewhere, theirs, over, inside, marrow, blur, share, ends, spread, levels, depths, stray, low, wide
+    values, over, cartilage, over_bins, marrow, blur, share, begins, begins_sd, ends, spread, levels, depths, constants
 ):
+    stray, low, wide = constants
     count, number = values.shape
     costs = np.zeros((count, len(levels)))
     step = depths[1] - depths[0]
+    usual = math.log(spread * math.sqrt(2 * math.pi))
+    farther, theirs = np.empty(number + 1), np.empty(number + 1)
     for v in range(count):
+        _farther(over[v], cartilage[v], depths, begins[v], begins_sd[v], ends[v], share[v], farther, theirs)
         for n in range(len(levels)):
             thick = levels[n]
             first = int((thick + 1.5 * blur[v] - depths[0]) / step + 0.5)
@@ -152,30 +184,53 @@ def _layer_costs(  # pragma: no cover - compiled
             for d in range(first, last + 1):
                 outside += values[v, d]
             outside /= last - first + 1
-            total = 0.0
+            # As if nothing were blurred: what lies over is paid for all along.
+            paid = over_bins[min(max(int((outside - low) / wide), 0), len(over_bins) - 1)]
+            apart = touching = 0.0
+            edge = rim = number
             for d in range(number):
                 depth = depths[d]
                 if depth < FIRST_MM or depth > ends[v]:
                     continue
+                if depth > thick:
+                    edge = min(edge, d)
                 if depth > thick + 2 * blur[v]:
-                    total += elsewhere[v, d]
-                    continue
+                    rim = d
+                    break
                 inner = 0.5 * math.erfc(-depth / (blur[v] * math.sqrt(2.0)))
                 at = (depth - thick) / blur[v]
                 outer = 0.5 * math.erfc(-at / math.sqrt(2.0))
-                model = marrow[v] + (1 - marrow[v]) * inner + (outside - 1) * outer
+                model = marrow[v] + (1 - marrow[v]) * inner
                 # What an edge may be off its mean place and form.
-                inner_slope = (1 - marrow[v]) * math.exp(-0.5 * (depth / blur[v]) ** 2)
-                slope = (outside - 1) * math.exp(-0.5 * at * at)
-                sd = math.sqrt(spread**2 + (0.15 * slope) ** 2 + (0.3 * inner_slope) ** 2)
-                off = (values[v, d] - model) / sd
-                fits = (1 - stray) * math.exp(-0.5 * off * off) + stray
-                total -= math.log(fits)
+                inner_slope = 0.3 * (1 - marrow[v]) * math.exp(-0.5 * (depth / blur[v]) ** 2)
+                outer_slope = 0.15 * (outside - 1) * math.exp(-0.5 * at * at)
+                variance = spread**2 + inner_slope**2
                 if depth <= thick:
-                    total += math.log(spread * math.sqrt(2 * math.pi))
-                else:
-                    # As if nothing were blurred: what lies over is paid for all along.
-                    bin_ = min(max(int((outside - low) / wide), 0), len(over) - 1)
-                    total -= math.log((1 - theirs[v, d]) * over[bin_] + theirs[v, d] * inside[bin_])
-            costs[v, n] = total * share[v]
+                    touching += usual - math.log(
+                        (1 - stray) * math.exp(-0.5 * (values[v, d] - model) ** 2 / variance) + stray
+                    )
+                off = (values[v, d] - model - (outside - 1) * outer) ** 2 / (variance + outer_slope**2)
+                apart += (usual if depth <= thick else paid) - math.log((1 - stray) * math.exp(-0.5 * off) + stray)
+            costs[v, n] = apart * share[v] + farther[rim]
+            if begins[v] < np.inf:
+                # The other cartilage begins right here.
+                there = 0.5 * ((thick - begins[v]) / begins_sd[v]) ** 2
+                costs[v, n] = min(costs[v, n], touching * share[v] + theirs[edge] + there)
     return costs
+
+
+@numba.njit(cache=True, nogil=True)
+def _farther(  # pragma: no cover - compiled
+    over, cartilage, depths, begins, begins_sd, ends, share, farther, theirs
+):
+    """Fill in what the profile from each depth on costs: what lies over, then another cartilage; and that alone."""
+    number = len(depths)
+    farther[number] = theirs[number] = 0.0
+    if begins < np.inf:
+        farther[number] = 0.5 * (max(min(ends, depths[-1]) - begins, 0.0) / begins_sd) ** 2
+    for d in range(number - 1, -1, -1):
+        within = depths[d] >= FIRST_MM and depths[d] <= ends
+        theirs[d] = theirs[d + 1] + (cartilage[d] * share if within else 0.0)
+        farther[d] = farther[d + 1] + (over[d] * share if within else 0.0)
+        if begins < np.inf and within:
+            farther[d] = min(farther[d], theirs[d] + 0.5 * ((depths[d] - begins) / begins_sd) ** 2)

@@ -60,7 +60,7 @@ class MeshGraph:
 
         Args:
             costs: (V, L) of each candidate alone, as half a square.
-            levels_mm: (L,) the candidates, the same everywhere.
+            levels_mm: (L,) the candidates, rising, the same everywhere.
             slope_sd: How fast they may change over the surface [mm/mm].
             most: No pair of neighbours costs more, however they differ.
 
@@ -92,9 +92,17 @@ def _beliefs(costs, levels, edges, stiffness, most, rounds, damping):  # pragma:
                 target = edges[e, 1 - b]
                 for m in range(number):
                     best = least + most
-                    for n in range(number):
-                        if ready[n] < best:
-                            best = min(best, ready[n] + stiffness[e] * (levels[m] - levels[n]) ** 2)
+                    # Levels rise: beyond the first that is too far all are.
+                    for n in range(m, -1, -1):
+                        step = stiffness[e] * (levels[m] - levels[n]) ** 2
+                        if step >= most:
+                            break
+                        best = min(best, ready[n] + step)
+                    for n in range(m + 1, number):
+                        step = stiffness[e] * (levels[m] - levels[n]) ** 2
+                        if step >= most:
+                            break
+                        best = min(best, ready[n] + step)
                     new = damping * messages[2 * e + b, m] + (1.0 - damping) * (best - least)
                     beliefs[target, m] += new - messages[2 * e + b, m]
                     messages[2 * e + b, m] = new
