@@ -6,13 +6,13 @@ import pytest
 from marey.geometry import rotations
 from marey.nonrigid.perspective_model import (
     MOTION,
-    _give_up_modes,
     _moved,
-    _set_gauge,
     begin,
     distance_jacobians,
+    give_up_modes,
     improve,
     residuals_and_jacobians,
+    set_gauge,
     solve_frames,
 )
 
@@ -57,11 +57,11 @@ def test_derivatives_are_those_of_differences(made, rng):
 
 def test_the_gauge_leaves_the_image_and_takes_motions_from_the_modes(made, rng):
     model, tracks = made
-    _set_gauge(model)
+    set_gauge(model)
     turn = np.array([0.2, -0.1, 0.3])
     model.modes = model.modes + 1e-3 * (np.cross(turn, model.mean.T).T + turn[:, None])
     before = residuals_and_jacobians(model, tracks, np.ones((FRAMES, POINTS)))[0]
-    _set_gauge(model)
+    set_gauge(model)
     after = residuals_and_jacobians(model, tracks, np.ones((FRAMES, POINTS)))[0]
     np.testing.assert_allclose(after, before, atol=1e-5)
     np.testing.assert_allclose(model.modes.mean(2), 0, atol=1e-12)
@@ -104,7 +104,7 @@ def test_modes_that_do_nothing_are_given_up(made):
     model.covariance = tuple(
         part[:, [*range(MOTION + 1), 7, 7]][:, :, [*range(MOTION + 1), 7, 7]] for part in model.covariance
     )
-    _give_up_modes(model)
+    give_up_modes(model)
     assert model.modes.shape[0] == model.weights.shape[1] == len(model.processes.spread) == MODES
     assert model.covariance[0].shape[1] == MOTION + MODES
     np.testing.assert_allclose(model.points, before, atol=1e-9)

@@ -1,6 +1,7 @@
 """`marey nonrigid`: from videos, tracks or points in space to the shapes of a surface that deforms."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -90,15 +91,27 @@ def _recovered(
     for note in _left_out(asked & ~frames, ~points, measured.labels):
         progress.warn(note)
 
-    def compute() -> dict[str, np.ndarray]:
-        return shape_arrays(_factorised(given, measured, frames, points, options))
-
     depends = (given.camera, options.basis_shapes, options.scaled, frames, points)
-    with progress.stage("Shapes"):
+    with _shapes_stage(given, progress) as told:
+
+        def compute() -> dict[str, np.ndarray]:
+            return shape_arrays(_factorised(given, measured, frames, points, options, told))
+
         found = shapes_from(cache.arrays("shapes", compute, depends=depends))
     for note in found.notes:
         progress.warn(note)
     return widened(found, frames, points)
+
+
+@contextmanager
+def _shapes_stage(given: NonRigidInput, progress: Progress) -> Iterator[Callable[[float], None]]:
+    """Show the stage, with the time that is left where the factorisation tells which share is done."""
+    if given.camera is None:
+        with progress.stage("Shapes"):
+            yield lambda share: None
+    else:
+        with progress.stage_of_shares("Shapes") as told:
+            yield told
 
 
 def _least(given: NonRigidInput, measured: MeasuredPoints) -> tuple[int, int]:
@@ -111,16 +124,21 @@ def _least(given: NonRigidInput, measured: MeasuredPoints) -> tuple[int, int]:
 
 
 def _factorised(
-    given: NonRigidInput, measured: MeasuredPoints, frames: Mask, points: Mask, options: NonRigidOptions
+    given: NonRigidInput,
+    measured: MeasuredPoints,
+    frames: Mask,
+    points: Mask,
+    options: NonRigidOptions,
+    told: Callable[[float], None],
 ) -> RecoveredShapes:
-    """Choose the factorisation by what is given."""
+    """Choose the factorisation by what is given; where it tells the share that is done, `told` is called."""
     if measured.points is not None:
         return from_points(factorise_points(measured.points[np.ix_(frames, points)], options.basis_shapes))
     assert measured.tracks is not None
     tracks = measured.tracks[:, frames][..., points]
     if given.camera is not None:
         straight = _straightened(tracks[0], given.camera)
-        return from_perspective(factorise_perspective(straight, given.camera.matrix), given.camera)
+        return from_perspective(factorise_perspective(straight, given.camera.matrix, told=told), given.camera)
     if given.rig is not None:
         sd = None if measured.tracks_sd is None else measured.tracks_sd[:, frames][..., points]
         found = factorise_calibrated(tracks, given.rig, tracks_sd=sd, rank=options.basis_shapes)

@@ -5,7 +5,8 @@ Here it gives some of the starts; others come from distances between neighbours 
 model in perspective (`perspective_model`), and the most probable is told, with its mirror image beside it.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from marey.arrays import Floats, Integers, Mask, frozen
 from marey.errors import MareyError
 from marey.geometry import rotations
 from marey.nonrigid.inextensible import neighbours
+from marey.nonrigid.perspective_joint import draws, improve_jointly
 from marey.nonrigid.perspective_model import MOTION, PerspectiveModel, begin, improve
 from marey.nonrigid.perspective_starts import Start, affine_starts, inextensible_start, start_of
 from marey.nonrigid.rank import significant_singular_values
@@ -28,7 +30,14 @@ JUDGING_NOISE = 0.01
 """Noise that is believed at least when starts are compared, as a share of the object's size in the image: what few
 modes leave is not noise, and would decide otherwise."""
 MODES = 20
-ROUNDS = 20
+ROUNDS, JOINT_ROUNDS = 8, 6
+STRETCHING = 0.015
+"""Distances that change by more than this share, where they count the most, do change."""
+LIKE_FRAMES = 20.0
+"""Frames over which they then change alike."""
+DRAWS = 8
+STARTED, JUDGED, REFINED, IMPROVED = 0.2, 0.5, 0.65, 0.9
+"""Shares of the whole time that are over once the starts are there, and so on."""
 FRAMES_A_MODE = 8
 """Frames that a displacement of an object needs whose neighbours do not keep their distance."""
 FIRST_NOISE = 0.005
@@ -110,12 +119,15 @@ class PerspectiveShapes:
         return np.asarray(np.sqrt(np.nanmean(self.residuals**2, 0)))
 
 
-def factorise_perspective(tracks: Floats, matrix: Floats) -> PerspectiveShapes:
+def factorise_perspective(
+    tracks: Floats, matrix: Floats, *, told: Callable[[float], None] = lambda share: None
+) -> PerspectiveShapes:
     """Find shapes, poses and basis shapes from the tracks of one camera whose matrix is known.
 
     Args:
         tracks: (F, 2, P) in pixels, without lens distortion; NaN where a point is not seen.
         matrix: (3, 3) of the camera: focal lengths, skew and principal point in pixels.
+        told: Is called with the share that is done, from 0 to 1.
 
     Returns:
         The shapes; their scale is not known.
@@ -131,7 +143,7 @@ def factorise_perspective(tracks: Floats, matrix: Floats) -> PerspectiveShapes:
     size = _image_size(known, seen)
     _refuse_flat_pictures(known, seen)
     pairs = neighbours(known, seen, NEIGHBOURS)
-    found = _best(known, seen, pairs, size)
+    found = _best(known, seen, pairs, size, told)
     notes = () if found.gap > TOLD else (NO_PERSPECTIVE,)
     return _tell(found, tracks, matrix, seen, notes)
 
@@ -186,22 +198,28 @@ def _refuse_flat_pictures(known: Floats, seen: Mask) -> None:
 @dataclass(frozen=True)
 class _Found:
     model: PerspectiveModel
-    rivals: list[PerspectiveModel]
-    """The same start with fewer modes and more noise, and with distances that may change as they like."""
+    rivals: list[Start]
+    """With fewer modes and more noise; with distances that may change as they like, and that count the most."""
     gap: float
     """By how much the mirror image is worse."""
+    drawn: list[Start] = field(default_factory=list)
+    """From what is not known of motion and shapes together."""
 
 
-def _best(known: Floats, seen: Mask, pairs: Integers, size: float) -> _Found:
+def _best(known: Floats, seen: Mask, pairs: Integers, size: float, told: Callable[[float], None]) -> _Found:
     """Judge all starts, and the mirror image of the best; refine the winner."""
     weight, few = seen.astype(float), max(1, min(EXTENDING_MODES, len(known) // FRAMES_A_MODE))
     starts = [inextensible_start(known, seen, pairs), *affine_starts(known, seen, few)]
-    judged = [(_judged(start, known, weight, pairs, size), start) for start in starts]
+    judged = []
+    for number, start in enumerate(starts):
+        told(STARTED + (JUDGED - STARTED) * number / len(starts))
+        judged.append((_judged(start, known, weight, pairs, size), start))
     model, start = min(judged, key=lambda pair: pair[0].cost if pair[0] else np.inf)
     if model is None:
         raise MareyError(NO_ANSWER)
     mirrored = start_of(model).mirrored()
     other = _judged(mirrored, known, weight, pairs, size)
+    told(JUDGED)
     gap = np.inf if other is None else other.cost - model.cost
     if other is not None and gap < 0:
         model, start, gap = other, mirrored, -gap
@@ -211,8 +229,26 @@ def _best(known: Floats, seen: Mask, pairs: Integers, size: float) -> _Found:
     rigid = _rigid_if_as_good(best, known, weight, size)
     if rigid is not best:
         return _Found(rigid, [], gap)
-    free = _refined(start, known, weight, pairs[:0], size, len(model.modes), ROUNDS, LEAST_NOISE)
-    return _Found(best, [model] if free is None else [model, free], gap)
+    free = _refined(start, known, weight, pairs[:0], size, len(model.modes), 2 * ROUNDS, LEAST_NOISE)
+    told(REFINED)
+    rivals = [start_of(model), *_improved(best, free, known, weight, size)]
+    told(IMPROVED)
+    return _Found(best, rivals, gap, list(draws(best, known, weight, DRAWS, np.random.default_rng(0))))
+
+
+def _improved(
+    best: PerspectiveModel, free: PerspectiveModel | None, known: Floats, weight: Floats, size: float
+) -> Iterator[Start]:
+    """Improve the answer, and give the rivals whose distances count for nothing, and for all if they change."""
+    improve_jointly(best, known, weight, JOINT_ROUNDS, LEAST_NOISE * size)
+    if best.change > STRETCHING:
+        yield start_of(best)
+        best.alike = LIKE_FRAMES
+        for each in (best, free):
+            if each is not None:
+                improve_jointly(each, known, weight, 2 * JOINT_ROUNDS, LEAST_NOISE * size)
+    if free is not None:
+        yield start_of(free)
 
 
 def _rigid_if_as_good(model: PerspectiveModel, known: Floats, weight: Floats, size: float) -> PerspectiveModel:
@@ -244,7 +280,7 @@ def _refined(
     return model if start_of(model).usable() and np.isfinite(model.cost) else None
 
 
-def _disagreement(model: PerspectiveModel, rivals: list[PerspectiveModel]) -> tuple[Floats, Floats, Floats]:
+def _disagreement(model: PerspectiveModel, rivals: list[Start]) -> tuple[Floats, Floats, Floats]:
     """Sum the squares of the rivals' differences from the answer, each scaled and turned to fit its shapes best.
 
     Returns:
@@ -266,6 +302,8 @@ def _disagreement(model: PerspectiveModel, rivals: list[PerspectiveModel]) -> tu
 def _tell(found: _Found, tracks: Floats, matrix: Floats, seen: Mask, notes: tuple[str, ...]) -> PerspectiveShapes:
     """Give the answer in pixels at the mean depth, in the axes of the first frame's camera."""
     model, gap, doubt = found.model, found.gap, _disagreement(found.model, found.rivals)
+    for whole, part in zip(doubt, _disagreement(model, found.drawn), strict=True):
+        whole += part / DRAWS
     focal = float(np.sqrt(matrix[0, 0] * matrix[1, 1]))
     size = focal / float(model.shift[:, 2].mean())
     turn = model.rotation[0]
@@ -282,13 +320,12 @@ def _tell(found: _Found, tracks: Floats, matrix: Floats, seen: Mask, notes: tupl
     shape = np.einsum("fk,kip->fip", coefficients, basis)
     image = matrix @ (rotation @ shape + translation[:, :, None])
     own = np.einsum("fii->fi", covariance)
-    stretch = float(np.median(np.sqrt(model.stretch) / model.distance)) if len(model.pairs) else 0.0
     return PerspectiveShapes(
         shape=shape, shape_sd=np.sqrt(variance), rotation=rotation, rotation_sd=np.sqrt(own[:, :3] + doubt[1]),
         translation=translation, translation_sd=np.sqrt(own[:, 3:MOTION] + doubt[2]) * size, basis=basis,
         coefficients=coefficients, noise_sd=float(np.sqrt(model.variance)) * focal,
         residuals=np.linalg.norm(tracks - image[:, :2] / image[:, 2:], axis=1), predicted=~seen,
-        stretch=stretch, mirror_gap=gap, notes=(*notes, RIGID) if len(basis) == 1 else notes,
+        stretch=model.change, mirror_gap=gap, notes=(*notes, RIGID) if len(basis) == 1 else notes,
     )  # fmt: skip
 
 

@@ -14,7 +14,7 @@ from marey.arrays import Floats, Integers
 from marey.geometry import rotations
 from marey.nonrigid.block_banded import solve_banded
 from marey.nonrigid.rotation_paths import accelerations, add_steadiness
-from marey.nonrigid.shape_equations import solve_shape_equations
+from marey.nonrigid.shape_equations import ShapeEquations, shape_equations, solve_shape_equations
 from marey.nonrigid.weight_processes import WeightProcesses, processes_of
 
 MOTION = 6
@@ -60,6 +60,8 @@ class PerspectiveModel:
     """(F, 6 + M, 6 + M) of each frame's unknowns, and with the next and the next but one."""
     cost: float = np.inf
     """Minus the logarithm of the tracks' probability, up to a constant."""
+    alike: float = 1.0
+    """Frames over which a distance changes alike: so many say as much as one."""
 
     @property
     def share(self) -> float:
@@ -67,7 +69,17 @@ class PerspectiveModel:
 
         Distances of neighbours hang together; counted as so many observations they would outweigh the tracks.
         """
-        return min(1.0, self.mean.shape[1] / max(len(self.pairs), 1))
+        return min(1.0, self.mean.shape[1] / max(len(self.pairs), 1)) / self.alike
+
+    @property
+    def change(self) -> float:
+        """How much distances between neighbours change: median of their deviations over them, 0 without any."""
+        return float(np.median(np.sqrt(self.stretch) / self.distance)) if len(self.pairs) else 0.0
+
+    @property
+    def row(self) -> Floats:
+        """(F, 1 + M) weights of the mean shape and the modes."""
+        return np.concatenate([np.ones((len(self.weights), 1)), self.weights], 1)
 
     @property
     def shapes(self) -> Floats:
@@ -95,7 +107,7 @@ def begin(
     modes = min(modes, len(d))
     weights = u[:, :modes] * d[:modes] / np.sqrt(points)
     unknowns = MOTION + modes
-    lengths = _lengths(shapes, pairs)[0]
+    lengths = lengths_of(shapes, pairs)[0]
     distance = lengths.mean(0)
     jerks = np.diff(shift, 2, axis=0)
     return PerspectiveModel(
@@ -111,14 +123,14 @@ def begin(
     )  # fmt: skip
 
 
-def _lengths(shapes: Floats, pairs: Integers) -> tuple[Floats, Floats]:
+def lengths_of(shapes: Floats, pairs: Integers) -> tuple[Floats, Floats]:
     """Give the distances of neighbours (F, E) and their directions (F, 3, E)."""
     apart = shapes[:, :, pairs[:, 0]] - shapes[:, :, pairs[:, 1]]
     length = np.linalg.norm(apart, axis=1)
     return length, apart / np.maximum(length, 1e-12)[:, None]
 
 
-def _seen_from(model: PerspectiveModel, tracks: Floats, seen: Floats) -> tuple[Floats, Floats]:
+def seen_from(model: PerspectiveModel, tracks: Floats, seen: Floats) -> tuple[Floats, Floats]:
     """Give the residuals (F, 2, P) and the image's derivative (F, 2, 3, P) by the point before the camera."""
     points = model.points
     image = points[:, :2] / points[:, 2:]
@@ -130,7 +142,7 @@ def _seen_from(model: PerspectiveModel, tracks: Floats, seen: Floats) -> tuple[F
 
 def residuals_and_jacobians(model: PerspectiveModel, tracks: Floats, seen: Floats) -> tuple[Floats, Floats]:
     """Give the residuals (F, 2, P) and the model's derivative (F, 2, P, 6 + M) by left turn, shift and weights."""
-    residual, by_point = _seen_from(model, tracks, seen)
+    residual, by_point = seen_from(model, tracks, seen)
     frames, _, points = tracks.shape
     carried = model.rotation @ model.shapes
     by_unknown = np.zeros((frames, 3, points, MOTION + len(model.modes)))
@@ -147,18 +159,18 @@ def residuals_and_jacobians(model: PerspectiveModel, tracks: Floats, seen: Float
 
 def distance_jacobians(model: PerspectiveModel) -> tuple[Floats, Floats]:
     """Give what distances lack (F, E) and their derivative (F, E, M) by the weights."""
-    length, direction = _lengths(model.shapes, model.pairs)
+    length, direction = lengths_of(model.shapes, model.pairs)
     apart = model.modes[:, :, model.pairs[:, 0]] - model.modes[:, :, model.pairs[:, 1]]
     by_weight = np.matmul(direction.transpose(2, 0, 1), apart.transpose(2, 1, 0)).transpose(1, 0, 2)
     return model.distance - length, by_weight
 
 
-def _squares(model: PerspectiveModel, tracks: Floats, seen: Floats) -> float:
+def improbability(model: PerspectiveModel, tracks: Floats, seen: Floats) -> float:
     """Give minus the logarithm of the probability, up to a constant, of this very answer."""
     if float(model.points[:, 2].min()) <= 0:
         return np.inf
-    residual = _seen_from(model, tracks, seen)[0]
-    lacking = model.distance - _lengths(model.shapes, model.pairs)[0]
+    residual = seen_from(model, tracks, seen)[0]
+    lacking = model.distance - lengths_of(model.shapes, model.pairs)[0]
     frames = len(tracks)
     turns, jerks = accelerations(model.rotation), np.diff(model.shift, 2, axis=0)
     total = float((residual**2).sum()) / model.variance + 2 * float(seen.sum()) * np.log(model.variance)
@@ -168,8 +180,8 @@ def _squares(model: PerspectiveModel, tracks: Floats, seen: Floats) -> float:
     return 0.5 * total + model.processes.cost(model.weights)
 
 
-def solve_frames(model: PerspectiveModel, tracks: Floats, seen: Floats) -> None:
-    """Do one Gauss-Newton step of all frames together, shortened until it helps; sets covariance and cost."""
+def frame_equations(model: PerspectiveModel, tracks: Floats, seen: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """Write the normal equations of all frames, given the shapes, as `solve_banded` takes them."""
     residual, jacobian = residuals_and_jacobians(model, tracks, seen)
     frames, unknowns = len(tracks), jacobian.shape[-1]
     flat = jacobian.reshape(frames, -1, unknowns)
@@ -184,9 +196,14 @@ def solve_frames(model: PerspectiveModel, tracks: Floats, seen: Floats) -> None:
     add_steadiness(diagonal, first, second, right, model.rotation, 1 / model.unsteadiness[0])
     _add_smooth_shift(diagonal, first, second, right, model)
     model.processes.add(diagonal, first, second, right, model.weights, MOTION)
-    step, *covariance, determinant = solve_banded(diagonal, first, second, right)
+    return diagonal, first, second, right
+
+
+def solve_frames(model: PerspectiveModel, tracks: Floats, seen: Floats) -> None:
+    """Do one Gauss-Newton step of all frames together, shortened until it helps; sets covariance and cost."""
+    step, *covariance, determinant = solve_banded(*frame_equations(model, tracks, seen))
     model.covariance = (covariance[0], covariance[1], covariance[2])
-    before = _squares(model, tracks, seen)
+    before = improbability(model, tracks, seen)
     model.cost = before + 0.5 * determinant
     start = model.rotation, model.shift, model.weights
     share = min(1.0, LONGEST_TURN / max(float(np.abs(step[:, :3]).max()), 1e-300))
@@ -194,7 +211,7 @@ def solve_frames(model: PerspectiveModel, tracks: Floats, seen: Floats) -> None:
         model.rotation = rotations.exp(share * step[:, :3]) @ start[0]
         model.shift = start[1] + share * step[:, 3:MOTION]
         model.weights = start[2] + share * step[:, MOTION:]
-        if _squares(model, tracks, seen) <= before:
+        if improbability(model, tracks, seen) <= before:
             return
         share /= 2
     model.rotation, model.shift, model.weights = start
@@ -213,37 +230,46 @@ def _add_smooth_shift(diagonal: Floats, first: Floats, second: Floats, right: Fl
     second[:-2, own, own] += precision * by[0] * by[2]
 
 
-def solve_shapes(model: PerspectiveModel, tracks: Floats, seen: Floats) -> None:
-    """Solve for the mean shape and the modes, given what is known of the frames, and set the gauge anew."""
-    residual, by_point = _seen_from(model, tracks, seen)
+def equations_of_shapes(
+    model: PerspectiveModel, tracks: Floats, seen: Floats, *, certain: bool = False
+) -> ShapeEquations:
+    """Write the equations of the mean shape and the modes; `certain` takes the frames for known."""
+    residual, by_point = seen_from(model, tracks, seen)
     by_shape = np.einsum("fkip,fij->fkjp", by_point, model.rotation)
     shapes = model.shapes
     wanted = residual + np.einsum("fkjp,fjp->fkp", by_shape, shapes)
-    row = np.concatenate([np.ones((len(tracks), 1)), model.weights], 1)
-    square = row[:, :, None] * row[:, None]
-    square[:, 1:, 1:] += model.covariance[0][:, MOTION:, MOTION:]
-    direction = _lengths(shapes, model.pairs)[1]
-    basis = np.concatenate([model.mean[None], model.modes])
+    row = model.row
+    square, moved = row[:, :, None] * row[:, None], _moved(model)
+    if certain:
+        moved = np.zeros_like(moved)
+    else:
+        square[:, 1:, 1:] += model.covariance[0][:, MOTION:, MOTION:]
+    direction = lengths_of(shapes, model.pairs)[1]
     sharp, tight = 1 / np.sqrt(model.variance), np.sqrt(model.share / model.stretch)
-    basis = solve_shape_equations(
-        basis, row, square, by_shape * sharp, wanted * sharp, _moved(model), model.pairs, direction * tight,
-        model.distance * tight,
-    )  # fmt: skip
-    # What is not known of the weights counts here and not in `_squares`, which therefore may rise a little.
-    enough, start = _squares(model, tracks, seen) + float(seen.sum()), (model.mean, model.modes)
+    return shape_equations(
+        row, square, by_shape * sharp, wanted * sharp, moved, model.pairs, direction * tight, model.distance * tight
+    )
+
+
+def solve_shapes(model: PerspectiveModel, tracks: Floats, seen: Floats) -> None:
+    """Solve for the mean shape and the modes, given what is known of the frames, and set the gauge anew."""
+    basis = np.concatenate([model.mean[None], model.modes])
+    basis = solve_shape_equations(equations_of_shapes(model, tracks, seen), basis)
+    # What is not known of the weights counts here and not in `improbability`, which therefore may rise a little.
+    enough, start = improbability(model, tracks, seen) + float(seen.sum()), (model.mean, model.modes)
     for halving in range(HALVINGS):
         share = 0.5**halving
         model.mean = (1 - share) * start[0] + share * basis[0]
         model.modes = (1 - share) * start[1] + share * basis[1:]
-        if _squares(model, tracks, seen) <= enough:
+        if improbability(model, tracks, seen) <= enough:
             break
     else:
         model.mean, model.modes = start
-    _give_up_modes(model)
-    _set_gauge(model)
+    give_up_modes(model)
+    set_gauge(model)
 
 
-def _give_up_modes(model: PerspectiveModel) -> None:
+def give_up_modes(model: PerspectiveModel) -> None:
     """Leave out modes that do next to nothing: nothing holds their weights, which would grow without limit."""
     own = np.einsum("fmm->m", model.covariance[0][:, MOTION:, MOTION:]) / len(model.weights)
     moved = ((model.weights**2).mean(0) + own) * (model.modes**2).mean((1, 2))
@@ -267,11 +293,10 @@ def _moved(model: PerspectiveModel) -> Floats:
     return np.asarray(np.swapaxes(model.rotation, 1, 2)[:, None] @ moved)
 
 
-def _set_gauge(model: PerspectiveModel) -> None:
+def set_gauge(model: PerspectiveModel) -> None:
     """Put the origin at the centre, the size to 1, and the mean's motions, to first order, from modes to poses."""
     middle = np.concatenate([model.mean[None], model.modes]).mean(2)
-    row = np.concatenate([np.ones((len(model.weights), 1)), model.weights], 1)
-    model.shift = model.shift + np.einsum("fij,fj->fi", model.rotation, row @ middle)
+    model.shift = model.shift + np.einsum("fij,fj->fi", model.rotation, model.row @ middle)
     model.mean, model.modes = model.mean - middle[0][:, None], model.modes - middle[1:, :, None]
     inertia = (model.mean**2).sum() * np.eye(3) - model.mean @ model.mean.T
     moments = np.cross(model.mean.T[None], np.swapaxes(model.modes, 1, 2)).sum(1)

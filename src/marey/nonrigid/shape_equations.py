@@ -1,5 +1,7 @@
 """Equations of the mean shape and all displacements together: points before the camera, neighbours at a distance."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from marey.arrays import Floats, Integers
@@ -8,8 +10,40 @@ ROUNDS = 80
 STILL = 1e-5
 
 
-def solve_shape_equations(
-    basis: Floats,
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ShapeEquations:
+    """Normal equations of P points' coordinates in K basis shapes, in the order (P, 3K)."""
+
+    diagonal: Floats
+    """(P, 3K, 3K)."""
+    across: Floats
+    """(E, 3K, 3K) what ties the two points of a pair, to be subtracted."""
+    pairs: Integers
+    """(E, 2)."""
+    right: Floats
+    """(P, 3K)."""
+
+    def times(self, values: Floats) -> Floats:
+        """Give the left side of some values (P, 3K)."""
+        first, second = self.pairs.T
+        out = _each(self.diagonal, values)
+        if len(self.pairs):
+            np.subtract.at(out, first, _each(self.across, values[second]))
+            np.subtract.at(out, second, _each(self.across, values[first]))
+        return out
+
+
+def in_rows(basis: Floats) -> Floats:
+    """Give basis shapes (K, 3, P) in the order of the equations."""
+    return np.asarray(basis.transpose(2, 0, 1).reshape(basis.shape[2], -1))
+
+
+def in_shapes(rows: Floats) -> Floats:
+    """Give basis shapes (K, 3, P) from the order of the equations."""
+    return np.asarray(rows.reshape(len(rows), -1, 3).transpose(1, 2, 0))
+
+
+def shape_equations(
     row: Floats,
     square: Floats,
     by_shape: Floats,
@@ -18,11 +52,10 @@ def solve_shape_equations(
     pairs: Integers,
     direction: Floats,
     distance: Floats,
-) -> Floats:
-    """Solve by conjugate gradients for the basis shapes, given the frames.
+) -> ShapeEquations:
+    """Write the equations of the basis shapes, given the frames; displacements are of size 1 beforehand.
 
     Args:
-        basis: (K, 3, P) to start from; displacements are believed to be of size 1 beforehand.
         row: (F, K) weights.
         square: (F, K, K) expected products of the weights.
         by_shape: (F, 2, 3, P) derivative of the image by a shape's point, over the noise.
@@ -32,11 +65,8 @@ def solve_shape_equations(
         pairs: (E, 2) neighbours.
         direction: (F, 3, E) from the second to the first, over the distance's standard deviation.
         distance: (E,) over the same.
-
-    Returns:
-        (K, 3, P).
     """
-    count, _, points = basis.shape
+    count, points = row.shape[1], wanted.shape[2]
     seen_of = np.einsum("fkip,fkjp->pfij", by_shape, by_shape)
     diagonal = _blocks(square, seen_of)
     right = np.einsum("fa,fip->pai", row, np.einsum("fkip,fkp->fip", by_shape, wanted))
@@ -50,9 +80,32 @@ def solve_shape_equations(
     # Each coordinate's own share: a mode of large weights would hold all others else.
     diagonal[:, range(3 * count), range(3 * count)] *= 1 + 1e-9
     diagonal[:, range(3, 3 * count), range(3, 3 * count)] += 1
-    start = basis.transpose(2, 0, 1).reshape(points, 3 * count)
-    solved = _conjugate_gradients(diagonal, across, pairs, right, start)
-    return np.asarray(solved.reshape(points, count, 3).transpose(1, 2, 0))
+    return ShapeEquations(diagonal=diagonal, across=across, pairs=pairs, right=right)
+
+
+def solve_shape_equations(equations: ShapeEquations, basis: Floats) -> Floats:
+    """Solve by conjugate gradients with the points' own blocks as preconditioner, from basis shapes (K, 3, P)."""
+    inverse = np.linalg.inv(equations.diagonal)
+    found = in_rows(basis)
+    left = equations.right - equations.times(found)
+    turned = _each(inverse, left)
+    direction, size = turned, float((left * turned).sum())
+    enough = STILL**2 * float((equations.right * _each(inverse, equations.right)).sum())
+    for _ in range(ROUNDS):
+        if size <= enough:
+            break
+        ahead = equations.times(direction)
+        length = size / float((direction * ahead).sum())
+        found = found + length * direction
+        left = left - length * ahead
+        turned = _each(inverse, left)
+        now = float((left * turned).sum())
+        direction, size = turned + now / size * direction, now
+    return in_shapes(found)
+
+
+def _each(blocks: Floats, values: Floats) -> Floats:
+    return np.asarray((blocks @ values[..., None])[..., 0])
 
 
 def _blocks(square: Floats, seen_of: Floats) -> Floats:
@@ -63,36 +116,3 @@ def _blocks(square: Floats, seen_of: Floats) -> Floats:
     return np.ascontiguousarray(
         sums.reshape(number, 3, 3, count, count).transpose(0, 3, 1, 4, 2).reshape(number, 3 * count, 3 * count)
     )
-
-
-def _conjugate_gradients(diagonal: Floats, across: Floats, pairs: Integers, right: Floats, start: Floats) -> Floats:
-    """Solve with the points' own blocks as preconditioner."""
-    first, second = pairs.T
-    inverse = np.linalg.inv(diagonal)
-
-    def times(blocks: Floats, values: Floats) -> Floats:
-        return np.asarray((blocks @ values[..., None])[..., 0])
-
-    def system(values: Floats) -> Floats:
-        out = times(diagonal, values)
-        if len(pairs):
-            np.subtract.at(out, first, times(across, values[second]))
-            np.subtract.at(out, second, times(across, values[first]))
-        return out
-
-    found = start.copy()
-    left = right - system(found)
-    turned = times(inverse, left)
-    direction, size = turned, float((left * turned).sum())
-    enough = STILL**2 * float((right * times(inverse, right)).sum())
-    for _ in range(ROUNDS):
-        if size <= enough:
-            break
-        ahead = system(direction)
-        length = size / float((direction * ahead).sum())
-        found = found + length * direction
-        left = left - length * ahead
-        turned = times(inverse, left)
-        now = float((left * turned).sum())
-        direction, size = turned + now / size * direction, now
-    return found
