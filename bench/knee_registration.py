@@ -1,50 +1,65 @@
-"""Registration of bones made from label maps: back from 30 degrees and 30 mm, and one person's bent into another's.
+"""Registration of bones made from label maps: back from where they were moved, and one person's bent into another's.
 
-    python bench/knee_registration.py SHARED [rigid|elastic|thickness] [--draws N]
+    python bench/knee_registration.py SHARED [PART] [--draws N]
 
-SHARED holds `data/knee`. `rigid`: a bone's surface from a label map, its field of view cut shorter and its mesh another
-one than the template's, is moved by 30 degrees about an axis through its middle and by 30 mm, both in random
-directions; prints one JSON line a bone: median and greatest error of what `register_rigidly` finds, the share within
-0.3 degrees and 0.3 mm, the share of the six numbers within two of their stated standard deviations. `elastic`: one line
-a pair: mean distance of the surfaces before and after, 95 %, the least determinant of the Jacobian, seconds of process
-time. `thickness`: leaves thickness_femur.npz and thickness_tibia.npz in the working folder for `score/thickness.py`.
+SHARED holds `data/knee`. Parts, one JSON line a row:
+
+`rigid`: a bone on a coarser mesh, its shaft cut 15 mm shorter, is moved by 30 degrees about an axis through its middle
+and by 30 mm, both in random directions: median and worst errors of what `register_rigidly` finds.
+`noise`: the same from up to 30 degrees and 30 mm, both shafts cut anew by leaning planes, and with errors of 0.3 mm as
+two outlines of one bone have them, smooth over 2 to 8 mm; and how many of the six numbers lie within 1.96 stated
+standard deviations.
+`sides`: every pair of people, the template as it is and mirrored: whether the side is found, and how much nearer it is.
+`elastic`: every pair of people, bent there and, from the same rigid motion, back: mean distance of the surfaces before
+and after bending, 95 %, the least determinant of the Jacobian, the error of the inverse, and how far off a point comes
+back by the two.
+`known`: a bone bent by a known smooth field: how far off points of its surface come out, rigidly and bent.
+`peer`: SimpleITK's demons and B-splines on the same distances, in the same run.
+`thickness`: leaves thickness_femur.npz and thickness_tibia.npz in the working folder for `score/thickness.py`, and
+prints them beside the closest-point distance.
 """
 
 import argparse
 import json
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from marey.arrays import Floats
+from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
 from marey.io.meshes import read_mesh
 from marey.io.npz import write_arrays
-from marey.io.volumes import read_labels
+from marey.io.volumes import read_labels, simple_itk
 from marey.knee.cut_ends import cut_planes
-from marey.knee.elastic_registration import register_elastically, surface_distances
-from marey.knee.rigid_registration import register_rigidly
+from marey.knee.deformation import Deformation
+from marey.knee.elastic_registration import ElasticSettings, _images, register_elastically, surface_distances
+from marey.knee.rigid_registration import RigidRegistration, register_rigidly
+from marey.knee.sided_registration import register_on_either_side
 from marey.knee.sides import mirrored
 from marey.knee.surface import Surface
 from marey.knee.surfacing import surface_of_labels
 from marey.knee.thickness import cartilage_thickness
+from marey.knee.triangle_tree import TriangleTree
 from marey.knee.volume import Grid, Labels
 
 SHORTER_MM = 15.0
-PAIRS = (
-    ("atlas", "template_a", "femur"), ("atlas", "dess", "femur"), ("atlas", "thickness", "femur"),
-    ("dess", "template_a", "femur"), ("dess", "thickness", "femur"), ("thickness", "template_a", "femur"),
-    ("template_a", "atlas", "tibia"), ("atlas", "template_a", "patella"),
-)  # fmt: skip
+PEOPLE = {"femur": ("atlas", "template_a", "dess", "thickness"), "tibia": ("atlas", "template_a", "dess", "thickness"),
+          "patella": ("atlas", "template_a", "dess")}  # fmt: skip
 LEFT = ("atlas",)
+
+
+def say(**row: object) -> None:
+    print(json.dumps({key: round(float(value), 4) if isinstance(value, (float, np.floating)) else value
+                      for key, value in row.items()}), flush=True)  # fmt: skip
 
 
 def labels_of(shared: Path, name: str) -> Labels:
     folder = shared / "data" / "knee" / name
-    if name != "dess":
-        return read_labels(folder)
-    return read_labels(folder / "reference_labels.nii.gz")
+    return read_labels(folder / "reference_labels.nii.gz" if name == "dess" else folder)
 
 
 def surface_of(shared: Path, name: str, bone: str) -> Surface:
@@ -64,80 +79,258 @@ def shortened(labels: Labels, bone: str) -> Labels:
     return Labels(labels=cut, grid=Grid(shape=labels.grid.shape, lps_from_voxel=labels.grid.lps_from_voxel))
 
 
-def rigid(shared: Path, draws: int) -> None:
-    rng = np.random.default_rng(1)
-    for name, bone in (("template_a", "femur"), ("template_a", "tibia"), ("atlas", "femur"), ("atlas", "patella")):
-        labels = labels_of(shared, name)
-        template = surface_of_labels(labels, bone)
-        other = labels if bone == "patella" else shortened(labels, bone)
-        subject = surface_of_labels(other, bone, edge_mm=1.5)
-        middle = template.vertices_mm.mean(0)
+def bones() -> list[tuple[str, str]]:
+    return [(name, bone) for bone, names in PEOPLE.items() for name in names]
+
+
+def coarse_and_short(shared: Path, name: str, bone: str) -> Surface:
+    if name == "thickness":
+        return shorn(surface_of(shared, name, bone), bone, SHORTER_MM, np.zeros(2))
+    labels = labels_of(shared, name)
+    return surface_of_labels(labels if bone == "patella" else shortened(labels, bone), bone, edge_mm=1.5)
+
+
+def shorn(surface: Surface, bone: str, mm: float, lean: Floats) -> Surface:
+    """Press the end of a shaft flat, mm below its top, by a plane that leans."""
+    if bone == "patella":
+        return surface
+    normal = rotations.exp(np.array([*lean, 0.0])) @ [0, 0, 1.0 if bone == "femur" else -1.0]
+    height = surface.vertices_mm @ normal
+    over = np.maximum(height - height.max() + mm, 0)
+    return Surface(vertices_mm=surface.vertices_mm - over[:, None] * normal, faces=surface.faces)
+
+
+def rough(surface: Surface, rng: np.random.Generator, length_mm: float, sd_mm: float) -> Surface:
+    """Move a surface along its normals by what is smooth over a length."""
+    waves, phases = rng.normal(0, 1 / length_mm, (200, 3)), rng.uniform(0, 2 * np.pi, 200)
+    bumps = sd_mm * np.sqrt(2 / 200) * np.cos(surface.vertices_mm @ waves.T + phases).sum(1)
+    return Surface(vertices_mm=surface.vertices_mm + bumps[:, None] * surface.vertex_normals, faces=surface.faces)
+
+
+def motion(rng: np.random.Generator, middle: Floats, degrees: float, mm: float) -> RigidTransform:
+    axis, shift = rng.normal(size=(2, 3))
+    turn = rotations.exp(np.radians(degrees) * axis / np.linalg.norm(axis))
+    return RigidTransform(turn, middle - turn @ middle + mm * shift / np.linalg.norm(shift))
+
+
+def moved(surface: Surface, by: RigidTransform) -> Surface:
+    return Surface(vertices_mm=by.apply(surface.vertices_mm), faces=surface.faces)
+
+
+Draw = Callable[[np.random.Generator, Surface, Surface, str], tuple[Surface, Surface, float, float]]
+
+
+def exact_draw(
+    rng: np.random.Generator, template: Surface, subject: Surface, bone: str
+) -> tuple[Surface, Surface, float, float]:
+    return template, subject, 30.0, 30.0
+
+
+def noisy_draw(
+    rng: np.random.Generator, template: Surface, subject: Surface, bone: str
+) -> tuple[Surface, Surface, float, float]:
+    first, second = (rng.normal(0, np.radians(10), 2) for _ in range(2))
+    template = shorn(template, bone, rng.uniform(0, 15), first)
+    subject = shorn(rough(subject, rng, rng.uniform(2, 8), 0.3), bone, rng.uniform(0, 15), second)
+    return template, subject, rng.uniform(0, 30), rng.uniform(0, 30)
+
+
+def rigid(shared: Path, draws: int, draw: Draw = exact_draw) -> None:
+    for name, bone in bones():
+        rng = np.random.default_rng(1)
+        whole, short = surface_of(shared, name, bone), coarse_and_short(shared, name, bone)
         errors, whitened, spent = [], [], []
         for _ in range(draws):
-            axis, shift = rng.normal(size=(2, 3))
-            turn = RigidTransform.from_vector(np.radians(30) * axis / np.linalg.norm(axis), np.zeros(3)).rotation
-            true = RigidTransform(turn, middle - turn @ middle + 30 * shift / np.linalg.norm(shift))
-            moved = Surface(vertices_mm=true.apply(subject.vertices_mm), faces=subject.faces)
+            template, subject, degrees, mm = draw(rng, whole, short, bone)
+            middle = template.vertices_mm.mean(0)
+            true = motion(rng, middle, degrees, mm)
             began = time.process_time()
-            found = register_rigidly(template, moved)
+            found = register_rigidly(template, moved(subject, true))
             spent.append(time.process_time() - began)
             left = found.subject_from_template @ true.inverse()
             off = found.subject_from_template.apply(middle) - true.apply(middle)
             errors.append((np.degrees(np.linalg.norm(left.rotation_vector)), np.linalg.norm(off)))
             whitened.append(np.r_[left.rotation_vector, off] / np.sqrt(np.diag(found.covariance)))
-        table = np.array(errors)
-        line = {
-            "bone": f"{name} {bone}", "draws": draws,
-            "median_deg": np.median(table[:, 0]), "worst_deg": table[:, 0].max(),
-            "median_mm": np.median(table[:, 1]), "worst_mm": table[:, 1].max(),
-            "success": (table < 0.3).all(1).mean(), "within_two_sd": (np.abs(whitened) < 2).mean(),
-            "seconds": np.median(spent),
-        }  # fmt: skip
-        rounded = {
-            key: value if isinstance(value, (str, int)) else round(float(value), 4) for key, value in line.items()
-        }
-        print(json.dumps(rounded), flush=True)
+        turn, shift = np.array(errors).T
+        say(bone=f"{name} {bone}", draws=draws, median_deg=np.median(turn), worst_deg=turn.max(),
+            median_mm=np.median(shift), worst_mm=shift.max(), within_95=(np.abs(whitened) < 1.96).mean(),
+            off_by_sd=np.sqrt(np.mean(np.square(whitened))), seconds=np.median(spent))  # fmt: skip
 
 
-def elastic(shared: Path) -> None:
-    for first, second, bone in PAIRS:
+def pairs() -> list[tuple[str, str, str]]:
+    return [(bone, a, b) for bone, names in PEOPLE.items() for a in names for b in names if a != b]
+
+
+def sides(shared: Path, draws: int) -> None:
+    for bone, first, second in pairs():
+        found = register_on_either_side(surface_of(shared, first, bone), surface_of(shared, second, bone))
+        true = (first in LEFT) != (second in LEFT)
+        right, wrong = (found.other_side_mm, found.same_side_mm)[:: 1 if true else -1]
+        say(pair=f"{bone}: {first} to {second}", found=found.mirrored == true, told_as_clear=found.clear,
+            right_side_mm=right, wrong_side_mm=wrong)  # fmt: skip
+
+
+def laid(template: Surface, subject: Surface) -> tuple[Surface, RigidRegistration]:
+    found = register_rigidly(template, subject)
+    return moved(template, found.subject_from_template), found
+
+
+def elastic(shared: Path, draws: int) -> None:
+    for bone, first, second in [pair for pair in pairs() if pair[1] < pair[2]]:
         template, subject = surface_of(shared, first, bone), surface_of(shared, second, bone)
         template = mirrored(template) if (first in LEFT) != (second in LEFT) else template
         began = time.process_time()
-        found = register_rigidly(template, subject)
-        laid = Surface(vertices_mm=found.subject_from_template.apply(template.vertices_mm), faces=template.faces)
-        before = surface_distances(laid, subject, cut_planes(laid), cut_planes(subject))
-        bent = register_elastically(laid, subject)
-        line = {
-            "pair": f"{bone}: {first} to {second}", "rigid_mm": round(float(before.mean()), 2),
-            "mean_mm": round(bent.surface_distance_mm, 3), "within_95_mm": round(bent.farthest_mm, 2),
-            "least_determinant": round(bent.least_determinant, 3), "seconds": round(time.process_time() - began, 1),
-        }  # fmt: skip
-        print(json.dumps(line), flush=True)
+        start, _ = laid(template, subject)
+        before = surface_distances(start, subject, cut_planes(start), cut_planes(subject))
+        bent = register_elastically(start, subject)
+        spent = time.process_time() - began
+        back = register_elastically(subject, start)
+        there = bent.deformation.subject_points(start.vertices_mm)
+        inverse = np.linalg.norm(bent.deformation.template_points(there) - start.vertices_mm, axis=1)
+        again = np.linalg.norm(back.deformation.subject_points(there) - start.vertices_mm, axis=1)
+        say(pair=f"{bone}: {first} to {second}", rigid_mm=before.mean(), mean_mm=bent.surface_distance_mm,
+            within_95_mm=bent.farthest_mm, least_determinant=bent.least_determinant, seconds=spent,
+            back_mean_mm=back.surface_distance_mm, back_within_95_mm=back.farthest_mm,
+            back_least_determinant=back.least_determinant, inverse_mm=inverse.max(), there_and_back_mm=np.median(again))  # fmt: skip
 
 
-def thickness(shared: Path) -> None:
+def known_field(surface: Surface, rng: np.random.Generator, mm: float, length_mm: float) -> Callable[[Floats], Floats]:
+    """Give a smooth motion of space: waves of some length, mm in each direction on the average."""
+    waves, phases = rng.normal(0, 1 / length_mm, (3, 30, 3)), rng.uniform(0, 2 * np.pi, (3, 30))
+    middle = surface.vertices_mm.mean(0)
+    turn = rotations.exp(rng.normal(0, np.radians(5), 3))
+
+    def carried(points: Floats) -> Floats:
+        shift = [np.cos(points @ k.T + p).sum(1) for k, p in zip(waves, phases, strict=True)]
+        return (points - middle) @ turn.T + middle + mm * np.sqrt(2 / 30) * np.stack(shift, 1)
+
+    return carried
+
+
+def known(shared: Path, draws: int) -> None:
+    for name, bone in (("atlas", "femur"), ("template_a", "tibia"), ("dess", "patella")):
+        template, other = surface_of(shared, name, bone), coarse_and_short(shared, name, bone)
+        for length in (60.0, 30.0):
+            rows = []
+            for seed in range(max(draws // 10, 1)):
+                field = known_field(template, np.random.default_rng(seed), 2.0, length)
+                subject = Surface(vertices_mm=field(other.vertices_mm), faces=other.faces)
+                start, _ = laid(template, subject)
+                bent = register_elastically(start, subject)
+                true = field(template.vertices_mm)
+                own = np.ones(len(true), bool)
+                for cut in cut_planes(template):
+                    own &= cut.depth_mm(template.vertices_mm) > (SHORTER_MM + 5 if bone != "patella" else 5)
+                normals = Surface(vertices_mm=true, faces=template.faces).vertex_normals[own]
+                off = (bent.registered.vertices_mm - true)[own]
+                rows.append([np.linalg.norm((start.vertices_mm - true)[own], axis=1).mean(),
+                             np.linalg.norm(off, axis=1).mean(), np.abs((off * normals).sum(1)).mean(),
+                             bent.least_determinant])  # fmt: skip
+            rigid_mm, bent_mm, across_mm, _ = np.mean(rows, 0)
+            say(bone=f"{name} {bone}", waves_mm=length, draws=len(rows), rigid_mm=rigid_mm, bent_mm=bent_mm,
+                along_normal_mm=across_mm, least_determinant=min(row[3] for row in rows))  # fmt: skip
+
+
+def peer(shared: Path, draws: int) -> None:
+    """Bend by other programs' methods what this one bends: signed distances of both bones."""
+    sitk = simple_itk()
+    for bone, first, second in (("femur", "thickness", "dess"), ("tibia", "template_a", "dess")):
+        subject = surface_of(shared, second, bone)
+        start, _ = laid(surface_of(shared, first, bone), subject)
+        settings, cuts = ElasticSettings(), (cut_planes(start), cut_planes(subject))
+        began = time.process_time()
+        bent = register_elastically(start, subject, settings)
+        say(pair=f"{bone}: {first} to {second}", by="marey", mean_mm=bent.surface_distance_mm,
+            within_95_mm=bent.farthest_mm, least_determinant=bent.least_determinant,
+            seconds=time.process_time() - began)  # fmt: skip
+        pictures = _images(start, subject, cuts, settings)
+        model, fixed = (picture_of(sitk, image, settings.bands_mm[0]) for image in pictures)
+        for by, bend in (("SimpleITK demons", demons), ("SimpleITK B-spline", b_spline)):
+            began = time.process_time()
+            field = sitk.GetArrayFromImage(bend(sitk, fixed, model)).transpose(3, 2, 1, 0)
+            spent = time.process_time() - began
+            found = Deformation(origin_mm=pictures[0].origin_mm, step_mm=settings.image_mm, displacement_mm=-field)
+            row = {"pair": f"{bone}: {first} to {second}", "by": by, "least_determinant": found.least_determinant}
+            if found.least_determinant > 0:
+                there = found.subject_surface(start)
+                off = surface_distances(there, subject, cuts[0], cuts[1])
+                row |= {"mean_mm": off.mean(), "within_95_mm": np.percentile(off, 95)}
+            say(**row, seconds=spent)
+
+
+def picture_of(sitk, image, band):
+    picture = sitk.GetImageFromArray(np.clip(image.distance_mm, -band, band).transpose(2, 1, 0))
+    picture.SetOrigin(image.origin_mm.tolist())
+    picture.SetSpacing([image.step_mm] * 3)
+    return sitk.Cast(picture, sitk.sitkFloat32)
+
+
+def demons(sitk, fixed, moving):
+    method = sitk.FastSymmetricForcesDemonsRegistrationFilter()
+    method.SetNumberOfIterations(200)
+    method.SetStandardDeviations(1.5)
+    return method.Execute(fixed, moving)
+
+
+def b_spline(sitk, fixed, moving):
+    size = [max(int(n * s / 12), 3) for n, s in zip(fixed.GetSize(), fixed.GetSpacing(), strict=True)]
+    method = sitk.ImageRegistrationMethod()
+    method.SetMetricAsMeanSquares()
+    method.SetInterpolator(sitk.sitkLinear)
+    method.SetOptimizerAsLBFGSB(numberOfIterations=100)
+    method.SetInitialTransform(sitk.BSplineTransformInitializer(fixed, size))
+    method.SetShrinkFactorsPerLevel([2, 1])
+    method.SetSmoothingSigmasPerLevel([2, 0])
+    found = method.Execute(fixed, moving)
+    return sitk.TransformToDisplacementField(
+        found, sitk.sitkVectorFloat64, fixed.GetSize(), fixed.GetOrigin(), fixed.GetSpacing(), fixed.GetDirection()
+    )
+
+
+def thickness(shared: Path, draws: int) -> None:
     folder = shared / "data" / "knee" / "thickness"
     parts = {"femur": ("femoral_cartilage",), "tibia": ("medial_tibial_cartilage", "lateral_tibial_cartilage")}
     for bone, cartilages in parts.items():
         surfaces = [read_mesh(folder / f"{name}.npz") for name in cartilages]
-        found = cartilage_thickness(read_mesh(folder / f"{bone}.npz"), surfaces)
+        surface = read_mesh(folder / f"{bone}.npz")
+        true = np.load(folder / f"{bone}.npz")["thickness_mm"].ravel()
+        began = time.process_time()
+        found = cartilage_thickness(surface, surfaces)
+        spent = time.process_time() - began
         write_arrays(f"thickness_{bone}.npz", {"thickness_mm": found})
+        for by, answer in (("marey", found), ("closest point", closest(surface, surfaces))):
+            both = (true > 0.01) & (answer > 0.01)
+            say(bone=bone, by=by, map_mm=np.abs(answer - true)[both].mean(), found=both.sum() / (true > 0.01).sum(),
+                false=((true <= 0.01) & (answer > 0.01)).sum() / (true <= 0.01).sum(), seconds=spent)  # fmt: skip
+
+
+def closest(bone: Surface, cartilages: list[Surface]) -> Floats:
+    """Give the distance from where the bone has cartilage to the nearest place of its outer sheet."""
+    answer = np.zeros(len(bone.vertices_mm))
+    tree = TriangleTree.of(bone)
+    for cartilage in cartilages:
+        near = tree.nearest(cartilage.corners_mm.mean(1))
+        outer = (cartilage.face_normals * bone.face_normals[near.face]).sum(1) > 0
+        inner, outside = (TriangleTree.of(Surface(vertices_mm=cartilage.vertices_mm, faces=cartilage.faces[part]))
+                          for part in (~outer, outer))  # fmt: skip
+        on = inner.nearest(bone.vertices_mm)
+        far = outside.nearest(on.points_mm).distance_mm
+        answer = np.maximum(answer, np.where(on.distance_mm < 1.0, far, 0.0))
+    return answer
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser()
-    parser.add_argument("shared", type=Path)
-    parser.add_argument("what", nargs="?", choices=("rigid", "elastic", "thickness"))
-    parser.add_argument("--draws", type=int, default=50)
-    given = parser.parse_args()
+    parts = {"rigid": rigid, "noise": lambda shared, draws: rigid(shared, draws, noisy_draw), "sides": sides,
+             "elastic": elastic, "known": known, "peer": peer, "thickness": thickness}  # fmt: skip
+    reader = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    reader.add_argument("shared", type=Path)
+    reader.add_argument("part", nargs="?", choices=[*parts])
+    reader.add_argument("--draws", type=int, default=20)
+    given = reader.parse_args()
     with threadpool_limits(1):
-        if given.what in (None, "rigid"):
-            rigid(given.shared, given.draws)
-        if given.what in (None, "elastic"):
-            elastic(given.shared)
-        if given.what in (None, "thickness"):
-            thickness(given.shared)
+        for name, part in parts.items():
+            if given.part in (None, name):
+                part(given.shared, given.draws)
 
 
 if __name__ == "__main__":

@@ -42,6 +42,25 @@ def test_cartilage_of_another_bone_leaves_nothing(tmp_path: Path, capsys):
     assert not (tmp_path / "bone_marey").exists()
 
 
+def test_small_holes_and_turned_faces_are_mended_and_an_open_sheet_is_an_error(tmp_path: Path, capsys):
+    bone, sheet = ball(20.0), shell(20.0, 22.0)
+    faces = sheet.faces.copy()
+    faces[5:9] = faces[5:9, ::-1]
+    write_mesh(tmp_path / "bone.ply", bone)
+    write_mesh(tmp_path / "cartilage.ply", Surface(vertices_mm=sheet.vertices_mm, faces=np.delete(faces, 1500, 0)))
+    assert run(["knee", "thickness", str(tmp_path / "bone.ply"), str(tmp_path / "cartilage.ply")]) == 0
+    said = capsys.readouterr().err
+    assert "4 of" in said
+    assert "1 small hole was closed" in said
+    thickness = read_arrays(tmp_path / "bone_marey" / "thickness.npz")["thickness_mm"]
+    np.testing.assert_allclose(thickness, 2.0, atol=0.05)
+    half = ball(22.0)
+    below = half.corners_mm[..., 2].max(1) < 0
+    write_mesh(tmp_path / "open.ply", Surface(vertices_mm=half.vertices_mm, faces=half.faces[below]))
+    assert run(["knee", "thickness", str(tmp_path / "bone.ply"), str(tmp_path / "open.ply")]) == 2
+    assert "is open" in capsys.readouterr().err
+
+
 def test_a_missing_mesh_is_named(tmp_path: Path, capsys):
     assert run(["knee", "thickness", str(tmp_path / "bone.ply"), str(tmp_path / "cartilage.ply")]) == 2
     assert "bone.ply" in capsys.readouterr().err

@@ -102,8 +102,9 @@ def thickness(
     * `marey knee thickness tibia.ply medial.ply lateral.ply --out tibia`
     """
     from marey.cli.knee_thickness import measure_thickness
+    from marey.cli.progress import Progress
 
-    folder, found = measure_thickness(bone, cartilages, out)
+    folder, found = measure_thickness(bone, cartilages, out, Progress())
     typer.echo(found)
     typer.echo(f"Thickness: {folder / 'thickness.npz'}")
 

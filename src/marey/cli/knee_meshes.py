@@ -5,11 +5,14 @@ from pathlib import Path
 from marey.cli.progress import Progress
 from marey.errors import FileProblem
 from marey.io.meshes import read_mesh
-from marey.knee.orientation import turned_alike
+from marey.knee.mesh_mending import turned_alike, with_holes_closed
 from marey.knee.surface import Surface
 
 SMALLEST_MM, LARGEST_MM = 10.0, 700.0
 """The longest side of a bone of a knee, a patella or a whole femur, lies between them."""
+
+SMALL_HOLE = 30
+"""A hole with so many edges at most is closed."""
 
 
 def read_bone(path: Path, progress: Progress) -> Surface:
@@ -34,3 +37,24 @@ def read_bone(path: Path, progress: Progress) -> Surface:
     if turned.any():
         progress.warn(f"{path.name}: {turned.sum()} of {len(turned)} faces turned inward; they were turned.")
     return alike
+
+
+def read_cartilage(path: Path, progress: Progress) -> Surface:
+    """Read the closed surface of a cartilage; faces that turn inward are turned and small holes closed, and both said.
+
+    Raises:
+        FileProblem: It cannot be read, or it is open.
+    """
+    alike, turned = turned_alike(read_mesh(path))
+    if turned.any():
+        progress.warn(f"{path.name}: {turned.sum()} of {len(turned)} faces turned inward; they were turned.")
+    whole, closed, left = with_holes_closed(alike, SMALL_HOLE)
+    if closed:
+        progress.warn(f"{path.name}: {closed} small {'holes were' if closed > 1 else 'hole was'} closed.")
+    if left:
+        raise FileProblem(
+            path,
+            f"is open: {left} edges have a face on one side only, so what is within is not known",
+            "Give the cartilage as a closed surface, with its inner and its outer sheet.",
+        )
+    return whole

@@ -11,7 +11,7 @@ from marey.errors import FileProblem, MareyError
 from marey.io.meshes import write_mesh
 from marey.io.registration import write_rigid
 from marey.knee.elastic_registration import ElasticRegistration, register_elastically
-from marey.knee.orientation import joined
+from marey.knee.mesh_mending import joined
 from marey.knee.rigid_registration import RigidRegistration
 from marey.knee.sided_registration import SidedRegistration, register_on_either_side
 from marey.knee.sides import MIRROR, mirrored

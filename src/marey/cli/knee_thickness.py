@@ -6,20 +6,25 @@ from pathlib import Path
 import numpy as np
 
 from marey.arrays import Floats
+from marey.cli.knee_meshes import read_bone, read_cartilage
+from marey.cli.progress import Progress
 from marey.errors import FileProblem, MareyError
-from marey.io.meshes import read_mesh, write_mesh
+from marey.io.meshes import write_mesh
 from marey.io.npz import write_arrays
 from marey.knee.thickness import cartilage_thickness
 from marey.view.knee_maps import thickness_colours
 
 
-def measure_thickness(bone: Path, cartilages: Sequence[Path], out: Path | None) -> tuple[Path, str]:
+def measure_thickness(
+    bone: Path, cartilages: Sequence[Path], out: Path | None, progress: Progress
+) -> tuple[Path, str]:  # fmt: skip
     """Measure and write `thickness.npz`, and the bone coloured by it as `thickness.ply`.
 
     Args:
         bone: A mesh.
         cartilages: The meshes on it.
         out: The folder; `BONE_marey` beside the bone when None.
+        progress: Is told what was mended.
 
     Returns:
         The folder, and a sentence on what was found.
@@ -28,11 +33,10 @@ def measure_thickness(bone: Path, cartilages: Sequence[Path], out: Path | None) 
         FileProblem: A mesh cannot be used.
     """
     out = out or bone.with_name(f"{bone.stem}_marey")
-    surface = read_mesh(bone)
+    surface = read_bone(bone, progress)
+    sheets = [read_cartilage(path, progress) for path in cartilages]
     try:
-        thickness = cartilage_thickness(surface, [read_mesh(path) for path in cartilages])
-    except FileProblem:
-        raise
+        thickness = cartilage_thickness(surface, sheets)
     except MareyError as error:
         text = str(error).rstrip(".")
         raise FileProblem(cartilages[0], text[0].lower() + text[1:], f"Is it the cartilage of {bone}?") from error
