@@ -191,7 +191,8 @@ def elastic(shared: Path, draws: int) -> None:
         say(pair=f"{bone}: {first} to {second}", rigid_mm=before.mean(), mean_mm=bent.surface_distance_mm,
             within_95_mm=bent.farthest_mm, least_determinant=bent.least_determinant, seconds=spent,
             back_mean_mm=back.surface_distance_mm, back_within_95_mm=back.farthest_mm,
-            back_least_determinant=back.least_determinant, inverse_mm=inverse.max(), there_and_back_mm=np.median(again))  # fmt: skip
+            back_least_determinant=back.least_determinant, inverse_mm=inverse.max(),
+            there_and_back_mm=np.median(again))  # fmt: skip
 
 
 def known_field(surface: Surface, rng: np.random.Generator, mm: float, length_mm: float) -> Callable[[Floats], Floats]:

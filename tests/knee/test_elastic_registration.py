@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from tests.made_bones import made_bone
 
+from marey.knee import elastic_registration
 from marey.knee.elastic_registration import ElasticSettings, _Stabiliser, register_elastically, surface_distances
 from marey.knee.surface import Surface
 
@@ -56,6 +57,35 @@ def test_the_stabiliser_is_half_the_derivative_of_its_cost(rng):
         np.testing.assert_allclose((field * stabiliser.pull(field)).sum(), cost)
         other = rng.normal(size=field.shape)
         np.testing.assert_allclose((other * stabiliser.pull(field)).sum(), (field * stabiliser.pull(other)).sum())
+
+
+def differences(shape: tuple[int, int, int], *axes: int) -> np.ndarray:
+    """Give the matrix of successive differences along axes, of a grid's numbers in a row."""
+    kept = list(shape)
+    matrix = np.eye(int(np.prod(shape)))
+    for axis in axes:
+        grid = matrix.reshape(*kept, -1)
+        matrix = np.diff(grid, axis=axis)
+        kept[axis] -= 1
+        matrix = matrix.reshape(int(np.prod(kept)), -1)
+    return matrix
+
+
+def test_a_step_solves_the_dense_normal_equations_of_eq_1_with_controlled_continuity(rng, monkeypatch):
+    # [Alexander2003] eq. (1) linearised: the sum of w (M - S - grad M . change)^2 and of the squared second
+    # derivatives of the field, whose deviation at a node is bend_sd.
+    monkeypatch.setattr(elastic_registration, "CLOSE", 1e-20)
+    shape, step, sd = (5, 4, 6), 3.0, 0.3
+    field, slope = rng.normal(size=(2, 3, *shape))
+    weight, residual = rng.uniform(0, 5, shape), rng.normal(size=shape)
+    bending = sum((1 if a == b else 2) * differences(shape, a, b).T @ differences(shape, a, b)
+                  for a in range(3) for b in range(a, 3)) / (step**2 * sd) ** 2  # fmt: skip
+    seen = np.concatenate([np.diag(part.ravel()) for part in slope], axis=1)
+    weights = np.diag(weight.ravel())
+    matrix = seen.T @ weights @ seen + np.kron(np.eye(3), bending)
+    pull = seen.T @ weights @ residual.ravel() - np.kron(np.eye(3), bending) @ field.ravel()
+    found = elastic_registration._solve(slope, weight, residual, field, _Stabiliser(step, sd, np.zeros(shape)))
+    np.testing.assert_allclose(found.ravel(), np.linalg.solve(matrix, pull), atol=1e-4)
 
 
 def test_another_size_and_slant_cost_nothing():
