@@ -1,4 +1,5 @@
 import io
+import itertools
 import re
 from contextlib import contextmanager
 
@@ -65,15 +66,24 @@ def test_shares_of_a_work_are_told_in_hundredths(monkeypatch):
     progress = Progress(io.StringIO())
 
     @contextmanager
-    def stage(name, total):
+    def counted(name, total):
         steps.append((name, total))
-        yield lambda: steps.append(name)
+        yield steps.append
 
-    monkeypatch.setattr(progress, "stage", stage)
+    monkeypatch.setattr(progress, "_counted", counted)
     with progress.stage_of_shares("Bones") as done:
         done(0.25)
         done(0.25)
         done(0.31)
-        assert steps == [("Bones", 100), *31 * ["Bones"]]
         done(1.0)
-    assert len(steps) == 1 + 100
+    assert steps == [("Bones", 100), 25, 6, 69]
+
+
+def test_a_large_share_at_once_is_told_as_one(monkeypatch):
+    shown, clock = io.StringIO(), itertools.count(0, 30.0)
+    monkeypatch.setattr("marey.cli.progress.time.perf_counter", lambda: next(clock))
+    with Progress(shown).stage_of_shares("Shapes") as done:
+        done(0.5)
+    lines = shown.getvalue().splitlines()
+    assert lines[0] == "Shapes ..."
+    assert lines[1].startswith("Shapes: 50 of 100, about 30")

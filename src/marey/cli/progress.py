@@ -61,11 +61,17 @@ class Progress:
         Yields:
             A function to be called after each step.
         """
+        with self._counted(name, total, done) as steps:
+            yield lambda: steps(1)
+
+    @contextmanager
+    def _counted(self, name: str, total: int | None, done: int = 0) -> Iterator[Callable[[int], None]]:
+        """Show one stage; what is yielded takes a number of steps."""
         started = time.perf_counter()
         show = self._silent if self._quiet else self._bar if self._console.is_terminal else self._lines
         try:
-            with show(name, total, done) as step:
-                yield step
+            with show(name, total, done) as steps:
+                yield steps
         finally:
             self.timings[name] = self.timings.get(name, 0.0) + time.perf_counter() - started
 
@@ -81,22 +87,23 @@ class Progress:
         """
         made = 0
 
-        with self.stage(name, _HUNDREDTHS) as step:
+        with self._counted(name, _HUNDREDTHS) as steps:
 
             def done(share: float) -> None:
                 nonlocal made
-                while made < round(share * _HUNDREDTHS):
-                    made += 1
-                    step()
+                more = round(share * _HUNDREDTHS) - made
+                if more > 0:
+                    made += more
+                    steps(more)
 
             yield done
 
     @contextmanager
-    def _silent(self, name: str, total: int | None, done: int) -> Iterator[Step]:
-        yield lambda: None
+    def _silent(self, name: str, total: int | None, done: int) -> Iterator[Callable[[int], None]]:
+        yield lambda number: None
 
     @contextmanager
-    def _bar(self, name: str, total: int | None, done: int) -> Iterator[Step]:
+    def _bar(self, name: str, total: int | None, done: int) -> Iterator[Callable[[int], None]]:
         columns = (
             SpinnerColumn(finished_text="[green]✓"), TextColumn("{task.description:<28}", markup=False),
             BarColumn(bar_width=28), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("left"),
@@ -104,25 +111,25 @@ class Progress:
         )  # fmt: skip
         with Bars(*columns, console=self._console) as bars:
             task = bars.add_task(name, total=total, completed=done)
-            yield lambda: bars.advance(task)
+            yield lambda number: bars.advance(task, number)
             bars.update(task, total=total or 1, completed=total or 1)
 
     @contextmanager
-    def _lines(self, name: str, total: int | None, done: int) -> Iterator[Step]:
+    def _lines(self, name: str, total: int | None, done: int) -> Iterator[Callable[[int], None]]:
         started = last = time.perf_counter()
         count = done
         self.say(f"{name} ..." + (f" {done} of {total} were done before" if done else ""))
 
-        def step() -> None:
+        def steps(number: int) -> None:
             nonlocal count, last
-            count += 1
+            count += number
             now = time.perf_counter()
             if total and count < total and now - last >= SECONDS_BETWEEN_LINES:
                 last = now
                 left = (now - started) / max(count - done, 1) * (total - count)
                 self.say(f"{name}: {count} of {total}, about {readable_seconds(left)} left")
 
-        yield step
+        yield steps
         self.say(f"{name}: done in {readable_seconds(time.perf_counter() - started)}")
 
 
