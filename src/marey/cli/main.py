@@ -428,7 +428,9 @@ def _report_in(folder: Path) -> Path:
         for report in (folder / name, folder / "marey" / name, folder / "knee" / name):
             if report.is_file():
                 return report.resolve()
-    raise FileProblem(folder, f"holds no {' or '.join(_PAGES)}", "Give the folder that a command said its results went to.")
+    raise FileProblem(
+        folder, f"holds no {' or '.join(_PAGES)}", "Give the folder that a command said its results went to."
+    )
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
