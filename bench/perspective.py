@@ -45,10 +45,11 @@ def percent(points: Floats, truth: Floats) -> float:
 
 def row(name: str, tracks: Floats, matrix: Floats, truth: Floats, frames: Floats | slice = slice(None)) -> None:
     found = factorise_perspective(tracks, matrix)
+    shape, turns = held(found, truth, frames)
     sys.stdout.write(
         f"{name}: shape_percent {percent(found.points[frames], truth):.2f}, K {found.rank}, noise "
         f"{found.noise_sd:.2f} px, distances change by {found.stretch:.4f}, "
-        f"mirror image worse by {found.mirror_gap:.0f}, held: shape %.2f, turns %.2f\n" % held(found, truth, frames)
+        f"mirror image worse by {found.mirror_gap:.0f}, held: shape {shape:.2f}, turns {turns:.2f}\n"
     )
     sys.stdout.flush()
 

@@ -149,16 +149,25 @@ def _step(model: PerspectiveModel, tracks: Floats, seen: Floats, share: float) -
     share = min(share, LONGEST_TURN / max(float(np.abs(step[:, :3]).max()), 1e-300))
     while share >= SHORTEST:
         tried = _moved_by(model, share * step, share * basis)
-        if np.isfinite(improbability(tried, tracks, seen)):
-            solve_frames(tried, tracks, seen)
-            solve_shapes(tried, tracks, seen)
-            solve_frames(tried, tracks, seen)
-            if tried.cost < before:
-                for field in fields(model):
-                    setattr(model, field.name, getattr(tried, field.name))
-                return share
+        if _settled(tried, tracks, seen) and tried.cost < before:
+            for field in fields(model):
+                setattr(model, field.name, getattr(tried, field.name))
+            return share
         share /= 2
     return share
+
+
+def _settled(model: PerspectiveModel, tracks: Floats, seen: Floats) -> bool:
+    """Let either half settle, and tell whether there was a way."""
+    if not np.isfinite(improbability(model, tracks, seen)):
+        return False
+    try:
+        solve_frames(model, tracks, seen)
+        solve_shapes(model, tracks, seen)
+        solve_frames(model, tracks, seen)
+    except np.linalg.LinAlgError:
+        return False
+    return True
 
 
 def _moved_by(model: PerspectiveModel, step: Floats, basis: Floats) -> PerspectiveModel:
