@@ -1,4 +1,4 @@
-"""Gadolinium markers in MR volumes: `python bench/knee_gadolinium.py SHARED [volumes|made]`.
+"""Gadolinium markers in MR volumes: `PYTHONPATH=. python bench/knee_gadolinium.py SHARED [volumes|made]`.
 
 volumes: the simulated volumes against their true centres, and two real ones without a marker, with seconds of process
 time. made: balls on a made limb, of many sizes, voxels, noises and blurs, half of them beside fat nearly as bright.

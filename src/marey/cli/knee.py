@@ -10,6 +10,8 @@ from marey.cli.options import Quiet
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode="markdown", help="Bones and cartilage of a knee from MR.")
 
+INCOMPLETE = 3
+"""Exit code: results were written, but a structure that was asked for is not among them."""
 _SEED_OPTIONS = ("--seed", "--seed-voxel")
 _SEED_WORDS = 4
 
@@ -64,7 +66,8 @@ def segment(
     Dark marrow (fat suppressed) and bright marrow are told apart; seeds are found, too. Leaves `labels.nii.gz` on the
     image's own grid with `labels.json`, `femur.ply`, `tibia.ply`, `patella.ply` (LPS, mm) and `run.json` in
     `VOLUME_marey`, or in DIR; of cartilage its surfaces, `<bone>_thickness.npz`, coloured bones, flat pictures and
-    `cartilage.csv` with its parts; `markers.json` where gadolinium markers are on the skin.
+    `cartilage.csv` with its parts; `markers.json` where gadolinium markers are on the skin. Ends with exit code 3 where
+    a bone, or cartilage that the template has, was not found; the rest is written.
 
     Examples:
     * `marey knee segment dess.nii.gz --template atlas`
@@ -82,8 +85,11 @@ def segment(
         seed_voxels=tuple(parse_seed(each, "--seed-voxel") for each in seed_voxel or ()),
         side=side,
     )
-    folder = segment_knee(volumes, options, Progress(quiet=quiet))
-    typer.echo(f"Labels: {folder / 'labels.nii.gz'}")
+    left = segment_knee(volumes, options, Progress(quiet=quiet))
+    typer.echo(f"Labels: {left.folder / 'labels.nii.gz'}")
+    if left.missing:
+        typer.echo(f"Not found: {', '.join(left.missing)} (see missing in labels.json).", err=True)
+        raise typer.Exit(INCOMPLETE)
 
 
 @app.command()

@@ -25,12 +25,16 @@ from marey.knee.volume import Labels, Volume
 from marey.view.flat_cartilage import flat_picture
 from marey.view.knee_maps import thickness_colours
 
+_NOT_SEEN = "The image shows none where the template has some, or its bone was not found."
+
 
 def cartilage_by_template(
     volumes: Sequence[Volume], bones: BoneSegmentation, surfaces: Mapping[str, Surface], template: Labels | None,
     progress: Progress,
-) -> KneeCartilage | None:  # fmt: skip
+) -> tuple[KneeCartilage | None, dict[str, str]]:  # fmt: skip
     """Find the cartilage where the template has some; otherwise, or where it cannot be found, say so.
+
+    Bones that were found are not thrown away because cartilage was not: what is missing is said instead.
 
     Args:
         volumes: The images.
@@ -38,14 +42,18 @@ def cartilage_by_template(
         surfaces: Theirs.
         template: Labels, of either side.
         progress: Is told.
+
+    Returns:
+        The cartilage, and which of those that the template has are missing, with the reason.
     """
     fit = bones.template_fit
     if template is None or fit is None:
-        return None
+        return None, {}
     held = [name for name in LABELS if template.mask(name).any()]
     if not any(CARTILAGE_OF_BONE[bone] in held for bone in BONES):
         progress.warn("The template has no cartilage: only bones were segmented.")
-        return None
+        return None, {}
+    asked = [CARTILAGE_OF_BONE[bone] for bone in BONES if CARTILAGE_OF_BONE[bone] in held]
     try:
         with progress.stage("Template", len(held)) as step:
             parts = {}
@@ -57,10 +65,11 @@ def cartilage_by_template(
             found = find_knee_cartilage(volumes, surfaces, model, _starts(bones, model.bones), done)
     except MareyError as problem:
         progress.warn(f"Cartilage was not found, only bones were segmented. {problem}")
-        return None
+        return None, dict.fromkeys(asked, str(problem))
     for note in found.notes:
         progress.warn(note)
-    return found
+    thick = {CARTILAGE_OF_BONE[bone] for bone, sheet in found.sheets.items() if (sheet.thickness_mm > 0).any()}
+    return found, {name: _NOT_SEEN for name in asked if name not in thick}
 
 
 def labels_with(bones: BoneSegmentation, cartilage: KneeCartilage | None) -> Labels:

@@ -14,10 +14,12 @@ from marey.cli.progress import Progress
 from marey.cli.run_record import StageCache, finished_together, write_record
 from marey.errors import SettingProblem
 from marey.io import gadolinium
+from marey.io.gadolinium import MarkersInScanner
 from marey.io.meshes import write_mesh
 from marey.io.stages import file_fingerprint
 from marey.io.volumes import read_template, read_volume, write_labels
 from marey.knee.bones import BoneSegmentation, segment_bones
+from marey.knee.knee_cartilage import KneeCartilage
 from marey.knee.structures import BONES
 from marey.knee.surface import Surface
 from marey.knee.surfacing import surface_of_field
@@ -38,7 +40,16 @@ class SegmentOptions:
     """"left" or "right"; None where the patella shall tell."""
 
 
-def segment(paths: Sequence[Path], options: SegmentOptions, progress: Progress) -> Path:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Segmented:
+    """What `marey knee segment` left."""
+
+    folder: Path
+    missing: Mapping[str, str]
+    """Structure that was asked for and not found, to the reason."""
+
+
+def segment(paths: Sequence[Path], options: SegmentOptions, progress: Progress) -> Segmented:
     """Segment a knee and write what was found, all at once.
 
     Args:
@@ -47,10 +58,10 @@ def segment(paths: Sequence[Path], options: SegmentOptions, progress: Progress) 
         progress: Is told.
 
     Returns:
-        The folder with the results.
+        The folder with the results, and what could not be found.
 
     Raises:
-        MareyError: A file, setting or seed cannot be used, or no knee is found.
+        MareyError: A file, setting or seed cannot be used, the results cannot be written, or no knee is found.
     """
     if options.side not in (None, "left", "right"):
         raise SettingProblem(f"--side is left or right, not '{options.side}'.")
@@ -60,30 +71,57 @@ def segment(paths: Sequence[Path], options: SegmentOptions, progress: Progress) 
         template = None if options.template is None else read_template(options.template)
         earlier = earlier_markers(out)
     seeds = given_seeds(options, volumes[0])
-    with threadpool_limits(1):
-        bones = _segmented(volumes, template, seeds, progress)
-        for note in bones.notes:
-            progress.warn(note)
-        surfaces = _surfaces(bones, progress)
-        cartilage = cartilage_by_template(volumes, bones, surfaces, template, progress)
-        labels = labels_with(bones, cartilage)
-        markers = markers_in(volumes, surfaces, earlier, progress)
     files = _files([*paths, *([options.template] if options.template else [])])
-    with StageCache(out, [file_fingerprint(path) for path in files]), finished_together(out) as folder:
-        write_labels(folder, labels)
-        for name, surface in surfaces.items():
-            write_mesh(folder / f"{name}.ply", surface)
-        if cartilage is not None:
-            write_cartilage(folder, cartilage, surfaces, options.side, progress)
-        if markers is not None:
-            gadolinium.write_markers(folder / gadolinium.FILE, markers)
-        write_record(
-            folder, command="knee segment", settings=_settings(options, bones), inputs=files,
-            root=paths[0].parent, progress=progress,
-        )  # fmt: skip
-    for name, surface in surfaces.items():
+    # Made before the work: a folder that cannot be written to is told at once.
+    cache = StageCache(out, [file_fingerprint(path) for path in files])
+    try:
+        with cache, threadpool_limits(1):
+            found = _found(volumes, template, seeds, earlier, progress)
+            with finished_together(out) as folder:
+                _write(folder, found, options, progress)
+                write_record(
+                    folder, command="knee segment", settings=_settings(options, found), inputs=files,
+                    root=paths[0].parent, progress=progress,
+                )  # fmt: skip
+    except KeyboardInterrupt:
+        cache.clear()
+        raise
+    for name, surface in found.surfaces.items():
         progress.say(f"{name}: {surface.volume_mm3 / 1000:.1f} cm3, {surface.area_mm2 / 100:.0f} cm2")
-    return out
+    return Segmented(folder=out, missing=found.missing)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Found:
+    bones: BoneSegmentation
+    surfaces: Mapping[str, Surface]
+    cartilage: KneeCartilage | None
+    markers: MarkersInScanner | None
+    missing: Mapping[str, str]
+
+
+def _found(
+    volumes: Sequence[Volume], template: Labels | None, seeds: Mapping[str, Floats],
+    earlier: MarkersInScanner | None, progress: Progress,
+) -> _Found:  # fmt: skip
+    bones = _segmented(volumes, template, seeds, progress)
+    for note in bones.notes:
+        progress.warn(note)
+    surfaces = _surfaces(bones, progress)
+    cartilage, missing = cartilage_by_template(volumes, bones, surfaces, template, progress)
+    lost = {bone: "It was not found in the image." for bone in BONES if bone not in bones.bones}
+    markers = markers_in(volumes, surfaces, earlier, progress)
+    return _Found(bones=bones, surfaces=surfaces, cartilage=cartilage, markers=markers, missing=lost | missing)
+
+
+def _write(folder: Path, found: _Found, options: SegmentOptions, progress: Progress) -> None:
+    write_labels(folder, labels_with(found.bones, found.cartilage), missing=found.missing)
+    for name, surface in found.surfaces.items():
+        write_mesh(folder / f"{name}.ply", surface)
+    if found.cartilage is not None:
+        write_cartilage(folder, found.cartilage, found.surfaces, options.side, progress)
+    if found.markers is not None:
+        gadolinium.write_markers(folder / gadolinium.FILE, found.markers)
 
 
 def given_seeds(options: SegmentOptions, volume: Volume) -> dict[str, Floats]:
@@ -120,14 +158,15 @@ def _surfaces(bones: BoneSegmentation, progress: Progress) -> dict[str, Surface]
     return surfaces
 
 
-def _settings(options: SegmentOptions, bones: BoneSegmentation) -> dict[str, object]:
-    fit = bones.template_fit
+def _settings(options: SegmentOptions, found: _Found) -> dict[str, object]:
+    bones, fit = found.bones, found.bones.template_fit
     return {
         "template": None if options.template is None else str(options.template),
         "template_mirrored": None if fit is None else fit.mirrored,
         "template_edges_on_edges": None if fit is None else round(fit.fit, 3),
         "marrow": list(bones.kinds),
         "seeds_lps_mm": {name: np.round(bone.seed_mm, 2).tolist() for name, bone in bones.bones.items()},
+        "missing": dict(found.missing),
         "seeds_given": [name for name, *_ in (*options.seeds, *options.seed_voxels)],
     }
 

@@ -3,7 +3,7 @@
 import json
 import locale
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
@@ -37,7 +37,7 @@ def read_volume(path: Path | str) -> Volume:
 
     Raises:
         FileProblem: It is missing or of an unknown format, has colours or four dimensions, is another modality than
-            MR, or its slices lie at uneven distances.
+            MR, holds one value throughout, or its slices lie at uneven distances.
         MareyError: SimpleITK is not installed.
     """
     path = Path(path)
@@ -45,6 +45,8 @@ def read_volume(path: Path | str) -> Volume:
     intensity = simple_itk().GetArrayFromImage(image).astype(np.float32)
     if not np.isfinite(intensity).all():
         raise FileProblem(path, "holds values that are not numbers", "Replace them, by 0 for instance.")
+    if not np.ptp(intensity):
+        raise FileProblem(path, f"holds one value throughout, {intensity.flat[0]:g}", "Is it the image itself?")
     return Volume(intensity=intensity, grid=_grid(image))
 
 
@@ -83,12 +85,13 @@ def read_template(folder: Path | str) -> Labels:
     return read_labels(folder)
 
 
-def write_labels(folder: Path | str, labels: Labels) -> None:
+def write_labels(folder: Path | str, labels: Labels, *, missing: Mapping[str, str] | None = None) -> None:
     """Write `labels.nii.gz` and, with the names of its values, `labels.json`.
 
     Args:
         folder: Made where it is missing.
         labels: On the image's own grid.
+        missing: Structure that was asked for and is not among them, to the reason: written as `missing`.
     """
     image = _image(labels.labels, labels.grid)
     folder = Path(folder)
@@ -100,7 +103,11 @@ def write_labels(folder: Path | str, labels: Labels) -> None:
             whole.replace(beside)
         finally:
             whole.unlink(missing_ok=True)
-    names = {"labels": {"0": "background"} | {str(number): name for name, number in LABELS.items()}}
+    names: dict[str, Mapping[str, str]] = {
+        "labels": {"0": "background"} | {str(number): name for name, number in LABELS.items()}
+    }
+    if missing:
+        names["missing"] = dict(missing)
     with replacing(folder / "labels.json") as beside:
         beside.write_text(json.dumps(names, indent=1) + "\n", encoding="utf-8")
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from marey.arrays import Floats, frozen
+from marey.arrays import Floats, Mask, frozen
 from marey.knee.ball_candidates import (
     BallCandidate,
     LimbImage,
@@ -169,7 +169,7 @@ def _open_share(place: BallCandidate, limb: LimbImage) -> float:
     steps = np.arange(place.radius_mm + _OPEN_FROM_MM, float(np.linalg.norm(ends)), 1.5)
     points = place.centre_mm + steps[None, :, None] * sphere_directions()[:, None, :]
     voxels = np.rint(limb.grid.voxels(points)).astype(np.int64)[..., ::-1]
-    within = ((voxels >= 0) & (voxels < limb.grid.shape)).all(axis=-1)
+    within: Mask = np.asarray(((voxels >= 0) & (voxels < limb.grid.shape)).all(axis=-1))
     within[within] = limb.known[tuple(voxels[within].T)]
     air = np.zeros(within.shape, dtype=bool)
     air[within] = limb.air[tuple(voxels[within].T)]
