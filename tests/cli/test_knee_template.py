@@ -75,7 +75,7 @@ def test_outlines_of_another_volume_are_refused(tmp_path: Path, capsys: pytest.C
     shifted = GRID.lps_from_voxel.copy()
     shifted[0, 3] += 7.0
     other = Grid(shape=GRID.shape, lps_from_voxel=shifted)
-    write_volume(tmp_path / "other.nii.gz", Volume(intensity=np.zeros(GRID.shape), grid=other))
+    write_volume(tmp_path / "other.nii.gz", Volume(intensity=np.indices(GRID.shape)[0], grid=other))
     assert run(["knee", "template", str(path), str(tmp_path / "other.nii.gz"), "--out", str(tmp_path / "out")]) == 2
     assert "is not the volume" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()

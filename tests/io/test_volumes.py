@@ -208,3 +208,11 @@ def test_the_locale_stays_what_it_was_when_a_series_is_read(tmp_path):
     assert locale.setlocale(locale.LC_ALL) == before
     read_volume(tmp_path / "series")
     assert locale.setlocale(locale.LC_ALL) == before
+
+
+@pytest.mark.parametrize("level", [0.0, 7.0])
+def test_one_value_throughout_is_no_image(tmp_path, level):
+    grid = Grid(shape=(5, 6, 7), lps_from_voxel=np.eye(4))
+    write_volume(tmp_path / "even.nii.gz", Volume(intensity=np.full(grid.shape, level), grid=grid))
+    with pytest.raises(FileProblem, match=f"one value throughout, {level:g}"):
+        read_volume(tmp_path / "even.nii.gz")
