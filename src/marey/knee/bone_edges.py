@@ -17,7 +17,7 @@ _COARSE_NATS_MM = {"dark": 1.5, "bright": 6.0}
 _FINE_NATS_MM = {"dark": 1.5, "bright": 3.0}
 """Price of a bone's surface: about bright marrow only the thin black cortex keeps it from fat that looks alike."""
 _OUTWARD = {"dark": 0.5, "bright": 0.3}
-"""How far the edge may move outward, as a share of how far inward, where nothing but the image says where it ends."""
+"""How far the edge may move outward, as a share of how far inward; of dark marrow in a small bone only."""
 _MOST_NATS = 4.0
 _INSIDE_MM, _OUTSIDE_MM = 4.0, 2.0
 """Widths [mm] of the Gaussians over which levels are averaged: of marrow, and of the dark line about bright marrow."""
@@ -58,11 +58,8 @@ class Piece:
     prior_nats: np.ndarray
     """(k, j, i) log odds to be inside by what else is known, a template."""
     grid: Grid
-
-    @property
-    def guarded(self) -> bool:
-        """Whether anything but the image says where the bone cannot be."""
-        return bool(self.prior_nats.any())
+    small: bool = False
+    """A patella: even, and known well by growing, so that the edge need not go far outward."""
 
 
 def refined(piece: Piece, kind: Kind, others: list[np.ndarray] | None = None) -> np.ndarray:
@@ -89,7 +86,7 @@ def refined(piece: Piece, kind: Kind, others: list[np.ndarray] | None = None) ->
 
 def _cut(piece: Piece, kind: Kind, known: np.ndarray, distance: np.ndarray, ring: "_Ring") -> np.ndarray:
     odds = marrow_odds(piece, kind, distance, ring) + known
-    outward = (1.0 if kind == "dark" and piece.guarded else _OUTWARD[kind]) * ring.band_mm
+    outward = (1.0 if kind == "dark" and not piece.small else _OUTWARD[kind]) * ring.band_mm
     odds = np.where(distance > ring.band_mm, 100.0, np.where(distance < -outward, -100.0, odds))
     spacing = piece.grid.array_spacing_mm
     price = (_FINE_NATS_MM if ring is _FINE_RING else _COARSE_NATS_MM)[kind]

@@ -243,15 +243,15 @@ def _bone(look: _Look, name: str, limit: np.ndarray | None) -> tuple[Bone, tuple
     if limit is not None:
         known = resampled(np.nan_to_num(limit, nan=0.0), look.grid, grid, outside=0.0)
         prior = np.clip(known + _PRIOR_FROM_MM, -_PRIOR_NATS, 0)
-    field_mm = _edge(look, distance[box], prior, grid)
+    field_mm = _edge(look, distance[box], prior, grid, small=name not in _LONG_BONES)
     seed = look.grid.lps(look.seeds[name][::-1].astype(float))
     return Bone(distance_mm=field_mm, grid=grid, seed_mm=seed), box
 
 
-def _edge(look: _Look, distance: np.ndarray, prior: np.ndarray, grid: Grid) -> np.ndarray:
+def _edge(look: _Look, distance: np.ndarray, prior: np.ndarray, grid: Grid, *, small: bool) -> np.ndarray:
     """(k, j, i) the edge by the image with dark marrow if there is one: it shows the cortex' outside."""
     pieces = [
-        Piece(intensity=_corrected(volume, grid), distance_mm=distance, prior_nats=prior, grid=grid)
+        Piece(intensity=_corrected(volume, grid), distance_mm=distance, prior_nats=prior, grid=grid, small=small)
         for volume in look.volumes
     ]
     lead = look.kinds.index("dark") if "dark" in look.kinds else 0
