@@ -7,7 +7,8 @@ template: template_a); without one, all. Without --segmented the inner surface i
 cartilage alone is judged; with it, DIR is what `marey knee segment` left of that case, bones and cartilage. Prints one
 JSON line a bone: Dice of the cartilage's voxels, mean thickness less the true one over the true cartilage (bare counts
 as 0), mean absolute difference of the maps where both have cartilage, shares of covered vertices found and of bare ones
-falsely covered. True thickness is that of surfaces of the fine true labels, at the vertices of the true bone.
+falsely covered, and of those found with a confidence above 0.5 the share whose 95 % interval holds the truth. True
+thickness is that of surfaces of the fine true labels, at the vertices of the true bone.
 """
 
 import argparse
@@ -62,17 +63,22 @@ def found_here(shared: Path, case: str, truth: Labels, bones: dict[str, Surface]
     model = knee_template(surfaces_of(read_labels(shared / "data" / "knee" / template)), mirror=True)
     found = find_knee_cartilage(volumes, bones, model)
     labels = with_cartilage(truth, found.sheets)
-    return labels, {bone: sheet.thickness_mm for bone, sheet in found.sheets.items()}
+    return labels, {
+        bone: (sheet.thickness_mm, sheet.thickness_sd_mm, sheet.confidence) for bone, sheet in found.sheets.items()
+    }
 
 
 def found_before(folder: Path, bones: dict[str, Surface]):
     """Labels and the thickness at the true bones' vertices, from what `marey knee segment` left."""
-    thickness: dict[str, Floats] = {}
+    thickness: dict[str, tuple[Floats, Floats, Floats]] = {}
     for bone, surface in bones.items():
         file = folder / f"{bone}_thickness.npz"
         if file.exists():
             near = cKDTree(read_mesh(folder / f"{bone}.ply").vertices_mm).query(surface.vertices_mm)[1]
-            thickness[bone] = read_arrays(file)["thickness_mm"][near]
+            stored = read_arrays(file)
+            thickness[bone] = (
+                stored["thickness_mm"][near], stored["thickness_sd_mm"][near], stored["confidence"][near],
+            )  # fmt: skip
     return read_labels(folder), thickness
 
 
@@ -84,16 +90,26 @@ def measure(shared: Path, case: str, segmented: Path | None) -> None:
     began = time.process_time()
     labels, thickness = found_before(segmented, bones) if segmented else found_here(shared, case, truth, bones)
     spent = time.process_time() - began
-    for bone, ours in thickness.items():
+    print_scores(case, truth, true, labels, thickness, spent)
+
+
+def print_scores(
+    case: str, truth: Labels, true: dict[str, Surface], labels: Labels,
+    answers: dict[str, tuple[Floats, Floats, Floats]], spent: float,
+) -> None:  # fmt: skip
+    """One line a bone; `answers` are thickness, its standard deviation and confidence at the true bones' vertices."""
+    for bone, (ours, sd, confidence) in answers.items():
         cartilage = CARTILAGE_OF_BONE[bone]
         here, there = labels.mask(cartilage), truth.mask(cartilage)
         wanted = cartilage_thickness(true[bone], [true[cartilage]])
         covered, answered = wanted > 0.01, ours > 0.01
         both = covered & answered
+        sure = both & (confidence > 0.5)
         line = {
             "dice": 2 * (here & there).sum() / (here.sum() + there.sum()),
             "mean_mm": (ours - wanted)[covered].mean(), "map_mm": np.abs(ours - wanted)[both].mean(),
-            "found": answered[covered].mean(), "false": answered[~covered].mean(), "seconds": spent,
+            "found": answered[covered].mean(), "false": answered[~covered].mean(),
+            "within": (np.abs(ours - wanted)[sure] < 1.96 * sd[sure]).mean(), "seconds": spent,
         }  # fmt: skip
         print(
             json.dumps({"case": case, "cartilage": cartilage} | {k: round(float(v), 3) for k, v in line.items()}),

@@ -23,7 +23,7 @@ class CartilagePrediction:
     """At each vertex of the subject's bone."""
 
     normals: Floats
-    """(V, 3) unit: the template's, carried along."""
+    """(V, 3) unit: the template's, carried along. Cartilage is measured along the subject's own."""
     thickness_mm: Floats
     """(V,) of the cartilage if it is there; beyond the rim that of the cartilage nearby; NaN far from all cartilage."""
     presence: Floats
