@@ -49,7 +49,7 @@ MODEL_SD_MM = 0.15
 """What the model of a profile, a bone's surface and its normal are worth, as a standard deviation of the thickness."""
 _FEW = 0.02
 """So little edge nearby, as a share of all vertices about, tells as much of the ratio as the whole cartilage does."""
-_SURE_MM = 0.3
+_SURE_MM = 0.5
 """An edge known so well takes part in the scaling."""
 _ROUNDS = 3
 _NEVER = 1e3
@@ -152,7 +152,7 @@ def _settled(
             costs += layer_costs(each, seen, contact.begins_mm, contact.begins_sd_mm, contact.ends_mm)
         thickness, sd, confidence = _answers(graph.choose(costs, LEVELS_MM, SLOPE_SD, RIM_COST), costs)
         # Where two cartilages may touch, the template itself has placed the edge: it tells nothing of the person.
-        sure = (thickness > 0) & (np.nan_to_num(sd) < _SURE_MM) & (confidence > 0.8) & ~contact.reached(thickness)
+        sure = (thickness > 0) & (np.nan_to_num(sd) < _SURE_MM) & (confidence > 0.6) & ~contact.reached(thickness)
         scaled = _scaled(told, thickness, sure, graph)
         profiles = [with_measured_blur(*both, thickness, sure) for both in zip(profiles, known, strict=True)]
         estimate, present = np.where(thickness > 0, thickness, scaled), thickness > 0
