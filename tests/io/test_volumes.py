@@ -216,3 +216,12 @@ def test_one_value_throughout_is_no_image(tmp_path, level):
     write_volume(tmp_path / "even.nii.gz", Volume(intensity=np.full(grid.shape, level), grid=grid))
     with pytest.raises(FileProblem, match=f"one value throughout, {level:g}"):
         read_volume(tmp_path / "even.nii.gz")
+
+
+def test_values_far_below_zero_are_no_mr_image(tmp_path, rng):
+    grid = Grid(shape=(6, 7, 8), lps_from_voxel=np.eye(4))
+    write_volume(tmp_path / "ct.nii.gz", Volume(intensity=rng.uniform(-1000, 1200, grid.shape), grid=grid))
+    with pytest.raises(FileProblem, match="as CT does"):
+        read_volume(tmp_path / "ct.nii.gz")
+    write_volume(tmp_path / "mr.nii.gz", Volume(intensity=rng.uniform(-2, 1200, grid.shape), grid=grid))
+    assert read_volume(tmp_path / "mr.nii.gz").intensity.min() < 0

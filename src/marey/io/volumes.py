@@ -27,6 +27,8 @@ _NAME_FILES = ("labels.json", "names.json")
 _UNEVEN = 0.05
 """Share of a slice distance by which it may differ from the usual one; a missing slice differs by 1."""
 _FEWEST = 4
+_BELOW_ZERO = 0.05
+"""Share of the image's upper end by which resampling leaves an MR image's air below zero at most."""
 
 
 def read_volume(path: Path | str) -> Volume:
@@ -37,7 +39,7 @@ def read_volume(path: Path | str) -> Volume:
 
     Raises:
         FileProblem: It is missing or of an unknown format, has colours or four dimensions, is another modality than
-            MR, holds one value throughout, or its slices lie at uneven distances.
+            MR, holds one value throughout or values far below zero, or its slices lie at uneven distances.
         MareyError: SimpleITK is not installed.
     """
     path = Path(path)
@@ -47,6 +49,9 @@ def read_volume(path: Path | str) -> Volume:
         raise FileProblem(path, "holds values that are not numbers", "Replace them, by 0 for instance.")
     if not np.ptp(intensity):
         raise FileProblem(path, f"holds one value throughout, {intensity.flat[0]:g}", "Is it the image itself?")
+    low, high = np.percentile(intensity, [1, 99])
+    if low < -_BELOW_ZERO * abs(high):
+        raise FileProblem(path, f"holds values down to {intensity.min():g}, as CT does", "Give an MR image.")
     return Volume(intensity=intensity, grid=_grid(image))
 
 
