@@ -34,7 +34,7 @@ from marey.io.surface import read_surface
 from marey.io.take import Take, open_take
 from marey.io.trajectories import read_trajectories
 from marey.surface.filters import FilterSettings, filtered
-from marey.surface.following import FollowSettings
+from marey.surface.following import ViewPatchSettings
 from marey.surface.measured import MeasuredPoints
 from marey.surface.tracking import track
 from marey.surface.trajectories import Trajectories, gathered, sightings_of
@@ -123,7 +123,7 @@ def followed(trial: Path, points: MeasuredPoints, case: str) -> tuple[Trajectori
     take = open_take(trial, rig)
     kept = [0, len(rig) - 1] if case == "two" else list(range(len(rig)))
     order = list(range(take.count))[:: {"back": -1, "every-second": 2}.get(case, 1)]
-    settings = FollowSettings(noise=1.5)
+    settings = ViewPatchSettings(noise=1.5)
     if case == "last":
         settings = replace(settings, alike=1.0)
     cameras, sightings = [rig.cameras[i] for i in kept], []

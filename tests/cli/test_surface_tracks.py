@@ -10,11 +10,11 @@ from marey.cli.progress import Progress
 from marey.cli.surface_tracks import TracksSettings, drawn, fastest_frame, follow_surface, told, tracks_settings
 from marey.io.stages import FrameLog
 from marey.io.take import Take, open_take
-from marey.surface.following import FollowSettings
+from marey.surface.following import ViewPatchSettings
 from marey.surface.measured import MeasuredPoints, no_points
 
 FRAMES = 14
-SETTINGS = TracksSettings(follow=FollowSettings(noise=1.0), spacing=6.0)
+SETTINGS = TracksSettings(follow=ViewPatchSettings(noise=1.0), spacing=6.0)
 RIG = Rig(three_cameras())
 MADE = scene(world_from_plane=lambda f: moving(0.5 * f, turn=0.02 * np.sin(0.3 * f)))
 

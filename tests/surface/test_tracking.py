@@ -7,11 +7,11 @@ from scipy.spatial.distance import cdist
 from tests.moving_surface import PIXEL_M, Scene, moving, scene, three_cameras
 
 from marey.errors import SettingProblem
-from marey.surface.following import FollowSettings
+from marey.surface.following import ViewPatchSettings
 from marey.surface.measured import no_points
 from marey.surface.tracking import Tracks, track, tracks_from
 
-SETTINGS = FollowSettings(noise=1.0)
+SETTINGS = ViewPatchSettings(noise=1.0)
 
 
 def followed(made: Scene, frames, *, cameras=None, **given) -> list[Tracks]:
@@ -190,7 +190,7 @@ def test_an_interrupted_run_goes_on_as_if_it_had_not_been(made, rows):
 
 
 def test_points_lost_long_ago_are_forgotten_and_keep_their_numbers(made):
-    settings = FollowSettings(noise=1.0, gap=1)
+    settings = ViewPatchSettings(noise=1.0, gap=1)
     cameras = three_cameras()
     rows = list(
         track(made.frames(cameras, range(5)), cameras, lambda f: made.seeds(cameras, f), settings=settings, spacing=3.0)
@@ -225,4 +225,4 @@ def test_without_texture_nothing_is_followed(made):
 @pytest.mark.parametrize("given", [{"box": 0.0}, {"alike": 1.5}, {"size": 12}, {"residual": -1.0}])
 def test_impossible_settings_are_refused(given):
     with pytest.raises(SettingProblem, match=f"{next(iter(given))} is"):
-        FollowSettings(**given)
+        ViewPatchSettings(**given)

@@ -19,7 +19,7 @@ from marey.io.take import Take
 from marey.io.trajectories import write_trajectories
 from marey.surface.appearances import picture_of
 from marey.surface.filters import Filtered, FilterSettings, filtered
-from marey.surface.following import FollowSettings
+from marey.surface.following import ViewPatchSettings
 from marey.surface.measured import MeasuredPoints
 from marey.surface.tracking import SPACING, Expected, Tracks, fitting_size, track, tracks_from
 from marey.surface.trajectories import Sightings, Trajectories, gathered, sightings_of
@@ -36,7 +36,7 @@ _FIELD_S = 0.05
 class TracksSettings:
     """How a surface is followed."""
 
-    follow: FollowSettings
+    follow: ViewPatchSettings
     filters: FilterSettings = field(default_factory=FilterSettings)
     spacing: float = SPACING
     """Of the points [px]."""
@@ -54,7 +54,7 @@ def tracks_settings(rig: Rig, *, noise: float, threads: int) -> TracksSettings:
         The settings: in pictures 960 wide a point every six pixels, boxes of 16 and of 80.
     """
     width = max(camera.width for camera in rig)
-    follow = FollowSettings(noise=noise, box=max(6.0, width / 120), wide_box=max(20.0, width / 24), threads=threads)
+    follow = ViewPatchSettings(noise=noise, box=max(6.0, width / 120), wide_box=max(20.0, width / 24), threads=threads)
     return TracksSettings(follow=follow, spacing=max(4.0, width / 160))
 
 

@@ -21,8 +21,8 @@ _LEAST_SD = 0.02
 
 
 @dataclass(frozen=True, kw_only=True)
-class FollowSettings:
-    """How points are followed.
+class ViewPatchSettings:
+    """How points are followed by patches that are matched over time and between views.
 
     Raises:
         SettingProblem: A value is impossible.
@@ -125,7 +125,7 @@ def follow(
     template: Integers,
     across: Floats,
     reach: float,
-    settings: FollowSettings,
+    settings: ViewPatchSettings,
 ) -> Followed:
     """Find points in a frame, from where they are expected in each view.
 
@@ -159,7 +159,7 @@ def follow(
 
 def _over_time(
     appearances: Appearances, expected: Floats, before: tuple[Sequence[Picture], Floats] | None,
-    after: Sequence[Picture], reach: float, settings: FollowSettings,
+    after: Sequence[Picture], reach: float, settings: ViewPatchSettings,
 ) -> _Temporal:  # fmt: skip
     """Match every view on its own over time."""
     shape = expected.shape[:2]
@@ -189,7 +189,7 @@ def _over_time(
 
 def _scanned(
     appearances: Appearances, expected: Floats, last: tuple[Picture, Floats] | None, picture: Picture, view: int,
-    reach: float, settings: FollowSettings,
+    reach: float, settings: ViewPatchSettings,
 ) -> Floats:  # fmt: skip
     """Give the best places (n, 2) of the boxes; NaN where nothing there resembles the point."""
     if last is not None:
@@ -204,7 +204,7 @@ def _scanned(
 
 
 def _match_own(
-    appearances: Appearances, places: Floats, picture: Picture, view: int, settings: FollowSettings
+    appearances: Appearances, places: Floats, picture: Picture, view: int, settings: ViewPatchSettings
 ) -> Matches:
     """Match the points' own appearances."""
     drawn, centres = appearances.picture(view)
@@ -216,7 +216,7 @@ def _match_own(
 
 def _match_last(
     rows: Integers, places: Floats, view: int, before: tuple[Sequence[Picture], Floats], picture: Picture,
-    settings: FollowSettings, into: tuple[Floats, Floats, Floats, Floats],
+    settings: ViewPatchSettings, into: tuple[Floats, Floats, Floats, Floats],
 ) -> None:  # fmt: skip
     """Match the last frame's patches where the own appearance is not found any more."""
     origin = before[1][rows, view]
@@ -245,7 +245,7 @@ def _best_template(temporal: _Temporal, template: Integers) -> Integers:
 
 def _between_views(
     temporal: _Temporal, after: Sequence[Picture], expected: Floats, template: Integers, across: Floats,
-    settings: FollowSettings,
+    settings: ViewPatchSettings,
 ) -> tuple[Floats, Floats, Floats]:  # fmt: skip
     """Match from the template view to the others, and keep what agrees with the matches over time."""
     row = np.arange(len(template))
@@ -283,7 +283,7 @@ class Between(NamedTuple):
 
 
 def between(
-    template: Picture, search: Picture, pixels: Floats, starts: Floats, maps: Floats, settings: FollowSettings,
+    template: Picture, search: Picture, pixels: Floats, starts: Floats, maps: Floats, settings: ViewPatchSettings,
     *, least: float | None = None,
 ) -> Between:  # fmt: skip
     """Match points of one view in another one of the same instant.
@@ -336,7 +336,7 @@ class Intersected(NamedTuple):
     """(n, C, 2) [px]."""
 
 
-def intersected(cameras: Sequence[Camera], pixels: Floats, sd: Floats, settings: FollowSettings) -> Intersected:
+def intersected(cameras: Sequence[Camera], pixels: Floats, sd: Floats, settings: ViewPatchSettings) -> Intersected:
     """Intersect the rays of n points in C views, and give up those whose rays do not meet.
 
     Args:

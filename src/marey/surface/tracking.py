@@ -13,7 +13,7 @@ from marey.arrays import Floats, Integers, Mask
 from marey.cameras.camera import Camera
 from marey.surface import appearances as looks
 from marey.surface.appearances import Appearances, Picture
-from marey.surface.following import Followed, FollowSettings, between, follow, intersected
+from marey.surface.following import Followed, ViewPatchSettings, between, follow, intersected
 from marey.surface.local_motion import NEIGHBOURS, candidates, carried, misfit, radius_of
 from marey.surface.measured import MeasuredPoints
 
@@ -22,7 +22,7 @@ Expected = Callable[[int, Floats, Integers], Floats]
 (n,); NaN where nobody knows. See `marey.fit.lost_points`."""
 SPACING = 6.0
 """Distance of new points from those that are followed [px]."""
-DEFAULT = FollowSettings()
+DEFAULT = ViewPatchSettings()
 _SIZES, _MOST = (1.0, 1.6, 2.4), 0.7
 """Factors by which patches are enlarged, and what share of the surface is enough."""
 _ASTRAY = 0.25
@@ -86,7 +86,7 @@ def tracks_from(arrays: Mapping[str, np.ndarray]) -> Tracks:
     return Tracks(frame=int(arrays["frame"]), started=int(arrays["started"]), appearances=appearances, **own)
 
 
-def no_tracks(cameras: int, settings: FollowSettings, *, frame: int) -> Tracks:
+def no_tracks(cameras: int, settings: ViewPatchSettings, *, frame: int) -> Tracks:
     """Begin with no points."""
     return Tracks(
         frame=frame, started=0, number=np.zeros(0, np.int64), position=np.zeros((0, 3)),
@@ -98,7 +98,7 @@ def no_tracks(cameras: int, settings: FollowSettings, *, frame: int) -> Tracks:
 
 def advance(
     tracks: Tracks, before: Sequence[Picture], after: Sequence[Picture], cameras: Sequence[Camera],
-    *, settings: FollowSettings, expected: Expected | None = None,
+    *, settings: ViewPatchSettings, expected: Expected | None = None,
 ) -> Tracks:  # fmt: skip
     """Follow all points into the next frame.
 
@@ -164,7 +164,7 @@ def _agreeing(tracks: Tracks, result: Tracks, which: Integers, radius: float) ->
 
 def _followed(
     tracks: Tracks, result: Tracks, which: Integers, position: Floats, before: Sequence[Picture],
-    after: Sequence[Picture], cameras: Sequence[Camera], reach: float, settings: FollowSettings,
+    after: Sequence[Picture], cameras: Sequence[Camera], reach: float, settings: ViewPatchSettings,
 ) -> Tracks:  # fmt: skip
     """Follow some points that the last frame shows."""
     if not len(which):
@@ -205,7 +205,7 @@ def _written(
 
 
 def _found_again(
-    tracks: Tracks, result: Tracks, after: Sequence[Picture], cameras: Sequence[Camera], settings: FollowSettings,
+    tracks: Tracks, result: Tracks, after: Sequence[Picture], cameras: Sequence[Camera], settings: ViewPatchSettings,
     expected: Expected | None, radius: float,
 ) -> Tracks:  # fmt: skip
     """Look for lost points where they are expected; carry along those that are not found."""
@@ -233,7 +233,7 @@ def _found_again(
 
 def _looked_for(
     result: Tracks, lost: Integers, place: Floats, after: Sequence[Picture], cameras: Sequence[Camera],
-    settings: FollowSettings,
+    settings: ViewPatchSettings,
 ) -> Tracks:  # fmt: skip
     """Look for lost points about places (n, 3) in every view."""
     if not len(lost):
@@ -247,7 +247,7 @@ def _looked_for(
 
 
 def _shown_again(
-    result: Tracks, after: Sequence[Picture], cameras: Sequence[Camera], settings: FollowSettings
+    result: Tracks, after: Sequence[Picture], cameras: Sequence[Camera], settings: ViewPatchSettings
 ) -> Tracks:
     """Look for followed points in views that have not shown them so far, or not any more."""
     pixels, across = result.pixels.copy(), result.across.copy()
@@ -275,7 +275,7 @@ def _shown_again(
 
 def start(
     tracks: Tracks, seeds: MeasuredPoints, pictures: Sequence[Picture], cameras: Sequence[Camera], *, spacing: float,
-    settings: FollowSettings,
+    settings: ViewPatchSettings,
 ) -> Tracks:  # fmt: skip
     """Start new points where the surface shows and no point is followed.
 
@@ -320,7 +320,7 @@ def _new_points(
     tracks: Tracks,
     pictures: Sequence[Picture],
     cameras: Sequence[Camera],
-    settings: FollowSettings,
+    settings: ViewPatchSettings,
 ) -> Tracks:
     """Match seeds between the views, and start those that are confirmed."""
     template, pixels = seeds.template, np.array(seeds.pixels)
@@ -354,7 +354,7 @@ def _new_points(
 
 def fitting_size(
     seeds: MeasuredPoints, pictures: Sequence[Picture], cameras: Sequence[Camera], *, spacing: float,
-    settings: FollowSettings,
+    settings: ViewPatchSettings,
 ) -> int:  # fmt: skip
     """Choose the smallest patches with which most of a measured surface can be followed: weak texture wants large ones.
 
@@ -381,7 +381,7 @@ def fitting_size(
 
 def track(
     frames: Iterable[tuple[int, Sequence[np.ndarray]]], cameras: Sequence[Camera],
-    seeds: Callable[[int], MeasuredPoints], *, spacing: float = SPACING, settings: FollowSettings = DEFAULT,
+    seeds: Callable[[int], MeasuredPoints], *, spacing: float = SPACING, settings: ViewPatchSettings = DEFAULT,
     expected: Expected | None = None, known: Tracks | None = None,
 ) -> Iterator[Tracks]:  # fmt: skip
     """Follow the surface through consecutive frames.
