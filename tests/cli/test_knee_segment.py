@@ -105,7 +105,7 @@ def test_what_is_not_found_is_said_in_the_results_and_by_the_exit_code(tmp_path,
     assert json.loads((out / "run.json").read_text(encoding="utf-8"))["settings"]["missing"] == missing
     assert "Not found: patella, femoral_cartilage" in capsys.readouterr().err
     assert sorted(file.name for file in out.iterdir()) == [
-        "femur.ply", "labels.json", "labels.nii.gz", "run.json", "tibia.ply",
+        "femur.ply", "labels.json", "labels.nii.gz", "report.html", "run.json", "tibia.ply",
     ]  # fmt: skip
 
 

@@ -64,8 +64,8 @@ def segment(
     """Find femur, tibia and patella in an MR volume, and by a template the cartilage on them.
 
     Dark marrow (fat suppressed) and bright marrow are told apart; seeds are found, too. Leaves `labels.nii.gz` on the
-    image's own grid with `labels.json`, `femur.ply`, `tibia.ply`, `patella.ply` (LPS, mm) and `run.json` in
-    `VOLUME_marey`, or in DIR; of cartilage its surfaces, `<bone>_thickness.npz`, coloured bones, flat pictures and
+    image's own grid with `labels.json`, `femur.ply`, `tibia.ply`, `patella.ply` (LPS, mm), `report.html` and `run.json`
+    in `VOLUME_marey`, or in DIR; of cartilage its surfaces, `<bone>_thickness.npz`, coloured bones, flat pictures and
     `cartilage.csv` with its parts; `markers.json` where gadolinium markers are on the skin. Ends with exit code 3 where
     a bone, or cartilage that the template has, was not found; the rest is written.
 
@@ -87,6 +87,7 @@ def segment(
     )
     left = segment_knee(volumes, options, Progress(quiet=quiet))
     typer.echo(f"Labels: {left.folder / 'labels.nii.gz'}")
+    typer.echo(f"Report: {left.folder / 'report.html'}")
     if left.missing:
         typer.echo(f"Not found: {', '.join(left.missing)} (see missing in labels.json).", err=True)
         raise typer.Exit(INCOMPLETE)

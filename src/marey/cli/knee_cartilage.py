@@ -1,10 +1,12 @@
 """Cartilage in `marey knee segment`: found by a template's, and written with its thickness."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
+from marey.arrays import Image
 from marey.cli.progress import Progress
 from marey.errors import MareyError
 from marey.geometry import rotations
@@ -18,7 +20,7 @@ from marey.knee.cartilage_labels import with_cartilage
 from marey.knee.knee_cartilage import KneeCartilage, find_knee_cartilage, knee_template
 from marey.knee.sides import MIRROR, is_left
 from marey.knee.structures import BONES, CARTILAGE_OF_BONE, LABELS
-from marey.knee.subregions import Subregion, flat_map, subregion_names, subregions
+from marey.knee.subregions import Subregion, flat_map, subregion_names, subregions, whole
 from marey.knee.surface import Surface
 from marey.knee.surfacing import surface_of_labels
 from marey.knee.volume import Labels, Volume
@@ -77,9 +79,22 @@ def labels_with(bones: BoneSegmentation, cartilage: KneeCartilage | None) -> Lab
     return bones.labels if cartilage is None else with_cartilage(bones.labels, cartilage.sheets)
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CartilageMaps:
+    """What was measured and drawn of cartilages, by their names; empty where nobody knows the knee's side."""
+
+    parts: Mapping[str, Sequence[Subregion]] = field(default_factory=dict)
+    pictures: Mapping[str, Image] = field(default_factory=dict)
+
+
+def known_side(surfaces: Mapping[str, Surface], side: str | None) -> bool | None:
+    """Say whether it is a left knee: as was told, or else by the patella's place; None where nobody knows."""
+    return is_left(surfaces) if side is None else side == "left"
+
+
 def write_cartilage(
     folder: Path, cartilage: KneeCartilage, surfaces: Mapping[str, Surface], side: str | None, progress: Progress
-) -> None:
+) -> CartilageMaps:
     """Write each cartilage's surface, thickness and flat picture, and the table of their parts.
 
     Args:
@@ -88,13 +103,17 @@ def write_cartilage(
         surfaces: Of the bones.
         side: "left" or "right" where it was told; otherwise the patella's place tells.
         progress: Is told.
+
+    Returns:
+        What the report shows of it.
     """
-    left = is_left(surfaces) if side is None else side == "left"
+    left = known_side(surfaces, side)
     if left is None:
         progress.warn("The knee's side is not known: give --side to have medial and lateral parts measured.")
     elif side is None:
         progress.say(f"Taken for a {'left' if left else 'right'} knee, by its patella.")
     parts: dict[str, list[Subregion]] = {}
+    pictures: dict[str, Image] = {}
     for bone, sheet in cartilage.sheets.items():
         name = CARTILAGE_OF_BONE[bone]
         if not (sheet.thickness_mm > 0).any():
@@ -114,14 +133,14 @@ def write_cartilage(
         if left is not None:
             arrays["subregion"] = np.array(subregion_names(bone, sheet, left=left))
             flat = flat_map(bone, sheet, left=left)
-            picture = flat_picture(flat.across, flat.along, sheet.thickness_mm)
-            write_picture(folder / f"{name}_flat.png", picture)
+            pictures[name] = flat_picture(flat.across, flat.along, sheet.thickness_mm)
+            write_picture(folder / f"{name}_flat.png", pictures[name])
             parts[name] = subregions(bone, sheet, left=left)
         write_arrays(folder / f"{bone}_thickness.npz", arrays)
-        covered = sheet.thickness_mm[sheet.thickness_mm > 0]
-        progress.say(f"{name}: {sheet.outer.volume_mm3 / 1000:.1f} cm3, mean {covered.mean():.2f} mm")
+        progress.say(f"{name}: {sheet.outer.volume_mm3 / 1000:.1f} cm3, mean {whole(sheet).mean_mm:.2f} mm")
     if parts:
         write_parts(folder / "cartilage.csv", parts)
+    return CartilageMaps(parts=parts, pictures=pictures)
 
 
 def _starts(bones: BoneSegmentation, model: Mapping[str, Surface]) -> dict[str, RigidTransform]:

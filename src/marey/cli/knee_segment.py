@@ -8,8 +8,9 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from marey.arrays import Floats
-from marey.cli.knee_cartilage import cartilage_by_template, labels_with, write_cartilage
+from marey.cli.knee_cartilage import CartilageMaps, cartilage_by_template, labels_with, write_cartilage
 from marey.cli.knee_markers import earlier_markers, markers_in
+from marey.cli.knee_report import write_page
 from marey.cli.progress import Progress
 from marey.cli.run_record import StageCache, finished_together, write_record
 from marey.errors import SettingProblem
@@ -78,10 +79,17 @@ def segment(paths: Sequence[Path], options: SegmentOptions, progress: Progress) 
         with cache, threadpool_limits(1):
             found = _found(volumes, template, seeds, earlier, progress)
             with finished_together(out) as folder:
-                _write(folder, found, options, progress)
+                settings = _settings(options, found)
+                maps = _write(folder, found, options, progress)
+                labels, title = labels_with(found.bones, found.cartilage), " and ".join(stem(path) for path in paths)
+                write_page(
+                    folder, volumes[0], labels, found.bones, found.surfaces, progress, title=title, settings=settings,
+                    side=options.side, cartilage=found.cartilage, maps=maps, markers=found.markers,
+                    missing=found.missing,
+                )  # fmt: skip
                 write_record(
-                    folder, command="knee segment", settings=_settings(options, found), inputs=files,
-                    root=paths[0].parent, progress=progress,
+                    folder, command="knee segment", settings=settings, inputs=files, root=paths[0].parent,
+                    progress=progress,
                 )  # fmt: skip
     except KeyboardInterrupt:
         cache.clear()
@@ -114,14 +122,16 @@ def _found(
     return _Found(bones=bones, surfaces=surfaces, cartilage=cartilage, markers=markers, missing=lost | missing)
 
 
-def _write(folder: Path, found: _Found, options: SegmentOptions, progress: Progress) -> None:
+def _write(folder: Path, found: _Found, options: SegmentOptions, progress: Progress) -> CartilageMaps:
+    maps = CartilageMaps()
     write_labels(folder, labels_with(found.bones, found.cartilage), missing=found.missing)
     for name, surface in found.surfaces.items():
         write_mesh(folder / f"{name}.ply", surface)
     if found.cartilage is not None:
-        write_cartilage(folder, found.cartilage, found.surfaces, options.side, progress)
+        maps = write_cartilage(folder, found.cartilage, found.surfaces, options.side, progress)
     if found.markers is not None:
         gadolinium.write_markers(folder / gadolinium.FILE, found.markers)
+    return maps
 
 
 def given_seeds(options: SegmentOptions, volume: Volume) -> dict[str, Floats]:

@@ -83,6 +83,21 @@ class CartilageSheet:
         Raises:
             MareyError: There is no cartilage.
         """
+        used, faces = self._closed()
+        sheet = self.bone.vertices_mm + self.thickness_mm[:, None] * self.normals
+        return Surface(vertices_mm=np.concatenate([self.bone.vertices_mm, sheet])[used], faces=faces)
+
+    @property
+    def outer_thickness_mm(self) -> Floats:
+        """Give the thickness at each vertex of `outer`.
+
+        Raises:
+            MareyError: There is no cartilage.
+        """
+        return self.thickness_mm[self._closed()[0] % len(self.thickness_mm)]
+
+    def _closed(self) -> tuple[Integers, Integers]:
+        """Give the vertices of `outer`, numbered through the bone's and then the outer sheet's, and its faces."""
         covered = self.thickness_mm > 0
         faces = self.bone.faces[covered[self.bone.faces].all(1)]
         if not len(faces):
@@ -93,11 +108,9 @@ class CartilageSheet:
         total = len(covered)
         walls = np.concatenate([np.c_[rim[:, 0], rim[:, 1], rim[:, 1] + total],
                                 np.c_[rim[:, 0], rim[:, 1] + total, rim[:, 0] + total]])  # fmt: skip
-        sheet = self.bone.vertices_mm + self.thickness_mm[:, None] * self.normals
-        vertices = np.concatenate([self.bone.vertices_mm, sheet])
         every = np.concatenate([faces[:, ::-1], faces + total, walls])
         used, renumbered = np.unique(every, return_inverse=True)
-        return Surface(vertices_mm=vertices[used], faces=renumbered.reshape(-1, 3))
+        return used, renumbered.reshape(-1, 3)
 
 
 def find_cartilage(

@@ -60,7 +60,7 @@ def rendered(template: str, content: PageContent, *, data: Mapping[str, object],
         version=marey.__version__,
         data=_embedded(data),
         settings=[(readable(k), _setting_text(v)) for k, v in content.settings.items() if v is not None],
-        stills=[(still.caption, _jpeg(still.image)) for still in content.stills],
+        stills=[(still.caption, jpeg_address(still.image)) for still in content.stills],
         timings=_shares(content.timings),
         **more,
     )
@@ -79,8 +79,8 @@ def _setting_text(value: object) -> str:
     return {True: "yes", False: "no"}.get(value, str(value)) if isinstance(value, bool) else str(value)
 
 
-def _jpeg(image: Image) -> str:
-    """Give a picture as the address of an embedded JPEG."""
+def jpeg_address(image: Image) -> str:
+    """Give a picture (height, width, 3), blue, green, red, as the address of an embedded JPEG."""
     height, width = image.shape[:2]
     if width > STILL_WIDTH:
         size = (STILL_WIDTH, round(height * STILL_WIDTH / width))

@@ -1,4 +1,4 @@
-"""Colours on a knee: cartilage's thickness, blue thin to red thick; its nearness to another, red near to blue far."""
+"""Colours on a knee: outlines of structures; thickness, blue thin to red thick; nearness, red near to blue far."""
 
 import numpy as np
 
@@ -6,6 +6,11 @@ from marey.arrays import Floats, Image
 
 FULL_MM = 4.0
 """Thickness at the end of the scale."""
+STRUCTURE_COLOURS = {
+    "femur": "#ffb454", "femoral_cartilage": "#7fd962", "tibia": "#59c2ff", "tibial_cartilage": "#f07bd8",
+    "patella": "#ff6b6b", "patellar_cartilage": "#d2a6ff",
+}  # fmt: skip
+"""Of outlines on grey slices, as #rrggbb."""
 BARE = (226, 216, 200)
 STOPS = np.array([[38, 60, 150], [40, 140, 190], [90, 190, 120], [240, 215, 80], [215, 60, 45]], float)
 

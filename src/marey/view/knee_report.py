@@ -22,8 +22,9 @@ from marey.view.curves import (
     stride_of,
 )
 from marey.view.html import Still, packed, rendered
-from marey.view.knee_maps import BONE, FAR, OVERLAP, STOPS
+from marey.view.knee_maps import OVERLAP
 from marey.view.knee_picture import DrawnPart
+from marey.view.knee_scene import hex_colour, nearness_codes, part_data, scale_colours, scene_data
 from marey.view.problems import readable
 
 FILES = {
@@ -52,7 +53,6 @@ _MEANING = {
 }
 _MOST_NUMBERS = 6_000_000
 """Vertices times frames whose colours the page shows; of longer activities every second, third ... frame."""
-_STEPS = 65535
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -120,18 +120,22 @@ def knee_html(report: KneeReport) -> str:
 def _scene(report: KneeReport, stride: int) -> dict[str, object]:
     """Give meshes, poses and the codes of distances."""
     motion, held = report.found.motion, BASE in report.found.motion.poses
-    places = np.concatenate([part.surface.vertices_mm for part in report.parts.values()])
-    low, high = places.min(0), places.max(0)
     answered = motion.answered(BASE if held else motion.bones[0])[::stride]
     return {
+        **scene_data(report.parts, left=motion.left), "scale": _scale(report),
         "parts": [_part(name, part, report, stride) for name, part in report.parts.items()],
         "motions": [_motion(each, report, stride) for each in report.both],
         "carried": dict.fromkeys(report.carried, "femur"), "held": "room" if report.in_room or not held else "tibia",
-        "room": held, "middle": ((low + high) / 2).tolist(), "heading": _heading(report),
-        "size": float((high - low).max()) / 1.9, "left": bool(motion.left), "first": int(np.argmax(answered)),
-        "limit": report.found.joints[0].limit_mm if report.found.joints else 0.0,
-        "stops": [_hex(colour) for colour in STOPS], "overlap": _hex(OVERLAP), "far": _hex(FAR), "bone": _hex(BONE),
+        "room": held, "heading": _heading(report), "first": int(np.argmax(answered)),
     }  # fmt: skip
+
+
+def _scale(report: KneeReport) -> dict[str, object] | None:
+    """Give the legend of the cartilages' colours; None where no joint was measured."""
+    if not report.found.joints:
+        return None
+    ends = "0 mm", f"{report.found.joints[0].limit_mm:g} mm."
+    return {"ends": ends, "colours": scale_colours()[::-1], "apart": ["overlap", hex_colour(OVERLAP)]}
 
 
 def _heading(report: KneeReport) -> float:
@@ -145,25 +149,16 @@ def _heading(report: KneeReport) -> float:
     return float(np.arctan2(front[0], -front[1]))
 
 
-def _hex(colour: Sequence[float] | Floats) -> str:
-    return "#" + "".join(f"{int(channel):02x}" for channel in colour)
-
-
 def _part(name: str, part: DrawnPart, report: KneeReport, stride: int) -> dict[str, object]:
-    surface = part.surface
-    low = surface.vertices_mm.min(0)
-    step = max(float((surface.vertices_mm.max(0) - low).max()) / _STEPS, 1e-9)
-    wide = len(surface.vertices_mm) > _STEPS
     sources, maps = None, []
     for each in report.both:
         found = distances_of(name, each)
-        maps.append(None if found is None else packed(_codes(found[1][::stride], each.joints[0].limit_mm), "u1"))
+        maps.append(
+            None if found is None else packed(nearness_codes(found[1][::stride], each.joints[0].limit_mm), "u1")
+        )
         sources = sources if found is None else packed(found[0], "u4")
-    return {
-        "name": name, "bone": part.bone, "cartilage": part.cartilage, "shown": part.bone not in report.carried,
-        "low": low.tolist(), "step": step, "places": packed(np.round((surface.vertices_mm - low) / step), "u2"),
-        "faces": packed(surface.faces, "u4" if wide else "u2"), "wide": wide, "sources": sources, "maps": maps,
-    }  # fmt: skip
+    shown = part.bone not in report.carried
+    return part_data(name, part, switch=part.bone, shown=shown) | {"sources": sources, "maps": maps}
 
 
 def distances_of(structure: str, found: KneeMotion) -> tuple[Integers, Floats] | None:
@@ -182,12 +177,6 @@ def distances_of(structure: str, found: KneeMotion) -> tuple[Integers, Floats] |
     if not maps:
         return None
     return maps[0][0], np.asarray(np.fmin.reduce([distance for _, distance in maps]))
-
-
-def _codes(distance: Floats, limit_mm: float) -> Floats:
-    """Write distances as whole numbers: 0 far or unknown, 1 overlap, 2 to 255 from 0 to the limit."""
-    near = np.nan_to_num(distance, nan=np.inf) < limit_mm
-    return np.where(near, np.where(distance < 0, 1, 2 + np.round(253 * np.where(near, distance, 0) / limit_mm)), 0)
 
 
 def _motion(found: KneeMotion, report: KneeReport, stride: int) -> dict[str, object]:

@@ -27,6 +27,7 @@ from marey.knee.live_wire import Corner, LiveWire, points_of
 from marey.knee.outlining import anchor_inserted, anchor_moved, anchor_removed, drawn
 from marey.knee.structures import LABELS
 from marey.knee.volume import Volume
+from marey.view.knee_maps import STRUCTURE_COLOURS
 from marey.view.slice_display import displayed
 
 _WIRES_KEPT = 4
@@ -78,7 +79,8 @@ class OutlineSession:
         count = {axis: slice_count(grid, axis) for axis in AXES}
         thickest = AXES[int(np.argmax(grid.spacing_mm))]
         return {
-            "name": self.name, "file": str(self.path), "structures": list(LABELS), "axes": views, "counts": count,
+            "name": self.name, "file": str(self.path), "structures": list(LABELS),
+            "colours": STRUCTURE_COLOURS, "axes": views, "counts": count,
             "axis": self.contours[-1].axis if self.contours else thickest, "range": self._range,
             "index": self.contours[-1].index if self.contours else count[thickest] // 2, "window": window.tolist(),
         }  # fmt: skip

@@ -1,4 +1,4 @@
-// A knee's bones and cartilages in motion: the tibia held fast or in the room, cartilage in the colours of its nearness.
+// A knee's bones and cartilages, still or in motion, the tibia held fast or in the room; cartilage in colours of a scale.
 "use strict";
 
 const KNEE_VERTEX = `
@@ -49,7 +49,7 @@ function makeKnee(canvas, problem, knee) {
       const l = Math.hypot(normals[i], normals[i + 1], normals[i + 2]) || 1;
       for (let k = 0; k < 3; k++) normals[i + k] /= l;
     }
-    shown.parts[part.bone] = part.shown;
+    shown.parts[part.switch] = part.shown;
     const maps = part.maps.map(map => map === null ? null : new Uint8Array(bytes(map)));
     return {
       ...part, count, maps, codes: new Uint8Array(count), sources: part.sources ? new Uint32Array(bytes(part.sources)) : null, length: faces.length,
@@ -136,7 +136,7 @@ function makeKnee(canvas, problem, knee) {
       own[0] *= many;
       gl.viewport(i * wide, 0, wide, canvas.height);
       scene.see(view, own);
-      const drawn = parts.filter(part => shown.parts[part.bone]).map(part => [part, poseOf(motion, part.bone, frame)]).filter(([, pose]) => pose);
+      const drawn = parts.filter(part => shown.parts[part.switch]).map(part => [part, poseOf(motion, part.bone, frame)]).filter(([, pose]) => pose);
       for (const [part, pose] of drawn) if (part.cartilage) { colour(part, number); drawPart(part, pose, view, own); }
       for (const [part, pose] of drawn) if (!part.cartilage) drawPart(part, pose, view, own);
       if (shown.paths) drawPaths(motion, ratio);
@@ -155,28 +155,30 @@ function makeKnee(canvas, problem, knee) {
   };
 }
 
-const knee = makeKnee(byId("scene"), byId("scene-problem"), data.knee), player = makePlayer();
-followers.push(fromUser => {
-  player.follow(!knee || knee.answered(current) ? "" : "no answer");
-  if (knee) knee.show(current);
-  if (fromUser) player.stop();
-});
-function showScale() {
-  const bar = document.createElement("i"), stops = data.knee.stops.slice().reverse();
-  bar.style.cssText = `display:inline-block;width:150px;height:11px;vertical-align:-1px;margin:0 6px;background:linear-gradient(90deg,${stops.join(",")})`;
-  const over = document.createElement("i");
-  over.style.cssText = `display:inline-block;width:11px;height:11px;vertical-align:-1px;margin:0 6px;background:${data.knee.overlap}`;
-  byId("scale").append("overlap", over, "0 mm", bar, `${data.knee.limit} mm.`);
+const knee = makeKnee(byId("scene"), byId("scene-problem"), data.knee);
+function showScale({ ends, colours, apart }) {
+  const block = (width, paint) => {
+    const made = document.createElement("i");
+    made.style.cssText = `display:inline-block;width:${width}px;height:11px;vertical-align:-1px;margin:0 6px;background:${paint}`;
+    return made;
+  };
+  if (apart) byId("scale").append(apart[0], block(11, apart[1]));
+  byId("scale").append(ends[0], block(150, `linear-gradient(90deg,${colours.join(",")})`), ends[1]);
 }
 if (knee) {
   const { shown, later } = knee, lateral = data.knee.left ? 1 : -1;
-  if (data.knee.limit) showScale();
-  // The eye of turn 0 stands in front (y of LPS points back).
-  const sides = { anterior: [0, 0, 4], medial: [-lateral * Math.PI / 2, 0, 4], lateral: [lateral * Math.PI / 2, 0, 4], posterior: [Math.PI, 0, 4], plateau: [Math.PI, 1.5, 2.6] };
+  if (data.knee.scale) showScale(data.knee.scale);
+  // The eye of turn 0 stands in front (y of LPS points back). Where nobody knows the knee's side, the patient's is named.
+  const [inner, outer] = data.knee.left === null ? ["left", "right"] : ["medial", "lateral"];
+  const sides = { anterior: [0, 0, 4], [inner]: [-lateral * Math.PI / 2, 0, 4], [outer]: [lateral * Math.PI / 2, 0, 4], posterior: [Math.PI, 0, 4], plateau: [Math.PI, 1.5, 2.6] };
+  function lookFrom(name) {
+    for (const part of data.knee.parts) if (part.bone !== "tibia") tick(part.switch, name !== "plateau" && !data.knee.carried[part.bone]);
+    knee.look(...sides[name]);
+  }
   for (const name in sides) {
     const button = document.createElement("button");
     button.type = "button"; button.textContent = name;
-    button.addEventListener("click", () => { for (const part of ["femur", "patella"]) tick(part, name !== "plateau" && (part !== "patella" || !data.knee.carried.patella)); knee.look(...sides[name]); });
+    button.addEventListener("click", () => lookFrom(name));
     byId("sides").appendChild(button);
   }
   const boxes = {};
@@ -185,23 +187,14 @@ if (knee) {
     const label = document.createElement("label"), box = document.createElement("input");
     box.type = "checkbox"; box.checked = shown.parts[name]; boxes[name] = box;
     box.addEventListener("change", () => tick(name, box.checked));
-    label.append(box, ` ${name}${data.knee.carried[name] ? " (not measured: drawn with the femur)" : ""}`);
+    label.append(box, ` ${name.replace("_", " ")}${data.knee.carried[name] ? " (not measured: drawn with the femur)" : ""}`);
     byId("parts").appendChild(label);
   }
-  const motions = data.knee.motions;
-  motions.forEach((motion, n) => byId("motion").add(new Option(motion.label, n)));
-  if (motions.length > 1) { byId("motion").add(new Option("side by side", "all")); byId("motion").value = "all"; shown.motions = motions.map((_, n) => n); }
-  else byId("choose-motion").style.display = "none";
-  byId("motion").addEventListener("change", event => { shown.motions = event.target.value === "all" ? motions.map((_, n) => n) : [Number(event.target.value)]; showFrame(current, false); });
-  byId("held").value = shown.held;
-  if (!data.knee.room) byId("held").parentElement.style.display = "none";
-  byId("held").addEventListener("change", event => { knee.hold(event.target.value); showFrame(current, false); });
+  shown.through = byId("show-through").checked;
   byId("show-through").addEventListener("change", event => { shown.through = event.target.checked; later(); });
-  byId("show-paths").addEventListener("change", event => { shown.paths = event.target.checked; later(); });
   window.addEventListener("resize", later);
   // knee.html#frame=120&side=medial opens there.
   const side = /side=(\w+)/.exec(location.hash);
-  if (side && sides[side[1]]) { if (side[1] === "plateau") { tick("femur", false); tick("patella", false); } knee.look(...sides[side[1]]); }
+  if (side && sides[side[1]]) lookFrom(side[1]);
+  later();
 }
-const asked = /frame=(\d+)/.exec(location.hash);
-showFrame(asked ? Math.round(Number(asked[1]) / data.stride) : data.knee.first, false);

@@ -1,7 +1,6 @@
 // The page of `marey knee outline`: slices, the wire behind the pointer, anchors, and outlines kept by the server.
 "use strict";
 
-const COLOURS = ["#ffb454", "#7fd962", "#59c2ff", "#f07bd8", "#ff6b6b", "#d2a6ff"];
 const NEAR_ANCHOR = 9, NEAR_OUTLINE = 6;
 const $ = (id) => document.getElementById(id);
 const view = $("view"), strip = $("strip");
@@ -67,7 +66,7 @@ function dots(to, points, m, colour, marked) {
     to.lineWidth = 1; to.strokeStyle = "#000"; to.stroke();
   });
 }
-const colourOf = (name) => COLOURS[about.structures.indexOf(name)];
+const colourOf = (name) => about.colours[name];
 
 function draw() {
   const ratio = window.devicePixelRatio || 1;
@@ -300,7 +299,7 @@ window.addEventListener("resize", () => { drawStrip(); draw(); });
 for (const name of Object.keys(about.axes)) $("axis").append(new Option(`${name} (${about.counts[name]})`, name));
 about.structures.forEach((name, n) => {
   const button = document.createElement("button"), mark = document.createElement("i");
-  button.className = "structure"; button.dataset.name = name; mark.style.background = COLOURS[n];
+  button.className = "structure"; button.dataset.name = name; mark.style.background = about.colours[name];
   button.append(mark, name.replace("_", " "), document.createElement("span"));
   button.addEventListener("click", () => chosen(name));
   $("structures").append(button);

@@ -1,8 +1,6 @@
 // The clock of a replay: play and pause, speed, the slider, and the arrow keys. The page's showFrame shows a frame.
 "use strict";
 
-const byId = id => document.getElementById(id);
-
 function makePlayer() {
   let playing = false, startedAt = 0, startedFrom = 0;
   function stop() { playing = false; byId("play").textContent = "Play"; }

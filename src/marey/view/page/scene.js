@@ -1,6 +1,8 @@
 // A scene that turns: lines and points drawn in the graphics card, the eye that goes round them, the pointer that moves it.
 "use strict";
 
+const byId = id => document.getElementById(id);
+
 const LINE_VERTEX = `
 attribute vec3 place; attribute vec4 colour; uniform mat4 view; uniform mat4 lens; uniform float size; varying vec4 tint;
 void main() { tint = colour; gl_Position = lens * view * vec4(place, 1.0); gl_PointSize = size; }`;

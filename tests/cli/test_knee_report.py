@@ -1,0 +1,44 @@
+import io
+import json
+import re
+
+import numpy as np
+from tests.made_knees import made_grid, made_labels, made_volume
+
+from marey.cli.knee_report import write_page
+from marey.cli.main import run
+from marey.cli.progress import Progress
+from marey.io.gadolinium import MarkersInScanner
+from marey.knee.bones import BoneSegmentation
+from marey.knee.structures import BONES
+from marey.knee.surfacing import surface_of_labels
+
+
+def test_bones_without_a_template_have_a_page_that_view_finds(tmp_path, capsys):
+    grid = made_grid((2.0, 2.0, 4.0))
+    labels, progress = made_labels(grid), Progress(io.StringIO())
+    bones = BoneSegmentation(labels=labels, bones={}, kinds=("dark",), template_fit=None, notes=())
+    surfaces = {bone: surface_of_labels(labels, bone, edge_mm=3.0) for bone in BONES}
+    progress.warn("A note of the run.")
+    (tmp_path / "femur.ply").touch()
+    write_page(
+        tmp_path, made_volume(grid, "dark"), labels, bones, surfaces, progress, title="made", side="right",
+        missing=["patella"],
+        settings={"template": None, "seeds_lps_mm": {"femur": [1.0, 2.5, -3.0]}, "seeds_given": [], "mirrored": False},
+        markers=MarkersInScanner(centres_mm=np.zeros((2, 3)), sd_mm=np.ones((2, 3)), diameter_mm=np.full(2, 6.0)),
+    )  # fmt: skip
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "No template was given" in page
+    assert "A note of the run." in page
+    assert "Not found: patella." in page
+    assert "as it was given" in page
+    assert "femur 1.0, 2.5, -3.0" in page
+    assert "seeds given" not in page
+    assert "6.0 mm wide" in page
+    assert "femur.ply</code>" in page
+    assert "tibia.ply</code>" not in page
+    knee = json.loads(re.search(r'application/json">(.*?)</script>', page, re.S)[1])["knee"]  # type: ignore[index]
+    assert knee["left"] is False
+    assert "Page" in progress.timings
+    assert run(["view", str(tmp_path), "--no-browser"]) == 0
+    assert capsys.readouterr().out.strip() == str((tmp_path / "report.html").resolve())
