@@ -79,9 +79,9 @@ def segment(paths: Sequence[Path], options: SegmentOptions, progress: Progress) 
         with cache, threadpool_limits(1):
             found = _found(volumes, template, seeds, earlier, progress)
             with finished_together(out) as folder:
-                settings = _settings(options, found)
-                maps = _write(folder, found, options, progress)
-                labels, title = labels_with(found.bones, found.cartilage), " and ".join(stem(path) for path in paths)
+                settings, title = _settings(options, found), " and ".join(stem(path) for path in paths)
+                labels = labels_with(found.bones, found.cartilage)
+                maps = _write(folder, found, labels, options, progress)
                 write_page(
                     folder, volumes[0], labels, found.bones, found.surfaces, progress, title=title, settings=settings,
                     side=options.side, cartilage=found.cartilage, maps=maps, markers=found.markers,
@@ -122,9 +122,9 @@ def _found(
     return _Found(bones=bones, surfaces=surfaces, cartilage=cartilage, markers=markers, missing=lost | missing)
 
 
-def _write(folder: Path, found: _Found, options: SegmentOptions, progress: Progress) -> CartilageMaps:
+def _write(folder: Path, found: _Found, labels: Labels, options: SegmentOptions, progress: Progress) -> CartilageMaps:
     maps = CartilageMaps()
-    write_labels(folder, labels_with(found.bones, found.cartilage), missing=found.missing)
+    write_labels(folder, labels, missing=found.missing)
     for name, surface in found.surfaces.items():
         write_mesh(folder / f"{name}.ply", surface)
     if found.cartilage is not None:

@@ -297,7 +297,7 @@ window.addEventListener("keydown", (event) => {
 window.addEventListener("resize", () => { drawStrip(); draw(); });
 
 for (const name of Object.keys(about.axes)) $("axis").append(new Option(`${name} (${about.counts[name]})`, name));
-about.structures.forEach((name, n) => {
+about.structures.forEach((name) => {
   const button = document.createElement("button"), mark = document.createElement("i");
   button.className = "structure"; button.dataset.name = name; mark.style.background = about.colours[name];
   button.append(mark, name.replace("_", " "), document.createElement("span"));
