@@ -456,7 +456,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         code = INTERRUPTED
     if code == INTERRUPTED:
-        print("\nInterrupted. The same command goes on from here.", file=sys.stderr)
+        print("\nInterrupted. Type the same command again to go on.", file=sys.stderr)
     return code if isinstance(code, int) else 0
 
 
