@@ -225,3 +225,14 @@ def test_values_far_below_zero_are_no_mr_image(tmp_path, rng):
         read_volume(tmp_path / "ct.nii.gz")
     write_volume(tmp_path / "mr.nii.gz", Volume(intensity=rng.uniform(-2, 1200, grid.shape), grid=grid))
     assert read_volume(tmp_path / "mr.nii.gz").intensity.min() < 0
+
+
+@pytest.mark.parametrize("ending", ["nii", "nii.gz", "nrrd"])
+@pytest.mark.parametrize("lost", [np.nan, np.inf])
+def test_values_that_are_no_numbers_are_counted(tmp_path, rng, lost, ending):
+    grid = volume(rng).grid
+    intensity = rng.uniform(0, 100, grid.shape)
+    intensity[3, 4, 3:6] = lost
+    write_volume(tmp_path / f"holes.{ending}", Volume(intensity=intensity, grid=grid))
+    with pytest.raises(FileProblem, match=rf"3 voxels of {intensity.size} .* no numbers"):
+        read_volume(tmp_path / f"holes.{ending}")

@@ -38,7 +38,9 @@ def made_knee(rng: np.random.Generator, level: float) -> Knee:
     body = np.zeros(grid.shape, dtype=bool)
     body[:, :, :20] = True
     intensity = rng.normal(level, 1.0, grid.shape)
-    return Knee(intensity=intensity, body=body, depth_mm=np.ones(grid.shape), grid=grid)
+    return Knee(
+        intensity=intensity, body=body, depth_mm=np.ones(grid.shape), within=np.full(grid.shape, True), grid=grid
+    )
 
 
 def test_the_band_comes_from_the_seeds_own_region(rng):

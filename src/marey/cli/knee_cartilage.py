@@ -27,6 +27,7 @@ from marey.knee.volume import Labels, Volume
 from marey.view.flat_cartilage import flat_picture
 from marey.view.knee_maps import thickness_colours
 
+_LEFT_OUT = "The template was left out: it is laid into the image by femur and tibia together."
 _NOT_SEEN = "The image shows none where the template has some, or its bone was not found."
 
 
@@ -49,13 +50,15 @@ def cartilage_by_template(
         The cartilage, and which of those that the template has are missing, with the reason.
     """
     fit = bones.template_fit
-    if template is None or fit is None:
+    if template is None:
         return None, {}
     held = [name for name in LABELS if template.mask(name).any()]
     if not any(CARTILAGE_OF_BONE[bone] in held for bone in BONES):
         progress.warn("The template has no cartilage: only bones were segmented.")
         return None, {}
     asked = [CARTILAGE_OF_BONE[bone] for bone in BONES if CARTILAGE_OF_BONE[bone] in held]
+    if fit is None:
+        return None, dict.fromkeys(asked, _LEFT_OUT)
     try:
         with progress.stage("Template", len(held)) as step:
             parts = {}

@@ -117,7 +117,8 @@ def _found(
         progress.warn(note)
     surfaces = _surfaces(bones, progress)
     cartilage, missing = cartilage_by_template(volumes, bones, surfaces, template, progress)
-    lost = {bone: "It was not found in the image." for bone in BONES if bone not in bones.bones}
+    unfound = "It was not found in the image."
+    lost = {bone: bones.missing.get(bone, unfound) for bone in BONES if bone not in bones.bones}
     markers = markers_in(volumes, surfaces, earlier, progress)
     return _Found(bones=bones, surfaces=surfaces, cartilage=cartilage, markers=markers, missing=lost | missing)
 

@@ -1,5 +1,6 @@
 """MR volumes and volumes of labels: DICOM series, NIfTI, NRRD and MetaImage, with their place in the scanner."""
 
+import gzip
 import json
 import locale
 import sys
@@ -27,6 +28,10 @@ _NAME_FILES = ("labels.json", "names.json")
 _UNEVEN = 0.05
 """Share of a slice distance by which it may differ from the usual one; a missing slice differs by 1."""
 _FEWEST = 4
+_GZIP = b"\x1f\x8b"
+_NIFTI_2 = 540
+"""Length of its header; 348 in the first version."""
+_NIFTI_FLOATS = {16: "f4", 64: "f8"}
 _BELOW_ZERO = 0.05
 """Share of the image's upper end by which resampling leaves an MR image's air below zero at most."""
 
@@ -45,14 +50,33 @@ def read_volume(path: Path | str) -> Volume:
     path = Path(path)
     image = _read_series(path) if path.is_dir() else _read_file(path)
     intensity = simple_itk().GetArrayFromImage(image).astype(np.float32)
-    if not np.isfinite(intensity).all():
-        raise FileProblem(path, "holds values that are not numbers", "Replace them, by 0 for instance.")
+    if lost := max(int((~np.isfinite(intensity)).sum()), _no_numbers_in_nifti(path)):
+        share = f"holds {lost} voxels of {intensity.size} whose values are no numbers, NaN or infinite"
+        raise FileProblem(path, share, "Replace them, by 0 for instance.")
     if not np.ptp(intensity):
         raise FileProblem(path, f"holds one value throughout, {intensity.flat[0]:g}", "Is it the image itself?")
     low, high = np.percentile(intensity, [1, 99])
     if low < -_BELOW_ZERO * abs(high):
         raise FileProblem(path, f"holds values down to {intensity.min():g}, as CT does", "Give an MR image.")
     return Volume(intensity=intensity, grid=_grid(image))
+
+
+def _no_numbers_in_nifti(path: Path) -> int:
+    """Count the values of a NIfTI file that are no numbers: ITK puts 0 in their place without a word."""
+    if path.is_dir() or not path.name.lower().endswith((".nii", ".nii.gz")):
+        return 0
+    content = path.read_bytes()
+    content = gzip.decompress(content) if content[:2] == _GZIP else content
+    order = "<" if content[:2] in (b"\x5c\x01", b"\x1c\x02") else ">"
+    second = int(np.frombuffer(content, f"{order}i4", 1)[0]) == _NIFTI_2
+    kind = int(np.frombuffer(content, f"{order}i2", 1, 12 if second else 70)[0])
+    if kind not in _NIFTI_FLOATS:
+        return 0
+    sizes = np.frombuffer(content, f"{order}{'i8' if second else 'i2'}", 8, 16 if second else 40)
+    start = int(np.frombuffer(content, f"{order}{'i8' if second else 'f4'}", 1, 168 if second else 108)[0])
+    count = int(np.prod(sizes[1 : 1 + int(sizes[0])], dtype=np.int64))
+    values = np.frombuffer(content, f"{order}{_NIFTI_FLOATS[kind]}", count, start)
+    return int((~np.isfinite(values)).sum())
 
 
 def read_labels(path: Path | str) -> Labels:

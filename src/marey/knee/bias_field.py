@@ -7,7 +7,7 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from marey.arrays import Floats
-from marey.knee.resampling import on_grid, resampled, upright_grid
+from marey.knee.resampling import on_grid, reach, resampled, upright_grid
 from marey.knee.volume import Grid, Volume
 
 _WORK_MM = 3.0
@@ -43,7 +43,8 @@ def bias_field(volume: Volume) -> BiasField:
     """
     grid = upright_grid(volume.grid, _WORK_MM)
     values = np.maximum(on_grid(volume, grid, _WORK_MM / 2), 1e-3)
-    tissue = values > 0.25 * between_two_classes(values)
+    within_image = reach(volume.grid, grid)
+    tissue = within_image & (values > 0.25 * between_two_classes(values[within_image]))
     logarithm = np.log(values[tissue])
     basis = _polynomials(grid.shape)
     within = basis[tissue]

@@ -11,8 +11,9 @@ from marey.errors import MareyError, SettingProblem
 from marey.knee.bias_field import bias_field
 from marey.knee.bone_edges import Piece, marrow_odds, refined, soft_tissue_odds
 from marey.knee.marrow import WORK_MM, Kind, Knee, prepare
+from marey.knee.one_bone import in_line, thick_end
 from marey.knee.region_growing import grow, marrow_level, outgrowth, seed_ball, signed_distance
-from marey.knee.resampling import part_of, resampled, smoothed
+from marey.knee.resampling import onward, part_of, resampled, smoothed
 from marey.knee.seeds import find_seeds, patella_seeds, seed_voxel
 from marey.knee.structures import BONES, LABELS
 from marey.knee.template_fit import (
@@ -34,6 +35,7 @@ _BOX_MM = 8.0
 _PATELLA_CM3 = (4.0, 45.0)
 _LONG_BONES = ("femur", "tibia")
 _OUTGROWTH_CM3 = 1.0
+_LEAST_MARROW = 0.5
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -60,6 +62,8 @@ class BoneSegmentation:
     template_fit: TemplateFit | None
     notes: tuple[str, ...]
     """What a user should know, as sentences."""
+    missing: Mapping[str, str] = field(default_factory=dict)
+    """Bone that was not found, to the reason."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -76,12 +80,16 @@ class _Look:
     def grid(self) -> Grid:
         return self.knees[0].grid
 
+    def long_bones(self) -> Mask:
+        """(k, j, i) femur and tibia as they grew."""
+        return np.asarray(np.logical_or.reduce([self.grown[name] for name in _LONG_BONES if name in self.grown]))
+
     def likeness(self, voxel: Integers, radius_mm: float = 8.0) -> np.ndarray:
-        """(k, j, i) least likeness, over the images, to the marrow about a seed."""
+        """(k, j, i) least likeness, over the images, to the marrow about a seed; NaN outside one of them."""
         each = []
         for knee, kind in zip(self.knees, self.kinds, strict=True):
             level = marrow_level(knee, kind, voxel, radius_mm)
-            each.append(level.likeness(knee.intensity) * knee.body)
+            each.append(np.where(knee.within, level.likeness(knee.intensity) * knee.body, np.float32(np.nan)))
         return np.asarray(np.minimum.reduce(each))
 
 
@@ -112,30 +120,42 @@ def segment_bones(
     report("bias and body", 0.0)
     look = _looked(tuple(volumes), given)
     report("growing", 0.15)
-    _grow_long_bones(look)
+    missing = _grow_long_bones(look, given)
     report("template" if template is not None else "patella", 0.3)
     _grow_patella(look, None, given)
     fit, limits = _limits(look, template)
     notes = [] if fit is None else [_fit_note(fit)]
+    if template is not None and fit is None:
+        notes.append(
+            "The template is left out: it is laid into the image by femur and tibia together. Without it a bone may"
+            " reach far into what surrounds it: look at the surface."
+        )
     if "patella" not in look.grown and "patella" in limits:
         _grow_patella(look, limits["patella"], given)
     else:
         # A patella that grew without a leak needs no limit, and a template's seldom has its shape.
         limits.pop("patella", None)
     if "patella" not in look.grown:
-        notes.append("No patella was found: give its place with --seed patella X Y Z.")
+        missing["patella"] = "No patella was found: give its place with --seed patella X Y Z."
     found = {}
     for index, name in enumerate(look.grown):
         report(f"edge of the {name}", 0.5 + 0.5 * index / len(look.grown))
-        found[name] = _bone(look, name, limits.get(name))
-        notes += _outgrowth_note(name, found[name][0], look.grid)
+        bone, box = _bone(look, name, limits.get(name))
+        share = _marrow_share(look, name, bone)
+        if share < _LEAST_MARROW:
+            missing[name] = f"No {name} was found: of what was taken for it only {100 * share:.0f} % is like marrow."
+            continue
+        found[name] = bone, box
+        notes += _outgrowth_note(name, bone, look.grid)
     report("bones", 1.0)
+    notes += missing.values()
     return BoneSegmentation(
         labels=_labelled(found, volumes[0].grid),
         bones={name: bone for name, (bone, _) in found.items()},
         kinds=look.kinds,
         template_fit=fit,
         notes=tuple(notes),
+        missing=missing,
     )
 
 
@@ -153,25 +173,70 @@ def _looked(volumes: tuple[Volume, ...], given: Mapping[str, Floats]) -> _Look:
     return _Look(volumes=volumes, knees=knees, kinds=tuple(each.kind for each in seeds), seeds=places)
 
 
-def _grow_long_bones(look: _Look) -> None:
+def _grow_long_bones(look: _Look, given: Mapping[str, Floats]) -> dict[str, str]:
+    """Grow femur and tibia; give which of them is not in view, with the reason."""
+    whole = _one_bone(look)
+    if whole is not None:
+        return _grow_alone(look, whole, given)
+    if look.seeds["femur"][0] <= look.seeds["tibia"][0] and {"femur", "tibia"} & set(given):
+        typed = " and of the ".join(name for name in _LONG_BONES if name in given)
+        raise SettingProblem(
+            f"By the seed of the {typed} the femur would lie below the tibia: are they the right ones?"
+        )
     for name, other in (("femur", "tibia"), ("tibia", "femur")):
         keep_out = look.grown.get(other, seed_ball(look.knees[0], look.seeds[other]))
         grown = grow(look.likeness(look.seeds[name]), look.seeds[name], keep_out=keep_out)
         if not grown.any():
-            raise MareyError(f"Nothing grows from the seed of the {name}: give another with --seed {name} X Y Z.")
+            raise MareyError(
+                f"Nothing grows from the seed of the {name} at LPS {_said(look, name)} mm, which was"
+                f" {'given' if name in given else 'found'}: give another with --seed {name} X Y Z."
+            )
         look.grown[name] = grown
+    return {}
+
+
+def _one_bone(look: _Look) -> Mask | None:
+    """(k, j, i) the bone in which both seeds lie, if they do."""
+    first, second = look.seeds["femur"], look.seeds["tibia"]
+    likeness = look.likeness(first)
+    if not in_line(likeness, look.grid, first, second):
+        return None
+    whole = grow(likeness, first)
+    return whole if whole[seed_ball(look.knees[0], second, 4.0)].mean() > 0.5 else None
+
+
+def _grow_alone(look: _Look, whole: Mask, given: Mapping[str, Floats]) -> dict[str, str]:
+    """Take the bone in which both seeds lie for the one that its shape tells."""
+    name = thick_end(whole)
+    for typed, other in (("femur", "tibia"), ("tibia", "femur")):
+        if typed in given and name != typed:
+            seems = f"it seems to be the {name}" if name else "femur or tibia, its shape does not tell"
+            raise SettingProblem(
+                f"The seed of the {typed} at LPS {_said(look, typed)} mm and that of the {other} at"
+                f" {_said(look, other)} lie in one bone: {seems}. Choose a place within the {typed}."
+            )
+    if name is None:
+        raise MareyError("One long bone only is found, and its shape does not tell whether it is a femur or a tibia.")
+    other = "tibia" if name == "femur" else "femur"
+    look.grown[name] = whole
+    del look.seeds[other]
+    return {other: f"No {other} was found: of the long bones, the image shows the {name} only."}
+
+
+def _said(look: _Look, name: str) -> str:
+    return " ".join(f"{each:.0f}" for each in look.grid.lps(look.seeds[name][::-1].astype(float)))
 
 
 def _limits(look: _Look, template: Labels | None) -> tuple[TemplateFit | None, dict[str, np.ndarray]]:
     """Lay the template into the image; give (k, j, i) the signed distance of each of its bones."""
-    if template is None:
+    if template is None or not all(name in look.grown for name in _LONG_BONES):
         return None, {}
     bones = template_bones(template)
-    likeness = {name: look.likeness(look.seeds[name]) * look.grown[name] for name in ("femur", "tibia")}
+    likeness = {name: look.likeness(look.seeds[name]) * look.grown[name] for name in _LONG_BONES}
     if "patella" in look.grown:
         likeness["patella"] = look.likeness(look.seeds["femur"]) * look.grown["patella"]
     elif "patella" in bones:
-        likeness["patella"] = look.likeness(look.seeds["femur"]) * ~(look.grown["femur"] | look.grown["tibia"])
+        likeness["patella"] = look.likeness(look.seeds["femur"]) * ~look.long_bones()
     fit = place_template(bones, look.grown, likeness, look.grid)
     return fit, {name: _limit(bone, fit, name, likeness, look.grid) for name, bone in bones.items()}
 
@@ -185,6 +250,14 @@ def _limit(
 def _fit_note(fit: TemplateFit) -> str:
     side = "mirrored, as it is of the other side" if fit.mirrored else "of the same side"
     return f"The template is {side}; {100 * fit.fit:.0f} % of its edges lie on edges of bone."
+
+
+def _marrow_share(look: _Look, name: str, bone: Bone) -> float:
+    """How much of a bone the image itself shows to be like the marrow at its seed: a template may have added much."""
+    inside = resampled(bone.distance_mm, bone.grid, look.grid, outside=-50.0) > 0
+    likeness = look.likeness(look.seeds[name])[inside]
+    known = likeness[~np.isnan(likeness)]
+    return float((known > 0).mean()) if known.size else 0.0
 
 
 def _outgrowth_note(name: str, bone: Bone, grid: Grid) -> list[str]:
@@ -207,13 +280,14 @@ def _outgrowth_note(name: str, bone: Bone, grid: Grid) -> list[str]:
 
 
 def _grow_patella(look: _Look, limit: np.ndarray | None, given: Mapping[str, Floats]) -> None:
-    taken = look.grown["femur"] | look.grown["tibia"]
+    taken = look.long_bones()
     if "patella" in given:
         places = [seed_voxel(look.knees[0], "patella", given["patella"])]
         likeness = look.likeness(places[0], 4.0)
     else:
-        joint = joint_centre({name: positions_of(look.grown[name], look.grid) for name in ("femur", "tibia")})
-        likeness = look.likeness(look.seeds["femur"])
+        pair = [name for name in _LONG_BONES if name in look.grown]
+        joint = joint_centre({name: positions_of(look.grown[name], look.grid) for name in pair})
+        likeness = look.likeness(look.seeds[pair[0]])
         places = patella_seeds(look.knees[0], likeness, taken, joint)
     keep_out = taken if limit is None else taken | (np.nan_to_num(limit, nan=-100.0) < -_ASTRAY_MM)
     for place in places:
@@ -235,6 +309,7 @@ def _bone(look: _Look, name: str, limit: np.ndarray | None) -> tuple[Bone, tuple
     elif name in _LONG_BONES:
         coarse = coarse & ~outgrowth(coarse)
     own = look.volumes[0].grid
+    coarse = onward(coarse, look.knees[0].within)
     distance = resampled(signed_distance(coarse, look.grid.array_spacing_mm), look.grid, own, outside=-50.0)
     reach = [(np.flatnonzero((distance > -_BOX_MM).any(axis=axes))) for axes in ((1, 2), (0, 2), (0, 1))]
     box = tuple(slice(int(each[0]), int(each[-1]) + 1) for each in reach)

@@ -9,7 +9,7 @@ from scipy import ndimage
 from marey.arrays import Floats, Integers, Mask
 from marey.errors import MareyError
 from marey.knee.bias_field import between_two_classes, bias_field
-from marey.knee.resampling import on_grid, upright_grid
+from marey.knee.resampling import on_grid, onward, reach, upright_grid
 from marey.knee.volume import Grid, Volume
 
 WORK_MM = 1.0
@@ -30,11 +30,13 @@ class Knee:
     """An image at work: corrected, smoothed, on an upright grid of 1 mm, with the body in it."""
 
     intensity: np.ndarray
-    """(k, j, i) without bias."""
+    """(k, j, i) without bias; outside the image as it is at the nearest place in it."""
     body: Mask
     """(k, j, i) the body, bones and all."""
     depth_mm: Floats
     """(k, j, i) distance to the skin, or the image's end, within the axial slice."""
+    within: Mask
+    """(k, j, i) where the image reaches: a turned one leaves corners of the upright grid, neither body nor air."""
     grid: Grid
 
 
@@ -64,10 +66,11 @@ def prepare(volume: Volume, grid: Grid | None = None) -> Knee:
         grid: The upright grid of another image of the same knee, to be used for this one, too.
     """
     grid = upright_grid(volume.grid, WORK_MM) if grid is None else grid
-    intensity = on_grid(volume, grid, _SMOOTHING_MM) / bias_field(volume).on(grid)
-    body = _body(ndimage.gaussian_filter(intensity, 1.0))
+    within = reach(volume.grid, grid)
+    intensity = onward(on_grid(volume, grid, _SMOOTHING_MM) / bias_field(volume).on(grid), within)
+    body = _body(ndimage.gaussian_filter(intensity, 1.0), within)
     depth = np.stack([ndimage.distance_transform_edt(np.pad(each, 1))[1:-1, 1:-1] for each in body])
-    return Knee(intensity=intensity, body=body, depth_mm=depth * WORK_MM, grid=grid)
+    return Knee(intensity=intensity, body=body, depth_mm=depth * WORK_MM, within=within, grid=grid)
 
 
 def marrow_of(knee: Knee) -> Marrow:
@@ -103,20 +106,23 @@ def candidates(knee: Knee, kind: Kind) -> Mask:
     return knee.body & (values < between_two_classes(lower))
 
 
-def _body(values: np.ndarray) -> Mask:
-    """The body: what is brighter than air, with what it encloses in axial slices."""
-    lower = values[values < between_two_classes(values)]
+def _body(values: np.ndarray, within: Mask) -> Mask:
+    """The body: what is brighter than air, with what it encloses in axial slices; it goes on to the image's end."""
+    known = values[within]
+    lower = known[known < between_two_classes(known)]
     air = float(np.exp(between_two_classes(np.log(np.maximum(lower, lower.max() / 200)))))
     body = values > air
     rim = _CLOSING_MM + 1
     for index, each in enumerate(body):
         closed = ndimage.binary_closing(np.pad(each, rim), iterations=_CLOSING_MM)
         body[index] = ndimage.binary_fill_holes(closed[rim:-rim, rim:-rim])
-    return np.asarray(ndimage.binary_opening(body, iterations=3))
+    return np.asarray(ndimage.binary_opening(body, iterations=3) & within)
 
 
 def _thick_blobs(knee: Knee, kind: Kind) -> list[Blob]:
-    radius = ndimage.distance_transform_edt(candidates(knee, kind)) * WORK_MM
+    likely = candidates(knee, kind)
+    # As at the grid's own end, a bone goes on where the image ends.
+    radius = ndimage.distance_transform_edt(likely | ~knee.within) * likely * WORK_MM
     peaks = (ndimage.maximum_filter(radius, 15) == radius) & (radius >= _THICK_MM) & (knee.depth_mm >= _DEEP_MM)
     return [Blob(voxel=each, radius_mm=float(radius[tuple(each)])) for each in np.argwhere(peaks)]
 

@@ -69,7 +69,7 @@ def grow(likeness: np.ndarray, voxel: Integers, *, keep_out: Mask | None = None)
     next one: a leak through a gap is cut off at once when the ball fits the gap no more, a bone hardly changes.
 
     Args:
-        likeness: (k, j, i) 0 to 1, on the upright grid.
+        likeness: (k, j, i) 0 to 1, on the upright grid; NaN outside the image, where the bone may go on.
         voxel: (3,) k, j, i of the seed.
         keep_out: Where the bone cannot be, another bone's middle for one.
 
@@ -77,7 +77,7 @@ def grow(likeness: np.ndarray, voxel: Integers, *, keep_out: Mask | None = None)
         (k, j, i) true in the bone; empty when nothing grows from the seed.
     """
     allowed = (likeness > 0) if keep_out is None else (likeness > 0) & ~keep_out
-    inward = ndimage.distance_transform_edt(allowed) * WORK_MM
+    inward = ndimage.distance_transform_edt(allowed | np.isnan(likeness)) * allowed * WORK_MM
     pieces = [_grown(allowed, inward, voxel, radius) for radius in _OPENINGS_MM]
     sizes = [int(piece.sum()) for piece in pieces]
     for piece, size, following in zip(pieces, sizes, sizes[1:], strict=False):

@@ -5,8 +5,10 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from marey.arrays import Floats
+from marey.arrays import Floats, Mask
 from marey.knee.volume import Grid, Volume
+
+_WITHIN = 0.999
 
 
 def upright_grid(grid: Grid, spacing_mm: float) -> Grid:
@@ -63,6 +65,25 @@ def smoothed(values: np.ndarray, grid: Grid, sigma_mm: float) -> np.ndarray:
 def on_grid(volume: Volume, target: Grid, sigma_mm: float) -> np.ndarray:
     """Give an image smoothed and read on another grid."""
     return resampled(smoothed(volume.intensity, volume.grid, sigma_mm), volume.grid, target)
+
+
+def reach(source: Grid, target: Grid) -> Mask:
+    """(k, j, i) of the target: true where the source reaches; not in the corners beside one that is turned."""
+    return np.asarray(resampled(np.ones(source.shape, dtype=np.float32), source, target) > _WITHIN)
+
+
+def onward(values: np.ndarray, within: Mask) -> np.ndarray:
+    """Give an array that goes on outside a mask as it is at the nearest place within.
+
+    Args:
+        values: (k, j, i).
+        within: (k, j, i) where they are known.
+    """
+    if within.all() or not within.any():
+        return values
+    nearest = ndimage.distance_transform_edt(~within, return_distances=False, return_indices=True)
+    given: np.ndarray = values[tuple(nearest)]
+    return given
 
 
 def read_at(values: np.ndarray, grid: Grid, lps_mm: Floats, *, outside: float = 0.0) -> Floats:

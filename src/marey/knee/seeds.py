@@ -83,12 +83,12 @@ def patella_seeds(knee: Knee, likeness: np.ndarray, taken: Mask, joint_mm: Float
 
     Args:
         knee: The prepared image.
-        likeness: (k, j, i) of marrow.
+        likeness: (k, j, i) of marrow; NaN outside the image.
         taken: (k, j, i) femur and tibia.
         joint_mm: (3,) LPS of the middle of the joint line.
     """
     free = (likeness > 0) & ~ndimage.binary_dilation(taken, iterations=1)
-    radius = ndimage.distance_transform_edt(free) * WORK_MM
+    radius = ndimage.distance_transform_edt(free | np.isnan(likeness)) * free * WORK_MM
     peaks = (ndimage.maximum_filter(radius, 9) == radius) & (radius >= _PATELLA_RADIUS_MM[0])
     voxels = np.argwhere(peaks & (radius <= _PATELLA_RADIUS_MM[1]))
     off = (knee.grid.lps(voxels[:, ::-1].astype(float)) - joint_mm - _PATELLA_FROM_JOINT_MM) / _PATELLA_SD_MM

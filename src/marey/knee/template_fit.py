@@ -128,7 +128,7 @@ def place_template(
     Args:
         bones: The template's.
         grown: (k, j, i) femur and tibia as grown from their seeds, for the start; leaks do not matter much.
-        likeness: Of each bone: (k, j, i) how like its marrow each voxel is, 0 to 1.
+        likeness: Of each bone: (k, j, i) how like its marrow each voxel is, 0 to 1; NaN outside the image.
         grid: The upright grid of both.
 
     Raises:
@@ -199,8 +199,9 @@ def positions_of(mask: Mask, grid: Grid) -> Floats:
 
 
 def joint_centre(positions: Mapping[str, Floats]) -> Floats:
-    """(3,) between the femur's lower and the tibia's upper end; left-right and front-back by what is near."""
-    height = (np.percentile(positions["femur"][:, 2], 2) + np.percentile(positions["tibia"][:, 2], 98)) / 2
+    """(3,) between the femur's lower and the tibia's upper end, or at the one there is; across, by what is near."""
+    ends = {"femur": 2, "tibia": 98}
+    height = float(np.mean([np.percentile(each[:, 2], ends[name]) for name, each in positions.items()]))
     near = np.concatenate([each[np.abs(each[:, 2] - height) < _JOINT_MM] for each in positions.values()])
     return np.array([*near[:, :2].mean(axis=0), height])
 
