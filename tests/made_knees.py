@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from marey.knee.structures import LABELS
+from marey.knee.structures import BONES, CARTILAGE_OF_BONE, LABELS
 from marey.knee.volume import Grid, Labels, Volume
 
 LEVELS = {
@@ -26,12 +26,15 @@ def _smooth_union(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     return np.maximum(first, second)
 
 
-def signed_shapes(grid: Grid, *, mirror: bool = False, size: float = 1.0) -> dict[str, np.ndarray]:
+def signed_shapes(
+    grid: Grid, *, mirror: bool = False, size: float = 1.0, bend_mm: float = 0.0
+) -> dict[str, np.ndarray]:
     """Structure to (k, j, i) distance [mm] inside its surface, about; the knee is unlike its mirror image."""
     k, j, i = np.meshgrid(*[np.arange(n) for n in grid.shape], indexing="ij")
     place = grid.lps(np.stack([i, j, k], axis=-1).astype(float)) / size
     x, y, z = np.moveaxis(place, -1, 0)
     x = -x if mirror else x
+    x, y = x + bend_mm * np.sin(z / 15), y + bend_mm * np.cos(x / 12)
 
     def ball(cx: float, cy: float, cz: float, rx: float, ry: float, rz: float) -> np.ndarray:
         radius = np.sqrt(((x - cx) / rx) ** 2 + ((y - cy) / ry) ** 2 + ((z - cz) / rz) ** 2)
@@ -77,3 +80,46 @@ def made_volume(grid: Grid, kind: str, *, seed: int = 3, noise: float = 3.0, mir
     random = np.random.default_rng(seed)
     parts = image * bias + random.normal(0, noise, image.shape), random.normal(0, noise, image.shape)
     return Volume(intensity=np.hypot(*parts), grid=grid)
+
+
+THICK_MM = {"femur": 2.6, "tibia": 2.2, "patella": 3.0}
+"""Of made cartilage, about: on an egg it is thicker than that along its long axes."""
+
+
+def labels_with_cartilage(grid: Grid, *, thicker: float = 1.0, bend_mm: float = 0.0) -> Labels:
+    """Bones under cartilage: below and before the condyles, on the tibia's plateau and behind the patella."""
+    shapes = signed_shapes(grid, bend_mm=bend_mm)
+    k, j, i = np.meshgrid(*[np.arange(n) for n in grid.shape], indexing="ij")
+    x, y, z = np.moveaxis(grid.lps(np.stack([i, j, k], axis=-1).astype(float)), -1, 0)
+    where = {"femur": z < 24, "tibia": np.hypot(x / 32, (y - 2) / 19) < 1, "patella": (y > -36) & (abs(z - 36) < 15)}
+    labels = np.zeros(grid.shape, dtype=np.uint8)
+    for bone, place in where.items():
+        shell = place & (shapes[bone] > -thicker * THICK_MM[bone]) & (labels == 0)
+        labels[shell] = LABELS[CARTILAGE_OF_BONE[bone]]
+    for bone in where:
+        labels[shapes[bone] > 0] = LABELS[bone]
+    return Labels(labels=labels, grid=grid)
+
+
+def patella_grid(spacing: tuple[float, float, float]) -> Grid:
+    """About the patella and the femur before it."""
+    low, extent = np.array([-22.0, -54.0, 8.0]), np.array([50.0, 42.0, 56.0])
+    lps_from_voxel = np.diag([*spacing, 1.0])
+    lps_from_voxel[:3, 3] = low
+    i, j, k = (extent / spacing).astype(int).tolist()
+    return Grid(shape=(k, j, i), lps_from_voxel=lps_from_voxel)
+
+
+def volume_with_cartilage(fine: Grid, *, noise: float = 3.0) -> Volume:
+    """An image with dark marrow, each voxel the mean over eight of a finer grid."""
+    labels, level = labels_with_cartilage(fine).labels, LEVELS["dark"]
+    image = np.where(signed_shapes(fine)["limb"] > 0, level["fat"], level["air"])
+    image[np.isin(labels, [LABELS[bone] for bone in BONES])] = level["marrow"]
+    image[np.isin(labels, [LABELS[each] for each in CARTILAGE_OF_BONE.values()])] = level["cartilage"]
+    k, j, i = (n // 2 for n in fine.shape)
+    means = image[: 2 * k, : 2 * j, : 2 * i].reshape(k, 2, j, 2, i, 2).mean((1, 3, 5))
+    lps_from_voxel = fine.lps_from_voxel @ np.diag([2.0, 2, 2, 1])
+    lps_from_voxel[:3, 3] = fine.lps(np.full(3, 0.5))
+    random = np.random.default_rng(5)
+    noisy = np.hypot(means + random.normal(0, noise, means.shape), random.normal(0, noise, means.shape))
+    return Volume(intensity=noisy, grid=Grid(shape=means.shape, lps_from_voxel=lps_from_voxel))

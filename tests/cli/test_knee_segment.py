@@ -3,16 +3,28 @@ from importlib.util import find_spec
 
 import numpy as np
 import pytest
-from tests.made_knees import made_grid, made_labels, made_volume, signed_shapes
+from tests.made_knees import (
+    labels_with_cartilage,
+    made_grid,
+    made_labels,
+    made_volume,
+    patella_grid,
+    signed_shapes,
+    volume_with_cartilage,
+)
 
 from marey.cli.knee import INCOMPLETE, with_seeds_joined
 from marey.cli.knee_segment import SegmentOptions, given_seeds, parse_seed
 from marey.cli.main import run
 from marey.errors import SettingProblem
+from marey.io.meshes import read_mesh
+from marey.io.npz import read_arrays
 from marey.io.volumes import write_labels, write_volume
 from marey.knee.bones import Bone, BoneSegmentation
 from marey.knee.structures import LABELS
+from marey.knee.surfacing import surface_of_labels
 from marey.knee.template_fit import Placement, TemplateFit
+from marey.knee.thickness import cartilage_thickness
 from marey.knee.volume import Labels, Volume
 
 if find_spec("SimpleITK") is None:
@@ -74,14 +86,15 @@ def test_an_image_of_no_knee_leaves_nothing_behind(tmp_path, capsys, rng):
     assert "is not there" in capsys.readouterr().err
 
 
-def found_bones(volume: Volume) -> BoneSegmentation:
-    """Bones as if they had been found, without the patella."""
-    shapes = {bone: signed_shapes(volume.grid)[bone] for bone in ("femur", "tibia")}
+def found_bones(volume: Volume, names: tuple[str, ...] = ("femur", "tibia")) -> BoneSegmentation:
+    """Bones as if they had been found, without the patella unless it is named."""
+    shapes = {bone: signed_shapes(volume.grid)[bone] for bone in names}
     bones = {
         name: Bone(distance_mm=each, grid=volume.grid, seed_mm=np.array([0.0, 0, 30])) for name, each in shapes.items()
     }
     placements = {name: Placement(matrix=np.eye(3), shift=np.zeros(3)) for name in bones}
-    labels = made_labels(volume.grid).labels * (made_labels(volume.grid).labels < LABELS["patella"])
+    labels = made_labels(volume.grid).labels
+    labels = np.where(np.isin(labels, [LABELS[name] for name in names]), labels, 0)
     return BoneSegmentation(
         labels=Labels(labels=labels, grid=volume.grid), bones=bones, kinds=("dark",),
         template_fit=TemplateFit(placements=placements, mirrored=False, fit=0.9), notes=(),
@@ -107,6 +120,43 @@ def test_what_is_not_found_is_said_in_the_results_and_by_the_exit_code(tmp_path,
     assert sorted(file.name for file in out.iterdir()) == [
         "femur.ply", "labels.json", "labels.nii.gz", "report.html", "run.json", "tibia.ply",
     ]  # fmt: skip
+
+
+def test_cartilage_is_found_as_thick_as_it_was_made_and_what_fails_beside_it_is_said(tmp_path, capsys, monkeypatch):
+    fine = patella_grid((0.4, 0.4, 0.6))
+    write_volume(tmp_path / "knee.nii.gz", volume_with_cartilage(fine))
+    # The template is bent, its cartilage a fifth thinner; that of the femur lies away from its bone.
+    template = labels_with_cartilage(patella_grid((0.7, 0.7, 1.0)), thicker=0.8, bend_mm=1.0)
+    labels = np.where(template.labels == LABELS["femoral_cartilage"], 0, template.labels)
+    labels[-3:, :3, :3] = LABELS["femoral_cartilage"]
+    write_labels(tmp_path / "template", Labels(labels=labels, grid=template.grid))
+    bones = ("femur", "patella")
+    monkeypatch.setattr("marey.cli.knee_segment.segment_bones", lambda volumes, **_: found_bones(volumes[0], bones))
+    out = tmp_path / "out"
+    typed = ["knee", "segment", str(tmp_path / "knee.nii.gz"), "--template", str(tmp_path / "template")]
+    assert run([*typed, "--out", str(out), "--side", "left", "-q"]) == INCOMPLETE
+    missing = json.loads((out / "labels.json").read_text(encoding="utf-8"))["missing"]
+    assert list(missing) == ["tibia", "femoral_cartilage"]
+    assert "does not lie on the bone" in missing["femoral_cartilage"]
+    assert "Not found: tibia, femoral_cartilage" in capsys.readouterr().err
+    assert sorted(file.name for file in out.iterdir()) == [
+        "cartilage.csv", "femur.ply", "labels.json", "labels.nii.gz", "patella.ply", "patella_thickness.glb",
+        "patella_thickness.npz", "patella_thickness.ply", "patellar_cartilage.ply", "patellar_cartilage_flat.png",
+        "run.json",
+    ]  # fmt: skip
+    bone, found = read_mesh(out / "patella.ply"), read_arrays(out / "patella_thickness.npz")["thickness_mm"]
+    truth = labels_with_cartilage(fine)
+    made = cartilage_thickness(bone, [surface_of_labels(truth, "patellar_cartilage")])
+    both = (made > 1) & (found > 0)
+    assert both.sum() > 0.8 * (made > 1).sum()
+    # A quarter of a voxel of 0.8 mm.
+    assert abs((found - made)[both].mean()) < 0.2
+    typed = ["knee", "thickness", str(out / "patella.ply"), str(out / "patellar_cartilage.ply")]
+    assert run([*typed, "--out", str(tmp_path / "again")]) == 0
+    again = read_arrays(tmp_path / "again" / "thickness.npz")["thickness_mm"]
+    both = (again > 0) & (found > 0)
+    assert both.sum() > 0.8 * (found > 0).sum()
+    assert np.median(np.abs(again - found)[both]) < 0.1
 
 
 def test_a_folder_that_cannot_be_written_is_told_before_the_work(tmp_path, capsys, monkeypatch):

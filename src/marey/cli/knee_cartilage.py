@@ -28,7 +28,6 @@ from marey.view.flat_cartilage import flat_picture
 from marey.view.knee_maps import thickness_colours
 
 _LEFT_OUT = "The template was left out: it is laid into the image by femur and tibia together."
-_NOT_SEEN = "The image shows none where the template has some, or its bone was not found."
 
 
 def cartilage_by_template(
@@ -73,8 +72,10 @@ def cartilage_by_template(
         return None, dict.fromkeys(asked, str(problem))
     for note in found.notes:
         progress.warn(note)
-    thick = {CARTILAGE_OF_BONE[bone] for bone, sheet in found.sheets.items() if (sheet.thickness_mm > 0).any()}
-    return found, {name: _NOT_SEEN for name in asked if name not in thick}
+    missing = {CARTILAGE_OF_BONE[bone]: found.missing[bone] for bone in BONES if bone in found.missing}
+    for name, reason in missing.items():
+        progress.warn(f"The {name.replace('_', ' ')} was not found. {reason}")
+    return (found if found.sheets else None), missing
 
 
 def labels_with(bones: BoneSegmentation, cartilage: KneeCartilage | None) -> Labels:
@@ -119,8 +120,6 @@ def write_cartilage(
     pictures: dict[str, Image] = {}
     for bone, sheet in cartilage.sheets.items():
         name = CARTILAGE_OF_BONE[bone]
-        if not (sheet.thickness_mm > 0).any():
-            continue
         arrays: dict[str, object] = {
             "thickness_mm": sheet.thickness_mm,
             "thickness_sd_mm": sheet.thickness_sd_mm,

@@ -70,9 +70,16 @@ class CartilageSheet:
     """(V,) how probable the answer is, bare or within half a millimetre, from 0 to 1."""
     foretold_mm: Floats | None = None
     """(V,) the template's thickness after it was scaled to this person's, 0 where the bone is bare."""
+    by_image: Floats | None = None
+    """(V,) share of what is known of the thickness that the image tells, not the template: 1 less the ratio of the
+    variances with the image and without; NaN where the bone is bare."""
+    blur_mm: Floats | None = None
+    """(V,) standard deviation of an edge's blur along the normal, in the sharpest image; NaN where the bone is bare."""
 
     def __post_init__(self) -> None:
-        for name in ("normals", "thickness_mm", "thickness_sd_mm", "confidence", "foretold_mm"):
+        for name in (
+            "normals", "thickness_mm", "thickness_sd_mm", "confidence", "foretold_mm", "by_image", "blur_mm",
+        ):  # fmt: skip
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, frozen(getattr(self, name)))
 
@@ -136,8 +143,8 @@ def find_cartilage(
     normals = _steady_normals(bone)
     part, told, presence = _part(bone, looked), prediction.thickness_mm[looked], prediction.presence[looked]
     graph, contact = MeshGraph.of(part), contact_with(part.vertices_mm, normals[looked], others)
-    answers, foretold = _settled(volumes, part, normals[looked], told, presence, graph, contact)
-    thickness, sd, confidence = answers
+    found = _settled(volumes, part, normals[looked], told, presence, graph, contact)
+    thickness, there = found.thickness_mm, found.thickness_mm > 0
 
     def whole(values: Floats, elsewhere: float) -> Floats:
         out = np.full(len(looked), elsewhere)
@@ -145,21 +152,37 @@ def find_cartilage(
         return out
 
     return CartilageSheet(
-        bone=bone, normals=normals, thickness_mm=whole(thickness, 0.0), thickness_sd_mm=whole(sd, np.nan),
-        confidence=whole(confidence, 1.0), foretold_mm=whole(np.where(thickness > 0, foretold, 0.0), 0.0),
+        bone=bone, normals=normals, thickness_mm=whole(thickness, 0.0),
+        thickness_sd_mm=whole(found.thickness_sd_mm, np.nan), confidence=whole(found.confidence, 1.0),
+        foretold_mm=whole(np.where(there, found.foretold_mm, 0.0), 0.0),
+        by_image=whole(np.where(there, found.by_image, np.nan), np.nan),
+        blur_mm=whole(np.where(there, found.blur_mm, np.nan), np.nan),
     )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Settled:
+    """As in `CartilageSheet`, at the vertices that were looked at."""
+
+    thickness_mm: Floats
+    thickness_sd_mm: Floats
+    confidence: Floats
+    foretold_mm: Floats
+    by_image: Floats
+    blur_mm: Floats
 
 
 def _settled(
     volumes: Sequence[Volume], part: Surface, normals: Floats, told: Floats, presence: Floats, graph: MeshGraph,
     contact: Contact,
-) -> tuple[tuple[Floats, Floats, Floats], Floats]:  # fmt: skip
-    """Give the answers, and the foretold thickness (V,) scaled to the person's, when they agree."""
+) -> _Settled:  # fmt: skip
+    """Give the answers when they and the foretold thickness, scaled to the person's, agree."""
     profiles = [read_profiles(volume, part.vertices_mm, normals) for volume in volumes]
     estimate, present, scaled = told, presence > 0.8, told
     fixed = contact.costs(LEVELS_MM)
     for _ in range(_ROUNDS):
-        costs = fixed + _prior_costs(scaled, presence)
+        prior = fixed + _prior_costs(scaled, presence)
+        costs = prior.copy()
         known = [tissues(each, estimate, present, contact.theirs, graph) for each in profiles]
         for each, seen in zip(profiles, known, strict=True):
             costs += layer_costs(each, seen, contact.begins_mm, contact.begins_sd_mm, contact.ends_mm)
@@ -167,9 +190,23 @@ def _settled(
         # Where two cartilages may touch, the template itself has placed the edge: it tells nothing of the person.
         sure = (thickness > 0) & (np.nan_to_num(sd) < _SURE_MM) & (confidence > 0.6) & ~contact.reached(thickness)
         scaled = _scaled(told, thickness, sure, graph)
+        blur = np.min([each.blur_mm for each in profiles], axis=0)
         profiles = [with_measured_blur(*both, thickness, sure) for both in zip(profiles, known, strict=True)]
         estimate, present = np.where(thickness > 0, thickness, scaled), thickness > 0
-    return (thickness, sd, confidence), scaled
+    by_image = 1 - (_spread(costs) ** 2 + MODEL_SD_MM**2) / _spread(prior) ** 2
+    return _Settled(
+        thickness_mm=thickness, thickness_sd_mm=sd, confidence=confidence, foretold_mm=scaled, by_image=by_image,
+        blur_mm=blur,
+    )  # fmt: skip
+
+
+def _spread(costs: Floats) -> Floats:
+    """Give the standard deviation (V,) of the thickness where it is not 0, by what each costs (V, L)."""
+    there, levels = costs[:, 1:], LEVELS_MM[1:]
+    chance = np.exp(there.min(1, keepdims=True) - there)
+    chance /= chance.sum(1, keepdims=True)
+    mean = chance @ levels
+    return np.sqrt((chance * (levels - mean[:, None]) ** 2).sum(1) + (STEP_MM**2) / 12)
 
 
 def _scaled(told: Floats, thickness: Floats, sure: Mask, graph: MeshGraph) -> Floats:

@@ -178,7 +178,8 @@ def _layer_costs(  # pragma: no cover - compiled
         _farther(over[v], cartilage[v], depths, begins[v], begins_sd[v], ends[v], share[v], farther, theirs)
         for n in range(len(levels)):
             thick = levels[n]
-            first = int((thick + 1.5 * blur[v] - depths[0]) / step + 0.5)
+            # Where voxels are thick the blur reaches beyond the profile's end.
+            first = min(int((thick + 1.5 * blur[v] - depths[0]) / step + 0.5), number - 1)
             last = min(first + int(OVER_MM / step + 0.5), number - 1)
             outside = 0.0
             for d in range(first, last + 1):

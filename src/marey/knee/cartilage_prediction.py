@@ -22,15 +22,13 @@ FARTHEST_RIM_MM = 12.0
 class CartilagePrediction:
     """At each vertex of the subject's bone."""
 
-    normals: Floats
-    """(V, 3) unit: the template's, carried along. Cartilage is measured along the subject's own."""
     thickness_mm: Floats
     """(V,) of the cartilage if it is there; beyond the rim that of the cartilage nearby; NaN far from all cartilage."""
     presence: Floats
     """(V,) how probable it is that cartilage is there, from 0 to 1."""
 
     def __post_init__(self) -> None:
-        for name in ("normals", "thickness_mm", "presence"):
+        for name in ("thickness_mm", "presence"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
 
 
@@ -38,6 +36,8 @@ def predict_cartilage(
     bone: Surface, template: Surface, thickness_mm: Floats, deformation: Deformation | None = None
 ) -> CartilagePrediction:
     """Carry a template's cartilage to the subject's bone ([Alexander2003] section 2.1).
+
+    Unlike the paper, the template's normals are not carried along: thickness is measured along the subject's own.
 
     Args:
         bone: The subject's.
@@ -50,9 +50,6 @@ def predict_cartilage(
     near = TriangleTree.of(template).nearest(places)
     corners = template.faces[near.face]
     weights = corner_weights(template.corners_mm[near.face], near.points_mm)
-    normals = np.einsum("vk,vki->vi", weights, template.vertex_normals[corners])
-    if deformation is not None:
-        normals = deformation.subject_normals(vertices, normals)
     covered = np.einsum("vk,vk->v", weights, (thickness_mm > 0)[corners].astype(float))
     thickness = np.einsum("vk,vk->v", weights, thickness_mm[corners])
     graph = MeshGraph.of(bone)
@@ -60,9 +57,7 @@ def predict_cartilage(
     about = graph.filled(thickness, (covered > 0.99).astype(float), RIM_MM)
     reach = graph.smoothed((covered > 0.5).astype(float), FARTHEST_RIM_MM / 2)
     expected = np.where(covered > 0.99, thickness, about)
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
     return CartilagePrediction(
-        normals=normals / np.maximum(length, 1e-12),
         thickness_mm=np.where(reach > 0.02, expected, np.nan),
         presence=np.where(reach > 0.02, presence, 0.0),
     )

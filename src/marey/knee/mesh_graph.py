@@ -68,16 +68,17 @@ class MeshGraph:
             (V, L) the least cost of the whole, about, when a vertex takes each candidate; the least of a vertex is 0.
         """
         sd = slope_sd * np.maximum(self.lengths_mm, 0.2)
-        return _beliefs(
+        beliefs = _beliefs(
             np.ascontiguousarray(costs, float), np.asarray(levels_mm, float), np.ascontiguousarray(self.edges),
             0.5 / sd**2, float(most), _ROUNDS, _DAMPING,
         )  # fmt: skip
+        return np.asarray(beliefs - beliefs.min(1, keepdims=True))
 
 
 @numba.njit(cache=True, nogil=True)
 def _beliefs(costs, levels, edges, stiffness, most, rounds, damping):  # pragma: no cover - compiled
     """Pass messages; message 2 e + b goes from the end b of edge e to its other end."""
-    count, number = costs.shape
+    number = costs.shape[1]
     messages = np.zeros((2 * len(edges), number))
     beliefs = costs.copy()
     ready = np.empty(number)
@@ -106,6 +107,4 @@ def _beliefs(costs, levels, edges, stiffness, most, rounds, damping):  # pragma:
                     new = damping * messages[2 * e + b, m] + (1.0 - damping) * (best - least)
                     beliefs[target, m] += new - messages[2 * e + b, m]
                     messages[2 * e + b, m] = new
-    for v in range(count):
-        beliefs[v] -= beliefs[v].min()
     return beliefs

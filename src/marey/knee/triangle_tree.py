@@ -76,7 +76,7 @@ class TriangleTree:
 
     def nearest(self, points_mm: Floats) -> NearestPoints:
         """Find the points of the surface nearest to given ones (..., 3)."""
-        asked = np.ascontiguousarray(points_mm, float).reshape(-1, 3)
+        asked = _readable(points_mm).reshape(-1, 3)
         found, face = np.empty_like(asked), np.empty(len(asked), np.int64)
         _nearest(asked, self.corners_mm, self.low_mm, self.high_mm, self.starts, found, face)
         shape = np.shape(points_mm)
@@ -95,7 +95,7 @@ class TriangleTree:
             directions: (R, 3) of any length; a ray of none crosses nothing.
             reach_mm: How far each ray goes.
         """
-        begin = np.ascontiguousarray(starts_mm, float)
+        begin = _readable(starts_mm)
         length = np.linalg.norm(directions, axis=1, keepdims=True)
         along = np.divide(directions, length, out=np.zeros_like(begin), where=length > 0)
         distance = np.full((len(begin), MOST_CROSSINGS), np.nan)
@@ -104,6 +104,13 @@ class TriangleTree:
             begin, along, float(reach_mm), self.corners_mm, self.low_mm, self.high_mm, self.starts, distance, leaving
         )
         return Crossings(distance_mm=distance, leaving=leaving)
+
+
+def _readable(points: Floats) -> Floats:
+    """Give a contiguous view that cannot be written: Numba compiles anew for arrays that can."""
+    view = np.ascontiguousarray(points, float).view()
+    view.setflags(write=False)
+    return view
 
 
 @numba.njit(cache=True, nogil=True)
@@ -170,6 +177,13 @@ def _to_box(point, low, high):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True)
+def _keep(trial, found):  # pragma: no cover - compiled
+    """Copy a point one by one: for a slice Numba compiles the texts of its errors, too, for seconds."""
+    for i in range(3):
+        found[i] = trial[i]
+
+
+@numba.njit(cache=True, nogil=True)
 def nearest_triangle(point, corners, low, high, starts, guess, found, scratch):  # pragma: no cover - compiled
     """Write the nearest point (3,) of a tree's triangles and give the triangle's number.
 
@@ -181,7 +195,7 @@ def nearest_triangle(point, corners, low, high, starts, guess, found, scratch): 
     best, face, count = np.inf, -1, 1
     if guess >= 0:
         best, face = _nearest_on_triangle(point, corners[guess], trial), guess
-        found[:] = trial[:3]
+        _keep(trial, found)
     waiting[0], waiting[1] = 0.0, 0.0
     while count > 0:
         count -= 1
@@ -193,7 +207,7 @@ def nearest_triangle(point, corners, low, high, starts, guess, found, scratch): 
                 squared = _nearest_on_triangle(point, corners[t], trial)
                 if squared < best:
                     best, face = squared, t
-                    found[:] = trial[:3]
+                    _keep(trial, found)
             continue
         one, two = 2 * box + 1, 2 * box + 2
         to_one, to_two = _to_box(point, low[one], high[one]), _to_box(point, low[two], high[two])
