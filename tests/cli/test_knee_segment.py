@@ -142,7 +142,7 @@ def test_cartilage_is_found_as_thick_as_it_was_made_and_what_fails_beside_it_is_
     assert sorted(file.name for file in out.iterdir()) == [
         "cartilage.csv", "femur.ply", "labels.json", "labels.nii.gz", "patella.ply", "patella_thickness.glb",
         "patella_thickness.npz", "patella_thickness.ply", "patellar_cartilage.ply", "patellar_cartilage_flat.png",
-        "run.json",
+        "report.html", "run.json",
     ]  # fmt: skip
     bone, found = read_mesh(out / "patella.ply"), read_arrays(out / "patella_thickness.npz")["thickness_mm"]
     truth = labels_with_cartilage(fine)

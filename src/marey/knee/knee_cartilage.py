@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
@@ -108,12 +109,12 @@ def find_knee_cartilage(
     for n, bone in enumerate(both):
         start = (starts or {}).get(bone)
         try:
-            laid[bone] = _laid(template, bone, bones[bone], start, lambda part, n=n: done((2 * n + part) / steps))
+            laid[bone] = _laid(template, bone, bones[bone], start, partial(_told_part, done, n, steps))
         except MareyError as problem:
             missing[bone] = str(problem)
     sheets: dict[str, CartilageSheet] = {}
     # A bone without a template is in the way of the others' cartilage all the same.
-    thickness = {bone: np.zeros(len(surface.vertices_mm)) for bone, surface in bones.items()}
+    thickness: dict[str, Floats] = {bone: np.zeros(len(surface.vertices_mm)) for bone, surface in bones.items()}
     thickness |= {bone: _foretold(each.told) for bone, each in laid.items()}
     for turn in range(_PASSES):
         for n, bone in enumerate(both):
@@ -144,6 +145,10 @@ class _Laid:
     rigid: RigidRegistration
     elastic: ElasticRegistration
     told: CartilagePrediction
+
+
+def _told_part(done: Callable[[float], None], n: int, steps: int, part: float) -> None:
+    done((2 * n + part) / steps)
 
 
 def _laid(
