@@ -7,7 +7,8 @@ template: template_a); without one, all. Without --segmented the inner surface i
 cartilage alone is judged; with it, DIR is what `marey knee segment` left of that case, bones and cartilage. Prints one
 JSON line a bone: Dice of the cartilage's voxels, mean thickness less the true one over the true cartilage (bare counts
 as 0), mean absolute difference of the maps where both have cartilage, shares of covered vertices found and of bare ones
-falsely covered, and of those found with a confidence above 0.5 the share whose 95 % interval holds the truth. True
+falsely covered, and of those found with a confidence above 0.5 the share whose 95 % interval holds the truth. Without
+--segmented first a line of the share of each cartilage over which the image tells more of it than the template. True
 thickness is that of surfaces of the fine true labels, at the vertices of the true bone.
 """
 
@@ -26,7 +27,7 @@ from marey.io.meshes import read_mesh
 from marey.io.npz import read_arrays
 from marey.io.volumes import read_labels, read_volume
 from marey.knee.cartilage_labels import with_cartilage
-from marey.knee.knee_cartilage import find_knee_cartilage, knee_template
+from marey.knee.knee_cartilage import find_knee_cartilage, knee_template, seen_share
 from marey.knee.structures import BONES, CARTILAGE_OF_BONE, LABELS
 from marey.knee.surface import Surface
 from marey.knee.surfacing import surface_of_labels
@@ -63,6 +64,8 @@ def found_here(shared: Path, case: str, truth: Labels, bones: dict[str, Surface]
     model = knee_template(surfaces_of(read_labels(shared / "data" / "knee" / template)), mirror=True)
     found = find_knee_cartilage(volumes, bones, model)
     labels = with_cartilage(truth, found.sheets)
+    shares = {CARTILAGE_OF_BONE[bone]: round(seen_share(sheet), 2) for bone, sheet in found.sheets.items()}
+    print(json.dumps({"case": case, "told_by_image": shares, "missing": dict(found.missing)}), flush=True)
     return labels, {
         bone: (sheet.thickness_mm, sheet.thickness_sd_mm, sheet.confidence) for bone, sheet in found.sheets.items()
     }

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 from parts import run_parts
 from scipy.special import gammaincc
+from true_bones import true_bones
 
 from marey.arrays import Floats
 from marey.errors import MareyError
@@ -115,11 +116,7 @@ def placed(shared: Path, knee: Phantom, name: str) -> Placed:
     folder = shared / "data" / "markers" / "sta"
     truth = np.load(folder / f"{name}.npz")
     segments = tuple(SEGMENTS.values())
-    motion = BoneMotion(
-        segments=segments, rotation=np.stack([truth[f"{s}_rotation"] for s in segments], 1),
-        origin=np.stack([truth[f"{s}_origin"] for s in segments], 1) / 1e3,
-        covariance=np.zeros((len(truth["thigh_rotation"]), 2, 6, 6)),
-    )  # fmt: skip
+    motion = true_bones(truth, segments)
     known = np.flatnonzero(motion.answered.all(1))
     bend = rotations.log(np.swapaxes(motion.rotation[known, 0], 1, 2) @ motion.rotation[known, 1])
     frame = int(known[np.linalg.norm(bend, axis=1).argmin()])  # the straightest: nearest to standing

@@ -1,18 +1,22 @@
-"""Gadolinium markers in MR volumes: `PYTHONPATH=. python bench/knee_gadolinium.py SHARED [volumes|made]`.
+"""Gadolinium markers in MR volumes: `python bench/knee_gadolinium.py SHARED [volumes|made]`.
 
 volumes: the simulated volumes against their true centres, and two real ones without a marker, with seconds of process
 time. made: balls on a made limb, of many sizes, voxels, noises and blurs, half of them beside fat nearly as bright.
 """
 
 import json
+import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from parts import run_parts
-from tests.made_balls import limb_grid, limb_with_balls, on_skin
 from threadpoolctl import threadpool_limits
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from tests.made_balls import limb_grid, limb_with_balls, on_skin
 
 from marey.io.volumes import read_volume
 from marey.knee.gadolinium import Gadolinium, find_gadolinium, joined

@@ -25,6 +25,7 @@ from pathlib import Path
 import ezc3d
 import numpy as np
 from scipy.spatial import cKDTree
+from true_bones import true_bones
 
 from marey.cli.knee_animate import AnimateOptions, animate
 from marey.cli.markers import markers
@@ -45,7 +46,6 @@ from marey.knee.sides import MIRROR, mirrored
 from marey.knee.structures import BONE_OF_CARTILAGE, LABELS
 from marey.knee.surface import Surface
 from marey.knee.surfacing import surface_of_labels
-from marey.markers.bone_motion import BoneMotion
 from marey.markers.transform_chain import (
     CAPTURE_ANATOMIC,
     CAPTURE_BONE,
@@ -186,11 +186,7 @@ def with_true_bones(motion: Path, truth: dict[str, np.ndarray], at: int, folder:
     for name in ("motion.c3d", "marker_motion.csv"):
         shutil.copy(motion / name, folder / name)
     segments = tuple(SEGMENT.values())
-    bones = BoneMotion(
-        segments=segments, rotation=np.stack([truth[f"{s}_rotation"] for s in segments], 1),
-        origin=np.stack([truth[f"{s}_origin"] for s in segments], 1) / 1e3,
-        covariance=np.zeros((len(truth["thigh_rotation"]), 2, 6, 6)),
-    )  # fmt: skip
+    bones = true_bones(truth, segments)
     time = np.arange(len(bones)) / float(truth["rate"])
     write_bones(folder / "bones.npz", BoneFile(motion=bones, time=time, reference_frames=np.array([at])))
     return folder

@@ -6,7 +6,14 @@ before the camera as a share of their size (the better mirror image, one scale f
 scale free, the error of the magnification (standard deviation of its logarithm), and that of a rigid start.
 """
 
+import sys
+from pathlib import Path
+
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from tests.shape_errors import shape_error
 
 from marey.arrays import Floats
 from marey.geometry import rotations
@@ -25,7 +32,9 @@ def main() -> None:
             free = factorise_scaled(tracks)
             start = rigid_magnifications(tracks - tracks.mean(2, keepdims=True))
             off, at_first = (float(np.std(np.log(s / size))) for s in (free.magnification, start))
-            errors = [error(found.rotation @ found.shape, placed) for found in (factorise_tracks(tracks), free.shapes)]
+            errors = [
+                shape_error(found.rotation @ found.shape, placed) for found in (factorise_tracks(tracks), free.shapes)
+            ]
             print(f"{departure} {swing} {seed}: {errors[0]:.3f} {errors[1]:.3f}; {off:.3f} {at_first:.3f}", flush=True)
 
 
@@ -41,16 +50,6 @@ def made_take(seed: int, departure: float, swing: float) -> tuple[Floats, Floats
     size /= np.exp(np.log(size).mean())
     shift, noise = rng.normal(size=(FRAMES, 2, 1)), NOISE * rng.normal(size=(FRAMES, 2, POINTS))
     return placed, size, size[:, None, None] * placed[:, :2] + shift + noise
-
-
-def error(found: Floats, truth: Floats) -> float:
-    own, true = (shape - shape.mean(2, keepdims=True) for shape in (found, truth))
-    errors = []
-    for sign in (1, -1):
-        mirrored = own * np.array([1, 1, sign])[:, None]
-        scale = (mirrored * true).sum() / (mirrored**2).sum()
-        errors.append(float(np.sqrt(((scale * mirrored - true) ** 2).sum() / (true**2).sum())))
-    return min(errors)
 
 
 if __name__ == "__main__":

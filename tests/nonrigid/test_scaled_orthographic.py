@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from tests.shape_errors import shape_error
 
 from marey.geometry import rotations
 from marey.nonrigid.one_view import factorise_tracks
@@ -22,13 +23,7 @@ def seen_by_a_camera(placed, size, rng):
 
 
 def error_of(found, placed) -> float:
-    own, true = (shape - shape.mean(2, keepdims=True) for shape in (found.rotation @ found.shape, placed))
-    errors = []
-    for sign in (1, -1):
-        mirrored = own * np.array([1, 1, sign])[:, None]
-        scale = (mirrored * true).sum() / (mirrored**2).sum()
-        errors.append(float(np.sqrt(((scale * mirrored - true) ** 2).sum() / (true**2).sum())))
-    return min(errors)
+    return shape_error(found.rotation @ found.shape, placed)
 
 
 @pytest.fixture

@@ -164,13 +164,16 @@ def _laid(
     return _Laid(rigid=rigid, elastic=elastic, told=told)
 
 
+def seen_share(sheet: CartilageSheet) -> float:
+    """Give the share of the covered vertices at which the image tells more of the thickness than the template."""
+    return float((np.asarray(sheet.by_image)[sheet.thickness_mm > 0] > 0.5).mean())
+
+
 def _unseen(sheet: CartilageSheet) -> str | None:
     """Say why a sheet is not what the image shows; None where it is."""
-    covered = sheet.thickness_mm > 0
-    if not covered.any():
+    if not (sheet.thickness_mm > 0).any():
         return "The image shows none where the template has some."
-    seen = float((np.asarray(sheet.by_image)[covered] > 0.5).mean())
-    if seen >= LEAST_SEEN:
+    if (seen := seen_share(sheet)) >= LEAST_SEEN:
         return None
     blur = np.nanmedian(np.asarray(sheet.blur_mm))
     return (
