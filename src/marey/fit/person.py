@@ -208,12 +208,7 @@ def track_person(
     """
     memory = memory or Memory()
     levels, rough = take.levels(settings.track_height), take.levels(settings.rough_height)
-    told: set[int] = set()
-
-    def tell(frame: int) -> None:
-        if frame not in told:
-            told.add(frame)
-            done(frame)
+    tell = _once(done)
 
     def follow(begun: int, pose: Pose, frames: Sequence[int]) -> dict[int, Candidate]:
         return track(
@@ -244,6 +239,18 @@ def track_person(
     return repair(
         found, levels, rough, coarse=coarse, rate=take.rate, settings=settings.track, memory=memory.mended
     )  # fmt: skip
+
+
+def _once(done: Done) -> Done:
+    """Tell of each frame but once."""
+    told: set[int] = set()
+
+    def tell(frame: int) -> None:
+        if frame not in told:
+            told.add(frame)
+            done(frame)
+
+    return tell
 
 
 def _merits(take: Take) -> Callable[[int], float]:

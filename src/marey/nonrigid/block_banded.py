@@ -22,6 +22,14 @@ def solve_banded(  # pragma: no cover - compiled
         Solution (F, D); the inverse's blocks at (f, f), (f, f + 1) and (f, f + 2), each (F, D, D); the logarithm of the
         system's determinant.
     """
+    inverse, near, far, forward, determinant = _factored(diagonal, first, second, right)
+    solution, here, next_, beyond = _substituted_back(inverse, near, far, forward)
+    return solution, here, next_, beyond, determinant
+
+
+@njit(cache=True, nogil=True)
+def _factored(diagonal, first, second, right):  # pragma: no cover - compiled
+    """Cholesky's factors: the blocks' inverses, what couples to the next and the one after, the forward solution."""
     frames, size = right.shape
     inverse = np.zeros((frames, size, size))
     near, far = np.zeros((frames, size, size)), np.zeros((frames, size, size))
@@ -47,6 +55,13 @@ def solve_banded(  # pragma: no cover - compiled
             near[f] = inverse[f] @ beside
         if f + 2 < frames:
             far[f] = inverse[f] @ second[f]
+    return inverse, near, far, forward, determinant
+
+
+@njit(cache=True, nogil=True)
+def _substituted_back(inverse, near, far, forward):  # pragma: no cover - compiled
+    """Solution, and the inverse's blocks, from the last frame to the first."""
+    frames, size = forward.shape
     solution = np.zeros((frames, size))
     here, next_, beyond = (
         np.zeros((frames, size, size)), np.zeros((frames, size, size)), np.zeros((frames, size, size))
@@ -69,4 +84,4 @@ def solve_banded(  # pragma: no cover - compiled
         # A sum of squares, so that rounding cannot make a variance negative.
         whole = own @ own.T + one @ after @ one.T + two @ later @ two.T + cross + cross.T
         here[f] = 0.5 * (whole + whole.T)
-    return solution, here, next_, beyond, determinant
+    return solution, here, next_, beyond

@@ -129,8 +129,7 @@ def _rounds(
     rays, used, tied, first, second, inverse, depth, distance, push, dearest, rounds, still
 ):  # pragma: no cover - compiled
     """Do the alternating steps; rays (F, P, 3), the rest as above."""
-    frames, points, _ = rays.shape
-    edges = len(first)
+    frames, edges = len(rays), len(first)
     apart = np.zeros((frames, edges, 3))
     apart_dual, own_dual = np.zeros((frames, edges, 3)), np.zeros((frames, edges))
     own = np.zeros((frames, edges))
@@ -143,53 +142,82 @@ def _rounds(
     for e in range(edges):
         for f in range(frames):
             times[e] += used[f, e]
-    right, wanted = np.zeros(points), np.zeros(3)
     for _ in range(rounds):
-        total = 0.0
-        for e in range(edges):
-            mean = 0.0
-            for f in range(frames):
-                if used[f, e]:
-                    mean += own[f, e] - own_dual[f, e]
-            distance[e] = mean / max(times[e], 1.0)
-            total += distance[e]
-        for e in range(edges):
-            distance[e] += 1.0 - total / edges
+        _mean_distances(own, own_dual, used, times, distance)
         moved = 0.0
         for f in range(frames):
-            right[:] = 0.0
-            for p in range(points):
-                if tied[f, p]:
-                    right[p] = push
-            for e in range(edges):
-                if used[f, e]:
-                    for k in range(3):
-                        wish = apart[f, e, k] - apart_dual[f, e, k]
-                        right[first[e]] += rays[f, first[e], k] * wish
-                        right[second[e]] -= rays[f, second[e], k] * wish
-            solved = inverse[f] @ right
-            for p in range(points):
-                if tied[f, p]:
-                    moved = max(moved, abs(solved[p] - depth[f, p]) / max(abs(solved[p]), 1e-12))
-                    depth[f, p] = solved[p]
-            for e in range(edges):
-                if not used[f, e]:
-                    continue
-                length = 0.0
-                for k in range(3):
-                    apart_dual[f, e, k] += (
-                        rays[f, first[e], k] * depth[f, first[e]] - rays[f, second[e], k] * depth[f, second[e]]
-                    )
-                    wanted[k] = apart_dual[f, e, k]
-                    length += wanted[k] ** 2
-                length = np.sqrt(length)
-                allowed = distance[e] + own_dual[f, e]
-                less = min(max(0.5 * (length - allowed), 0.0), dearest, length)
-                own[f, e] = allowed + less
-                own_dual[f, e] = -less
-                for k in range(3):
-                    apart[f, e, k] = wanted[k] * (1.0 - less / max(length, 1e-300))
-                    apart_dual[f, e, k] = wanted[k] - apart[f, e, k]
+            change = _solve_depths(
+                rays[f], used[f], tied[f], first, second, inverse[f], depth[f], push, apart[f], apart_dual[f]
+            )
+            moved = max(moved, change)
+            _keep_short(
+                rays[f], used[f], first, second, depth[f], distance, dearest, apart[f], apart_dual[f], own[f],
+                own_dual[f],
+            )  # fmt: skip
         if moved < still:
             break
     return depth, distance
+
+
+@njit(cache=True, nogil=True)
+def _mean_distances(own, own_dual, used, times, distance):  # pragma: no cover - compiled
+    """Each tie's distance: the mean over its frames, the mean of all being 1; into `distance` (E,)."""
+    frames, edges = own.shape
+    total = 0.0
+    for e in range(edges):
+        mean = 0.0
+        for f in range(frames):
+            if used[f, e]:
+                mean += own[f, e] - own_dual[f, e]
+        distance[e] = mean / max(times[e], 1.0)
+        total += distance[e]
+    for e in range(edges):
+        distance[e] += 1.0 - total / edges
+
+
+@njit(cache=True, nogil=True)
+def _solve_depths(
+    rays, used, tied, first, second, inverse, depth, push, apart, apart_dual
+):  # pragma: no cover - compiled
+    """One frame's depths that agree best with the ties' vectors, pushed away; returns the largest relative change."""
+    right = np.zeros(len(rays))
+    for p in range(len(rays)):
+        if tied[p]:
+            right[p] = push
+    for e in range(len(first)):
+        if used[e]:
+            for k in range(3):
+                wish = apart[e, k] - apart_dual[e, k]
+                right[first[e]] += rays[first[e], k] * wish
+                right[second[e]] -= rays[second[e], k] * wish
+    solved = inverse @ right
+    moved = 0.0
+    for p in range(len(rays)):
+        if tied[p]:
+            moved = max(moved, abs(solved[p] - depth[p]) / max(abs(solved[p]), 1e-12))
+            depth[p] = solved[p]
+    return moved
+
+
+@njit(cache=True, nogil=True)
+def _keep_short(
+    rays, used, first, second, depth, distance, dearest, apart, apart_dual, own, own_dual
+):  # pragma: no cover - compiled
+    """Shorten one frame's ties that are longer than allowed, each as far as is worth its price."""
+    wanted = np.zeros(3)
+    for e in range(len(first)):
+        if not used[e]:
+            continue
+        length = 0.0
+        for k in range(3):
+            apart_dual[e, k] += rays[first[e], k] * depth[first[e]] - rays[second[e], k] * depth[second[e]]
+            wanted[k] = apart_dual[e, k]
+            length += wanted[k] ** 2
+        length = np.sqrt(length)
+        allowed = distance[e] + own_dual[e]
+        less = min(max(0.5 * (length - allowed), 0.0), dearest, length)
+        own[e] = allowed + less
+        own_dual[e] = -less
+        for k in range(3):
+            apart[e, k] = wanted[k] * (1.0 - less / max(length, 1e-300))
+            apart_dual[e, k] = wanted[k] - apart[e, k]
