@@ -26,7 +26,7 @@ def test_the_joint_side_of_a_plate_is_its_upper_side(joint):
     np.testing.assert_array_equal(
         joint["tibial_cartilage"].vertices_mm[upper.sources], upper.surface.vertices_mm
     )  # fmt: skip
-    assert upper.vertex_areas_mm2.sum() == pytest.approx(2 * 34 * 40)
+    assert upper.surface.vertex_areas_mm2.sum() == pytest.approx(2 * 34 * 40)
 
 
 def test_the_joint_side_of_a_shell_is_its_outer_one(joint):

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from marey.knee.resampling import on_grid, read_at, resampled, smoothed, upright_grid
 from marey.knee.volume import Grid, Volume
@@ -45,6 +46,16 @@ def test_places_are_read_linearly_and_nothing_is_read_outside():
     found = read_at(linear(grid), grid, places, outside=np.nan)
     np.testing.assert_allclose(found[0], places[0] @ [1.0, -2.0, 0.5] + 100)
     assert np.isnan(found[1])
+
+
+def test_reading_places_is_what_scipy_does(rng):
+    grid = turned_grid(True)
+    values = rng.normal(size=grid.shape).astype(np.float32)
+    values[:3] = np.nan
+    voxels = np.concatenate([rng.uniform(-3, 45, (500, 3)), np.round(rng.uniform(0, 11, (50, 3))), [[43.0, 39, 11]]])
+    places = grid.lps(voxels)
+    wanted = ndimage.map_coordinates(values, grid.voxels(places)[:, ::-1].T, order=1, cval=-7.0)
+    np.testing.assert_allclose(read_at(values, grid, places, outside=-7.0), wanted, rtol=1e-5, atol=1e-6)
 
 
 def test_smoothing_is_as_wide_in_millimetres_along_every_axis():

@@ -39,6 +39,18 @@ def test_the_nearest_point_is_that_of_all_triangles(potato: Surface, rng):
         )
 
 
+def test_beyond_reach_nothing_is_found_and_within_it_the_same(potato: Surface, rng):
+    points = rng.normal(0, 15, (300, 3))
+    tree = TriangleTree.of(potato)
+    every, near = tree.nearest(points), tree.nearest(points, 4.0)
+    within = every.distance_mm < 4.0
+    assert 0.1 < within.mean() < 0.9
+    np.testing.assert_array_equal(near.face, np.where(within, every.face, -1))
+    np.testing.assert_array_equal(near.points_mm[within], every.points_mm[within])
+    assert np.isinf(near.distance_mm[~within]).all()
+    assert np.isnan(near.points_mm[~within]).all()
+
+
 def test_a_ray_from_within_leaves_once_more_than_it_enters(potato: Surface, rng):
     directions = rng.normal(0, 1, (200, 3))
     crossed = TriangleTree.of(potato).crossings(np.zeros((200, 3)), directions, 100.0)

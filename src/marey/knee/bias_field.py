@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from itertools import product
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -32,15 +33,24 @@ class BiasField:
         return resampled(self.factor.astype(np.float32), self.grid, grid, outside=1.0)
 
 
+_FOUND: WeakKeyDictionary[Volume, BiasField] = WeakKeyDictionary()
+
+
 def bias_field(volume: Volume) -> BiasField:
     """Find the field whose removal sharpens the histogram of the logarithmic intensities most, as N3 and N4 do.
 
-    As [Tustison2010], with Legendre polynomials of the third order instead of B-splines: on the
-    simulated knees the marrow becomes as even as by N4 of SimpleITK in a fiftieth of the time.
+    As [Tustison2010], with Legendre polynomials of the third order instead of B-splines: that takes a tenth of the
+    time of N4 of SimpleITK, or less. Of each volume it is found once.
 
     Args:
         volume: The image as it came from the scanner.
     """
+    if volume not in _FOUND:
+        _FOUND[volume] = _bias_field(volume)
+    return _FOUND[volume]
+
+
+def _bias_field(volume: Volume) -> BiasField:
     grid = upright_grid(volume.grid, _WORK_MM)
     values = np.maximum(on_grid(volume, grid, _WORK_MM / 2), 1e-3)
     within_image = reach(volume.grid, grid)

@@ -61,8 +61,7 @@ def _heights(sheet: CartilageSheet, places: Floats) -> tuple[Floats, Floats]:
     surface = sheet.bone
     covered = sheet.thickness_mm > 0
     thickness, height = np.zeros(len(places)), np.full(len(places), np.inf)
-    # A cheap look first: most voxels are far from any covered vertex.
-    near = TriangleTree.of(surface).nearest(places)
+    near = TriangleTree.of(surface).nearest(places, THICKEST_MM)
     close = near.distance_mm < THICKEST_MM
     faces = surface.faces[near.face[close]]
     corners = surface.vertices_mm[faces]

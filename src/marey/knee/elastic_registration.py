@@ -8,6 +8,7 @@ near to a fold, until it is none.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numba
 import numpy as np
@@ -267,8 +268,15 @@ class _Stabiliser:
         """Give half the derivative of the cost by the field."""
         out = np.zeros_like(field)
         for part, pulled in zip(field, out, strict=True):
-            _pull(part, self.tension, pulled)
-        return out / (self.step_mm**2 * self.bend_sd) ** 2
+            _pull_by_bends(part, pulled)
+            if self._tight:
+                _pull_by_rises(part, self.tension, pulled)
+        out /= (self.step_mm**2 * self.bend_sd) ** 2
+        return out
+
+    @cached_property
+    def _tight(self) -> bool:
+        return bool(self.tension.any())
 
     @property
     def diagonal(self) -> Floats:
@@ -277,37 +285,52 @@ class _Stabiliser:
 
 
 @numba.njit(cache=True, nogil=True)
-def _pull(field, tension, out):  # pragma: no cover - compiled
-    """Add to out what second, mixed and first differences of a field pull at its nodes, axis by axis."""
-    shape = field.shape
-    for i in range(shape[0]):
-        for j in range(shape[1]):
-            for k in range(shape[2]):
-                for axis in range(3):
-                    a, b, c = int(axis == 0), int(axis == 1), int(axis == 2)
-                    i1, j1, k1 = i + a, j + b, k + c
-                    if i1 >= shape[0] or j1 >= shape[1] or k1 >= shape[2]:
-                        continue
-                    tight = 0.5 * (tension[i, j, k] + tension[i1, j1, k1])
+def _pull_by_bends(field, out):  # pragma: no cover - compiled
+    """Add to out what second and mixed differences of a field (X, Y, Z) pull at its nodes, axis by axis."""
+    for axis in range(3):
+        a, b, c = int(axis == 0), int(axis == 1), int(axis == 2)
+        for i in range(field.shape[0] - 2 * a):
+            for j in range(field.shape[1] - 2 * b):
+                first, middle, last = field[i, j], field[i + a, j + b], field[i + 2 * a, j + 2 * b]
+                to_first, to_middle, to_last = out[i, j], out[i + a, j + b], out[i + 2 * a, j + 2 * b]
+                for k in range(field.shape[2] - 2 * c):
+                    bend = last[k + 2 * c] - 2.0 * middle[k + c] + first[k]
+                    to_last[k + 2 * c] += bend
+                    to_middle[k + c] -= 2.0 * bend
+                    to_first[k] += bend
+        # The mixed difference with the axis after this one, counted twice as in the squared Hessian.
+        p, q, r = c, a, b
+        for i in range(field.shape[0] - a - p):
+            for j in range(field.shape[1] - b - q):
+                here, along, aside, both = (
+                    field[i, j],
+                    field[i + a, j + b],
+                    field[i + p, j + q],
+                    field[i + a + p, j + b + q],
+                )
+                to_here, to_along = out[i, j], out[i + a, j + b]
+                to_aside, to_both = out[i + p, j + q], out[i + a + p, j + b + q]
+                for k in range(field.shape[2] - c - r):
+                    twist = 2.0 * (both[k + c + r] - along[k + c] - aside[k + r] + here[k])
+                    to_both[k + c + r] += twist
+                    to_along[k + c] -= twist
+                    to_aside[k + r] -= twist
+                    to_here[k] += twist
+
+
+@numba.njit(cache=True, nogil=True)
+def _pull_by_rises(field, tension, out):  # pragma: no cover - compiled
+    """Add to out what first differences of a field (X, Y, Z) pull at its nodes, as the tension about them says."""
+    for axis in range(3):
+        a, b, c = int(axis == 0), int(axis == 1), int(axis == 2)
+        for i in range(field.shape[0] - a):
+            for j in range(field.shape[1] - b):
+                for k in range(field.shape[2] - c):
+                    tight = 0.5 * (tension[i, j, k] + tension[i + a, j + b, k + c])
                     if tight > 0.0:
-                        rise = tight * (field[i1, j1, k1] - field[i, j, k])
-                        out[i1, j1, k1] += rise
+                        rise = tight * (field[i + a, j + b, k + c] - field[i, j, k])
+                        out[i + a, j + b, k + c] += rise
                         out[i, j, k] -= rise
-                    i2, j2, k2 = i1 + a, j1 + b, k1 + c
-                    if i2 < shape[0] and j2 < shape[1] and k2 < shape[2]:
-                        bend = field[i2, j2, k2] - 2.0 * field[i1, j1, k1] + field[i, j, k]
-                        out[i2, j2, k2] += bend
-                        out[i1, j1, k1] -= 2.0 * bend
-                        out[i, j, k] += bend
-                    # The mixed difference with the axis after this one, counted twice as in the squared Hessian.
-                    p, q, r = i + c, j + a, k + b
-                    p1, q1, r1 = i1 + c, j1 + a, k1 + b
-                    if p1 < shape[0] and q1 < shape[1] and r1 < shape[2]:
-                        twist = 2.0 * (field[p1, q1, r1] - field[i1, j1, k1] - field[p, q, r] + field[i, j, k])
-                        out[p1, q1, r1] += twist
-                        out[i1, j1, k1] -= twist
-                        out[p, q, r] -= twist
-                        out[i, j, k] += twist
 
 
 def _without_folds(

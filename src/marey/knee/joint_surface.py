@@ -52,14 +52,6 @@ class JointSurface:
         return TriangleTree.of(self.surface)
 
     @cached_property
-    def vertex_areas_mm2(self) -> Floats:
-        """(V,) a third of the faces about each vertex."""
-        areas = np.zeros(len(self.surface.vertices_mm))
-        for corner in range(3):
-            np.add.at(areas, self.surface.faces[:, corner], self.surface.face_areas_mm2 / 3)
-        return areas
-
-    @cached_property
     def _normals(self) -> tuple[Floats, Mask]:
         """(T, 7, 3) normals of each of the tree's faces, its sides and its corners, and (T, 7) where they are rim.
 
@@ -196,7 +188,7 @@ def _heights(
     """Find the nearest place of each point, and on which side of the surface it lies."""
     scratch = np.empty(SCRATCH)
     for n in range(len(points)):
-        t = nearest_triangle(points[n], corners, low, high, starts, guess[n], places[n], scratch)
+        t = nearest_triangle(points[n], corners, low, high, starts, guess[n], np.inf, places[n], scratch)
         part = _feature(corners[t], places[n])
         squared = above = 0.0
         for i in range(3):

@@ -9,6 +9,7 @@ from scipy import ndimage
 from marey.arrays import Floats, Integers, Mask
 from marey.errors import MareyError
 from marey.knee.bias_field import between_two_classes, bias_field
+from marey.knee.distances import distance_within
 from marey.knee.resampling import on_grid, onward, reach, upright_grid
 from marey.knee.volume import Grid, Volume
 
@@ -69,7 +70,7 @@ def prepare(volume: Volume, grid: Grid | None = None) -> Knee:
     within = reach(volume.grid, grid)
     intensity = onward(on_grid(volume, grid, _SMOOTHING_MM) / bias_field(volume).on(grid), within)
     body = _body(ndimage.gaussian_filter(intensity, 1.0), within)
-    depth = np.stack([ndimage.distance_transform_edt(np.pad(each, 1))[1:-1, 1:-1] for each in body])
+    depth = np.stack([distance_within(np.pad(each, 1))[1:-1, 1:-1] for each in body])
     return Knee(intensity=intensity, body=body, depth_mm=depth * WORK_MM, within=within, grid=grid)
 
 
@@ -122,7 +123,7 @@ def _body(values: np.ndarray, within: Mask) -> Mask:
 def _thick_blobs(knee: Knee, kind: Kind) -> list[Blob]:
     likely = candidates(knee, kind)
     # As at the grid's own end, a bone goes on where the image ends.
-    radius = ndimage.distance_transform_edt(likely | ~knee.within) * likely * WORK_MM
+    radius = np.where(likely, distance_within(likely | ~knee.within) * WORK_MM, 0.0)
     peaks = (ndimage.maximum_filter(radius, 15) == radius) & (radius >= _THICK_MM) & (knee.depth_mm >= _DEEP_MM)
     return [Blob(voxel=each, radius_mm=float(radius[tuple(each)])) for each in np.argwhere(peaks)]
 

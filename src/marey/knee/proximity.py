@@ -174,7 +174,7 @@ class _Frames:
         wrt = by_pose(nearest)[0]
         self._gap_sd[frame, c] = np.sqrt(wrt @ covariance @ wrt)
         for row, most in zip(self._areas, (0.0, NEAR_MM, self._limit), strict=True):
-            row[frame, c] = self._base.vertex_areas_mm2[known[distance[known] < most]].sum()
+            row[frame, c] = self._base.surface.vertex_areas_mm2[known[distance[known] < most]].sum()
 
     def _centre(
         self, which: int, frame: int, c: int, here: Integers, distance: Floats, by_pose: "_ByPose", covariance: Floats
@@ -184,7 +184,7 @@ class _Frames:
         if not len(near):
             return
         side = (self._base, self._moving)[which]
-        places, area = side.surface.vertices_mm[near], side.vertex_areas_mm2[near]
+        places, area = side.surface.vertices_mm[near], side.surface.vertex_areas_mm2[near]
         weight = area * (self._limit - distance[near])
         centre = weight @ places / weight.sum()
         # d centre = sum (place - centre) d weight / sum weight, and a weight falls by its area as the distance grows.

@@ -7,6 +7,7 @@ from scipy import ndimage
 
 from marey.arrays import Floats, Integers, Mask
 from marey.errors import SettingProblem
+from marey.knee.distances import distance_within
 from marey.knee.marrow import WORK_MM, Kind, Knee
 
 _SEED_MM = 8.0
@@ -19,6 +20,8 @@ _STEADY = 1.15
 _REGROWN_MM = 0.5
 _CORE_MM, _CORNER_MM = 8.0, 6.0
 """A femur or tibia is all within so much of where a ball of such a radius fits into it, but a third of a cm3."""
+_FARTHEST_MM = 1e3
+"""What is given for the distance to an edge that is not there."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -77,7 +80,7 @@ def grow(likeness: np.ndarray, voxel: Integers, *, keep_out: Mask | None = None)
         (k, j, i) true in the bone; empty when nothing grows from the seed.
     """
     allowed = (likeness > 0) if keep_out is None else (likeness > 0) & ~keep_out
-    inward = ndimage.distance_transform_edt(allowed | np.isnan(likeness)) * allowed * WORK_MM
+    inward = np.where(allowed, distance_within(allowed | np.isnan(likeness)) * WORK_MM, 0.0)
     pieces = [_grown(allowed, inward, voxel, radius) for radius in _OPENINGS_MM]
     sizes = [int(piece.sum()) for piece in pieces]
     for piece, size, following in zip(pieces, sizes, sizes[1:], strict=False):
@@ -98,7 +101,7 @@ def _grown(allowed: Mask, inward_mm: Floats, voxel: Integers, radius_mm: float) 
     if away.min() * WORK_MM > 2 * radius_mm + _REGROWN_MM:
         return np.zeros_like(allowed)
     piece = labels == labels[tuple(near[int(away.argmin())])]
-    return np.asarray(allowed & (ndimage.distance_transform_edt(~piece) * WORK_MM <= radius_mm + _REGROWN_MM))
+    return np.asarray(allowed & (distance_within(~piece) * WORK_MM <= radius_mm + _REGROWN_MM))
 
 
 def outgrowth(mask: Mask) -> Mask:
@@ -108,18 +111,16 @@ def outgrowth(mask: Mask) -> Mask:
         mask: (k, j, i) the bone on the upright grid; beyond the image's end it goes on.
     """
     whole = ndimage.binary_fill_holes(mask)
-    core = ndimage.distance_transform_edt(np.pad(whole, 1, mode="edge"))[1:-1, 1:-1, 1:-1] * WORK_MM > _CORE_MM
+    core = distance_within(np.pad(whole, 1, mode="edge"))[1:-1, 1:-1, 1:-1] * WORK_MM > _CORE_MM
     if not core.any():
         return np.zeros_like(mask)
-    away = ndimage.distance_transform_edt(~core) * WORK_MM
+    away = distance_within(~core) * WORK_MM
     return np.asarray(mask & (away > _CORE_MM + _CORNER_MM))
 
 
 def signed_distance(mask: Mask, spacing_mm: tuple[float, ...]) -> np.ndarray:
     """(k, j, i), or (rows, columns), distance [mm] to a mask's edge, positive inside; at the image's end it goes on."""
-    if not mask.any():
-        return np.full(mask.shape, -1e3, dtype=np.float32)
-    inside = ndimage.distance_transform_edt(mask, sampling=spacing_mm)
-    outside = ndimage.distance_transform_edt(~mask, sampling=spacing_mm)
+    inside, outside = distance_within(mask, spacing_mm), distance_within(~mask, spacing_mm)
     # The edge lies between the last voxel inside and the first outside; less than half a distance keeps the signs.
-    return (inside - outside - 0.5 * min(spacing_mm) * np.where(mask, 1, -1)).astype(np.float32)
+    signed = np.where(mask, inside, -outside) - 0.5 * min(spacing_mm) * np.where(mask, 1, -1)
+    return np.clip(signed, -_FARTHEST_MM, _FARTHEST_MM).astype(np.float32)

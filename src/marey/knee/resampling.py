@@ -1,7 +1,6 @@
 """Working grids along the body's axes: a volume smoothed, resampled onto them, and answers carried back."""
 
-from typing import Any
-
+import numba
 import numpy as np
 from scipy import ndimage
 
@@ -87,7 +86,30 @@ def onward(values: np.ndarray, within: Mask) -> np.ndarray:
 
 
 def read_at(values: np.ndarray, grid: Grid, lps_mm: Floats, *, outside: float = 0.0) -> Floats:
-    """Read an array at positions (..., 3), linearly."""
-    voxels = np.moveaxis(grid.voxels(lps_mm)[..., ::-1], -1, 0)
-    given: Any = ndimage.map_coordinates(values, voxels, order=1, cval=outside)
-    return given
+    """Read an array at positions (..., 3), linearly: as SciPy's `map_coordinates` does, with less ado for few."""
+    voxels = np.ascontiguousarray(grid.voxels(lps_mm).reshape(-1, 3))
+    found = np.empty(len(voxels), values.dtype)
+    # A view that cannot be written: Numba compiles anew for arrays that can.
+    readable = np.ascontiguousarray(values).view()
+    readable.setflags(write=False)
+    _read_linearly(readable, voxels, outside, found)
+    return found.reshape(np.shape(lps_mm)[:-1])
+
+
+@numba.njit(cache=True, nogil=True)
+def _read_linearly(values, voxels, outside, found):  # pragma: no cover - compiled
+    """Write what an array (k, j, i) is at fractional voxels (n, 3) i, j, k."""
+    last_k, last_j, last_i = values.shape[0] - 1, values.shape[1] - 1, values.shape[2] - 1
+    for n in range(len(voxels)):
+        i, j, k = voxels[n, 0], voxels[n, 1], voxels[n, 2]
+        if not (0.0 <= i <= last_i and 0.0 <= j <= last_j and 0.0 <= k <= last_k):
+            found[n] = outside
+            continue
+        i0, j0, k0 = int(i), int(j), int(k)
+        i1, j1, k1 = min(i0 + 1, last_i), min(j0 + 1, last_j), min(k0 + 1, last_k)
+        u, v, w = i - i0, j - j0, k - k0
+        near = (1.0 - v) * ((1.0 - u) * values[k0, j0, i0] + u * values[k0, j0, i1])
+        near += v * ((1.0 - u) * values[k0, j1, i0] + u * values[k0, j1, i1])
+        far = (1.0 - v) * ((1.0 - u) * values[k1, j0, i0] + u * values[k1, j0, i1])
+        far += v * ((1.0 - u) * values[k1, j1, i0] + u * values[k1, j1, i1])
+        found[n] = (1.0 - w) * near + w * far

@@ -9,6 +9,7 @@ from scipy import ndimage
 from marey.arrays import Floats, Integers, Mask
 from marey.errors import MareyError, SettingProblem
 from marey.knee.bias_field import between_two_classes
+from marey.knee.distances import distance_within
 from marey.knee.marrow import WORK_MM, Kind, Knee, candidates, marrow_of
 from marey.knee.region_growing import seed_ball
 
@@ -88,7 +89,7 @@ def patella_seeds(knee: Knee, likeness: np.ndarray, taken: Mask, joint_mm: Float
         joint_mm: (3,) LPS of the middle of the joint line.
     """
     free = (likeness > 0) & ~ndimage.binary_dilation(taken, iterations=1)
-    radius = ndimage.distance_transform_edt(free | np.isnan(likeness)) * free * WORK_MM
+    radius = np.where(free, distance_within(free | np.isnan(likeness)) * WORK_MM, 0.0)
     peaks = (ndimage.maximum_filter(radius, 9) == radius) & (radius >= _PATELLA_RADIUS_MM[0])
     voxels = np.argwhere(peaks & (radius <= _PATELLA_RADIUS_MM[1]))
     off = (knee.grid.lps(voxels[:, ::-1].astype(float)) - joint_mm - _PATELLA_FROM_JOINT_MM) / _PATELLA_SD_MM

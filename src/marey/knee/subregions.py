@@ -94,28 +94,20 @@ def subregion_names(bone: str, sheet: CartilageSheet, *, left: bool) -> list[str
 def subregions(bone: str, sheet: CartilageSheet, *, left: bool) -> list[Subregion]:
     """Measure each part, and the whole as the last."""
     names = np.array(subregion_names(bone, sheet, left=left))
-    vertex_area, covered = _vertex_areas(sheet), sheet.thickness_mm > 0
-    found = [_measured(name, names == name, covered, vertex_area, sheet) for name in sorted(set(names[covered]))]
+    covered = sheet.thickness_mm > 0
+    found = [_measured(name, names == name, covered, sheet) for name in sorted(set(names[covered]))]
     return [*found, whole(sheet)]
 
 
 def whole(sheet: CartilageSheet) -> Subregion:
     """Measure all the cartilage of a bone, whose side need not be known."""
     covered = sheet.thickness_mm > 0
-    return _measured("all", np.ones(len(covered), bool), covered, _vertex_areas(sheet), sheet)
+    return _measured("all", np.ones(len(covered), bool), covered, sheet)
 
 
-def _vertex_areas(sheet: CartilageSheet) -> Floats:
-    """(V,) mm2: a third of each face about."""
-    area = np.zeros(len(sheet.thickness_mm))
-    for corner in range(3):
-        np.add.at(area, sheet.bone.faces[:, corner], sheet.bone.face_areas_mm2 / 3)
-    return area
-
-
-def _measured(name: str, here: Mask, covered: Mask, area: Floats, sheet: CartilageSheet) -> Subregion:
+def _measured(name: str, here: Mask, covered: Mask, sheet: CartilageSheet) -> Subregion:
     part = here & covered
-    thickness, weight = sheet.thickness_mm[part], area[part]
+    thickness, weight = sheet.thickness_mm[part], sheet.bone.vertex_areas_mm2[part]
     return Subregion(
         name=name,
         area_mm2=float(weight.sum()),

@@ -9,6 +9,7 @@ from scipy import ndimage
 
 from marey.arrays import Mask
 from marey.errors import MareyError
+from marey.knee.distances import distance_within
 from marey.knee.sides import is_left
 from marey.knee.structures import BONES, CARTILAGE_OF_BONE, LABELS
 from marey.knee.surface import Surface
@@ -105,10 +106,7 @@ def _notes_on_cartilage(bone: str, masks: Mapping[str, Mask], labels: Labels) ->
     if bone not in masks:
         return [f"There is {spoken}, but no {bone} for it to lie on."]
     box = _box(masks[cartilage], [math.ceil(1.2 * _ON_BONE_MM / mm) + 1 for mm in labels.grid.array_spacing_mm])
-    if masks[bone][box].any():
-        distance = ndimage.distance_transform_edt(~masks[bone][box], sampling=labels.grid.array_spacing_mm)
-    else:
-        distance = np.full(masks[bone][box].shape, np.inf)
+    distance = distance_within(~masks[bone][box], labels.grid.array_spacing_mm)
     away = distance[masks[cartilage][box]] - min(labels.grid.array_spacing_mm)
     off = float((away > _ON_BONE_MM).mean())
     if off > _OFF_BONE:

@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 from marey.arrays import Floats, Mask
 from marey.errors import MareyError
 from marey.geometry import rotations
+from marey.knee.distances import distance_within
 from marey.knee.marrow import WORK_MM
 from marey.knee.region_growing import signed_distance
 from marey.knee.resampling import part_of, read_at, resampled, upright_grid
@@ -103,7 +104,7 @@ def _template_bone(name: str, mask: Mask, source: Grid, grid: Grid) -> TemplateB
     smooth = ndimage.gaussian_filter(distance, 1.5)
     edge = np.argwhere(whole & (distance < 1.2 * WORK_MM))
     inner = resampled(np.ones(mask.shape, dtype=np.float32), source, grid)
-    reach = ndimage.distance_transform_edt(np.pad(inner > 0.99, 1))[1:-1, 1:-1, 1:-1] * WORK_MM
+    reach = distance_within(np.pad(inner > 0.99, 1))[1:-1, 1:-1, 1:-1] * WORK_MM
     edge = edge[reach[tuple(edge.T)] > 3]
     chosen = edge[np.linspace(0, len(edge) - 1, min(_POINTS, len(edge))).astype(int)]
     inward = np.stack(np.gradient(smooth), axis=-1)[tuple(chosen.T)][:, ::-1]

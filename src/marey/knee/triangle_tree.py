@@ -22,11 +22,11 @@ class NearestPoints:
     """For each point asked for, the nearest one on the surface."""
 
     points_mm: Floats
-    """(..., 3)."""
+    """(..., 3); NaN where nothing lies within reach."""
     distance_mm: Floats
-    """(...), never negative."""
+    """(...), never negative; infinite where nothing lies within reach."""
     face: Integers
-    """(...)."""
+    """(...), -1 where nothing lies within reach."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -74,17 +74,22 @@ class TriangleTree:
             high.insert(0, np.maximum(high[0][::2], high[0][1::2]))
         return TriangleTree(frozen(corners[order]), order, np.concatenate(low), np.concatenate(high), starts)
 
-    def nearest(self, points_mm: Floats) -> NearestPoints:
-        """Find the points of the surface nearest to given ones (..., 3)."""
+    def nearest(self, points_mm: Floats, reach_mm: float = np.inf) -> NearestPoints:
+        """Find the points of the surface nearest to given ones.
+
+        Args:
+            points_mm: (..., 3).
+            reach_mm: What lies farther is not looked for: that saves most of the time where most is far.
+        """
         asked = _readable(points_mm).reshape(-1, 3)
-        found, face = np.empty_like(asked), np.empty(len(asked), np.int64)
-        _nearest(asked, self.corners_mm, self.low_mm, self.high_mm, self.starts, found, face)
+        found, face = np.full(asked.shape, np.nan), np.empty(len(asked), np.int64)
+        _nearest(asked, self.corners_mm, self.low_mm, self.high_mm, self.starts, float(reach_mm), found, face)
         shape = np.shape(points_mm)
-        away = np.linalg.norm(found - asked, axis=1)
+        away = np.where(face >= 0, np.linalg.norm(found - asked, axis=1), np.inf)
         return NearestPoints(
             points_mm=found.reshape(shape),
             distance_mm=away.reshape(shape[:-1]),
-            face=self.faces[face].reshape(shape[:-1]),
+            face=np.where(face >= 0, self.faces[face], -1).reshape(shape[:-1]),
         )
 
     def crossings(self, starts_mm: Floats, directions: Floats, reach_mm: float) -> Crossings:
@@ -184,15 +189,15 @@ def _keep(trial, found):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True)
-def nearest_triangle(point, corners, low, high, starts, guess, found, scratch):  # pragma: no cover - compiled
-    """Write the nearest point (3,) of a tree's triangles and give the triangle's number.
+def nearest_triangle(point, corners, low, high, starts, guess, reach, found, scratch):  # pragma: no cover - compiled
+    """Write the nearest point (3,) of a tree's triangles and give the triangle's number; -1 where none is in reach.
 
     It goes down into the nearer box first, and leaves out those that lie farther than what was found. A good guess, a
     triangle's number, saves most of the way; -1 stands for none. Scratch is of `SCRATCH`'s shape.
     """
     leaves = len(starts) - 1
     waiting, trial = scratch[0], scratch[1]
-    best, face, count = np.inf, -1, 1
+    best, face, count = reach * reach, -1, 1
     if guess >= 0:
         best, face = _nearest_on_triangle(point, corners[guess], trial), guess
         _keep(trial, found)
@@ -220,11 +225,11 @@ def nearest_triangle(point, corners, low, high, starts, guess, found, scratch): 
 
 
 @numba.njit(cache=True, nogil=True)
-def _nearest(points, corners, low, high, starts, found, face):  # pragma: no cover - compiled
+def _nearest(points, corners, low, high, starts, reach, found, face):  # pragma: no cover - compiled
     """Find the nearest point of each, one after the other."""
     scratch = np.empty(SCRATCH)
     for n in range(len(points)):
-        face[n] = nearest_triangle(points[n], corners, low, high, starts, -1, found[n], scratch)
+        face[n] = nearest_triangle(points[n], corners, low, high, starts, -1, reach, found[n], scratch)
 
 
 @numba.njit(cache=True, nogil=True)

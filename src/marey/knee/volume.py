@@ -1,6 +1,7 @@
 """An MR volume, and a volume of labels, with their place in the scanner."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +44,11 @@ class Grid:
 
     def voxels(self, lps_mm: Floats) -> Floats:
         """Give fractional voxels (i, j, k) of positions (..., 3) [mm]; outside the volume too."""
-        return (np.asarray(lps_mm) - self.lps_from_voxel[:3, 3]) @ np.linalg.inv(self.lps_from_voxel[:3, :3]).T
+        return (np.asarray(lps_mm) - self.lps_from_voxel[:3, 3]) @ self._voxel_from_mm.T
+
+    @cached_property
+    def _voxel_from_mm(self) -> Floats:
+        return np.linalg.inv(self.lps_from_voxel[:3, :3])
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
