@@ -87,3 +87,14 @@ def test_a_large_share_at_once_is_told_as_one(monkeypatch):
     lines = shown.getvalue().splitlines()
     assert lines[0] == "Shapes ..."
     assert lines[1].startswith("Shapes: 50 of 100, about 30")
+
+
+def test_the_steps_of_a_stage_are_timed_beside_it():
+    progress = Progress(io.StringIO(), quiet=True)
+    with progress.stage_of_steps("Bones") as begin:
+        begin("growing", 0.0)
+        begin("edges", 0.5)
+        begin("edges", 0.8)
+    assert list(progress.timings) == ["Bones"]
+    assert list(progress.steps["Bones"]) == ["growing", "edges"]
+    assert 0 < sum(progress.steps["Bones"].values()) <= progress.timings["Bones"]

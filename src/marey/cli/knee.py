@@ -44,7 +44,9 @@ def segment(
     ],
     template: Annotated[
         Path | None,
-        typer.Option(metavar="FOLDER", help="Another knee's labels.nii.gz with names.json, of either side."),
+        typer.Option(
+            metavar="FOLDER", help="Another knee's labels.nii.gz with names.json or labels.json, of either side."
+        ),
     ] = None,
     seed: Annotated[
         list[str] | None,
@@ -155,7 +157,10 @@ def animate(
         typer.Option(metavar="FILE", help="The person standing, with the markers of the scanner and of the activity."),
     ] = None,
     method: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Whose bones, where `marey markers` ran several methods.")
+        str | None,
+        typer.Option(
+            metavar="NAME", help="Whose bones, where `marey markers` ran several methods. [default: the first's]"
+        ),
     ] = None,
     compare: Annotated[
         str | None,
@@ -165,10 +170,10 @@ def animate(
     view: Annotated[
         str, typer.Option(metavar="NAME,...", help="Views of the video: anterior, posterior, medial, lateral, plateau.")
     ] = "anterior,medial,plateau",
-    limit: Annotated[float, typer.Option(metavar="MM", help="Nearer than this, cartilages count as near.")] = 5.0,
+    limit: Annotated[float, typer.Option(metavar="MM", help="Cartilages nearer than this count as near.")] = 5.0,
     noise: Annotated[
         float,
-        typer.Option(metavar="MM", help="How well a marker's coordinate is known, and it came back to its place."),
+        typer.Option(metavar="MM", help="Standard deviation of a marker's coordinate, and of its place when put back."),
     ] = 0.5,
     landmarks: Annotated[
         Path | None,
@@ -244,7 +249,9 @@ def outline(
         Path | None,
         typer.Option("--out", "-o", metavar="FILE", help="The outlines. [default: VOLUME_contours.json]"),
     ] = None,
-    port: Annotated[int, typer.Option(metavar="N", help="Of the page's address. [default: any that is free]")] = 0,
+    port: Annotated[
+        int, typer.Option(metavar="N", help="Of the page's address. [default: any that is free]", show_default=False)
+    ] = 0,
     no_browser: Annotated[bool, typer.Option("--no-browser", help="Only print the address.")] = False,
     quiet: Quiet = False,
 ) -> None:

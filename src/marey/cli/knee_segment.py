@@ -156,8 +156,8 @@ def given_seeds(options: SegmentOptions, volume: Volume) -> dict[str, Floats]:
 def _segmented(
     volumes: Sequence[Volume], template: Labels | None, seeds: Mapping[str, Floats], progress: Progress
 ) -> BoneSegmentation:
-    with progress.stage_of_shares("Bones") as done:
-        return segment_bones(volumes, template=template, seeds_mm=seeds, report=lambda _, share: done(share))
+    with progress.stage_of_steps("Bones") as begin:
+        return segment_bones(volumes, template=template, seeds_mm=seeds, report=begin)
 
 
 def _surfaces(bones: BoneSegmentation, progress: Progress) -> dict[str, Surface]:

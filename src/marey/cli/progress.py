@@ -36,6 +36,8 @@ class Progress:
         self._console = Console(file=self._stream, highlight=False, soft_wrap=True)
         self.timings: dict[str, float] = {}
         """Seconds by stage; a stage that is entered again adds to its time."""
+        self.steps: dict[str, dict[str, float]] = {}
+        """Of the stages that tell their steps, seconds by step."""
         self.warnings: list[str] = []
         """What was warned of, for the report."""
 
@@ -97,6 +99,38 @@ class Progress:
                     steps(more)
 
             yield done
+
+    @contextmanager
+    def stage_of_steps(self, name: str) -> Iterator[Callable[[str, float], None]]:
+        """Show one stage of a work that tells which step of it begins; the steps are timed, too.
+
+        Args:
+            name: What is being done.
+
+        Yields:
+            A function to be called at the beginning of each step with its name, and with the share that is done.
+        """
+        spent = self.steps.setdefault(name, {})
+        last = ""
+        since = time.perf_counter()
+
+        def end_last() -> None:
+            nonlocal since
+            now = time.perf_counter()
+            if last:
+                spent[last] = spent.get(last, 0.0) + now - since
+            since = now
+
+        with self.stage_of_shares(name) as done:
+
+            def begin(step: str, share: float) -> None:
+                nonlocal last
+                end_last()
+                last = step
+                done(share)
+
+            yield begin
+            end_last()
 
     @contextmanager
     def _silent(self, name: str, total: int | None, done: int) -> Iterator[Callable[[int], None]]:

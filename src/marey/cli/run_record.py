@@ -197,11 +197,16 @@ def write_record(
         "system": f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores",
         "settings": dict(settings),
         "inputs": {_name(path, root): file_fingerprint(path) for path in inputs},
-        "timings_s": {stage: round(seconds, 3) for stage, seconds in progress.timings.items()},
+        "timings_s": _rounded(progress.timings),
+        **({"steps_s": {name: _rounded(each) for name, each in progress.steps.items()}} if progress.steps else {}),
         "warnings": list(progress.warnings),
         "files": [*sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()), RECORD],
     }
     _write_json(folder / RECORD, record)
+
+
+def _rounded(seconds: Mapping[str, float]) -> dict[str, float]:
+    return {name: round(each, 3) for name, each in seconds.items()}
 
 
 def _name(path: Path, root: Path) -> str:
