@@ -12,7 +12,8 @@ both, and once more with the true bones, where the balls alone err. Printed are 
 compartment against the true bones' (mm: mean, RMS, greatest), the share of true gaps within 1.96 stated deviations,
 the RMS error of the centre of proximity over the tibia, and of the knee's angles. The bones are one person's and the
 motion is another's: the gaps themselves mean nothing. `speed`: seconds of process time for 100 frames beside
-trimesh's and SciPy's searches. Data: Cereatti et al. 2017, J Biomech, doi 10.1016/j.jbiomech.2017.02.004.
+trimesh's and SciPy's searches. The row "standard deviations alone" is of the default method with what turn and place of
+a bone have in common left out. Data: Cereatti et al. 2017, J Biomech, doi 10.1016/j.jbiomech.2017.02.004.
 """
 
 import argparse
@@ -36,6 +37,7 @@ from marey.geometry.rigid import RigidTransform
 from marey.io.bones import BoneFile, write_bones
 from marey.io.c3d import write_c3d
 from marey.io.meshes import read_mesh, write_mesh
+from marey.io.npz import read_arrays, write_arrays
 from marey.io.trc import PointPaths
 from marey.io.volumes import read_template
 from marey.knee.anatomical_frames import bone_frame
@@ -178,6 +180,11 @@ def trial(shared: Path, name: str, work: Path) -> None:
         AnimateOptions(reference=work / "standing.c3d", out=work / "out_true", views=("plateau",)), quiet,
     )  # fmt: skip
     compare(name, true, dict(np.load(known / "knee_motion.npz")), method="true bones")
+    apart = animate(
+        knee_folder, without_covariance(motion, work / "apart"),
+        AnimateOptions(reference=work / "standing.c3d", out=work / "out_apart", views=("plateau",)), quiet,
+    )  # fmt: skip
+    compare(name, true, dict(np.load(apart / "knee_motion.npz")), method="skin, standard deviations alone")
 
 
 def with_true_bones(motion: Path, truth: dict[str, np.ndarray], at: int, folder: Path) -> Path:
@@ -189,6 +196,14 @@ def with_true_bones(motion: Path, truth: dict[str, np.ndarray], at: int, folder:
     bones = true_bones(truth, segments)
     time = np.arange(len(bones)) / float(truth["rate"])
     write_bones(folder / "bones.npz", BoneFile(motion=bones, time=time, reference_frames=np.array([at])))
+    return folder
+
+
+def without_covariance(motion: Path, folder: Path) -> Path:
+    """The same folder of `marey markers`, its bones with their standard deviations alone."""
+    shutil.copytree(motion, folder)
+    kept = {key: each for key, each in read_arrays(motion / "bones.npz").items() if not key.endswith("_covariance")}
+    write_arrays(folder / "bones.npz", kept)
     return folder
 
 
