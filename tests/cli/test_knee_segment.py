@@ -21,11 +21,12 @@ from marey.io.meshes import read_mesh
 from marey.io.npz import read_arrays
 from marey.io.volumes import write_labels, write_volume
 from marey.knee.bones import Bone, BoneSegmentation
+from marey.knee.resampling import part_of
 from marey.knee.structures import LABELS
 from marey.knee.surfacing import surface_of_labels
 from marey.knee.template_fit import Placement, TemplateFit
 from marey.knee.thickness import cartilage_thickness
-from marey.knee.volume import Labels, Volume
+from marey.knee.volume import Grid, Labels, Volume
 
 if find_spec("SimpleITK") is None:
     pytest.skip("SimpleITK is not installed", allow_module_level=True)
@@ -86,12 +87,17 @@ def test_an_image_of_no_knee_leaves_nothing_behind(tmp_path, capsys, rng):
     assert "is not there" in capsys.readouterr().err
 
 
+def boxed_bone(distance_mm: np.ndarray, grid: Grid) -> Bone:
+    """A bone on the part of a grid that it needs, as bones are found."""
+    near = np.argwhere(distance_mm > -4)
+    box = tuple(slice(int(a), int(b) + 1) for a, b in zip(near.min(0), near.max(0), strict=True))
+    return Bone(distance_mm=distance_mm[box], grid=part_of(grid, box), seed_mm=np.array([0.0, 0, 30]))
+
+
 def found_bones(volume: Volume, names: tuple[str, ...] = ("femur", "tibia")) -> BoneSegmentation:
     """Bones as if they had been found, without the patella unless it is named."""
-    shapes = {bone: signed_shapes(volume.grid)[bone] for bone in names}
-    bones = {
-        name: Bone(distance_mm=each, grid=volume.grid, seed_mm=np.array([0.0, 0, 30])) for name, each in shapes.items()
-    }
+    shapes = signed_shapes(volume.grid)
+    bones = {name: boxed_bone(shapes[name], volume.grid) for name in names}
     placements = {name: Placement(matrix=np.eye(3), shift=np.zeros(3)) for name in bones}
     labels = made_labels(volume.grid).labels
     labels = np.where(np.isin(labels, [LABELS[name] for name in names]), labels, 0)
