@@ -86,7 +86,7 @@ class Deformation:
         for x in np.array_split(steps[0], max(len(steps[0]) // 8, 1)):
             nodes = np.stack(np.meshgrid(x, steps[1], steps[2], indexing="ij"), -1).reshape(-1, 3)
             values = np.linalg.det(self.jacobians(self.origin_mm + self.step_mm * nodes))
-            least = np.argsort(values)[:_LOOKED_CLOSER_AT]
+            least = np.argpartition(values, min(_LOOKED_CLOSER_AT, len(values) - 1))[:_LOOKED_CLOSER_AT]
             found.append(nodes[least])
         eighths = np.stack(np.meshgrid(*[np.arange(-2, 3) / 8] * 3, indexing="ij"), -1).reshape(-1, 1, 3)
         places = np.clip(np.concatenate(found) + eighths, 0, shape - 1)

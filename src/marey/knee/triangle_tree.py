@@ -1,6 +1,7 @@
 """Where rays cross a surface, and its point nearest to others: triangles in a tree of boxes."""
 
 from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
 import numba
 import numpy as np
@@ -56,7 +57,13 @@ class TriangleTree:
 
     @staticmethod
     def of(surface: Surface) -> "TriangleTree":
-        """Sort the triangles of a surface, along the longest side of each box."""
+        """Sort the triangles of a surface, along the longest side of each box; of each surface once."""
+        if surface not in _SORTED:
+            _SORTED[surface] = TriangleTree._of(surface)
+        return _SORTED[surface]
+
+    @staticmethod
+    def _of(surface: Surface) -> "TriangleTree":
         corners = surface.corners_mm
         middle = corners.mean(1)
         order, starts = np.arange(len(corners)), np.array([0, len(corners)])
@@ -109,6 +116,9 @@ class TriangleTree:
             begin, along, float(reach_mm), self.corners_mm, self.low_mm, self.high_mm, self.starts, distance, leaving
         )
         return Crossings(distance_mm=distance, leaving=leaving)
+
+
+_SORTED: WeakKeyDictionary[Surface, TriangleTree] = WeakKeyDictionary()
 
 
 def _readable(points: Floats) -> Floats:
