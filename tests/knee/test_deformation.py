@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from marey.errors import MareyError
 from marey.knee.deformation import Deformation
@@ -16,6 +17,16 @@ def test_the_inverse_brings_points_back(rng):
     deformation = waves(3.0)
     points = rng.uniform((-20, 0, -5), (60, 75, 60), (500, 3))
     np.testing.assert_allclose(deformation.template_points(deformation.subject_points(points)), points, atol=1e-6)
+
+
+def test_displacements_are_those_of_scipys_spline_also_at_the_ends(rng):
+    field = Deformation(origin_mm=np.array([1.0, -2, 3]), step_mm=2.0, displacement_mm=rng.normal(size=(3, 6, 5, 7)))
+    places = rng.uniform(-12, 22, (200, 3))
+    nodes = ((places - field.origin_mm) / 2.0).T
+    for axis, part in enumerate(field.displacement_mm):
+        smooth = ndimage.spline_filter(part, 3, mode="nearest")
+        wanted = ndimage.map_coordinates(smooth, nodes, order=3, mode="nearest", prefilter=False)
+        np.testing.assert_allclose((places - field.template_points(places))[:, axis], wanted, atol=1e-12)
 
 
 def test_jacobians_are_the_derivatives_and_carry_normals(rng):

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from functools import cached_property
 
+import numba
 import numpy as np
 from scipy import ndimage
 
@@ -44,26 +45,18 @@ class Deformation:
         aim = np.asarray(template_mm, float)
         found = aim + self._at(aim)
         for _ in range(_NEWTON_STEPS):
-            off = self.template_points(found) - aim
+            shift, slopes = self._read(found)
+            off = found - shift - aim
             if not off.size or np.abs(off).max() < _CLOSE_MM:
                 return found
-            step = np.linalg.solve(self.jacobians(found), off[..., None])[..., 0]
+            step = np.linalg.solve(np.eye(3) - slopes, off[..., None])[..., 0]
             length = np.linalg.norm(step, axis=-1, keepdims=True)
             found = found - step * np.minimum(1.0, 3 * self.step_mm / np.maximum(length, 1e-12))
         raise MareyError("The deformation cannot be inverted everywhere: it folds.")
 
     def jacobians(self, subject_mm: Floats) -> Floats:
-        """Give the derivatives (..., 3, 3) of the template's points by the subject's: their determinants are positive.
-
-        Of the spline itself, by differences.
-        """
-        delta = 1e-4 * self.step_mm
-        columns = [
-            (self.template_points(subject_mm + delta * axis) - self.template_points(subject_mm - delta * axis))
-            / (2 * delta)
-            for axis in np.eye(3)
-        ]
-        return np.stack(columns, -1)
+        """Give the derivatives (..., 3, 3) of the template's points by the subject's: of positive determinants."""
+        return np.asarray(np.eye(3) - self._read(subject_mm)[1])
 
     def subject_normals(self, subject_mm: Floats, template_normals: Floats) -> Floats:
         """Carry the normals (..., 3) of a template's surface to the places (..., 3) where it lies in the subject."""
@@ -94,13 +87,57 @@ class Deformation:
 
     @cached_property
     def _coefficients(self) -> Floats:
-        return np.stack([ndimage.spline_filter(part, _ORDER, mode="nearest") for part in self.displacement_mm])
+        parts = [ndimage.spline_filter(part, _ORDER, mode="nearest") for part in self.displacement_mm]
+        return np.ascontiguousarray(np.stack(parts, -1))
 
     def _at(self, places_mm: Floats) -> Floats:
+        return self._read(places_mm)[0]
+
+    def _read(self, places_mm: Floats) -> tuple[Floats, Floats]:
+        """Give the displacements (..., 3) at places (..., 3), and their derivatives (..., 3, 3) by these."""
         nodes = (np.asarray(places_mm, float) - self.origin_mm) / self.step_mm
-        flat = nodes.reshape(-1, 3).T
-        parts = [
-            ndimage.map_coordinates(part, flat, order=_ORDER, mode="nearest", prefilter=False)
-            for part in self._coefficients
-        ]
-        return np.stack(parts, -1).reshape(nodes.shape)
+        flat = np.ascontiguousarray(nodes.reshape(-1, 3))
+        values, slopes = np.empty((len(flat), 3)), np.empty((len(flat), 3, 3))
+        _read_spline(self._coefficients, flat, values, slopes)
+        return values.reshape(nodes.shape), slopes.reshape(*nodes.shape, 3) / self.step_mm
+
+
+@numba.njit(cache=True, nogil=True)
+def _read_spline(coefficients, nodes, values, slopes):  # pragma: no cover - compiled
+    """Write a cubic spline's values (n, 3) at nodes (n, 3), and its derivatives (n, 3, 3), value by axis.
+
+    Beyond the ends the coefficients (X, Y, Z, 3) go on as the last ones.
+    """
+    count = coefficients.shape
+    index = np.empty((3, 4), np.int64)
+    weight, rise = np.empty((3, 4)), np.empty((3, 4))
+    for n in range(len(nodes)):
+        for axis in range(3):
+            last = count[axis] - 1
+            at = min(max(nodes[n, axis], -3.0), last + 3.0)
+            first = int(np.floor(at))
+            u = at - first
+            weight[axis, 0], weight[axis, 1] = (1 - u) ** 3 / 6, (4 + u * u * (3 * u - 6)) / 6
+            weight[axis, 2], weight[axis, 3] = (4 + (1 - u) ** 2 * (3 * (1 - u) - 6)) / 6, u**3 / 6
+            rise[axis, 0], rise[axis, 1] = -((1 - u) ** 2) / 2, u * (3 * u - 4) / 2
+            rise[axis, 2], rise[axis, 3] = -(1 - u) * (3 * (1 - u) - 4) / 2, u * u / 2
+            for m in range(4):
+                index[axis, m] = min(max(first - 1 + m, 0), last)
+        for part in range(3):
+            values[n, part] = 0.0
+            for axis in range(3):
+                slopes[n, part, axis] = 0.0
+        for a in range(4):
+            for b in range(4):
+                by_both, by_first, by_second = (
+                    weight[0, a] * weight[1, b],
+                    rise[0, a] * weight[1, b],
+                    weight[0, a] * rise[1, b],
+                )
+                for c in range(4):
+                    for part in range(3):
+                        term = coefficients[index[0, a], index[1, b], index[2, c], part]
+                        values[n, part] += by_both * weight[2, c] * term
+                        slopes[n, part, 0] += by_first * weight[2, c] * term
+                        slopes[n, part, 1] += by_second * weight[2, c] * term
+                        slopes[n, part, 2] += by_both * rise[2, c] * term
