@@ -35,8 +35,9 @@ _BLURRED_MM = 2.5
 """Below this radius the image at work is too smooth to tell a ball's level."""
 _SURE_MM = 0.4
 """Most standard deviation of a coordinate."""
-_SLICES = 1.5
-"""Least diameter in the widest voxel spacings: of a ball within one slice nobody sees whether it is round."""
+_SLICES, _SLICES_FITTED = 1.5, 1.8
+"""Least diameter in the widest voxel spacings, of a candidate and of a fitted ball: of one that shows in one slice, or
+in the halves of two, nobody sees whether it is round."""
 _LEAST_SEEN, _WHOLE = 0.6, 0.98
 _SAME_MM = 3.0
 
@@ -87,10 +88,10 @@ def find_gadolinium(volume: Volume, bones: Mapping[str, Surface] | None = None) 
         if ball is None or any(_same(ball, other) for other in found):
             continue
         # A neighbour that is taken for even tissue makes it look less round.
-        if _is_ball(ball, limb, misfit=2 * _MISFIT):
+        if _is_ball(ball, limb, volume, misfit=2 * _MISFIT):
             found.append(ball)
     alone = [_beside_others(volume, ball, found) for ball in found]
-    return _told([ball for ball in alone if _is_ball(ball, limb) and not _within_bone(ball, bones or {})])
+    return _told([ball for ball in alone if _is_ball(ball, limb, volume) and not _within_bone(ball, bones or {})])
 
 
 def joined(first: Gadolinium, second: Gadolinium) -> Gadolinium:
@@ -178,11 +179,12 @@ def _open_share(place: BallCandidate, limb: LimbImage) -> float:
     return float((air.sum(axis=1)[told] >= _AIRY * count[told]).mean()) if told.any() else 0.0
 
 
-def _is_ball(ball: BallFit, limb: LimbImage, misfit: float = _MISFIT) -> bool:
+def _is_ball(ball: BallFit, limb: LimbImage, volume: Volume, misfit: float = _MISFIT) -> bool:
     sds = np.sqrt(np.diag(ball.covariance_mm2))
     bias = float(read_at(limb.bias.factor, limb.bias.grid, ball.centre_mm[None], outside=1.0)[0])
     sound = (
         _RADII_MM[0] <= ball.radius_mm <= _RADII_MM[1]
+        and 2 * ball.radius_mm >= _SLICES_FITTED * float(volume.grid.spacing_mm.max())
         and ball.level >= _BRIGHT * limb.bright * bias
         and ball.misfit <= misfit
         and ball.tissue_share <= _DEEP
