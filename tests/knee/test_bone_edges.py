@@ -58,3 +58,18 @@ def test_muscle_alone_leaves_the_edge_halfway(rng):
         intensity=imaged(levels, grid, rng, 4.0), distance_mm=depth - 1.0, prior_nats=np.zeros(grid.shape), grid=grid
     )
     assert radius_of(refined(piece, "dark")) == pytest.approx(RADIUS, abs=0.15)
+
+
+def test_a_film_of_fat_before_bright_muscle_is_no_bone_with_a_black_cortex(rng):
+    depth, grid = ball()
+    levels = np.where(depth > 1, 15.0, np.where(depth > 0, 4.0, np.where(depth > -2.5, 25.0, 80.0)))
+    levels[:, 30:] = np.where(depth > 0, levels, 25.0)[:, 30:]
+    piece = Piece(
+        intensity=imaged(levels, grid, rng, 4.0),
+        distance_mm=depth + 1.0,
+        prior_nats=np.zeros(grid.shape),
+        grid=grid,
+        no_signal=5.0,
+    )
+    # Halfway between marrow and muscle the film would be bone, a fifth of the radius.
+    assert radius_of(refined(piece, "dark")) == pytest.approx(RADIUS, abs=0.15)

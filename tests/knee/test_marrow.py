@@ -1,9 +1,11 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from tests.made_knees import made_grid, made_labels, made_volume
 
 from marey.errors import MareyError
-from marey.knee.marrow import marrow_of, prepare
+from marey.knee.marrow import air_level, marrow_of, prepare
 from marey.knee.volume import Volume
 
 
@@ -28,3 +30,13 @@ def test_an_image_without_a_knee_says_so(rng):
     blank = Volume(intensity=rng.uniform(10, 60, grid.shape), grid=grid)
     with pytest.raises(MareyError, match="No femur above a tibia"):
         marrow_of(prepare(blank))
+
+
+def test_air_is_as_bright_as_its_noise_and_unknown_where_none_is_in_view():
+    grid = made_grid((1.5, 1.5, 2.0))
+    volume = made_volume(grid, "dark")
+    knee = prepare(volume)
+    level = air_level(knee)
+    assert level is not None
+    assert level < np.percentile(knee.intensity[knee.body], 5)
+    assert air_level(replace(knee, body=np.ones_like(knee.body))) is None

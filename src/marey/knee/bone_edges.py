@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 from marey.arrays import Floats
 from marey.knee.marrow import Kind
 from marey.knee.minimal_cut import minimal_cut
+from marey.knee.outer_edge import at_half_level
 from marey.knee.region_growing import signed_distance
 from marey.knee.resampling import smoothed
 from marey.knee.volume import Grid
@@ -30,6 +31,9 @@ _FAT_SMOOTHING_MM, _FAT_STEPS, _FAT_SHARE = 0.7, 3.0, 0.12
 this share of what is next to the bone is of one level."""
 _FEW_VOXELS = 200
 _FAT_FROM_BRIGHT_MM, _FAT_BRIGHT = 1.0, 6.0
+_BLUR_MM = 1.6
+"""Width of the layer that looks like fat where cartilage is smoothed into marrow, at most."""
+_FAINT_SMOOTHING_MM = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,6 +64,8 @@ class Piece:
     grid: Grid
     small: bool = False
     """A patella: even, and known well by growing, so that the edge need not go far outward."""
+    no_signal: float | None = None
+    """Level of air in the image, if there is any in view."""
 
 
 def refined(piece: Piece, kind: Kind, others: list[np.ndarray] | None = None) -> np.ndarray:
@@ -78,7 +84,7 @@ def refined(piece: Piece, kind: Kind, others: list[np.ndarray] | None = None) ->
     # Again with the levels just beside the edge, now that it is known to a voxel or two.
     distance = _cut(piece, kind, settled, distance, _FINE_RING)
     if kind == "dark":
-        return distance
+        return _in_one(at_half_level(piece.intensity, distance, piece.grid, no_signal=piece.no_signal))
     # Beside bright marrow the edge may go outward by little at a time, lest it jumps over the black line.
     distance = _cut(piece, kind, settled, distance, _FINE_RING)
     return distance + _cortex(piece, distance)
@@ -129,12 +135,28 @@ def _against_fat(piece: Piece, distance: np.ndarray, level: np.ndarray, noise: f
     fat, marrow, most = _fat_level(even[distance > 2.5], even[(distance < -1) & (distance > -6)])
     if fat is None:
         return odds
-    step = fat - marrow
-    # What is next to something bright, cartilage, looks like fat where it is half of it.
-    size = [2 * round(_FAT_FROM_BRIGHT_MM / each) + 1 for each in piece.grid.array_spacing_mm]
-    plain = ndimage.maximum_filter(even, size) < marrow + _FAT_BRIGHT * step
-    above = piece.intensity - level - (most - marrow) / 2
-    return np.where(plain & (above < 2 * step), np.minimum(odds, _half_level_odds(above, step, noise)), odds)
+    step, middle = fat - marrow, level + (most - marrow) / 2
+    like_fat = (even > most) & (even < marrow + 2 * step)
+    above = piece.intensity - middle
+    surely = (_far_from_bright(even, marrow + _FAT_BRIGHT * step, piece.grid) | _thick(like_fat, piece.grid)) & (
+        above < 2 * step
+    )
+    odds = np.where(surely, np.minimum(odds, _half_level_odds(above, step, noise)), odds)
+    # Elsewhere it may be the blur of what is bright, or a film too thin to tell: no evidence for marrow either.
+    faint = smoothed(piece.intensity, piece.grid, _FAINT_SMOOTHING_MM) - middle
+    return np.where((faint > step / 2) & (faint < 2 * step), np.minimum(odds, 0), odds)
+
+
+def _far_from_bright(even: np.ndarray, bright: float, grid: Grid) -> np.ndarray:
+    """(k, j, i) true where nothing bright, cartilage, is near: what is next to it looks like fat where half of it."""
+    size = [2 * round(_FAT_FROM_BRIGHT_MM / each) + 1 for each in grid.array_spacing_mm]
+    return np.asarray(ndimage.maximum_filter(even, size) < bright)
+
+
+def _thick(like_fat: np.ndarray, grid: Grid) -> np.ndarray:
+    """(k, j, i) what is like fat in layers wider than the blur of something bright, and than a voxel."""
+    box = [max(2, round(_BLUR_MM / each)) for each in grid.array_spacing_mm]
+    return np.asarray(ndimage.binary_opening(like_fat, np.ones(box)))
 
 
 def _fat_level(deep: np.ndarray, ring: np.ndarray) -> tuple[float | None, float, float]:
@@ -182,6 +204,12 @@ def _main_part(mask: np.ndarray) -> np.ndarray:
     if count > 1:
         mask = labels == 1 + int(np.bincount(labels.ravel())[1:].argmax())
     return np.asarray(ndimage.binary_fill_holes(mask))
+
+
+def _in_one(distance: np.ndarray) -> np.ndarray:
+    """(k, j, i) a distance without islands and hollows."""
+    inside = _main_part(distance > 0)
+    return np.where(inside, np.maximum(distance, 1e-3), np.minimum(distance, -1e-3))
 
 
 def _cortex(piece: Piece, distance: np.ndarray) -> np.ndarray:

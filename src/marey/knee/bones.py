@@ -10,7 +10,7 @@ from marey.arrays import Floats, Integers, Mask
 from marey.errors import MareyError, SettingProblem
 from marey.knee.bias_field import bias_field
 from marey.knee.bone_edges import Piece, marrow_odds, refined, soft_tissue_odds
-from marey.knee.marrow import WORK_MM, Kind, Knee, prepare
+from marey.knee.marrow import WORK_MM, Kind, Knee, air_level, prepare
 from marey.knee.one_bone import in_line, thick_end
 from marey.knee.region_growing import grow, marrow_level, outgrowth, seed_ball, signed_distance
 from marey.knee.resampling import onward, part_of, resampled, smoothed
@@ -326,8 +326,15 @@ def _bone(look: _Look, name: str, limit: np.ndarray | None) -> tuple[Bone, tuple
 def _edge(look: _Look, distance: np.ndarray, prior: np.ndarray, grid: Grid, *, small: bool) -> np.ndarray:
     """(k, j, i) the edge by the image with dark marrow if there is one: it shows the cortex' outside."""
     pieces = [
-        Piece(intensity=_corrected(volume, grid), distance_mm=distance, prior_nats=prior, grid=grid, small=small)
-        for volume in look.volumes
+        Piece(
+            intensity=_corrected(volume, grid),
+            distance_mm=distance,
+            prior_nats=prior,
+            grid=grid,
+            small=small,
+            no_signal=air_level(knee),
+        )
+        for volume, knee in zip(look.volumes, look.knees, strict=True)
     ]
     lead = look.kinds.index("dark") if "dark" in look.kinds else 0
     others = []

@@ -22,6 +22,8 @@ _THICK_MM = 11.0
 """Radius of the ball that must fit into the marrow of femur and tibia."""
 _APART_MM = (35.0, 115.0)
 _ASIDE_MM = 50.0
+_FROM_SKIN, _AIR_VOXELS = 3, 1000
+"""Air counts as seen from so many voxels before the skin, when there are so many voxels of it."""
 
 Kind = Literal["dark", "bright"]
 
@@ -72,6 +74,16 @@ def prepare(volume: Volume, grid: Grid | None = None) -> Knee:
     body = _body(ndimage.gaussian_filter(intensity, 1.0), within)
     depth = np.stack([distance_within(np.pad(each, 1))[1:-1, 1:-1] for each in body])
     return Knee(intensity=intensity, body=body, depth_mm=depth * WORK_MM, within=within, grid=grid)
+
+
+def air_level(knee: Knee) -> float | None:
+    """Give the level of air, where nothing gives a signal; None where the image shows no air.
+
+    Args:
+        knee: The prepared image.
+    """
+    air = knee.within & ~ndimage.binary_dilation(knee.body, iterations=_FROM_SKIN)
+    return float(np.median(knee.intensity[air])) if air.sum() >= _AIR_VOXELS else None
 
 
 def marrow_of(knee: Knee) -> Marrow:
