@@ -4,8 +4,8 @@
 
 Each NAME (dess, phantom_a, phantom_spl, phantom_spl_t1, pair; without one phantom_a) is segmented with its template by
 the command itself, in a process of its own. Printed are the seconds of each stage and of its steps as run.json has
-them, what is left (starting Python, writing files), the whole beside the limits, how many cores were at work, and the
-most memory. Where the code was changed, Numba compiles at first: run it twice.
+them, what is left (starting Python, writing files), the whole beside the limits, the work of the cores, and the most
+memory. Where the code was changed, Numba compiles at first: run it twice.
 """
 
 import argparse
@@ -51,8 +51,8 @@ def measure(shared: Path, name: str) -> None:
     print(f"{name:15} {'starting, writing':34} {whole - sum(stages.values()):7.1f} s")
     a_bone = sum(stages[stage] for stage in OF_BONES) / bones
     print(f"{name:15} {'a bone':34} {a_bone:7.1f} s of {BONE_S:.0f} asked")
-    cores = (used.ru_utime + used.ru_stime) / whole
-    print(f"{name:15} {'the knee':34} {whole:7.1f} s of {KNEE_S:.0f} asked, {cores:.2f} cores at work")
+    work = used.ru_utime + used.ru_stime
+    print(f"{name:15} {'the knee':34} {whole:7.1f} s of {KNEE_S:.0f} asked, {work:.1f} s of a core's work")
     print(f"{name:15} {'most memory':34} {used.ru_maxrss / 1e6:7.2f} GB of {MEMORY_GB:.0f} asked", flush=True)
 
 
