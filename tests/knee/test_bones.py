@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from tests.made_knees import made_grid, made_labels, made_volume
 
-from marey.errors import SettingProblem
+from marey.errors import MareyError, SettingProblem
 from marey.geometry import rotations
 from marey.knee.bones import segment_bones
 from marey.knee.marrow import Knee, prepare
@@ -28,8 +28,18 @@ def test_an_image_of_the_femur_only_has_no_tibia():
     assert not found.labels.mask("tibia").any()
     femur, truth = found.labels.mask("femur"), template.mask("femur")[box]
     assert 2 * (femur & truth).sum() / (femur.sum() + truth.sum()) > 0.95
-    assert found.template_fit is None
-    assert any("template is left out" in note for note in found.notes)
+    assert found.template_fit is not None
+    assert list(found.template_fit.placements) == ["femur", "patella"]
+
+
+def test_a_seed_finds_the_only_long_bone_without_a_template():
+    grid = made_grid(SPACING)
+    box = (slice(None, 26), slice(None), slice(None))
+    volume = cut(made_volume(grid, "dark"), box)
+    with pytest.raises(MareyError, match="shows one of the two only, --template, or a --seed in that one"):
+        segment_bones([volume])
+    found = segment_bones([volume], seeds_mm={"tibia": np.array([0.0, 2.0, -20.0])})
+    assert list(found.bones) == ["tibia"]
 
 
 @pytest.mark.parametrize(

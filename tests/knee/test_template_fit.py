@@ -3,8 +3,9 @@ import pytest
 
 from marey.errors import MareyError
 from marey.geometry import rotations
+from marey.knee.resampling import resampled, upright_grid
 from marey.knee.structures import LABELS
-from marey.knee.template_fit import Placement, template_bones
+from marey.knee.template_fit import Placement, place_template, template_bones
 from marey.knee.volume import Grid, Labels
 
 
@@ -37,6 +38,20 @@ def test_points_of_a_template_lie_on_its_bones_and_not_where_its_labels_end():
     np.testing.assert_allclose(np.linalg.norm(away, axis=1), 15, atol=1.6)
     assert np.einsum("ni,ni->n", away / 15, femur.normals).min() > 0.8
     assert bones["tibia"].points_mm[:, 2].min() > 2.0
+
+
+def test_a_template_without_a_patella_is_laid_where_one_grew():
+    labels = balls()
+    bones = template_bones(labels)
+    grid = upright_grid(labels.grid, 1.0)
+    grown = {name: resampled(labels.mask(name).astype(np.float32), labels.grid, grid) > 0.5 for name in bones}
+    likeness = {name: mask.astype(np.float32) for name, mask in grown.items()}
+    fit = place_template(bones, grown | {"patella": grown["femur"]}, likeness, grid)
+    assert list(fit.placements) == ["femur", "tibia"]
+    assert fit.fit > 0.8
+    moved = fit.placements["femur"].image_from_template(bones["femur"].points_mm)
+    # Half a voxel of the labels, and half a one of the grid at work.
+    assert abs(np.linalg.norm(moved - [-29.0, 29.0, 58.0], axis=1) - 15).mean() < 1
 
 
 def test_a_template_without_a_tibia_cannot_be_laid():

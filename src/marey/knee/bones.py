@@ -10,18 +10,21 @@ from marey.arrays import Floats, Integers, Mask
 from marey.errors import MareyError, SettingProblem
 from marey.knee.bias_field import bias_field
 from marey.knee.bone_edges import Piece, marrow_odds, refined, soft_tissue_odds
-from marey.knee.marrow import WORK_MM, Kind, Knee, air_level, prepare
+from marey.knee.marrow import WORK_MM, Kind, Knee, NoPairFound, air_level, prepare
 from marey.knee.one_bone import in_line, thick_end
+from marey.knee.partial_view import LONG_BONES, SeenBone, in_view, partial_view, seen_bones
 from marey.knee.region_growing import grow, marrow_level, outgrowth, seed_ball, signed_distance
 from marey.knee.resampling import onward, part_of, resampled, smoothed
-from marey.knee.seeds import find_seeds, patella_seeds, seed_voxel
+from marey.knee.seeds import find_seeds, kind_at, patella_seeds, seed_voxel
 from marey.knee.structures import BONES, LABELS
 from marey.knee.template_fit import (
     TemplateBone,
     TemplateFit,
     joint_centre,
+    place_alone,
     place_template,
     positions_of,
+    shaft_distance,
     template_bones,
     template_distance,
 )
@@ -30,12 +33,20 @@ from marey.knee.volume import Grid, Labels, Volume
 Report = Callable[[str, float], None]
 """Told the name of a step and the share of the work that is done."""
 _ASTRAY_MM, _SURE_MM = 4.0, 2.0
+_ROUGH_MM = 6.0
+"""How far the edge of a long bone alone may lie from where the template was laid as a whole."""
 _PRIOR_FROM_MM, _PRIOR_NATS = 2.0, 4.0
 _BOX_MM = 8.0
 _PATELLA_CM3 = (4.0, 45.0)
-_LONG_BONES = ("femur", "tibia")
 _OUTGROWTH_CM3 = 1.0
 _LEAST_MARROW = 0.5
+_TOO_LARGE = 1.4
+"""How much larger than the template's a bone is that must have leaked."""
+_IN_PART = {
+    False: "Where it shows one of the two only, --template, or a --seed in that one, may find it.",
+    True: "Neither does the template's femur or tibia alone fit anywhere in it.",
+}
+"""What to say of an image that may show one long bone only, by whether there is a template."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -74,6 +85,9 @@ class _Look:
     knees: tuple[Knee, ...]
     kinds: tuple[Kind, ...]
     seeds: dict[str, Integers]
+    template: Mapping[str, TemplateBone] = field(default_factory=dict)
+    laid: dict[str, SeenBone] = field(default_factory=dict)
+    """Where the template's long bones lie about, when not both are in view."""
     grown: dict[str, Mask] = field(default_factory=dict)
 
     @property
@@ -82,7 +96,7 @@ class _Look:
 
     def long_bones(self) -> Mask:
         """(k, j, i) femur and tibia as they grew."""
-        return np.asarray(np.logical_or.reduce([self.grown[name] for name in _LONG_BONES if name in self.grown]))
+        return np.asarray(np.logical_or.reduce([self.grown[name] for name in LONG_BONES if name in self.grown]))
 
     def likeness(self, voxel: Integers, radius_mm: float = 8.0) -> np.ndarray:
         """(k, j, i) least likeness, over the images, to the marrow about a seed; NaN outside one of them."""
@@ -118,19 +132,20 @@ def segment_bones(
     """
     given = dict(seeds_mm or {})
     report("bias and body", 0.0)
-    look = _looked(tuple(volumes), given)
+    look = _looked(tuple(volumes), given, {} if template is None else template_bones(template))
     report("growing", 0.15)
     missing = _grow_long_bones(look, given)
     report("template" if template is not None else "patella", 0.3)
     _grow_patella(look, None, given)
-    fit, limits = _limits(look, template)
+    fit, limits = _limits(look)
     notes = [] if fit is None else [_fit_note(fit)]
     if template is not None and fit is None:
         notes.append(
-            "The template is left out: it is laid into the image by femur and tibia together. Without it a bone may"
+            "The template is left out: its bone does not lie well on the only long bone in view. Without it a bone may"
             " reach far into what surrounds it: look at the surface."
         )
-    if "patella" not in look.grown and "patella" in limits:
+    if "patella" in limits and _patella_leaks(look, limits["patella"], fit):
+        look.grown.pop("patella", None)
         _grow_patella(look, limits["patella"], given)
     else:
         # A patella that grew without a leak needs no limit, and a template's seldom has its shape.
@@ -159,7 +174,7 @@ def segment_bones(
     )
 
 
-def _looked(volumes: tuple[Volume, ...], given: Mapping[str, Floats]) -> _Look:
+def _looked(volumes: tuple[Volume, ...], given: Mapping[str, Floats], bones: Mapping[str, TemplateBone]) -> _Look:
     if not 1 <= len(volumes) <= 2:
         raise SettingProblem(f"One volume or two of the same knee are wanted, not {len(volumes)}.")
     first = prepare(volumes[0])
@@ -168,31 +183,59 @@ def _looked(volumes: tuple[Volume, ...], given: Mapping[str, Floats]) -> _Look:
         shared = (knee.body & first.body).sum() / max(1, min(knee.body.sum(), first.body.sum()))
         if shared < 0.8:
             raise MareyError("The two volumes do not show one knee in one place: their bodies lie apart.")
-    seeds = [find_seeds(knee, given if index == 0 else {}) for index, knee in enumerate(knees)]
-    places = {"femur": seeds[0].femur, "tibia": seeds[0].tibia}
-    return _Look(volumes=volumes, knees=knees, kinds=tuple(each.kind for each in seeds), seeds=places)
+    laid: dict[str, SeenBone] = {}
+    try:
+        found = find_seeds(first, given)
+        kind, seeds = found.kind, {"femur": found.femur, "tibia": found.tibia}
+    except NoPairFound as problem:
+        view = partial_view(first, bones, given)
+        if view is None:
+            raise NoPairFound(f"{problem} {_IN_PART[bool(bones)]}") from problem
+        kind, seeds, laid = view.kind, view.seeds, view.laid
+    kinds = (kind, *[_kind_of(knee, seeds) for knee in knees[1:]])
+    return _Look(volumes=volumes, knees=knees, kinds=kinds, seeds=seeds, template=bones, laid=laid)
+
+
+def _kind_of(knee: Knee, seeds: Mapping[str, Integers]) -> Kind:
+    """Tell a further image's kind of marrow by its own femur and tibia, or else at the first one's."""
+    try:
+        return find_seeds(knee, {}).kind
+    except NoPairFound:
+        return kind_at(knee, list(seeds.values()))
 
 
 def _grow_long_bones(look: _Look, given: Mapping[str, Floats]) -> dict[str, str]:
     """Grow femur and tibia; give which of them is not in view, with the reason."""
+    if len(look.seeds) == 1:
+        (name,) = look.seeds
+        return _keep_alone(look, name, _grown_from(look, name, None, given))
     whole = _one_bone(look)
     if whole is not None:
-        return _grow_alone(look, whole, given)
+        look.laid.update(
+            in_view(seen_bones(look.knees[0], look.template, kinds=look.kinds[:1]), look.template, look.grid)
+        )
+        if len(look.laid) < 2:
+            return _grow_alone(look, whole, given)
+        look.seeds.update({name: each.seed for name, each in look.laid.items() if name not in given})
     if look.seeds["femur"][0] <= look.seeds["tibia"][0] and {"femur", "tibia"} & set(given):
-        typed = " and of the ".join(name for name in _LONG_BONES if name in given)
+        typed = " and of the ".join(name for name in LONG_BONES if name in given)
         raise SettingProblem(
             f"By the seed of the {typed} the femur would lie below the tibia: are they the right ones?"
         )
     for name, other in (("femur", "tibia"), ("tibia", "femur")):
         keep_out = look.grown.get(other, seed_ball(look.knees[0], look.seeds[other]))
-        grown = grow(look.likeness(look.seeds[name]), look.seeds[name], keep_out=keep_out)
-        if not grown.any():
-            raise MareyError(
-                f"Nothing grows from the seed of the {name} at LPS {_said(look, name)} mm, which was"
-                f" {'given' if name in given else 'found'}: give another with --seed {name} X Y Z."
-            )
-        look.grown[name] = grown
+        look.grown[name] = _grown_from(look, name, keep_out, given)
     return {}
+
+
+def _grown_from(look: _Look, name: str, keep_out: Mask | None, given: Mapping[str, Floats]) -> Mask:
+    grown = grow(look.likeness(look.seeds[name]), look.seeds[name], keep_out=keep_out)
+    if not grown.any():
+        raise MareyError(
+            f"Nothing grows from the seed of the {name} at LPS {_said(look, name)} mm, which was"
+            f" {'given' if name in given else 'found'}: give another with --seed {name} X Y Z."
+        )
+    return grown
 
 
 def _one_bone(look: _Look) -> Mask | None:
@@ -206,8 +249,8 @@ def _one_bone(look: _Look) -> Mask | None:
 
 
 def _grow_alone(look: _Look, whole: Mask, given: Mapping[str, Floats]) -> dict[str, str]:
-    """Take the bone in which both seeds lie for the one that its shape tells."""
-    name = thick_end(whole)
+    """Take the bone in which both seeds lie for the one that the template, or its shape, tells."""
+    name = next(iter(look.laid), None) or thick_end(whole)
     for typed, other in (("femur", "tibia"), ("tibia", "femur")):
         if typed in given and name != typed:
             seems = f"it seems to be the {name}" if name else "femur or tibia, its shape does not tell"
@@ -217,9 +260,17 @@ def _grow_alone(look: _Look, whole: Mask, given: Mapping[str, Floats]) -> dict[s
             )
     if name is None:
         raise MareyError("One long bone only is found, and its shape does not tell whether it is a femur or a tibia.")
+    return _keep_alone(look, name, whole)
+
+
+def _keep_alone(look: _Look, name: str, grown: Mask) -> dict[str, str]:
+    """Keep the only long bone in view, as far as the template lets it reach; give that the other is missing."""
+    if name in look.laid:
+        limit = shaft_distance(look.template[name], look.laid[name].placement, look.grid)
+        grown = grown & ~(limit < -_ROUGH_MM)
+    look.grown[name] = grown
     other = "tibia" if name == "femur" else "femur"
-    look.grown[name] = whole
-    del look.seeds[other]
+    look.seeds.pop(other, None)
     return {other: f"No {other} was found: of the long bones, the image shows the {name} only."}
 
 
@@ -227,24 +278,39 @@ def _said(look: _Look, name: str) -> str:
     return " ".join(f"{each:.0f}" for each in look.grid.lps(look.seeds[name][::-1].astype(float)))
 
 
-def _limits(look: _Look, template: Labels | None) -> tuple[TemplateFit | None, dict[str, np.ndarray]]:
+def _limits(look: _Look) -> tuple[TemplateFit | None, dict[str, np.ndarray]]:
     """Lay the template into the image; give (k, j, i) the signed distance of each of its bones."""
-    if template is None or not all(name in look.grown for name in _LONG_BONES):
+    bones, long = look.template, [name for name in LONG_BONES if name in look.grown]
+    if not bones or (len(long) == 1 and long[0] not in look.laid):
         return None, {}
-    bones = template_bones(template)
-    likeness = {name: look.likeness(look.seeds[name]) * look.grown[name] for name in _LONG_BONES}
-    if "patella" in look.grown:
-        likeness["patella"] = look.likeness(look.seeds["femur"]) * look.grown["patella"]
-    elif "patella" in bones:
-        likeness["patella"] = look.likeness(look.seeds["femur"]) * ~look.long_bones()
-    fit = place_template(bones, look.grown, likeness, look.grid)
-    return fit, {name: _limit(bone, fit, name, likeness, look.grid) for name, bone in bones.items()}
+    likeness = {name: look.likeness(look.seeds[name]) * look.grown[name] for name in long}
+    if "patella" in bones:
+        patella = look.grown.get("patella", ~look.long_bones())
+        likeness["patella"] = look.likeness(look.seeds[long[0]]) * patella
+    if len(long) == 2:
+        fit = place_template(bones, look.grown, likeness, look.grid)
+    else:
+        seen = look.laid[long[0]]
+        start = TemplateFit(
+            placements=dict.fromkeys(likeness, seen.placement), mirrored=seen.mirrored, fit=seen.contrast
+        )
+        fit = place_alone(long[0], bones, start, likeness, look.grid)
+    limits = {
+        name: template_distance(bones[name], fit.placements[name], likeness[name], look.grid) for name in likeness
+    }
+    if len(long) == 1:
+        # Nothing else keeps a bone alone from leaking beyond the template's end: there its shaft goes straight on.
+        shaft = np.minimum(shaft_distance(bones[long[0]], fit.placements[long[0]], look.grid), 0)
+        limits[long[0]] = np.where(np.isnan(limits[long[0]]), shaft, limits[long[0]])
+    return fit, limits
 
 
-def _limit(
-    bone: TemplateBone, fit: TemplateFit, name: str, likeness: Mapping[str, np.ndarray], grid: Grid
-) -> np.ndarray:
-    return template_distance(bone, fit.placements[name], likeness[name], grid)
+def _patella_leaks(look: _Look, limit: np.ndarray, fit: TemplateFit | None) -> bool:
+    """Tell whether no patella grew, or, about one long bone alone, one far larger than the template's."""
+    if "patella" not in look.grown:
+        return True
+    alone = fit is not None and not all(name in fit.placements for name in LONG_BONES)
+    return alone and int(look.grown["patella"].sum()) > _TOO_LARGE * int((limit > 0).sum())
 
 
 def _fit_note(fit: TemplateFit) -> str:
@@ -262,7 +328,7 @@ def _marrow_share(look: _Look, name: str, bone: Bone) -> float:
 
 def _outgrowth_note(name: str, bone: Bone, grid: Grid) -> list[str]:
     """Say where a femur or tibia has a part that none has: it may have leaked there."""
-    if name not in _LONG_BONES:
+    if name not in LONG_BONES:
         return []
     part = outgrowth(resampled(bone.distance_mm, bone.grid, grid, outside=-50.0) > 0)
     pieces, count = ndimage.label(part)
@@ -285,7 +351,7 @@ def _grow_patella(look: _Look, limit: np.ndarray | None, given: Mapping[str, Flo
         places = [seed_voxel(look.knees[0], "patella", given["patella"])]
         likeness = look.likeness(places[0], 4.0)
     else:
-        pair = [name for name in _LONG_BONES if name in look.grown]
+        pair = [name for name in LONG_BONES if name in look.grown]
         joint = joint_centre({name: positions_of(look.grown[name], look.grid) for name in pair})
         likeness = look.likeness(look.seeds[pair[0]])
         places = patella_seeds(look.knees[0], likeness, taken, joint)
@@ -306,7 +372,7 @@ def _bone(look: _Look, name: str, limit: np.ndarray | None) -> tuple[Bone, tuple
         coarse = coarse if other == name else coarse & ~mask
     if limit is not None:
         coarse = (coarse & ~(limit < -_ASTRAY_MM)) | ((limit > _SURE_MM) & look.knees[0].body)
-    elif name in _LONG_BONES:
+    elif name in LONG_BONES:
         coarse = coarse & ~outgrowth(coarse)
     own = look.volumes[0].grid
     coarse = onward(coarse, look.knees[0].within)
@@ -318,7 +384,7 @@ def _bone(look: _Look, name: str, limit: np.ndarray | None) -> tuple[Bone, tuple
     if limit is not None:
         known = resampled(np.nan_to_num(limit, nan=0.0), look.grid, grid, outside=0.0)
         prior = np.clip(known + _PRIOR_FROM_MM, -_PRIOR_NATS, 0)
-    field_mm = _edge(look, distance[box], prior, grid, small=name not in _LONG_BONES)
+    field_mm = _edge(look, distance[box], prior, grid, small=name not in LONG_BONES)
     seed = look.grid.lps(look.seeds[name][::-1].astype(float))
     return Bone(distance_mm=field_mm, grid=grid, seed_mm=seed), box
 

@@ -28,6 +28,10 @@ _FROM_SKIN, _AIR_VOXELS = 3, 1000
 Kind = Literal["dark", "bright"]
 
 
+class NoPairFound(MareyError):
+    """An image shows no femur above a tibia: no knee, an unknown sequence, or one of the two only."""
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Knee:
     """An image at work: corrected, smoothed, on an upright grid of 1 mm, with the body in it."""
@@ -93,7 +97,7 @@ def marrow_of(knee: Knee) -> Marrow:
         knee: The prepared image.
 
     Raises:
-        MareyError: Neither kind shows a femur above a tibia.
+        NoPairFound: Neither kind shows a femur above a tibia.
     """
     pairs = {kind: _best_pair(_thick_blobs(knee, kind)) for kind in ("dark", "bright")}
     found: list[tuple[float, Kind, tuple[Blob, Blob]]] = []
@@ -101,7 +105,7 @@ def marrow_of(knee: Knee) -> Marrow:
         if pair is not None:
             found.append((pair[0].radius_mm + pair[1].radius_mm, kind, pair))  # type: ignore[arg-type]
     if not found:
-        raise MareyError(
+        raise NoPairFound(
             "No femur above a tibia is found: the image shows no knee, or it is of an unknown sequence."
             " Marrow must be clearly darker (fat suppressed) or brighter than muscle; --seed may help."
         )

@@ -38,11 +38,11 @@ def find_seeds(knee: Knee, given_mm: Mapping[str, Floats]) -> Seeds:
 
     Raises:
         SettingProblem: A given seed lies outside the image, in the air or not in marrow.
-        MareyError: A seed that is not given cannot be found.
+        NoPairFound: A seed that is not given cannot be found.
     """
     given = {bone: seed_voxel(knee, bone, place) for bone, place in given_mm.items()}
     if "femur" in given and "tibia" in given:
-        kind = _kind_at(knee, [given["femur"], given["tibia"]])
+        kind = kind_at(knee, [given["femur"], given["tibia"]])
         seeds = Seeds(kind=kind, femur=given["femur"], tibia=given["tibia"])
     else:
         marrow = marrow_of(knee)
@@ -51,14 +51,24 @@ def find_seeds(knee: Knee, given_mm: Mapping[str, Floats]) -> Seeds:
             femur=given.get("femur", marrow.femur.voxel),
             tibia=given.get("tibia", marrow.tibia.voxel),
         )
-    likely = candidates(knee, seeds.kind)
-    for bone, voxel in given.items():
+    check_in_marrow(knee, seeds.kind, given)
+    return seeds
+
+
+def check_in_marrow(knee: Knee, kind: Kind, seeds: Mapping[str, Integers]) -> None:
+    """Make sure that seeds, bone to voxel (3,) k, j, i, lie in what may be marrow.
+
+    Raises:
+        SettingProblem: One does not.
+    """
+    likely = candidates(knee, kind)
+    for bone, voxel in seeds.items():
         if likely[seed_ball(knee, voxel, 4.0)].mean() < _MARROW_SHARE:
+            place = knee.grid.lps(voxel[::-1].astype(float))
             raise SettingProblem(
-                f"The seed of the {bone} at LPS {_said(given_mm[bone])} mm lies in no {seeds.kind} marrow:"
+                f"The seed of the {bone} at LPS {_said(place)} mm lies in no {kind} marrow:"
                 " choose a place within the bone, away from its edge."
             )
-    return seeds
 
 
 def seed_voxel(knee: Knee, bone: str, place_mm: Floats) -> Integers:
@@ -99,7 +109,12 @@ def patella_seeds(knee: Knee, likeness: np.ndarray, taken: Mask, joint_mm: Float
     return list(voxels[near][order][:8])
 
 
-def _kind_at(knee: Knee, voxels: list[Integers]) -> Kind:
+def kind_at(knee: Knee, voxels: list[Integers]) -> Kind:
+    """Tell the kind of marrow by how bright it is about voxels (3,) k, j, i within it.
+
+    Raises:
+        MareyError: No body is in the image.
+    """
     level = float(np.median([np.median(knee.intensity[seed_ball(knee, voxel, 4.0)]) for voxel in voxels]))
     values = knee.intensity[knee.body & (knee.depth_mm > 4)]
     if not values.size:

@@ -26,7 +26,8 @@ _AFFINE_SD = 0.08
 _SHIFT_SD_MM = 8.0
 _OUTWARD_MM = (0.0, 1.0, 2.0, 3.0)
 _CARRY_MM = 8.0
-_LEAST_FIT = 0.35
+LEAST_FIT = 0.35
+"""Less of its edges on edges of bone, and a template does not fit."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -118,6 +119,19 @@ def _template_bone(name: str, mask: Mask, source: Grid, grid: Grid) -> TemplateB
     )
 
 
+def check_fit(value: float) -> None:
+    """Make sure that enough of a template's edges, 0 to 1, lie on edges of bone.
+
+    Raises:
+        MareyError: The template fits nowhere.
+    """
+    if value < LEAST_FIT:
+        raise MareyError(
+            f"The template does not fit this image: only {100 * max(value, 0):.0f} % of its edges lie on edges of bone."
+            " Give a template of a knee, femur and tibia alike in both, or leave --template out."
+        )
+
+
 def place_template(
     bones: Mapping[str, TemplateBone], grown: Mapping[str, Mask], likeness: Mapping[str, np.ndarray], grid: Grid
 ) -> TemplateFit:
@@ -139,15 +153,37 @@ def place_template(
     fits = [_placed_whole(bones, likeness, grid, wanted, mirrored=mirrored) for mirrored in (False, True)]
     best = max(fits, key=lambda each: each.fit)
     placements = {name: _placed_bone(bone, best.placements[name], likeness[name], grid) for name, bone in bones.items()}
+    both = [name for name in grown if name in bones]
     value = float(
-        np.mean([_contrast(bones[name], placements[name], likeness[name], grid, 2.0).mean() for name in grown])
+        np.mean([_contrast(bones[name], placements[name], likeness[name], grid, 2.0).mean() for name in both])
     )
-    if value < _LEAST_FIT:
-        raise MareyError(
-            f"The template does not fit this image: only {100 * max(value, 0):.0f} % of its edges lie on edges of bone."
-            " Give a template of a knee, femur and tibia alike in both, or leave --template out."
-        )
+    check_fit(value)
     return replace(best, placements=placements, fit=value)
+
+
+def place_alone(
+    name: str, bones: Mapping[str, TemplateBone], start: TemplateFit, likeness: Mapping[str, np.ndarray], grid: Grid
+) -> TemplateFit:
+    """Lay a template of which one long bone only is in view, from where that one lies about.
+
+    Args:
+        name: The long bone in view.
+        bones: The template's.
+        start: Where each bone of `likeness` lies about.
+        likeness: Of each bone that is or may be in view, as for `place_template`.
+        grid: Its own.
+
+    Raises:
+        MareyError: The template fits nowhere.
+    """
+    placements = {}
+    for bone, values in likeness.items():
+        # What lies beyond the image's end must not draw a bone into it, as it would if it counted as no edge.
+        usual = known_contrast(bones[bone], start.placements[bone], values, grid, 5.0)
+        placements[bone] = _placed_bone(bones[bone], start.placements[bone], values, grid, beyond=max(usual, 0.0))
+    value = known_contrast(bones[name], placements[name], likeness[name], grid, 2.0)
+    check_fit(value)
+    return replace(start, placements=placements, fit=value)
 
 
 def template_distance(bone: TemplateBone, placement: Placement, likeness: np.ndarray, grid: Grid) -> np.ndarray:
@@ -168,7 +204,13 @@ def template_distance(bone: TemplateBone, placement: Placement, likeness: np.nda
     return field.astype(np.float32)
 
 
-def _placed_distance(bone: TemplateBone, placement: Placement, positions: Floats) -> Floats:
+def shaft_distance(bone: TemplateBone, placement: Placement, grid: Grid) -> np.ndarray:
+    """(k, j, i) signed distance [mm] to a bone's edge as the template was laid; its shaft goes on beyond its end."""
+    indices = np.stack(np.meshgrid(*[np.arange(n) for n in grid.shape], indexing="ij"), axis=-1)
+    return _placed_distance(bone, placement, grid.lps(indices[..., ::-1].astype(np.float64)), onward=True)
+
+
+def _placed_distance(bone: TemplateBone, placement: Placement, positions: Floats, *, onward: bool = False) -> Floats:
     """(k, j, i) the placed template's signed distance; beside its image a little more than at the image's side."""
     voxels = bone.grid.voxels(placement.template_from_image(positions))
     ends = np.array(bone.grid.shape[::-1]) - 1.0
@@ -176,7 +218,8 @@ def _placed_distance(bone: TemplateBone, placement: Placement, positions: Floats
     scale = abs(float(np.linalg.det(placement.matrix))) ** (1 / 3)
     beside = np.linalg.norm((voxels - within)[..., :2], axis=-1) * WORK_MM
     field = (read_at(bone.distance_mm, bone.grid, bone.grid.lps(within)) - beside) * scale
-    field[(voxels[..., 2] < 0) | (voxels[..., 2] > ends[2])] = np.nan
+    if not onward:
+        field[(voxels[..., 2] < 0) | (voxels[..., 2] > ends[2])] = np.nan
     return field
 
 
@@ -207,17 +250,34 @@ def joint_centre(positions: Mapping[str, Floats]) -> Floats:
     return np.array([*near[:, :2].mean(axis=0), height])
 
 
-def _contrast(bone: TemplateBone, placement: Placement, likeness: np.ndarray, grid: Grid, depth_mm: float) -> Floats:
-    """(N,) likeness a little inside a point less the least at and just outside it; 0 beyond the image."""
+def edge_contrast(
+    bone: TemplateBone, placement: Placement, likeness: np.ndarray, grid: Grid, depth_mm: float
+) -> Floats:
+    """(N,) likeness a little inside a point less the least at and just outside it; NaN beyond the image."""
     points, normals = placement.image_from_template(bone.points_mm), placement.turned(bone.normals)
     inside = read_at(likeness, grid, points - depth_mm * normals, outside=np.nan)
     reach = np.array(_OUTWARD_MM) * depth_mm / 2
     outside = np.min([read_at(likeness, grid, points + step * normals, outside=np.nan) for step in reach], axis=0)
-    return np.nan_to_num(inside - outside, nan=0.0)
+    return np.asarray(inside - outside)
 
 
-def _moved(placement: Placement, change: Floats, centre: Floats) -> Placement:
-    """Turn, shift and scale a placement about a point of the image."""
+def known_contrast(
+    bone: TemplateBone, placement: Placement, likeness: np.ndarray, grid: Grid, depth_mm: float
+) -> float:
+    """Give the mean contrast over what of an edge lies in the image; 0 where nothing does."""
+    contrast = edge_contrast(bone, placement, likeness, grid, depth_mm)
+    return float(np.nanmean(contrast)) if np.isfinite(contrast).any() else 0.0
+
+
+def _contrast(
+    bone: TemplateBone, placement: Placement, likeness: np.ndarray, grid: Grid, depth_mm: float, beyond: float = 0.0
+) -> Floats:
+    """(N,) the same, with what stands for it beyond the image."""
+    return np.nan_to_num(edge_contrast(bone, placement, likeness, grid, depth_mm), nan=beyond)
+
+
+def moved(placement: Placement, change: Floats, centre: Floats) -> Placement:
+    """Turn, shift and scale a placement about a point (3,) of the image, by (7,): rad, cm, logarithm of size."""
     matrix = np.exp(change[6]) * rotations.exp(change[:3])
     return Placement(
         matrix=matrix @ placement.matrix, shift=matrix @ (placement.shift - centre) + centre + 10 * change[3:6]
@@ -237,11 +297,11 @@ def _placed_whole(
             start = placement
 
             def residuals(change: Floats, start: Placement = start, depth: float = depth) -> Floats:
-                moved = _moved(start, change, wanted)
-                parts = [1 - _contrast(bones[name], moved, likeness[name], grid, depth) for name in pair]
+                laid = moved(start, change, wanted)
+                parts = [1 - _contrast(bones[name], laid, likeness[name], grid, depth) for name in pair]
                 return np.concatenate([*parts, change * 5])
 
-            placement = _moved(start, least_squares(residuals, np.zeros(7), diff_step=1e-2, max_nfev=12).x, wanted)
+            placement = moved(start, least_squares(residuals, np.zeros(7), diff_step=1e-2, max_nfev=12).x, wanted)
         value = float(np.mean([_contrast(bones[name], placement, likeness[name], grid, 3.0).mean() for name in pair]))
         if best is None or value > best[0]:
             best = value, placement
@@ -249,12 +309,14 @@ def _placed_whole(
     return TemplateFit(placements=dict.fromkeys(bones, best[1]), mirrored=mirrored, fit=best[0])
 
 
-def _placed_bone(bone: TemplateBone, start: Placement, likeness: np.ndarray, grid: Grid) -> Placement:
+def _placed_bone(
+    bone: TemplateBone, start: Placement, likeness: np.ndarray, grid: Grid, beyond: float = 0.0
+) -> Placement:
     """Let a bone turn, shift and stretch for itself."""
     centre = start.image_from_template(bone.points_mm.mean(axis=0))
     size = float(np.sqrt(np.mean((bone.points_mm - bone.points_mm.mean(axis=0)) ** 2)))
 
-    def moved(change: Floats) -> Placement:
+    def stretched(change: Floats) -> Placement:
         matrix = np.eye(3) + _AFFINE_SD * change[3:].reshape(3, 3)
         shift = matrix @ (start.shift - centre) + centre + _SHIFT_SD_MM * change[:3]
         return Placement(matrix=matrix @ start.matrix, shift=shift)
@@ -263,13 +325,13 @@ def _placed_bone(bone: TemplateBone, start: Placement, likeness: np.ndarray, gri
     for depth in (5.0, 3.0, 2.0):
         change = least_squares(
             lambda values, depth=depth: np.concatenate(
-                [1 - _contrast(bone, moved(values), likeness, grid, depth), 2 * values]
+                [1 - _contrast(bone, stretched(values), likeness, grid, depth, beyond), 2 * values]
             ),
             change,
             diff_step=2e-2 * min(1.0, 30 / size),
             max_nfev=15,
         ).x
-    return moved(change)
+    return stretched(change)
 
 
 def _asked_offsets(points: Floats, normals: Floats, likeness: np.ndarray, grid: Grid) -> tuple[Floats, Floats]:
