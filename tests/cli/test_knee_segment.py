@@ -182,3 +182,15 @@ def test_an_interrupted_run_leaves_nothing_behind(tmp_path, monkeypatch):
     monkeypatch.setattr("marey.cli.knee_segment.segment_bones", interrupt)
     assert run(["knee", "segment", str(tmp_path / "knee.nii.gz"), "-q"]) == 130
     assert [file.name for file in tmp_path.iterdir()] == ["knee.nii.gz"]
+
+
+def test_a_problem_with_the_template_names_its_folder(tmp_path, capsys):
+    grid = made_grid((4.0, 4.0, 5.0))
+    write_volume(tmp_path / "knee.nii.gz", made_volume(grid, "dark"))
+    labels = made_labels(grid).labels.copy()
+    labels[labels == LABELS["tibia"]] = 0
+    write_labels(tmp_path / "template", Labels(labels=labels, grid=grid))
+    typed = ["knee", "segment", str(tmp_path / "knee.nii.gz"), "--template", str(tmp_path / "template"), "-q"]
+    assert run(typed) == 2
+    assert f"{tmp_path / 'template'}: has no tibia" in capsys.readouterr().err
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["knee.nii.gz", "template"]

@@ -49,13 +49,13 @@ def test_volumes_keep_values_and_place_in_every_format(tmp_path, rng, ending, fl
 
 
 def write_series(
-    folder: Path, numbers: list[int], *, uid: str = "1.2.3", modality: str = "MR", echo: str = "1"
+    folder: Path, numbers: list[int], *, uid: str = "1.2.3", modality: str = "MR", echo: str = "1", rows: int = 6
 ) -> None:
     """Slices of a made series, 2 mm apart, named against their order."""
     folder.mkdir(exist_ok=True)
     spoken = locale.setlocale(locale.LC_ALL)
     for number in numbers:
-        image = sitk.GetImageFromArray(np.full((6, 7), 10 * number, dtype=np.int16))
+        image = sitk.GetImageFromArray(np.full((rows, 7), 10 * number, dtype=np.int16))
         image.SetSpacing((0.5, 0.6))
         tags = {
             "0008|0060": modality, "0020|000e": uid, "0020|000d": "1.2", "0008|0016": "1.2.840.10008.5.1.4.1.1.4",
@@ -89,15 +89,48 @@ def test_a_series_with_a_missing_slice_says_between_which(tmp_path):
 def test_several_series_in_a_folder_are_an_error(tmp_path):
     write_series(tmp_path / "series", list(range(5)))
     write_series(tmp_path / "series", list(range(5)), uid="1.2.4")
-    with pytest.raises(FileProblem, match="2 DICOM series"):
+    with pytest.raises(FileProblem, match=r"2 DICOM series: without a name \(\d files, .*dcm the first\); without"):
         read_volume(tmp_path / "series")
 
 
 def test_two_echoes_in_one_series_are_an_error(tmp_path):
     write_series(tmp_path / "series", list(range(5)))
     write_series(tmp_path / "series", list(range(5)), echo="2")
-    with pytest.raises(FileProblem, match="several images of one slice"):
+    with pytest.raises(FileProblem, match=r"several images of one slice, \S+dcm and \S+dcm for one"):
         read_volume(tmp_path / "series")
+
+
+def test_a_slice_of_another_size_is_named(tmp_path):
+    write_series(tmp_path / "series", [0, 1, 3, 4])
+    write_series(tmp_path / "series", [2], rows=8)
+    with pytest.raises(FileProblem, match=r"several sizes: 1\.2\.3_1_97\.dcm of 7 x 8, most of 7 x 6"):
+        read_volume(tmp_path / "series")
+
+
+def test_a_slice_that_cannot_be_read_is_named_with_the_gap_it_leaves(tmp_path):
+    write_series(tmp_path / "series", [0, 1, 2, 3, 4])
+    (tmp_path / "series" / "1.2.3_1_97.dcm").write_bytes(b"cut off")
+    with pytest.raises(FileProblem, match=r"lacks slices: .* 1\.2\.3_1_97\.dcm there cannot be read"):
+        read_volume(tmp_path / "series")
+
+
+def test_an_empty_file_and_one_that_was_cut_off_are_named(tmp_path, rng):
+    (tmp_path / "empty.nii.gz").touch()
+    with pytest.raises(FileProblem, match="is empty"):
+        read_volume(tmp_path / "empty.nii.gz")
+    grid = Grid(shape=(20, 40, 40), lps_from_voxel=np.eye(4))
+    write_volume(tmp_path / "cut.nii.gz", Volume(intensity=rng.uniform(0, 400, grid.shape), grid=grid))
+    content = (tmp_path / "cut.nii.gz").read_bytes()
+    (tmp_path / "cut.nii.gz").write_bytes(content[: len(content) // 2])
+    with pytest.raises(FileProblem, match=r"cut off or damaged|cannot be read"):
+        read_volume(tmp_path / "cut.nii.gz")
+
+
+def test_an_image_in_the_place_of_labels_is_told(tmp_path, rng):
+    write_volume(tmp_path / "labels.nii.gz", Volume(intensity=rng.uniform(0, 9, (9, 9, 9)), grid=volume(rng).grid))
+    (tmp_path / "names.json").write_text('{"1": "femur"}', encoding="utf-8")
+    with pytest.raises(FileProblem, match="values without a name: it seems to be an image"):
+        read_template(tmp_path)
 
 
 def test_a_single_slice_is_an_error(tmp_path):
@@ -131,7 +164,7 @@ def test_unknown_missing_and_damaged_files_are_named(tmp_path):
     with pytest.raises(FileProblem, match="is not there"):
         read_volume(tmp_path / "image.nii.gz")
     (tmp_path / "image.nii.gz").write_bytes(b"no NIfTI")
-    with pytest.raises(FileProblem, match="cannot be read"):
+    with pytest.raises(FileProblem, match="not hold what its ending says"):
         read_volume(tmp_path / "image.nii.gz")
     with pytest.raises(FileProblem, match="no DICOM series"):
         read_volume(tmp_path)

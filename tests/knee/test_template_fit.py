@@ -5,7 +5,7 @@ from marey.errors import MareyError
 from marey.geometry import rotations
 from marey.knee.resampling import resampled, upright_grid
 from marey.knee.structures import LABELS
-from marey.knee.template_fit import Placement, place_template, template_bones
+from marey.knee.template_fit import Placement, TemplateProblem, check_size, place_template, template_bones
 from marey.knee.volume import Grid, Labels
 
 
@@ -59,3 +59,9 @@ def test_a_template_without_a_tibia_cannot_be_laid():
     labels[labels == LABELS["tibia"]] = 0
     with pytest.raises(MareyError, match="no tibia"):
         template_bones(Labels(labels=labels, grid=balls().grid))
+
+
+def test_a_template_of_wrong_voxels_is_told():
+    check_size(Placement(matrix=1.3 * np.diag([-1.0, 1, 1]), shift=np.zeros(3)))
+    with pytest.raises(TemplateProblem, match=r"made 2\.00 times as large"):
+        check_size(Placement(matrix=2 * np.eye(3), shift=np.zeros(3)))

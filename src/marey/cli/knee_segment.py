@@ -13,7 +13,7 @@ from marey.cli.knee_markers import earlier_markers, markers_in
 from marey.cli.knee_report import write_page
 from marey.cli.progress import Progress
 from marey.cli.run_record import StageCache, finished_together, write_record
-from marey.errors import SettingProblem
+from marey.errors import FileProblem, SettingProblem
 from marey.io import gadolinium
 from marey.io.gadolinium import MarkersInScanner
 from marey.io.meshes import write_mesh
@@ -24,6 +24,7 @@ from marey.knee.knee_cartilage import KneeCartilage
 from marey.knee.structures import BONES
 from marey.knee.surface import Surface
 from marey.knee.surfacing import surface_of_field
+from marey.knee.template_fit import TemplateProblem
 from marey.knee.volume import Labels, Volume
 
 
@@ -94,6 +95,8 @@ def segment(paths: Sequence[Path], options: SegmentOptions, progress: Progress) 
     except KeyboardInterrupt:
         cache.clear()
         raise
+    except TemplateProblem as problem:
+        raise _of_template(options.template or out, problem) from problem
     for name, surface in found.surfaces.items():
         progress.say(f"{name}: {surface.volume_mm3 / 1000:.1f} cm3, {surface.area_mm2 / 100:.0f} cm2")
     return Segmented(folder=out, missing=found.missing)
@@ -158,6 +161,12 @@ def _segmented(
 ) -> BoneSegmentation:
     with progress.stage_of_steps("Bones") as begin:
         return segment_bones(volumes, template=template, seeds_mm=seeds, report=begin)
+
+
+def _of_template(path: Path, problem: TemplateProblem) -> FileProblem:
+    """Say of which folder a problem with the template is."""
+    wrong, _, remedy = str(problem).removeprefix("The template ").partition(". ")
+    return FileProblem(path, wrong.rstrip("."), remedy)
 
 
 def _surfaces(bones: BoneSegmentation, progress: Progress) -> dict[str, Surface]:

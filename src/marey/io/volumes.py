@@ -4,7 +4,9 @@ import gzip
 import json
 import locale
 import sys
-from collections.abc import Iterator, Mapping
+import zlib
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
@@ -28,6 +30,8 @@ _NAME_FILES = ("labels.json", "names.json")
 _UNEVEN = 0.05
 """Share of a slice distance by which it may differ from the usual one; a missing slice differs by 1."""
 _FEWEST = 4
+_MOST_OTHERS = 200
+"""So many values of other structures a volume of labels may hold, and no more."""
 _GZIP = b"\x1f\x8b"
 _NIFTI_2 = 540
 """Length of its header; 348 in the first version."""
@@ -65,8 +69,7 @@ def _no_numbers_in_nifti(path: Path) -> int:
     """Count the values of a NIfTI file that are no numbers: ITK puts 0 in their place without a word."""
     if path.is_dir() or not path.name.lower().endswith((".nii", ".nii.gz")):
         return 0
-    content = path.read_bytes()
-    content = gzip.decompress(content) if content[:2] == _GZIP else content
+    content = _unpacked(path)
     order = "<" if content[:2] in (b"\x5c\x01", b"\x1c\x02") else ">"
     second = int(np.frombuffer(content, f"{order}i4", 1)[0]) == _NIFTI_2
     kind = int(np.frombuffer(content, f"{order}i2", 1, 12 if second else 70)[0])
@@ -77,6 +80,17 @@ def _no_numbers_in_nifti(path: Path) -> int:
     count = int(np.prod(sizes[1 : 1 + int(sizes[0])], dtype=np.int64))
     values = np.frombuffer(content, f"{order}{_NIFTI_FLOATS[kind]}", count, start)
     return int((~np.isfinite(values)).sum())
+
+
+def _unpacked(path: Path) -> bytes:
+    """Give a file's content; one that was cut off is an error, which ITK fills up with 0 without a word."""
+    content = path.read_bytes()
+    if content[:2] != _GZIP:
+        return content
+    try:
+        return gzip.decompress(content)
+    except (EOFError, OSError, zlib.error) as error:
+        raise FileProblem(path, "is cut off or damaged: it cannot be unpacked to its end", "Copy it again.") from error
 
 
 def read_labels(path: Path | str) -> Labels:
@@ -94,6 +108,10 @@ def read_labels(path: Path | str) -> Labels:
     image = _read_file(path)
     values = simple_itk().GetArrayFromImage(image)
     number_of = _numbers_by_value(_names_beside(path))
+    if (other := len(set(np.unique(values).tolist()) - {0, *number_of})) > _MOST_OTHERS:
+        raise FileProblem(
+            path, f"holds {other} values without a name: it seems to be an image", "Give labels, whole numbers."
+        )
     labels = np.zeros(values.shape, dtype=np.uint8)
     for value, number in number_of.items():
         labels[values == value] = number
@@ -213,11 +231,15 @@ def _read_file(path: Path) -> Any:
         raise FileProblem(path, "is not there")
     if not path.name.lower().endswith(FORMATS):
         raise FileProblem(path, "is of no known format", f"Known are {', '.join(FORMATS)} and folders of DICOM slices.")
+    if not path.stat().st_size:
+        raise FileProblem(path, "is empty", "Copy it again.")
     with _quiet():
         try:
             image = simple_itk().ReadImage(str(path))
         except RuntimeError as error:
-            raise FileProblem(path, f"cannot be read ({_last_line(error)})", "Write it again.") from error
+            if "Unable to determine ImageIO" in str(error):
+                raise FileProblem(path, "does not hold what its ending says", "Copy or write it again.") from error
+            raise FileProblem(path, f"cannot be read ({_last_line(error)})", "Copy or write it again.") from error
     return _checked(path, image)
 
 
@@ -251,6 +273,8 @@ def _check_modality(path: Path, modality: str) -> None:
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _Slice:
     file: str
+    size: tuple[int, ...]
+    """Columns and rows."""
     orientation: Floats
     """(6,) direction of rows, then of columns."""
     position: Floats
@@ -268,14 +292,17 @@ def _read_series(folder: Path) -> Any:
     if not series:
         raise FileProblem(folder, "holds no DICOM series", f"Give a folder of slices, or a file: {', '.join(FORMATS)}.")
     if len(series) > 1:
-        raise FileProblem(folder, f"holds {len(series)} DICOM series", "Put each into a folder of its own.")
+        raise FileProblem(
+            folder, f"holds {len(series)} DICOM series: {_series_said(folder, series)}",
+            "Put each into a folder of its own.",
+        )  # fmt: skip
     with _quiet():
         files = itk.ImageSeriesReader.GetGDCMSeriesFileNames(str(folder), series[0])
         if len(files) == 1 and itk.ReadImage(files[0]).GetDepth() <= 1:
             raise FileProblem(folder, "holds a single DICOM slice", "Give the folder that holds the whole series.")
         if len(files) == 1:
             return _checked(folder, itk.ReadImage(files[0]))
-        slices = _in_order(folder, [_slice(folder, file) for file in files])
+        slices = _in_order(folder, _of_one_size(folder, [_slice(folder, file) for file in files]))
         reader = itk.ImageSeriesReader()
         reader.SetFileNames([each.file for each in slices])
         try:
@@ -295,7 +322,43 @@ def _slice(folder: Path, file: str) -> _Slice:
         raise FileProblem(Path(file), "does not say where its slice lies", "Export the series again.") from error
     if reader.HasMetaDataKey("0008|0060"):
         _check_modality(folder, reader.GetMetaData("0008|0060"))
-    return _Slice(file=file, orientation=np.array(values[:6]), position=np.array(values[6:9]))
+    return _Slice(
+        file=file, size=tuple(reader.GetSize()[:2]), orientation=np.array(values[:6]), position=np.array(values[6:9])
+    )
+
+
+def _series_said(folder: Path, series: Sequence[str]) -> str:
+    """Name series by their descriptions, numbers of slices and first files."""
+    reader, said = simple_itk().ImageFileReader(), []
+    for each in series:
+        with _quiet():
+            files = simple_itk().ImageSeriesReader.GetGDCMSeriesFileNames(str(folder), each)
+            reader.SetFileName(files[0])
+            reader.ReadImageInformation()
+            name = reader.GetMetaData("0008|103e").strip() if reader.HasMetaDataKey("0008|103e") else ""
+        said.append(f"{name or 'without a name'} ({len(files)} files, {Path(files[0]).name} the first)")
+    return "; ".join(said)
+
+
+def _of_one_size(folder: Path, slices: list[_Slice]) -> list[_Slice]:
+    """Give the slices as they are; some of another size than the most are an error."""
+    usual = Counter(each.size for each in slices).most_common(1)[0][0]
+    others = [each for each in slices if each.size != usual]
+    if others:
+        sizes = [" x ".join(map(str, size)) for size in (others[0].size, usual)]
+        raise FileProblem(
+            folder, f"holds slices of several sizes: {Path(others[0].file).name} of {sizes[0]}, most of {sizes[1]}",
+            "Put each stack into a folder of its own.",
+        )  # fmt: skip
+    return slices
+
+
+def _unread(folder: Path, slices: list[_Slice]) -> str:
+    """Name a file of the same ending as the slices that is none of them, if there is one."""
+    read = {Path(each.file).name for each in slices}
+    ending = Path(slices[0].file).suffix
+    left = sorted(file.name for file in folder.iterdir() if file.suffix == ending and file.name not in read)
+    return f" {left[0]} there cannot be read." if left and ending else ""
 
 
 def _in_order(folder: Path, slices: list[_Slice]) -> list[_Slice]:
@@ -308,14 +371,19 @@ def _in_order(folder: Path, slices: list[_Slice]) -> list[_Slice]:
     gaps = np.diff(places[order])
     usual = float(np.median(gaps))
     if usual <= 0 or float(gaps.min()) < _UNEVEN * usual:
-        raise FileProblem(folder, "holds several images of one slice", "Keep one echo or time of the series.")
+        same = int(np.argmin(gaps)) if usual > 0 else 0
+        pair = " and ".join(sorted(Path(slices[order[same + each]].file).name for each in (0, 1)))
+        raise FileProblem(
+            folder, f"holds several images of one slice, {pair} for one",
+            "Keep one echo or time of the series, and no copies.",
+        )  # fmt: skip
     worst = int(np.argmax(np.abs(gaps - usual)))
     if abs(gaps[worst] - usual) > _UNEVEN * usual:
         pair = f"slices {worst + 1} and {worst + 2}"
         raise FileProblem(
             folder,
             f"lacks slices: {pair} lie {gaps[worst]:.2f} mm apart, the others {usual:.2f} mm",
-            "Export the whole series.",
+            f"Export the whole series.{_unread(folder, slices)}",
         )
     return [slices[index] for index in order]
 

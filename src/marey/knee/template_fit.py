@@ -24,10 +24,16 @@ _STARTS_MM = (-15.0, 0.0, 15.0)
 _AFFINE_SD = 0.08
 """How much a bone may be stretched or sheared beside the whole template: standard deviation of the matrix's terms."""
 _SHIFT_SD_MM = 8.0
+_SIZES = (0.67, 1.5)
+"""How much larger one person's knee is than another's, child and man, at most."""
 _OUTWARD_MM = (0.0, 1.0, 2.0, 3.0)
 _CARRY_MM = 8.0
 LEAST_FIT = 0.35
 """Less of its edges on edges of bone, and a template does not fit."""
+
+
+class TemplateProblem(MareyError):
+    """A template cannot be used for an image."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -80,7 +86,7 @@ def template_bones(template: Labels) -> dict[str, TemplateBone]:
     """Take the bones from a template's labels, with points on their surfaces.
 
     Raises:
-        MareyError: It has no femur or no tibia.
+        TemplateProblem: It has no femur or no tibia.
     """
     grid = upright_grid(template.grid, WORK_MM)
     bones = {}
@@ -90,7 +96,7 @@ def template_bones(template: Labels) -> dict[str, TemplateBone]:
             bones[name] = _template_bone(name, mask, template.grid, grid)
     missing = [name for name in ("femur", "tibia") if name not in bones]
     if missing:
-        raise MareyError(f"The template has no {' and no '.join(missing)}: it cannot be laid into the image.")
+        raise TemplateProblem(f"The template has no {' and no '.join(missing)}: it cannot be laid into the image.")
     return bones
 
 
@@ -123,12 +129,26 @@ def check_fit(value: float) -> None:
     """Make sure that enough of a template's edges, 0 to 1, lie on edges of bone.
 
     Raises:
-        MareyError: The template fits nowhere.
+        TemplateProblem: The template fits nowhere.
     """
     if value < LEAST_FIT:
-        raise MareyError(
+        raise TemplateProblem(
             f"The template does not fit this image: only {100 * max(value, 0):.0f} % of its edges lie on edges of bone."
             " Give a template of a knee, femur and tibia alike in both, or leave --template out."
+        )
+
+
+def check_size(placement: Placement) -> None:
+    """Make sure that a template was not stretched from a doll's knee, or a giant's.
+
+    Raises:
+        TemplateProblem: It was.
+    """
+    size = abs(float(np.linalg.det(placement.matrix))) ** (1 / 3)
+    if not _SIZES[0] < size < _SIZES[1]:
+        raise TemplateProblem(
+            f"The template would have to be made {size:.2f} times as large to lie in this image. Is the size of its"
+            " voxels in labels.nii.gz right?"
         )
 
 
@@ -147,7 +167,7 @@ def place_template(
         grid: The upright grid of both.
 
     Raises:
-        MareyError: The template fits nowhere.
+        TemplateProblem: The template fits nowhere.
     """
     wanted = joint_centre({name: positions_of(grown[name], grid) for name in ("femur", "tibia")})
     fits = [_placed_whole(bones, likeness, grid, wanted, mirrored=mirrored) for mirrored in (False, True)]
@@ -158,6 +178,8 @@ def place_template(
         np.mean([_contrast(bones[name], placements[name], likeness[name], grid, 2.0).mean() for name in both])
     )
     check_fit(value)
+    for name in both:
+        check_size(placements[name])
     return replace(best, placements=placements, fit=value)
 
 
@@ -174,7 +196,7 @@ def place_alone(
         grid: Its own.
 
     Raises:
-        MareyError: The template fits nowhere.
+        TemplateProblem: The template fits nowhere.
     """
     placements = {}
     for bone, values in likeness.items():
