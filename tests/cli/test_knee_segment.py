@@ -14,7 +14,7 @@ from tests.made_knees import (
 )
 
 from marey.cli.knee import INCOMPLETE, with_seeds_joined
-from marey.cli.knee_segment import SegmentOptions, given_seeds, parse_seed
+from marey.cli.knee_segment import SegmentOptions, given_seeds, parse_seed, title_of
 from marey.cli.main import run
 from marey.errors import SettingProblem
 from marey.io.meshes import read_mesh
@@ -194,3 +194,9 @@ def test_a_problem_with_the_template_names_its_folder(tmp_path, capsys):
     assert run(typed) == 2
     assert f"{tmp_path / 'template'}: has no tibia" in capsys.readouterr().err
     assert sorted(file.name for file in tmp_path.iterdir()) == ["knee.nii.gz", "template"]
+
+
+def test_a_page_is_titled_by_what_a_user_knows_the_volume_by(tmp_path):
+    assert title_of(tmp_path / "anna" / "image.nii.gz") == "anna"
+    assert title_of(tmp_path / "anna" / "series") == "anna"
+    assert title_of(tmp_path / "anna" / "dess.nii.gz") == "dess"

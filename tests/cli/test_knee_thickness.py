@@ -64,3 +64,23 @@ def test_small_holes_and_turned_faces_are_mended_and_an_open_sheet_is_an_error(t
 def test_a_missing_mesh_is_named(tmp_path: Path, capsys):
     assert run(["knee", "thickness", str(tmp_path / "bone.ply"), str(tmp_path / "cartilage.ply")]) == 2
     assert "bone.ply" in capsys.readouterr().err
+
+
+def test_a_bone_in_the_place_of_cartilage_is_told(tmp_path: Path, capsys):
+    write_mesh(tmp_path / "bone.ply", ball(11.0))
+    near, far = ball(5.0), ball(20.0)
+    both = np.concatenate([near.vertices_mm + [0, 0, 15.0], far.vertices_mm + [0, 0, 100.0]])
+    faces = np.concatenate([near.faces, far.faces + len(near.vertices_mm)])
+    write_mesh(tmp_path / "large.ply", Surface(vertices_mm=both, faces=faces))
+    assert run(["knee", "thickness", str(tmp_path / "bone.ply"), str(tmp_path / "large.ply")]) == 2
+    assert "large.ply: is too large for the cartilage of that bone: it encloses 33." in capsys.readouterr().err
+    assert not (tmp_path / "bone_marey").exists()
+
+
+def test_a_flat_and_an_empty_mesh_are_told(tmp_path: Path, capsys):
+    corners = np.array([[0.0, 0, 0], [50, 0, 0], [0, 50, 0], [50, 50, 0]])
+    write_mesh(tmp_path / "flat.ply", Surface(vertices_mm=corners, faces=np.array([[0, 1, 2], [2, 1, 3]])))
+    (tmp_path / "empty.ply").touch()
+    for name, said in (("flat", "is flat: 2 faces in one plane"), ("empty", "is empty")):
+        assert run(["knee", "register", str(tmp_path / f"{name}.ply"), str(tmp_path / "flat.ply"), "-q"]) == 2
+        assert f"{name}.ply: {said}" in capsys.readouterr().err

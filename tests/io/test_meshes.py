@@ -73,7 +73,8 @@ def test_vtk_written_as_text_by_version_5_is_read(tmp_path: Path):
         ("bone.ply", b"", "bone.ply"),
         ("bone.stl", b"not a mesh", "bone.stl"),
         ("bone.vtk", b"# vtk DataFile Version 3.0\n\nASCII\nDATASET UNSTRUCTURED_GRID\n", "POLYDATA"),
-        ("bone.vtk", b"", "VTK"),
+        ("bone.vtk", b"", "is empty"),
+        ("bone.vtk", b"nothing", "VTK"),
         ("bone.txt", b"1 2 3", "not a mesh"),
     ],
 )

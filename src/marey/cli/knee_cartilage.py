@@ -27,7 +27,7 @@ from marey.knee.volume import Labels, Volume
 from marey.view.flat_cartilage import flat_picture
 from marey.view.knee_maps import thickness_colours
 
-_LEFT_OUT = "The template was left out: it is laid into the image by femur and tibia together."
+_LEFT_OUT = "The template was left out: its bone does not lie well on the only long bone in view."
 
 
 def cartilage_by_template(

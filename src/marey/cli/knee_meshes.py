@@ -2,6 +2,9 @@
 
 from pathlib import Path
 
+import numpy as np
+
+from marey.arrays import Floats
 from marey.cli.progress import Progress
 from marey.errors import FileProblem
 from marey.io.meshes import read_mesh
@@ -10,6 +13,11 @@ from marey.knee.surface import Surface
 
 SMALLEST_MM, LARGEST_MM = 10.0, 700.0
 """The longest side of a bone of a knee, a patella or a whole femur, lies between them."""
+
+THINNEST_MM = 3.0
+"""Even a part of a patella reaches farther across."""
+_MOST_CARTILAGE = 0.5
+"""Of a bone's volume; a patella's cartilage has a third at most."""
 
 SMALL_HOLE = 30
 """A hole with so many edges at most is closed."""
@@ -21,7 +29,7 @@ def read_bone(path: Path, progress: Progress) -> Surface:
     The vertices stay as they are, in number and order.
 
     Raises:
-        FileProblem: It cannot be read, or its size is not that of a bone in millimetres.
+        FileProblem: It cannot be read, it is flat, or its size is not that of a bone in millimetres.
     """
     surface = read_mesh(path)
     used = surface.vertices_mm[surface.faces]
@@ -33,10 +41,33 @@ def read_bone(path: Path, progress: Progress) -> Surface:
                 remedy = f"Is it in {unit}? {remedy} Multiply its coordinates by {factor:g}."
                 break
         raise FileProblem(path, f"is {longest:.3g} mm long, which no bone of a knee is", remedy)
+    if _thickness_mm(used.reshape(-1, 3)) < THINNEST_MM:
+        raise FileProblem(path, f"is flat: {len(surface.faces)} faces in one plane", "Give the surface of a bone.")
     alike, turned = turned_alike(surface)
     if turned.any():
         progress.warn(f"{path.name}: {turned.sum()} of {len(turned)} faces turned inward; they were turned.")
     return alike
+
+
+def _thickness_mm(points: Floats) -> float:
+    """Give how far points (N, 3) reach across the plane that lies nearest to them."""
+    across = np.linalg.eigh(np.cov(points.T))[1][:, 0]
+    return float(np.ptp(points @ across))
+
+
+def check_order(bone: Path, on: Surface, cartilage: Path, sheet: Surface) -> None:
+    """Make sure that what is given for cartilage is none of the bone's size.
+
+    Raises:
+        FileProblem: It encloses more than half as much; an open bone encloses nothing that could be told.
+    """
+    whole, _, left = with_holes_closed(on, SMALL_HOLE)
+    if not left and sheet.volume_mm3 > _MOST_CARTILAGE * whole.volume_mm3:
+        sizes = f"{sheet.volume_mm3 / 1000:.1f} cm3, the bone {bone.name} {whole.volume_mm3 / 1000:.1f} cm3"
+        raise FileProblem(
+            cartilage, f"is too large for the cartilage of that bone: it encloses {sizes}",
+            "The bone is named first, then the cartilages on it; both in millimetres.",
+        )  # fmt: skip
 
 
 def read_cartilage(path: Path, progress: Progress) -> Surface:

@@ -45,7 +45,7 @@ def write_page(
     notes = list(progress.warnings)
     if missing:
         notes.append(f"Not found: {', '.join(map(readable, missing))}.")
-    if bones.template_fit is None:
+    if settings.get("template") is None:
         notes.append("No template was given: only bones were looked for, no cartilage.")
     diameter = np.full(0 if markers is None else len(markers.centres_mm), np.nan)
     if markers is not None and markers.diameter_mm is not None:

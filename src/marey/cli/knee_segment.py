@@ -27,6 +27,8 @@ from marey.knee.surfacing import surface_of_field
 from marey.knee.template_fit import TemplateProblem
 from marey.knee.volume import Labels, Volume
 
+_SAYS_NOTHING = ("image", "images", "volume", "scan", "series", "dicom", "mr", "mri", "data", "input")
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SegmentOptions:
@@ -80,7 +82,7 @@ def segment(paths: Sequence[Path], options: SegmentOptions, progress: Progress) 
         with cache, threadpool_limits(1):
             found = _found(volumes, template, seeds, earlier, progress)
             with finished_together(out) as folder:
-                settings, title = _settings(options, found), " and ".join(stem(path) for path in paths)
+                settings, title = _settings(options, found), " and ".join(title_of(path) for path in paths)
                 labels = labels_with(found.bones, found.cartilage)
                 maps = _write(folder, found, labels, options, progress)
                 write_page(
@@ -206,6 +208,12 @@ def stem(path: Path) -> str:
         if name.lower().endswith(ending):
             return name[: -len(ending)]
     return name
+
+
+def title_of(path: Path) -> str:
+    """Give the name by which a user knows a volume: its folder's, where its own says nothing ("image.nii.gz")."""
+    name = stem(path)
+    return path.resolve().parent.name or name if name.lower() in _SAYS_NOTHING else name
 
 
 def parse_seed(text: str, option: str) -> tuple[str, float, float, float]:

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from marey.arrays import Floats
-from marey.cli.knee_meshes import read_bone, read_cartilage
+from marey.cli.knee_meshes import check_order, read_bone, read_cartilage
 from marey.cli.progress import Progress
 from marey.errors import FileProblem, MareyError
 from marey.io.meshes import write_mesh
@@ -40,6 +40,8 @@ def measure_thickness(
     except MareyError as error:
         text = str(error).rstrip(".")
         raise FileProblem(cartilages[0], text[0].lower() + text[1:], f"Is it the cartilage of {bone}?") from error
+    for path, sheet in zip(cartilages, sheets, strict=True):
+        check_order(bone, surface, path, sheet)
     write_arrays(out / "thickness.npz", {"thickness_mm": thickness})
     write_mesh(out / "thickness.ply", surface, colours=thickness_colours(thickness), values={"thickness_mm": thickness})
     return out, _summary(thickness)

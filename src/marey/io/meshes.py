@@ -37,6 +37,8 @@ def read_mesh(path: Path | str) -> Surface:
         raise FileProblem(path, "is not a mesh that is read here", f"Give one of {', '.join(_READ)}.")
     if not path.is_file():
         raise FileProblem(path, "is not there")
+    if not path.stat().st_size:
+        raise FileProblem(path, "is empty", "Copy or write it again.")
     if ending == ".npz":
         arrays = read_arrays(path, ("vertices", "faces"))
         vertices, faces = arrays["vertices"], arrays["faces"]
