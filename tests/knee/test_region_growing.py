@@ -3,7 +3,7 @@ import pytest
 
 from marey.errors import SettingProblem
 from marey.knee.marrow import Knee
-from marey.knee.region_growing import Level, grow, marrow_level, outgrowth, signed_distance
+from marey.knee.region_growing import Level, grow, marrow_level, outgrowth, signed_distance, thin_share
 from marey.knee.seeds import seed_voxel
 from marey.knee.volume import Grid
 
@@ -82,3 +82,13 @@ def test_a_handle_on_a_thick_bone_is_an_outgrowth_and_a_corner_is_none():
     assert np.argwhere(part)[:, 2].min() > 42
     assert part[24, 24, 50:58].all()
     assert not outgrowth(leaked & (np.arange(60) > 41)).any()
+
+
+def test_a_leak_through_a_gap_makes_more_of_a_bone_thin():
+    k, j, i = np.meshgrid(*[np.arange(n) for n in (60, 70, 70)], indexing="ij")
+    bone = np.hypot(j - 30, i - 30) < 20
+    assert thin_share(bone) < 0.02
+    leak = bone | ((abs(k - 30) < 3) & (abs(j - 30) < 12) & (i > 30))
+    # 5 x 23 x 19 voxels of a film beyond the bone.
+    assert thin_share(leak) == pytest.approx(5 * 23 * 19 / leak.sum(), rel=0.15)
+    assert thin_share(np.zeros_like(bone)) == 1.0

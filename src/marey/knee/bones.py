@@ -13,7 +13,7 @@ from marey.knee.bone_edges import Piece, marrow_odds, refined, soft_tissue_odds
 from marey.knee.marrow import WORK_MM, Kind, Knee, NoPairFound, air_level, prepare
 from marey.knee.one_bone import in_line, thick_end
 from marey.knee.partial_view import LONG_BONES, SeenBone, in_view, partial_view, seen_bones
-from marey.knee.region_growing import grow, marrow_level, outgrowth, seed_ball, signed_distance
+from marey.knee.region_growing import grow, marrow_level, outgrowth, seed_ball, signed_distance, thin_share
 from marey.knee.resampling import onward, part_of, resampled, smoothed
 from marey.knee.seeds import find_seeds, kind_at, patella_seeds, seed_voxel
 from marey.knee.structures import BONES, LABELS
@@ -40,6 +40,7 @@ _BOX_MM = 8.0
 _PATELLA_CM3 = (4.0, 45.0)
 _OUTGROWTH_CM3 = 1.0
 _LEAST_MARROW = 0.5
+_MOST_THIN = 0.045
 _TOO_LARGE = 1.4
 """How much larger than the template's a bone is that must have leaked."""
 _IN_PART = {
@@ -162,6 +163,7 @@ def segment_bones(
             continue
         found[name] = bone, box
         notes += _outgrowth_note(name, bone, look.grid)
+        notes += _thin_note(name, bone, look.grid) if name not in limits else []
     report("bones", 1.0)
     notes += missing.values()
     return BoneSegmentation(
@@ -342,6 +344,19 @@ def _outgrowth_note(name: str, bone: Bone, grid: Grid) -> list[str]:
     return [
         f"The {name} has an outgrowth of {cm3:.1f} cm3 about LPS {x:.0f} {y:.0f} {z:.0f} mm that may be a leak:"
         " look there; a template, or another seed, may keep it out."
+    ]
+
+
+def _thin_note(name: str, bone: Bone, grid: Grid) -> list[str]:
+    """Say of a femur or tibia that grew without a template that it is not as round as whole ones are."""
+    if name not in LONG_BONES:
+        return []
+    share = thin_share(resampled(bone.distance_mm, bone.grid, grid, outside=-50.0) > 0)
+    if share < _MOST_THIN:
+        return []
+    return [
+        f"The {name} has {100 * share:.0f} % of its volume in thin parts, where whole ones have 1 to 2 %: it has"
+        " probably leaked. Look at its surface; a template would keep leaks out."
     ]
 
 
