@@ -3,7 +3,8 @@
 Each NAME is segmented, its labels and surfaces go to OUT/NAME, and Dice, ASD and HD95 of the bones are printed as
 ../shared/score/knee.py counts them, with the time, the memory, and whether the surfaces are closed, in one piece and
 without handles. Names: dess, phantom_a, phantom_spl, phantom_spl_t1, phantom_spl+phantom_spl_t1 (two volumes), mese (no
-reference: volumes only), varied (made knees of other people, see made_knee_images.py; `--seeds` says how many).
+reference: volumes only), varied (made knees of other people, see made_knee_images.py; `--seeds` says how many),
+cut (images of one long bone only).
 """
 
 import argparse
@@ -21,14 +22,15 @@ from scipy import sparse
 from threadpoolctl import threadpool_limits
 
 from marey.io.meshes import write_mesh
-from marey.io.volumes import read_template, read_volume, write_labels, write_volume
+from marey.io.volumes import read_template, read_volume, simple_itk, write_labels, write_volume
 from marey.knee.bones import segment_bones
+from marey.knee.resampling import part_of
 from marey.knee.structures import LABELS
 from marey.knee.surface import Surface
 from marey.knee.surfacing import surface_of_field
 from marey.knee.volume import Volume
 
-NAMES = ("dess", "phantom_a", "phantom_spl", "phantom_spl_t1", "phantom_spl+phantom_spl_t1", "mese", "varied")
+NAMES = ("dess", "phantom_a", "phantom_spl", "phantom_spl_t1", "phantom_spl+phantom_spl_t1", "mese", "varied", "cut")
 TEMPLATES = {"dess": "atlas", "phantom_a": "atlas", "mese": "atlas"}
 
 
@@ -86,6 +88,31 @@ def one(shared: Path, name: str, out: Path, *, with_template: bool) -> None:
     said(name, told)
 
 
+def cut(shared: Path, out: Path) -> None:
+    """Segment what lies above the joint, and below it; print Dice of the long bone in view, and of the patella."""
+    for name in ("phantom_spl", "dess"):
+        truth = (
+            shared / "data" / "knee" / name / ("reference_labels.nii.gz" if name == "dess" else "truth_labels.nii.gz")
+        )
+        itk = simple_itk()
+        labels = itk.GetArrayFromImage(itk.ReadImage(str(truth)))
+        volume = read_volume(volume_path(shared, name))
+        k, j, i = np.meshgrid(*[np.arange(n) for n in volume.grid.shape], indexing="ij")
+        height = volume.grid.lps(np.stack([i, j, k], axis=-1).astype(float))[..., 2]
+        ends = np.percentile(height[labels == 1], 1), np.percentile(height[labels == 3], 99)
+        for part, seen in (("above", height >= np.mean(ends) + 4), ("below", height <= np.mean(ends) - 2)):
+            reach = [np.flatnonzero(seen.any(axis=axes)) for axes in ((1, 2), (0, 2), (0, 1))]
+            box = tuple(slice(int(each[0]), int(each[-1]) + 1) for each in reach)
+            image = Volume(intensity=volume.intensity[box], grid=part_of(volume.grid, box))
+            folder = out / f"{name}_{part}"
+            told = segment([image], shared / "data" / "knee" / TEMPLATES.get(name, "template_a"), folder)
+            mine = itk.GetArrayFromImage(itk.ReadImage(str(folder / "labels.nii.gz")))
+            for bone in ("femur", "tibia", "patella"):
+                a, b = mine == LABELS[bone], labels[box] == LABELS[bone]
+                told[bone] = round(float(2 * (a & b).sum() / max(1, a.sum() + b.sum())), 3)
+            said(f"{name} {part} the joint", told)
+
+
 def varied(shared: Path, out: Path, seeds: int) -> None:
     """Segment made knees of other people, each with the template of the source that it is not made of."""
     for seed in range(1, seeds + 1):
@@ -129,7 +156,9 @@ def main() -> None:
     asked = parser.parse_args()
     for name in asked.names:
         with threadpool_limits(1):
-            if name == "varied":
+            if name == "cut":
+                cut(asked.shared, asked.out / "cut")
+            elif name == "varied":
                 varied(asked.shared, asked.out / "varied", asked.seeds)
             else:
                 out = asked.out / name.replace("+", "_and_")

@@ -42,3 +42,14 @@ def test_bones_without_a_template_have_a_page_that_view_finds(tmp_path, capsys):
     assert "Page" in progress.timings
     assert run(["view", str(tmp_path), "--no-browser"]) == 0
     assert capsys.readouterr().out.strip() == str((tmp_path / "report.html").resolve())
+
+
+def test_where_two_commands_left_pages_both_are_found(tmp_path, capsys):
+    for name in ("report.html", "knee.html"):
+        (tmp_path / name).touch()
+    assert run(["view", str(tmp_path), "--no-browser"]) == 0
+    told = capsys.readouterr()
+    assert told.out.strip() == str((tmp_path / "report.html").resolve())
+    assert told.err.strip() == f"Also there: {(tmp_path / 'knee.html').resolve()}"
+    assert run(["view", str(tmp_path / "knee.html"), "--no-browser"]) == 0
+    assert capsys.readouterr().out.strip() == str((tmp_path / "knee.html").resolve())

@@ -351,10 +351,10 @@ def compare(
 
 @app.command()
 def view(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="A folder of results.")],
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="A folder of results, or a page in it.")],
     no_browser: Annotated[bool, typer.Option("--no-browser", help="Only print where the report is.")] = False,
 ) -> None:
-    """Show what was measured, in the browser.
+    """Show what was measured, in the browser. Where several commands left pages, the others are named.
 
     Example: `marey view walk01/marey`
     """
@@ -362,6 +362,9 @@ def view(
 
     report = _report_in(folder)
     typer.echo(report)
+    for other in [report.with_name(name) for name in _PAGES if report.name != name]:
+        if other.is_file():
+            typer.echo(f"Also there: {other}", err=True)
     if not no_browser:
         webbrowser.open(report.as_uri())
 
@@ -424,6 +427,8 @@ def example_folder() -> Path:
 
 
 def _report_in(folder: Path) -> Path:
+    if folder.suffix.lower() == ".html" and folder.is_file():
+        return folder.resolve()
     for name in _PAGES:
         for report in (folder / name, folder / "marey" / name, folder / "knee" / name):
             if report.is_file():
