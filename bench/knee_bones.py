@@ -3,8 +3,9 @@
 Each NAME is segmented, its labels and surfaces go to OUT/NAME, and Dice, ASD and HD95 of the bones are printed as
 ../shared/score/knee.py counts them, with the time, the memory, and whether the surfaces are closed, in one piece and
 without handles. Names: dess, phantom_a, phantom_spl, phantom_spl_t1, phantom_spl+phantom_spl_t1 (two volumes), mese (no
-reference: volumes only), varied (made knees of other people, see made_knee_images.py; `--seeds` says how many),
-cut (images of one long bone only).
+reference: volumes only), falling_off (made images like mese's: bright marrow and fat, sagittal slices of 4 mm, and a
+coil whose sensitivity falls away), varied (made knees of other people, see made_knee_images.py), cut (images of one
+long bone only). Of the made ones `--seeds` says how many.
 """
 
 import argparse
@@ -13,6 +14,7 @@ import resource
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -30,7 +32,17 @@ from marey.knee.surface import Surface
 from marey.knee.surfacing import surface_of_field
 from marey.knee.volume import Volume
 
-NAMES = ("dess", "phantom_a", "phantom_spl", "phantom_spl_t1", "phantom_spl+phantom_spl_t1", "mese", "varied", "cut")
+NAMES = (
+    "dess",
+    "phantom_a",
+    "phantom_spl",
+    "phantom_spl_t1",
+    "phantom_spl+phantom_spl_t1",
+    "mese",
+    "falling_off",
+    "varied",
+    "cut",
+)
 TEMPLATES = {"dess": "atlas", "phantom_a": "atlas", "mese": "atlas"}
 
 
@@ -113,15 +125,19 @@ def cut(shared: Path, out: Path) -> None:
             said(f"{name} {part} the joint", told)
 
 
-def varied(shared: Path, out: Path, seeds: int) -> None:
+Plan = Callable[[int], dict[str, tuple[str, list[Make]]]]
+"""By a seed: names, each with the template and what to make."""
+
+
+def made(shared: Path, out: Path, seeds: int, plan: Plan) -> None:
     """Segment made knees of other people, each with the template of the source that it is not made of."""
     for seed in range(1, seeds + 1):
-        for name, (template, makes) in variations(seed).items():
-            made = [made_knee(shared, make) for make in makes]
+        for name, (template, makes) in plan(seed).items():
+            images = [made_knee(shared, make) for make in makes]
             folder = out / f"{name}_{seed}"
-            told = segment([volume for volume, _ in made], shared / "data" / "knee" / template, folder)
-            write_volume(folder / "image.nii.gz", made[0][0])
-            write_labels(folder / "truth", made[0][1])
+            told = segment([volume for volume, _ in images], shared / "data" / "knee" / template, folder)
+            write_volume(folder / "image.nii.gz", images[0][0])
+            write_labels(folder / "truth", images[0][1])
             told |= score(shared, folder / "truth" / "labels.nii.gz", folder, [])
             said(f"{name} {seed}", told)
 
@@ -141,6 +157,12 @@ def variations(seed: int) -> dict[str, tuple[str, list[Make]]]:
     }
 
 
+def falling_off(seed: int) -> dict[str, tuple[str, list[Make]]]:
+    """Thick slices, bright marrow and a coil that sees half as much 70 mm from its middle."""
+    slices = {"orientation": "sagittal", "spacing_mm": (0.625, 0.625, 4.0), "cut_mm": (12.0, 12.0)}
+    return {"spl": ("template_a", [Make(kind="bright", seed=seed, mirror=seed % 2 == 1, fall_off=0.5, **slices)])}
+
+
 def said(name: str, told: dict[str, object]) -> None:
     told["peak_gb"] = round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6, 2)
     print(name, json.dumps(told), flush=True)
@@ -158,8 +180,8 @@ def main() -> None:
         with threadpool_limits(1):
             if name == "cut":
                 cut(asked.shared, asked.out / "cut")
-            elif name == "varied":
-                varied(asked.shared, asked.out / "varied", asked.seeds)
+            elif name in ("varied", "falling_off"):
+                made(asked.shared, asked.out / name, asked.seeds, variations if name == "varied" else falling_off)
             else:
                 out = asked.out / name.replace("+", "_and_")
                 one(asked.shared, name, out, with_template=not asked.no_template)

@@ -35,6 +35,7 @@ BUMPS = ((60.0, 4.0), (28.0, 1.2))
 """Width and standard deviation [mm] of the changes of place."""
 SIZE_SD, SHEAR_SD = 0.07, 0.03
 NODE_MM = 3.0
+FALL_OFF_MM = 70.0
 ORIENTATIONS = {"axial": (0, 1, 2), "sagittal": (1, 2, 0), "coronal": (0, 2, 1)}
 """Which of left, back and head each of the image's axes i, j, k runs along."""
 
@@ -52,6 +53,8 @@ class Make:
     noise: float = 1.0
     """As a multiple of that of the shared images."""
     bias: float = 0.3
+    fall_off: float = 0.0
+    """Share of the signal that is lost 70 mm above and below the image's middle, as where a coil ends."""
     spacing_mm: tuple[float, float, float] = (0.55, 0.55, 1.0)
     """In plane twice, and of the slices."""
     orientation: str = "axial"
@@ -206,9 +209,18 @@ def _scanned(signal: np.ndarray, grid: Grid, make: Make, draw: np.random.Generat
     coarse = _patches([6, 6, 6], 1.2, draw)
     places = np.stack(np.meshgrid(*[np.linspace(1, 4, n) for n in grid.shape], indexing="ij"))
     bias = 1 + make.bias * np.clip(ndimage.map_coordinates(coarse, places, order=3) / 2, -1, 1)
+    bias *= _sensitivity(grid, make)
     noise = NOISE * make.noise
     real, imaginary = (draw.normal(0, noise, grid.shape) for _ in range(2))
     return np.hypot(signal * bias + real, imaginary).astype(np.float32)
+
+
+def _sensitivity(grid: Grid, make: Make) -> np.ndarray:
+    """(k, j, i) of a coil about the middle: a Gaussian along the body."""
+    k, j, i = np.meshgrid(*[np.arange(n) for n in grid.shape], indexing="ij")
+    height = grid.lps(np.stack([i, j, k], axis=-1).astype(float))[..., 2]
+    away = (height - (height.min() + height.max()) / 2) / FALL_OFF_MM
+    return np.exp(np.log(1 - make.fall_off) * away**2)
 
 
 def main() -> None:

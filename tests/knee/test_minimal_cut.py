@@ -39,3 +39,15 @@ def test_settled_voxels_stay():
     evidence[3:5, 3:5, 3:5] = 100.0
     found = minimal_cut(evidence, evidence > 0, (1.0, 1.0, 1.0), surface_nats_mm=3.0) > 0.5
     np.testing.assert_array_equal(found, evidence > 0)
+
+
+def test_a_surface_lies_where_it_is_cheap():
+    evidence = np.zeros((6, 20, 6))
+    evidence[:, :3], evidence[:, -3:] = 100.0, -100.0
+    for row in (6, 13):
+        price = np.full(evidence.shape, 2.0)
+        # The difference from a row to the next one is paid for at the first of them.
+        price[:, row] = 0.5
+        found = minimal_cut(evidence, evidence > 0, (1.0, 1.0, 1.0), surface_nats_mm=price, iterations=600) > 0.5
+        assert found[:, : row + 1].all()
+        assert not found[:, row + 1 :].any()

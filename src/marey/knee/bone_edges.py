@@ -22,6 +22,8 @@ _OUTWARD = {"dark": 0.5, "bright": 0.3}
 _MOST_NATS = 4.0
 _INSIDE_MM, _OUTSIDE_MM = 4.0, 2.0
 """Widths [mm] of the Gaussians over which levels are averaged: of marrow, and of the dark line about bright marrow."""
+_LEAST_STEP = 0.5
+"""The least step down from bright marrow to what is about it, as a share of the usual one about the same bone."""
 _CORTEX_MM = (0.4, 2.5)
 _SOFT_TISSUE = (0.35, 0.75)
 """How bright muscle and cartilage are beside bright marrow, as shares of it."""
@@ -62,6 +64,8 @@ class Piece:
     prior_nats: np.ndarray
     """(k, j, i) log odds to be inside by what else is known, a template."""
     grid: Grid
+    rough: bool = True
+    """Whether the coarse edge may be off by more than a voxel or two."""
     small: bool = False
     """A patella: even, and known well by growing, so that the edge need not go far outward."""
     no_signal: float | None = None
@@ -80,7 +84,9 @@ def refined(piece: Piece, kind: Kind, others: list[np.ndarray] | None = None) ->
         (k, j, i) signed distance [mm], positive inside, exact near the edge.
     """
     settled = piece.prior_nats + sum(others or [], np.zeros(1, dtype=np.float32))
-    distance = _cut(piece, kind, settled, piece.distance_mm, _COARSE_RING)
+    distance = piece.distance_mm
+    if kind == "dark" or piece.rough:
+        distance = _cut(piece, kind, settled, distance, _COARSE_RING)
     # Again with the levels just beside the edge, now that it is known to a voxel or two.
     distance = _cut(piece, kind, settled, distance, _FINE_RING)
     if kind == "dark":
@@ -114,8 +120,10 @@ def marrow_odds(
         outside = _local_level(np.minimum(intensity, np.percentile(intensity[beside], 99)), beside, grid, ring.sigma_mm)
         step = np.maximum(outside - level, 2 * noise)
     else:
-        outside = _darkest_near(intensity, distance, grid)
-        step = np.minimum(outside - level, -2 * noise)
+        share = _darkest_near(intensity, distance, grid) / np.maximum(level, 1e-6) - 1
+        # Where no dark line is near, the edge lies within marrow as yet: a small step would hold it there.
+        usual = float(np.median(share[np.abs(distance) < 1.0])) if (np.abs(distance) < 1.0).any() else 0.0
+        step = np.minimum(np.minimum(share, _LEAST_STEP * usual) * level, -2 * noise)
     odds = _half_level_odds(intensity - level, step, noise)
     if kind == "dark" and ring is _FINE_RING:
         odds = _against_fat(piece, distance, level, noise, odds)

@@ -10,6 +10,7 @@ from marey.arrays import Floats, Integers, Mask
 from marey.errors import MareyError, SettingProblem
 from marey.knee.bias_field import bias_field
 from marey.knee.bone_edges import Piece, marrow_odds, refined, soft_tissue_odds
+from marey.knee.bright_marrow import BrightImage, cut_along_line, evened, evenness, followed, goes_on, template_odds
 from marey.knee.marrow import WORK_MM, Kind, Knee, NoPairFound, air_level, prepare
 from marey.knee.one_bone import in_line, thick_end
 from marey.knee.partial_view import LONG_BONES, SeenBone, in_view, partial_view, seen_bones
@@ -36,8 +37,10 @@ _ASTRAY_MM, _SURE_MM = 4.0, 2.0
 _ROUGH_MM = 6.0
 """How far the edge of a long bone alone may lie from where the template was laid as a whole."""
 _PRIOR_FROM_MM, _PRIOR_NATS = 2.0, 4.0
-_BOX_MM = 8.0
+_BOX_MM, _BRIGHT_BOX_MM, _FOLLOW_BOX_MM = 8.0, 16.0, 24.0
 _PATELLA_CM3 = (4.0, 45.0)
+_MOST_PATELLA = 1.6
+"""How many times as large as a template's a patella with bright marrow may grow."""
 _OUTGROWTH_CM3 = 1.0
 _LEAST_MARROW = 0.5
 _MOST_THIN = 0.045
@@ -90,6 +93,8 @@ class _Look:
     laid: dict[str, SeenBone] = field(default_factory=dict)
     """Where the template's long bones lie about, when not both are in view."""
     grown: dict[str, Mask] = field(default_factory=dict)
+    followed: set[str] = field(default_factory=set)
+    """Bones that went on to where marrow is dimmer than at the seed."""
 
     @property
     def grid(self) -> Grid:
@@ -98,6 +103,16 @@ class _Look:
     def long_bones(self) -> Mask:
         """(k, j, i) femur and tibia as they grew."""
         return np.asarray(np.logical_or.reduce([self.grown[name] for name in LONG_BONES if name in self.grown]))
+
+    @property
+    def bright(self) -> bool:
+        """Whether marrow is bright in every image, which show femur and tibia."""
+        return set(self.kinds) == {"bright"} and all(name in self.grown for name in LONG_BONES)
+
+    def own_likeness(self, name: str) -> np.ndarray:
+        """(k, j, i) likeness to a bone's marrow; where it was followed, all of it is alike."""
+        likeness = self.likeness(self.seeds[name])
+        return np.where(self.grown[name] & ~np.isnan(likeness), 1, likeness) if name in self.followed else likeness
 
     def likeness(self, voxel: Integers, radius_mm: float = 8.0) -> np.ndarray:
         """(k, j, i) least likeness, over the images, to the marrow about a seed; NaN outside one of them."""
@@ -136,8 +151,12 @@ def segment_bones(
     look = _looked(tuple(volumes), given, {} if template is None else template_bones(template))
     report("growing", 0.15)
     missing = _grow_long_bones(look, given)
+    if look.bright:
+        _follow_long_bones(look)
     report("template" if template is not None else "patella", 0.3)
     _grow_patella(look, None, given)
+    if look.bright and _larger_than_template(look):
+        del look.grown["patella"], look.seeds["patella"]
     fit, limits = _limits(look)
     notes = [] if fit is None else [_fit_note(fit)]
     if template is not None and fit is None:
@@ -240,6 +259,23 @@ def _grown_from(look: _Look, name: str, keep_out: Mask | None, given: Mapping[st
     return grown
 
 
+def _follow_long_bones(look: _Look) -> None:
+    """Let bones go on to where bright marrow is dimmer; dark marrow that brightens looks like what is about it."""
+    for name in LONG_BONES:
+        distance, box = _distance_and_box(look, look.grown[name], _FOLLOW_BOX_MM)
+        image = _bright_image(look, name, part_of(look.volumes[0].grid, box))
+        further = followed(image, distance[box] > 0)
+        if further is not None:
+            look.grown[name] = resampled(further.astype(np.float32), image.grid, look.grid) > 0.5
+            look.followed.add(name)
+
+
+def _bright_image(look: _Look, name: str, grid: Grid) -> BrightImage:
+    others = np.logical_or.reduce([mask for other, mask in look.grown.items() if other != name])
+    free = resampled((look.knees[0].body & ~others).astype(np.float32), look.grid, grid) > 0.5
+    return BrightImage(intensity=_corrected(look.volumes[0], grid), free=free, grid=grid)
+
+
 def _one_bone(look: _Look) -> Mask | None:
     """(k, j, i) the bone in which both seeds lie, if they do."""
     first, second = look.seeds["femur"], look.seeds["tibia"]
@@ -285,10 +321,12 @@ def _limits(look: _Look) -> tuple[TemplateFit | None, dict[str, np.ndarray]]:
     bones, long = look.template, [name for name in LONG_BONES if name in look.grown]
     if not bones or (len(long) == 1 and long[0] not in look.laid):
         return None, {}
-    likeness = {name: look.likeness(look.seeds[name]) * look.grown[name] for name in long}
+    likeness = {name: look.own_likeness(name) * look.grown[name] for name in long}
     if "patella" in bones:
         patella = look.grown.get("patella", ~look.long_bones())
         likeness["patella"] = look.likeness(look.seeds[long[0]]) * patella
+        if look.bright and "patella" not in look.grown:
+            likeness["patella"] = likeness["patella"] * _evenness(look)
     if len(long) == 2:
         fit = place_template(bones, look.grown, likeness, look.grid)
     else:
@@ -307,6 +345,21 @@ def _limits(look: _Look) -> tuple[TemplateFit | None, dict[str, np.ndarray]]:
     return fit, limits
 
 
+def _evenness(look: _Look) -> np.ndarray:
+    """(k, j, i) little in dark lines: only they part a patella from the fat about it."""
+    own = look.volumes[0].grid
+    level = marrow_level(look.knees[0], "bright", look.seeds["femur"]).median
+    even = evenness(_corrected(look.volumes[0], own) / np.float32(level), own)
+    return resampled(even, own, look.grid, outside=1.0)
+
+
+def _larger_than_template(look: _Look) -> bool:
+    """Tell whether a patella grew so much larger than the template's that it must have leaked."""
+    if "patella" not in look.grown or "patella" not in look.template:
+        return False
+    return int(look.grown["patella"].sum()) > _MOST_PATELLA * int((look.template["patella"].distance_mm > 0).sum())
+
+
 def _patella_leaks(look: _Look, limit: np.ndarray, fit: TemplateFit | None) -> bool:
     """Tell whether no patella grew, or, about one long bone alone, one far larger than the template's."""
     if "patella" not in look.grown:
@@ -323,7 +376,7 @@ def _fit_note(fit: TemplateFit) -> str:
 def _marrow_share(look: _Look, name: str, bone: Bone) -> float:
     """How much of a bone the image itself shows to be like the marrow at its seed: a template may have added much."""
     inside = resampled(bone.distance_mm, bone.grid, look.grid, outside=-50.0) > 0
-    likeness = look.likeness(look.seeds[name])[inside]
+    likeness = look.own_likeness(name)[inside]
     known = likeness[~np.isnan(likeness)]
     return float((known > 0).mean()) if known.size else 0.0
 
@@ -389,33 +442,49 @@ def _bone(look: _Look, name: str, limit: np.ndarray | None) -> tuple[Bone, tuple
         coarse = (coarse & ~(limit < -_ASTRAY_MM)) | ((limit > _SURE_MM) & look.knees[0].body)
     elif name in LONG_BONES:
         coarse = coarse & ~outgrowth(coarse)
-    own = look.volumes[0].grid
-    coarse = onward(coarse, look.knees[0].within)
-    distance = resampled(signed_distance(coarse, look.grid.array_spacing_mm), look.grid, own, outside=-50.0)
-    reach = [(np.flatnonzero((distance > -_BOX_MM).any(axis=axes))) for axes in ((1, 2), (0, 2), (0, 1))]
-    box = tuple(slice(int(each[0]), int(each[-1]) + 1) for each in reach)
-    grid = part_of(own, box)
+    along_line = look.bright and limit is not None
+    distance, box = _distance_and_box(look, coarse, _BRIGHT_BOX_MM if along_line else _BOX_MM)
+    grid, distance = part_of(look.volumes[0].grid, box), distance[box]
     prior = np.zeros(grid.shape, dtype=np.float32)
-    if limit is not None:
+    if limit is not None and along_line:
+        # The template's edges are drawn to where all is marrow: the bone's lie farther out.
+        known = resampled(goes_on(limit + _PRIOR_FROM_MM, WORK_MM), look.grid, grid, outside=np.nan)
+        inside = cut_along_line(_bright_image(look, name, grid), distance > 0, known)
+        distance, prior = signed_distance(inside, grid.array_spacing_mm), template_odds(known)
+    elif limit is not None:
         known = resampled(np.nan_to_num(limit, nan=0.0), look.grid, grid, outside=0.0)
         prior = np.clip(known + _PRIOR_FROM_MM, -_PRIOR_NATS, 0)
-    field_mm = _edge(look, distance[box], prior, grid, small=name not in LONG_BONES)
+    field_mm = _edge(look, distance, prior, grid, rough=not along_line, small=name not in LONG_BONES)
     seed = look.grid.lps(look.seeds[name][::-1].astype(float))
     return Bone(distance_mm=field_mm, grid=grid, seed_mm=seed), box
 
 
-def _edge(look: _Look, distance: np.ndarray, prior: np.ndarray, grid: Grid, *, small: bool) -> np.ndarray:
+def _distance_and_box(look: _Look, mask: Mask, about_mm: float) -> tuple[np.ndarray, tuple[slice, ...]]:
+    """(k, j, i) signed distance [mm] to a grown mask's edge on the first image's grid, and the box about the mask."""
+    mask = onward(mask, look.knees[0].within)
+    spacing, own = look.grid.array_spacing_mm, look.volumes[0].grid
+    distance = resampled(signed_distance(mask, spacing), look.grid, own, outside=-50.0)
+    reach = [(np.flatnonzero((distance > -about_mm).any(axis=axes))) for axes in ((1, 2), (0, 2), (0, 1))]
+    return distance, tuple(slice(int(each[0]), int(each[-1]) + 1) for each in reach)
+
+
+def _edge(look: _Look, distance: np.ndarray, prior: np.ndarray, grid: Grid, *, rough: bool, small: bool) -> np.ndarray:
     """(k, j, i) the edge by the image with dark marrow if there is one: it shows the cortex' outside."""
+    images = [_corrected(volume, grid) for volume in look.volumes]
+    if not rough:
+        # Marrow is nowhere dim then: the edge stays about where the cut along the line has it.
+        images = [evened(image, distance > 0, grid) for image in images]
     pieces = [
         Piece(
-            intensity=_corrected(volume, grid),
+            intensity=image,
             distance_mm=distance,
             prior_nats=prior,
             grid=grid,
+            rough=rough,
             small=small,
             no_signal=air_level(knee),
         )
-        for volume, knee in zip(look.volumes, look.knees, strict=True)
+        for image, knee in zip(images, look.knees, strict=True)
     ]
     lead = look.kinds.index("dark") if "dark" in look.kinds else 0
     others = []

@@ -10,7 +10,12 @@ _SETTLED = 50.0
 
 
 def minimal_cut(
-    evidence: np.ndarray, start: Mask, spacing_mm: tuple[float, float, float], *, surface_nats_mm: float
+    evidence: np.ndarray,
+    start: Mask,
+    spacing_mm: tuple[float, float, float],
+    *,
+    surface_nats_mm: float | np.ndarray,
+    iterations: int = _ITERATIONS,
 ) -> np.ndarray:
     """Choose the part of a volume with the most evidence less a price for its surface.
 
@@ -21,8 +26,9 @@ def minimal_cut(
         evidence: (k, j, i) float32: log odds [nats] of each voxel to be inside; beyond +-50 it is settled.
         start: (k, j, i) a guess.
         spacing_mm: Of the voxels along k, j, i.
-        surface_nats_mm: Price of the surface; divided by the evidence of a voxel it is the radius [mm] below which
-            bumps are smoothed away, whatever the voxels' size.
+        surface_nats_mm: Price of the surface, everywhere or (k, j, i) of each voxel; divided by the evidence of a voxel
+            it is the radius [mm] below which bumps are smoothed away, whatever the voxels' size.
+        iterations: More where the start is far off.
 
     Returns:
         (k, j, i) float32 u: inside above 0.5, between 0 and 1 at the surface.
@@ -33,7 +39,8 @@ def minimal_cut(
     settled = np.abs(odds) > _SETTLED
     inside[settled] = odds[settled] > 0
     moving, flowing = _moving_and_flowing(~settled)
-    _primal_dual(odds, inside, moving, flowing, np.float32(surface_nats_mm), steps, _ITERATIONS)
+    price = np.ascontiguousarray(np.broadcast_to(surface_nats_mm, odds.shape), dtype=np.float32)
+    _primal_dual(odds, inside, moving, flowing, price, steps, iterations)
     return inside
 
 
@@ -62,7 +69,8 @@ def _primal_dual(evidence, inside, moving, flowing, price, spacing, iterations):
             b = py[z, y, x] + np.float32(0.5) * (ahead[z, y + 1, x] - here) if y < high - 1 else np.float32(0)
             c = px[z, y, x] + np.float32(0.5) * (ahead[z, y, x + 1] - here) if x < wide - 1 else np.float32(0)
             size = np.sqrt(a * a + b * b + c * c)
-            share = price / size if size > price else np.float32(1)
+            most = price[z, y, x]
+            share = most / size if size > most else np.float32(1)
             pz[z, y, x], py[z, y, x], px[z, y, x] = a * share, b * share, c * share
         for n in range(len(moving)):
             z, y, x = moving[n, 0], moving[n, 1], moving[n, 2]
