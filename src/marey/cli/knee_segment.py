@@ -122,6 +122,9 @@ def _found(
         progress.warn(note)
     surfaces = _surfaces(bones, progress)
     cartilage, missing = cartilage_by_template(volumes, bones, surfaces, template, progress)
+    if cartilage is not None:
+        # Where cartilage begins is seen better than where a bone alone ends.
+        surfaces |= {bone: sheet.bone for bone, sheet in cartilage.sheets.items()}
     unfound = "It was not found in the image."
     lost = {bone: bones.missing.get(bone, unfound) for bone in BONES if bone not in bones.bones}
     markers = markers_in(volumes, surfaces, earlier, progress)

@@ -17,17 +17,19 @@ from scipy.special import erf
 
 from marey.arrays import Floats, Integers, Mask, frozen
 from marey.errors import MareyError
-from marey.knee.cartilage_contact import Contact, contact_with
+from marey.knee.cartilage_contact import contact_with
 from marey.knee.cartilage_evidence import (
     LEVELS_MM,
     STEP_MM,
     THICKEST_MM,
     THINNEST_MM,
     layer_costs,
+    measured_blur,
     read_profiles,
     tissues,
-    with_measured_blur,
+
 )
+from marey.knee.cartilage_inner import inner_costs, inner_edge
 from marey.knee.cartilage_prediction import TOLD_SHARE, CartilagePrediction
 from marey.knee.mesh_graph import MeshGraph
 from marey.knee.surface import Surface
@@ -43,7 +45,7 @@ NORMALS_MM = 1.0
 """Normals are smoothed over so much of the bone: they shall not follow its roughness."""
 REGION_MM = 8.0
 """Over such a way a person's cartilage keeps its ratio to the template's."""
-NEAR_MM = 1.0
+NEAR_MM = 2.5
 """So far from the answer other thicknesses count in its standard deviation."""
 MODEL_SD_MM = 0.15
 """What the model of a profile, a bone's surface and its normal are worth, as a standard deviation of the thickness."""
@@ -51,8 +53,10 @@ _FEW = 0.02
 """So little edge nearby, as a share of all vertices about, tells as much of the ratio as the whole cartilage does."""
 _SURE_MM = 0.5
 """An edge known so well takes part in the scaling."""
+SPECK_MM2, HOLE_MM2 = 40.0, 6.0
+"""Smaller pieces of cartilage, and smaller holes in it, are none."""
 _ROUNDS = 3
-_NEVER = 1e3
+_HAIR = 1e-3
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -60,6 +64,7 @@ class CartilageSheet:
     """The cartilage on one bone, at each of the bone's vertices."""
 
     bone: Surface
+    """Its vertices moved to where the cartilage begins."""
     normals: Floats
     """(V, 3) along which it was looked for."""
     thickness_mm: Floats
@@ -73,12 +78,15 @@ class CartilageSheet:
     by_image: Floats | None = None
     """(V,) share of what is known of the thickness that the image tells, not the template: 1 less the ratio of the
     variances with the image and without; NaN where the bone is bare."""
+    moved_mm: Floats | None = None
+    """(V,) how far `bone` lies outward of the surface that was given."""
     blur_mm: Floats | None = None
     """(V,) standard deviation of an edge's blur along the normal, in the sharpest image; NaN where the bone is bare."""
 
     def __post_init__(self) -> None:
         for name in (
-            "normals", "thickness_mm", "thickness_sd_mm", "confidence", "foretold_mm", "by_image", "blur_mm",
+            "normals", "thickness_mm", "thickness_sd_mm", "confidence", "foretold_mm", "by_image", "moved_mm",
+            "blur_mm",
         ):  # fmt: skip
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, frozen(getattr(self, name)))
@@ -122,17 +130,18 @@ class CartilageSheet:
 
 def find_cartilage(
     volumes: Sequence[Volume], bone: Surface, prediction: CartilagePrediction,
-    others: Sequence[tuple[Surface, Floats]] = (),
+    others: Sequence[tuple[Surface, Floats]] = (), moved_mm: Floats | None = None,
 ) -> CartilageSheet:  # fmt: skip
     """Find the cartilage on a bone.
 
     Args:
         volumes: One image or several in the same place, of any contrasts in which cartilage differs from what lies
             over it. What several say is added up.
-        bone: The inner surface of the cartilage.
+        bone: The inner surface of the cartilage, about.
         prediction: From the template.
         others: The other bones, and how thick the cartilage on each is foretold to be at its vertices, 0 where bare:
             where two cartilages touch, the space between the bones is shared.
+        moved_mm: (V,) a first idea of how far outward of the bone the cartilage begins.
 
     Raises:
         MareyError: The template foretells no cartilage on this bone.
@@ -142,8 +151,8 @@ def find_cartilage(
         raise MareyError("The template foretells no cartilage on this bone: does it fit?")
     normals = _steady_normals(bone)
     part, told, presence = _part(bone, looked), prediction.thickness_mm[looked], prediction.presence[looked]
-    graph, contact = MeshGraph.of(part), contact_with(part.vertices_mm, normals[looked], others)
-    found = _settled(volumes, part, normals[looked], told, presence, graph, contact)
+    start = np.zeros(len(told)) if moved_mm is None else moved_mm[looked]
+    found = _settled(volumes, part, normals[looked], told, presence, others, start)
     thickness, there = found.thickness_mm, found.thickness_mm > 0
 
     def whole(values: Floats, elsewhere: float) -> Floats:
@@ -151,8 +160,10 @@ def find_cartilage(
         out[looked] = values
         return out
 
+    moved = whole(found.moved_mm, 0.0)
+    inner = Surface(vertices_mm=bone.vertices_mm + moved[:, None] * normals, faces=bone.faces)
     return CartilageSheet(
-        bone=bone, normals=normals, thickness_mm=whole(thickness, 0.0),
+        bone=inner, normals=normals, moved_mm=moved, thickness_mm=whole(thickness, 0.0),
         thickness_sd_mm=whole(found.thickness_sd_mm, np.nan), confidence=whole(found.confidence, 1.0),
         foretold_mm=whole(np.where(there, found.foretold_mm, 0.0), 0.0),
         by_image=whole(np.where(there, found.by_image, np.nan), np.nan),
@@ -169,34 +180,42 @@ class _Settled:
     confidence: Floats
     foretold_mm: Floats
     by_image: Floats
+    moved_mm: Floats
     blur_mm: Floats
 
 
 def _settled(
-    volumes: Sequence[Volume], part: Surface, normals: Floats, told: Floats, presence: Floats, graph: MeshGraph,
-    contact: Contact,
+    volumes: Sequence[Volume], part: Surface, normals: Floats, told: Floats, presence: Floats,
+    others: Sequence[tuple[Surface, Floats]], moved: Floats,
 ) -> _Settled:  # fmt: skip
-    """Give the answers when they and the foretold thickness, scaled to the person's, agree."""
-    profiles = [read_profiles(volume, part.vertices_mm, normals) for volume in volumes]
+    """Give the answers when they, the inner surface, and the foretold thickness, scaled to the person's, agree."""
+    graph, across = MeshGraph.of(part), contact_with(part.vertices_mm, normals, others)
     estimate, present, scaled = told, presence > 0.8, told
-    fixed = contact.costs(LEVELS_MM)
-    for _ in range(_ROUNDS):
-        prior = fixed + _prior_costs(scaled, presence)
+    blurs = [1.0] * len(volumes)
+    for turn in range(_ROUNDS):
+        places, contact = part.vertices_mm + moved[:, None] * normals, across.from_above(moved)
+        profiles = [read_profiles(volume, places, normals, blur) for volume, blur in zip(volumes, blurs, strict=True)]
+        prior = contact.costs(LEVELS_MM) + _prior_costs(scaled, presence)
         costs = prior.copy()
         known = [tissues(each, estimate, present, contact.theirs, graph) for each in profiles]
         for each, seen in zip(profiles, known, strict=True):
             costs += layer_costs(each, seen, contact.begins_mm, contact.begins_sd_mm, contact.ends_mm)
-        thickness, sd, confidence = _answers(graph.choose(costs, LEVELS_MM, SLOPE_SD, RIM_COST), costs)
+        beliefs = _in_one_piece(graph.choose(costs, LEVELS_MM, SLOPE_SD, RIM_COST), part, graph)
+        thickness, sd, confidence = _answers(beliefs, costs)
         # Where two cartilages may touch, the template itself has placed the edge: it tells nothing of the person.
         sure = (thickness > 0) & (np.nan_to_num(sd) < _SURE_MM) & (confidence > 0.6) & ~contact.reached(thickness)
         scaled = _scaled(told, thickness, sure, graph)
-        blur = np.min([each.blur_mm for each in profiles], axis=0)
-        profiles = [with_measured_blur(*both, thickness, sure) for both in zip(profiles, known, strict=True)]
         estimate, present = np.where(thickness > 0, thickness, scaled), thickness > 0
+        if turn + 1 < _ROUNDS:
+            blurs = [each * measured_blur(*both, thickness, sure) for each, *both in zip(blurs, profiles, known, strict=True)]
+            inner = inner_edge(sum(inner_costs(each, seen, thickness, present | (presence > 0.5), moved) for each, seen in zip(profiles, known, strict=True)), graph)
+            moved = inner.offset_mm
+    sd = np.hypot(sd, inner.sd_mm)
+    blur = np.min([each.blur_mm for each in profiles], axis=0)
     by_image = 1 - (_spread(costs) ** 2 + MODEL_SD_MM**2) / _spread(prior) ** 2
     return _Settled(
         thickness_mm=thickness, thickness_sd_mm=sd, confidence=confidence, foretold_mm=scaled, by_image=by_image,
-        blur_mm=blur,
+        moved_mm=moved, blur_mm=blur,
     )  # fmt: skip
 
 
@@ -239,6 +258,26 @@ def _prior_costs(told: Floats, presence: Floats) -> Floats:
     costs = 0.5 * off**2 - np.log(there) + np.log(np.sqrt(2 * np.pi) * sd / STEP_MM)
     costs[:, :1] = -np.log(1 - there)
     return np.asarray(costs)
+
+
+def _in_one_piece(beliefs: Floats, part: Surface, graph: MeshGraph) -> Floats:
+    """Give the costs (V, L) such that specks are bare and pinholes covered, by a hair: nobody is sure there."""
+    beliefs = beliefs.copy()
+    bare = np.argmin(beliefs, axis=1) == 0
+    speck = _small(~bare, SPECK_MM2, part, graph)
+    beliefs[speck, 0] = beliefs[speck].min(1) - _HAIR
+    hole = _small(bare, HOLE_MM2, part, graph)
+    beliefs[hole, 1:] += (beliefs[hole, 0] - beliefs[hole, 1:].min(1) - _HAIR)[:, None]
+    return beliefs
+
+
+def _small(mask: Mask, least_mm2: float, part: Surface, graph: MeshGraph) -> Mask:
+    """(V,) true in those pieces of a mask that are smaller than so much."""
+    piece = graph.pieces(mask)
+    areas = np.bincount(piece[mask], part.vertex_areas_mm2[mask])
+    small: Mask = mask.copy()
+    small[mask] = areas[piece[mask]] < least_mm2
+    return small
 
 
 def _answers(beliefs: Floats, costs: Floats) -> tuple[Floats, Floats, Floats]:

@@ -44,6 +44,11 @@ class Contact:
         """(V,) how far out a profile tells of cartilage."""
         return self.away_mm - _BONE_MM
 
+    def from_above(self, height_mm: Floats) -> "Contact":
+        """Look from places (V,) so much farther out along the normals."""
+        away, begins = self.away_mm - height_mm, self.begins_mm - height_mm
+        return Contact(away_mm=away, begins_mm=begins, begins_sd_mm=self.begins_sd_mm)
+
     def costs(self, levels_mm: Floats) -> Floats:
         """Give what each thickness costs (V, L) for the other bone that is in its way."""
         return np.where(levels_mm[None] > self.away_mm[:, None], _NEVER, 0.0)

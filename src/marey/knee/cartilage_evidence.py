@@ -1,7 +1,7 @@
 """What an image says of how thick the cartilage is along each normal: a layer between two blurred edges, or none."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numba
 import numpy as np
@@ -16,7 +16,7 @@ STEP_MM = 0.2
 THINNEST_MM, THICKEST_MM = 0.4, 7.0
 LEVELS_MM = np.concatenate([[0.0], np.arange(THINNEST_MM, THICKEST_MM + 1e-9, STEP_MM)])
 """The thicknesses among which is chosen; 0 is bare."""
-DEPTHS_MM = np.arange(-2.0, THICKEST_MM + 4.0, STEP_MM)
+DEPTHS_MM = np.arange(-3.0, THICKEST_MM + 4.0, STEP_MM)
 """Where along a normal the image is read; 0 is the bone's surface."""
 FIRST_MM = -0.6
 """From here on the grey values have to be explained."""
@@ -63,15 +63,22 @@ class Tissues:
     """Density of what lies over cartilage, in `_BINS`."""
 
 
-def read_profiles(volume: Volume, places_mm: Floats, normals: Floats) -> Profiles:
-    """Read an image along normals (V, 3) from places (V, 3)."""
+def read_profiles(volume: Volume, places_mm: Floats, normals: Floats, blurred: float = 1.0) -> Profiles:
+    """Read an image along normals (V, 3) from places (V, 3).
+
+    Args:
+        volume: The image.
+        places_mm: On the bone.
+        normals: Unit.
+        blurred: The image is so many times as blurred as its voxels and `EDGE_SD_MM` let expect.
+    """
     along = places_mm[:, None] + DEPTHS_MM[:, None] * normals[:, None]
     voxels = np.moveaxis(volume.grid.voxels(along)[..., ::-1], -1, 0)
     values = ndimage.map_coordinates(volume.intensity, voxels, order=1, mode="nearest", output=float)
     axes = volume.grid.lps_from_voxel[:3, :3]
     extents = np.abs(normals @ axes)  # (V, 3) of a voxel's edges, along the normal
     # A voxel is the mean over its box, and reading between voxels is a mean over two boxes.
-    blur = np.sqrt((extents**2).sum(1) * (1 / 12 + 1 / 6) + EDGE_SD_MM**2)
+    blur = blurred * np.sqrt((extents**2).sum(1) * (1 / 12 + 1 / 6) + EDGE_SD_MM**2)
     return Profiles(values=values, blur_mm=blur, alike_mm=np.maximum(np.sqrt((extents**2).sum(1)), CORRELATED_MM))
 
 
@@ -98,8 +105,8 @@ def tissues(profiles: Profiles, thickness_mm: Floats, present: Mask, theirs: Flo
     here = np.maximum(np.where(np.isfinite(about), about, usual), 1e-3 * max(abs(usual), 1e-6))
     relative = values / here[:, None]
     spread = 1.4826 * float(np.median(np.abs(middle[sure] / here[sure] - 1)))
-    deep = np.median(relative[:, (DEPTHS_MM > -1.7) & (DEPTHS_MM < -0.9)], axis=1)
-    marrow = graph.filled(deep, np.ones(len(deep)), 1.5)
+    below = relative[:, (DEPTHS_MM > -2.1) & (DEPTHS_MM < -0.9)]
+    marrow = graph.filled(np.median(below, axis=1), np.ones(len(below)), 1.5)
     beyond = DEPTHS_MM[None] - thickness_mm[:, None]
     outside = (beyond > 2.5 * profiles.blur_mm[:, None]) & (beyond < 4.0) & (theirs < 0.3) & np.isfinite(here)[:, None]
     outside &= present[:, None]
@@ -140,8 +147,8 @@ def layer_costs(profiles: Profiles, seen: Tissues, begins_mm: Floats, begins_sd_
     )  # fmt: skip
 
 
-def with_measured_blur(profiles: Profiles, seen: Tissues, thickness_mm: Floats, sure: Mask) -> Profiles:
-    """Scale the blur to what the image shows at the outer edges of thick cartilage.
+def measured_blur(profiles: Profiles, seen: Tissues, thickness_mm: Floats, sure: Mask) -> float:
+    """Give the blur that the image shows at the outer edges of thick cartilage, as a multiple of what is assumed.
 
     Args:
         profiles: Grey values.
@@ -156,12 +163,12 @@ def with_measured_blur(profiles: Profiles, seen: Tissues, thickness_mm: Floats, 
     outside = (seen.relative[used] * beyond).sum(1) / np.maximum(beyond.sum(1), 1)
     clear = (np.abs(1 - outside) > _CLEAR) & beyond.any(1)
     if np.count_nonzero(clear) < _ENOUGH:
-        return profiles
+        return 1.0
     near = clear[:, None] & (np.abs(off) < _EDGE_MM)
     part = ((1 - seen.relative[used]) / (1 - np.where(clear, outside, 0.0))[:, None])[near]
     at = (off / blur)[near]
     misfit = [np.minimum((part - ndtr(at / factor)) ** 2, 0.05).sum() for factor in _FACTORS]
-    return replace(profiles, blur_mm=profiles.blur_mm * _FACTORS[int(np.argmin(misfit))])
+    return float(_FACTORS[int(np.argmin(misfit))])
 
 
 @numba.njit(cache=True, nogil=True)

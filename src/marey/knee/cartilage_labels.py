@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 
 import numpy as np
+from scipy import ndimage
 
 from marey.arrays import Floats
 from marey.knee.cartilage import CartilageSheet
@@ -11,15 +12,18 @@ from marey.knee.structures import CARTILAGE_OF_BONE, LABELS
 from marey.knee.triangle_tree import TriangleTree, corner_weights
 from marey.knee.volume import Labels
 
-BELOW_MM = 1.0
-"""Voxels that are not the bone's own, but lie within its smoothed surface by less than this, are the cartilage's."""
+MOVED_MM = 2.0
+"""The sheets' inner surfaces lie at most so far beside the bones' voxels."""
 
 
 def with_cartilage(bones: Labels, sheets: Mapping[str, CartilageSheet]) -> Labels:
     """Add cartilage to a volume of bones: voxels over a bone that lie nearer to it than the cartilage is thick.
 
+    Where a bone is covered, its voxels end where the sheet's inner surface says, which may lie beside where they ended
+    before; no voxel between bone and cartilage is left out. Elsewhere bones stay as they are.
+
     Args:
-        bones: On the image's own grid; bones stay as they are, cartilage of before is taken away.
+        bones: On the image's own grid; cartilage of before is taken away.
         sheets: Bone's name to the cartilage on it.
 
     Returns:
@@ -30,12 +34,22 @@ def with_cartilage(bones: Labels, sheets: Mapping[str, CartilageSheet]) -> Label
     for bone, sheet in sheets.items():
         box = _box(bones, sheet)
         part, share = labels[box], best[box]
-        free = np.argwhere(~np.isin(part, [LABELS[name] for name in CARTILAGE_OF_BONE]))
+        own = part == LABELS[bone]
+        taken = np.isin(part, [LABELS[name] for name in CARTILAGE_OF_BONE if name != bone])
+        reach = [2 * int(MOVED_MM / spacing) + 1 for spacing in bones.grid.array_spacing_mm]
+        deep = ndimage.minimum_filter(own, reach)
+        free = np.argwhere(~taken & ~deep)
         offset = np.array([axis.start for axis in box])
-        places = bones.grid.lps((free + offset)[:, ::-1])
-        height, thickness = _heights(sheet, places)
-        within = (thickness > 0) & (height > -BELOW_MM) & (height <= thickness)
-        ratio = np.where(within, height / np.maximum(thickness, 1e-9), np.inf)
+        height, thickness = _heights(sheet, bones.grid.lps((free + offset)[:, ::-1]))
+        covered = thickness > 0
+        below = covered & (height <= 0) & (height > -MOVED_MM)
+        part[tuple(free[below].T)] = LABELS[bone]
+        share[tuple(free[below].T)] = -np.inf
+        over = covered & (height > 0)
+        # What was bone and lies over the cartilage is neither.
+        crust = over & (height > thickness) & (height < MOVED_MM) & own[tuple(free.T)]
+        part[tuple(free[crust].T)] = 0
+        ratio = np.where(over & (height <= thickness), height / np.maximum(thickness, 1e-9), np.inf)
         at = tuple(free.T)
         won = ratio < share[at]
         spots = tuple(axis[won] for axis in at)

@@ -116,16 +116,19 @@ def find_knee_cartilage(
     # A bone without a template is in the way of the others' cartilage all the same.
     thickness: dict[str, Floats] = {bone: np.zeros(len(surface.vertices_mm)) for bone, surface in bones.items()}
     thickness |= {bone: _foretold(each.told) for bone, each in laid.items()}
+    inner = dict(bones)
     for turn in range(_PASSES):
         for n, bone in enumerate(both):
             if bone in laid and bone not in missing:
-                others = [(bones[other], thickness[other]) for other in bones if other != bone]
+                others = [(inner[other], thickness[other]) for other in bones if other != bone]
+                before = sheets[bone].moved_mm if bone in sheets else None
                 try:
-                    sheets[bone] = find_cartilage(volumes, bones[bone], laid[bone].told, others)
+                    sheets[bone] = find_cartilage(volumes, bones[bone], laid[bone].told, others, before)
                 except MareyError as problem:
                     missing[bone] = str(problem)
             done((len(both) * (2 + turn) + n + 1) / steps)
         # Not what was found: where cartilages touch, it has been placed by this very sharing.
+        inner |= {bone: sheet.bone for bone, sheet in sheets.items()}
         thickness |= {bone: np.asarray(sheet.foretold_mm) for bone, sheet in sheets.items()}
     for bone in list(sheets):
         if (reason := _unseen(sheets[bone])) is not None:

@@ -7,7 +7,7 @@ import numba
 import numpy as np
 from scipy import sparse
 
-from marey.arrays import Floats, Integers
+from marey.arrays import Floats, Integers, Mask
 from marey.knee.surface import Surface
 
 _ROUNDS, _DAMPING = 30, 0.3
@@ -54,6 +54,15 @@ class MeshGraph:
         """Give the weighted mean of numbers (V,) about each vertex; NaN where no weight is near."""
         both = self.smoothed(np.stack([np.where(weights > 0, values, 0.0) * weights, weights], 1), width_mm)
         return np.divide(both[:, 0], both[:, 1], out=np.full(self.count, np.nan), where=both[:, 1] > 1e-9)
+
+    def pieces(self, mask: Mask) -> Integers:
+        """Number the pieces (V,) of what a mask covers, from 0 on; -1 elsewhere."""
+        kept = self.edges[mask[self.edges].all(1)]
+        links = sparse.coo_matrix((np.ones(len(kept)), (kept[:, 0], kept[:, 1])), shape=(self.count, self.count))
+        piece = sparse.csgraph.connected_components(links, directed=False)[1]
+        numbers = np.full(self.count, -1)
+        numbers[mask] = np.unique(piece[mask], return_inverse=True)[1]
+        return numbers
 
     def choose(self, costs: Floats, levels_mm: Floats, slope_sd: float, most: float) -> Floats:
         """Choose among candidates at each vertex so that neighbours agree: belief propagation, min-sum.
