@@ -5,11 +5,13 @@ import pytest
 import trimesh
 
 from marey.errors import MareyError
-from marey.knee.cartilage import find_cartilage
+from marey.knee.cartilage import _answers, _in_one_piece, find_cartilage
+from marey.knee.cartilage_evidence import LEVELS_MM
 from marey.knee.cartilage_labels import with_cartilage
 from marey.knee.cartilage_prediction import predict_cartilage
 from marey.knee.deformation import Deformation
 from marey.knee.knee_cartilage import _unseen
+from marey.knee.mesh_graph import MeshGraph
 from marey.knee.structures import LABELS
 from marey.knee.surface import Surface
 from marey.knee.volume import Grid, Labels, Volume
@@ -183,3 +185,19 @@ def test_thickness_is_carried_by_the_deformation():
     np.testing.assert_allclose(told.thickness_mm[inner], (2.0 + 0.05 * height)[inner], atol=1e-2)
     assert told.presence[height > 12].min() > 0.95
     assert told.presence[height < -12].max() < 0.05
+
+
+def test_a_lone_speck_is_no_cartilage_and_a_hole_no_lesion_but_nobody_is_sure_there():
+    bone = ball()
+    up = bone.vertices_mm / RADIUS
+    cap, island, hole = up[:, 2] > 0.3, up[:, 2] < -0.98, np.linalg.norm(up - [0.6, 0, 0.8], axis=1) < 0.08
+    lesion = np.linalg.norm(up - [0, 0, 1], axis=1) < 0.25
+    covered = (cap & ~lesion | island) & ~hole
+    costs = np.full((len(up), len(LEVELS_MM)), 8.0)
+    costs[np.arange(len(up)), np.where(covered, 8, 0)] = 0.0
+    thickness, _, confidence = _answers(_in_one_piece(costs, bone, MeshGraph.of(bone)), costs)
+    assert not thickness[island].any()
+    assert not thickness[lesion].any()
+    np.testing.assert_array_equal(thickness > 0, cap & ~lesion | hole)
+    assert (confidence[island | hole] < 0.51).all()
+    assert (confidence[cap & ~lesion & ~hole] > 0.9).all()

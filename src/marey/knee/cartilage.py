@@ -27,10 +27,9 @@ from marey.knee.cartilage_evidence import (
     measured_blur,
     read_profiles,
     tissues,
-
 )
 from marey.knee.cartilage_inner import inner_costs, inner_edge
-from marey.knee.cartilage_prediction import TOLD_SHARE, CartilagePrediction
+from marey.knee.cartilage_prediction import RIM_MM, TOLD_SHARE, CartilagePrediction
 from marey.knee.mesh_graph import MeshGraph
 from marey.knee.surface import Surface
 from marey.knee.volume import Volume
@@ -57,6 +56,12 @@ SPECK_MM2, HOLE_MM2 = 40.0, 6.0
 """Smaller pieces of cartilage, and smaller holes in it, are none."""
 _ROUNDS = 3
 _HAIR = 1e-3
+_TOLD = 0.8
+"""The template has cartilage where it is so probable."""
+_SOME = 0.5
+"""Cartilage is so probable by the template that its inner edge is looked for though none was found."""
+_COVERED = 0.84
+"""Of a mask spread over `RIM_MM`, so much is left that far from its rim."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -78,6 +83,8 @@ class CartilageSheet:
     by_image: Floats | None = None
     """(V,) share of what is known of the thickness that the image tells, not the template: 1 less the ratio of the
     variances with the image and without; NaN where the bone is bare."""
+    scale: Floats | None = None
+    """(V,) this person's cartilage is foretold so many times as thick as the template's."""
     moved_mm: Floats | None = None
     """(V,) how far `bone` lies outward of the surface that was given."""
     blur_mm: Floats | None = None
@@ -85,8 +92,8 @@ class CartilageSheet:
 
     def __post_init__(self) -> None:
         for name in (
-            "normals", "thickness_mm", "thickness_sd_mm", "confidence", "foretold_mm", "by_image", "moved_mm",
-            "blur_mm",
+            "normals", "thickness_mm", "thickness_sd_mm", "confidence", "foretold_mm", "by_image", "scale",
+            "moved_mm", "blur_mm",
         ):  # fmt: skip
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, frozen(getattr(self, name)))
@@ -130,7 +137,7 @@ class CartilageSheet:
 
 def find_cartilage(
     volumes: Sequence[Volume], bone: Surface, prediction: CartilagePrediction,
-    others: Sequence[tuple[Surface, Floats]] = (), moved_mm: Floats | None = None,
+    others: Sequence[tuple[Surface, Floats]] = (), before: CartilageSheet | None = None,
 ) -> CartilageSheet:  # fmt: skip
     """Find the cartilage on a bone.
 
@@ -141,18 +148,21 @@ def find_cartilage(
         prediction: From the template.
         others: The other bones, and how thick the cartilage on each is foretold to be at its vertices, 0 where bare:
             where two cartilages touch, the space between the bones is shared.
-        moved_mm: (V,) a first idea of how far outward of the bone the cartilage begins.
+        before: An earlier answer on this bone, from which to go on.
 
     Raises:
         MareyError: The template foretells no cartilage on this bone.
     """
     looked = np.isfinite(prediction.thickness_mm)
-    if np.count_nonzero(looked & (prediction.presence > 0.8)) < 20:
+    if np.count_nonzero(looked & (prediction.presence > _TOLD)) < 20:
         raise MareyError("The template foretells no cartilage on this bone: does it fit?")
     normals = _steady_normals(bone)
     part, told, presence = _part(bone, looked), prediction.thickness_mm[looked], prediction.presence[looked]
-    start = np.zeros(len(told)) if moved_mm is None else moved_mm[looked]
-    found = _settled(volumes, part, normals[looked], told, presence, others, start)
+    moved: Floats = np.zeros(len(told))
+    scale: Floats = np.ones(len(told))
+    if before is not None and before.moved_mm is not None and before.scale is not None:
+        moved, scale = before.moved_mm[looked], before.scale[looked]
+    found = _settled(volumes, part, normals[looked], told, presence, others, moved, scale)
     thickness, there = found.thickness_mm, found.thickness_mm > 0
 
     def whole(values: Floats, elsewhere: float) -> Floats:
@@ -160,10 +170,11 @@ def find_cartilage(
         out[looked] = values
         return out
 
-    moved = whole(found.moved_mm, 0.0)
-    inner = Surface(vertices_mm=bone.vertices_mm + moved[:, None] * normals, faces=bone.faces)
+    outward = whole(found.moved_mm, 0.0)
+    inner = Surface(vertices_mm=bone.vertices_mm + outward[:, None] * normals, faces=bone.faces)
     return CartilageSheet(
-        bone=inner, normals=normals, moved_mm=moved, thickness_mm=whole(thickness, 0.0),
+        bone=inner, normals=normals, moved_mm=outward, scale=whole(found.scale, 1.0),
+        thickness_mm=whole(thickness, 0.0),
         thickness_sd_mm=whole(found.thickness_sd_mm, np.nan), confidence=whole(found.confidence, 1.0),
         foretold_mm=whole(np.where(there, found.foretold_mm, 0.0), 0.0),
         by_image=whole(np.where(there, found.by_image, np.nan), np.nan),
@@ -182,41 +193,57 @@ class _Settled:
     by_image: Floats
     moved_mm: Floats
     blur_mm: Floats
+    scale: Floats
 
 
 def _settled(
     volumes: Sequence[Volume], part: Surface, normals: Floats, told: Floats, presence: Floats,
-    others: Sequence[tuple[Surface, Floats]], moved: Floats,
+    others: Sequence[tuple[Surface, Floats]], moved: Floats, scale: Floats,
 ) -> _Settled:  # fmt: skip
     """Give the answers when they, the inner surface, and the foretold thickness, scaled to the person's, agree."""
     graph, across = MeshGraph.of(part), contact_with(part.vertices_mm, normals, others)
-    estimate, present, scaled = told, presence > 0.8, told
-    blurs = [1.0] * len(volumes)
+    scaled: Floats = np.clip(scale * told, THINNEST_MM, THICKEST_MM)
+    estimate, present, blurred = scaled, presence > _TOLD, [1.0] * len(volumes)
     for turn in range(_ROUNDS):
         places, contact = part.vertices_mm + moved[:, None] * normals, across.from_above(moved)
-        profiles = [read_profiles(volume, places, normals, blur) for volume, blur in zip(volumes, blurs, strict=True)]
+        profiles = [read_profiles(each, places, normals, blur) for each, blur in zip(volumes, blurred, strict=True)]
+        known = [tissues(each, estimate, present, contact.theirs, graph) for each in profiles]
         prior = contact.costs(LEVELS_MM) + _prior_costs(scaled, presence)
         costs = prior.copy()
-        known = [tissues(each, estimate, present, contact.theirs, graph) for each in profiles]
         for each, seen in zip(profiles, known, strict=True):
             costs += layer_costs(each, seen, contact.begins_mm, contact.begins_sd_mm, contact.ends_mm)
         beliefs = _in_one_piece(graph.choose(costs, LEVELS_MM, SLOPE_SD, RIM_COST), part, graph)
         thickness, sd, confidence = _answers(beliefs, costs)
-        # Where two cartilages may touch, the template itself has placed the edge: it tells nothing of the person.
-        sure = (thickness > 0) & (np.nan_to_num(sd) < _SURE_MM) & (confidence > 0.6) & ~contact.reached(thickness)
-        scaled = _scaled(told, thickness, sure, graph)
+        # Where two cartilages may touch, the template itself has placed the edge: it tells nothing of the person. Nor
+        # is it asked whether the answer touches alone: those too thin by chance would be left, and thin all the others.
+        touching = contact.reached(np.maximum(thickness, scaled))
+        sure = (thickness > 0) & (np.nan_to_num(sd) < _SURE_MM) & (confidence > 0.6) & ~touching
+        scaled = _scaled(told, thickness, sure & _within(thickness > 0, presence, graph), graph)
         estimate, present = np.where(thickness > 0, thickness, scaled), thickness > 0
-        if turn + 1 < _ROUNDS:
-            blurs = [each * measured_blur(*both, thickness, sure) for each, *both in zip(blurs, profiles, known, strict=True)]
-            inner = inner_edge(sum(inner_costs(each, seen, thickness, present | (presence > 0.5), moved) for each, seen in zip(profiles, known, strict=True)), graph)
-            moved = inner.offset_mm
-    sd = np.hypot(sd, inner.sd_mm)
-    blur = np.min([each.blur_mm for each in profiles], axis=0)
+        if turn + 1 == _ROUNDS:
+            break
+        looked = present | (presence > _SOME)
+        told_by = [
+            inner_costs(each, seen, thickness, looked, moved) for each, seen in zip(profiles, known, strict=True)
+        ]
+        inner = inner_edge(np.sum(told_by, axis=0), graph)
+        moved = np.asarray(inner.offset_mm)
+        more = [measured_blur(*both, thickness, sure) for both in zip(profiles, known, strict=True)]
+        blurred = [blur * each for blur, each in zip(blurred, more, strict=True)]
     by_image = 1 - (_spread(costs) ** 2 + MODEL_SD_MM**2) / _spread(prior) ** 2
     return _Settled(
-        thickness_mm=thickness, thickness_sd_mm=sd, confidence=confidence, foretold_mm=scaled, by_image=by_image,
-        moved_mm=moved, blur_mm=blur,
+        thickness_mm=thickness, thickness_sd_mm=np.hypot(sd, inner.sd_mm), confidence=confidence, foretold_mm=scaled,
+        by_image=by_image, moved_mm=moved, blur_mm=np.min([each.blur_mm for each in profiles], axis=0),
+        scale=scaled / told,
     )  # fmt: skip
+
+
+def _within(present: Mask, presence: Floats, graph: MeshGraph) -> Mask:
+    """(V,) true where both the template and the person have cartilage, and no rim of it is near.
+
+    At its rim cartilage is thin wherever the rim lies: that tells nothing of how thick it is elsewhere.
+    """
+    return (presence > _TOLD) & (graph.smoothed(present.astype(float), RIM_MM) > _COVERED)
 
 
 def _spread(costs: Floats) -> Floats:

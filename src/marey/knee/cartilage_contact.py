@@ -54,8 +54,8 @@ class Contact:
         return np.where(levels_mm[None] > self.away_mm[:, None], _NEVER, 0.0)
 
     def reached(self, thickness_mm: Floats) -> Mask:
-        """(V,) true where cartilage so thick would about touch the other bone's."""
-        return thickness_mm > self.begins_mm - _TOUCHING_MM
+        """(V,) true where cartilage so thick may touch the other bone's, within a standard deviation."""
+        return thickness_mm > self.begins_mm - np.maximum(self.begins_sd_mm, _TOUCHING_MM)
 
 
 def contact_with(places_mm: Floats, normals: Floats, others: Sequence[tuple[Surface, Floats]]) -> Contact:

@@ -1,4 +1,5 @@
 """The inner surface of cartilage, fitted anew: how far along its normals a bone's surface lies beside the edge."""
+
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,10 +72,10 @@ def inner_costs(
     used = np.flatnonzero(present & _seen(seen, thickness_mm - profiles.blur_mm))
     values, marrow = seen.relative[used], seen.marrow[used, None]
     blur, thick = profiles.blur_mm[used, None], thickness_mm[used, None]
-    beyond = (DEPTHS_MM > thick + 1.5 * blur) & (DEPTHS_MM < thick + 1.5 * blur + OVER_MM)
+    beyond = (thick + 1.5 * blur < DEPTHS_MM) & (thick + 1.5 * blur + OVER_MM > DEPTHS_MM)
     over = (values * beyond).sum(1, keepdims=True) / np.maximum(beyond.sum(1, keepdims=True), 1)
     outer = (np.where(beyond.any(1, keepdims=True), over, 1.0) - 1) * ndtr((DEPTHS_MM - thick) / blur)
-    share = np.where(DEPTHS_MM <= thick, STEP_MM / profiles.alike_mm[used, None], 0.0)
+    share = np.where(thick >= DEPTHS_MM, STEP_MM / profiles.alike_mm[used, None], 0.0)
     for n, offset in enumerate(OFFSETS_MM):
         inner = ndtr((DEPTHS_MM - (offset - offset_mm[used, None])) / blur)
         off = (values - (marrow + (1 - marrow) * inner + outer)) / seen.spread

@@ -121,9 +121,8 @@ def find_knee_cartilage(
         for n, bone in enumerate(both):
             if bone in laid and bone not in missing:
                 others = [(inner[other], thickness[other]) for other in bones if other != bone]
-                before = sheets[bone].moved_mm if bone in sheets else None
                 try:
-                    sheets[bone] = find_cartilage(volumes, bones[bone], laid[bone].told, others, before)
+                    sheets[bone] = find_cartilage(volumes, bones[bone], laid[bone].told, others, sheets.get(bone))
                 except MareyError as problem:
                     missing[bone] = str(problem)
             done((len(both) * (2 + turn) + n + 1) / steps)
