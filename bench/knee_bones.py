@@ -5,12 +5,13 @@ Each NAME is segmented, its labels and surfaces go to OUT/NAME, and Dice, ASD an
 without handles. Names: dess, phantom_a, phantom_spl, phantom_spl_t1, phantom_spl+phantom_spl_t1 (two volumes), mese (no
 reference: volumes only), falling_off (made images like mese's: bright marrow and fat, sagittal slices of 4 mm, and a
 coil whose sensitivity falls away), varied (made knees of other people, see made_knee_images.py), cut (images of one
-long bone only). Of the made ones `--seeds` says how many.
+long bone only), templates (each volume with the labels of every other person). Of the made ones `--seeds` says how many.
 """
 
 import argparse
 import json
 import resource
+import shutil
 import subprocess
 import sys
 import time
@@ -32,18 +33,11 @@ from marey.knee.surface import Surface
 from marey.knee.surfacing import surface_of_field
 from marey.knee.volume import Volume
 
-NAMES = (
-    "dess",
-    "phantom_a",
-    "phantom_spl",
-    "phantom_spl_t1",
-    "phantom_spl+phantom_spl_t1",
-    "mese",
-    "falling_off",
-    "varied",
-    "cut",
-)
+SHARED = ("dess", "phantom_a", "phantom_spl", "phantom_spl_t1")
+NAMES = (*SHARED, "phantom_spl+phantom_spl_t1", "mese", "falling_off", "varied", "cut", "templates")
 TEMPLATES = {"dess": "atlas", "phantom_a": "atlas", "mese": "atlas"}
+PEOPLE = {"atlas": ("phantom_spl", "phantom_spl_t1"), "template_a": ("phantom_a",), "dess": ("dess",)}
+"""Template to the volumes of the person whose labels it has."""
 
 
 def volume_path(shared: Path, name: str) -> Path:
@@ -88,16 +82,36 @@ def score(shared: Path, truth: Path, out: Path, rows: list[str]) -> dict[str, ob
     return {bone: [*each.values()] if each else None for bone, each in values.items()}
 
 
-def one(shared: Path, name: str, out: Path, *, with_template: bool) -> None:
+def one(shared: Path, name: str, out: Path, template: Path | None) -> None:
     """Segment shared volumes and score them."""
     volumes = [read_volume(volume_path(shared, each)) for each in name.split("+")]
-    folder = shared / "data" / "knee" / TEMPLATES.get(name, "template_a")
-    told = segment(volumes, folder if with_template else None, out)
+    told = segment(volumes, template, out)
     if name != "mese":
         first = shared / "data" / "knee" / name.split("+")[0]
         truth = first / ("reference_labels.nii.gz" if name == "dess" else "truth_labels.nii.gz")
         told |= score(shared, truth, out, ["--rows", "60", "400"] if name == "dess" else [])
-    said(name, told)
+    said(f"{name} by {template.name if template else 'no template'}", told)
+
+
+def by_every_template(shared: Path, out: Path) -> None:
+    """Segment each volume with the labels of every other person."""
+    for template, own in PEOPLE.items():
+        folder = shared / "data" / "knee" / template
+        if template == "dess":
+            folder = dess_template(folder, out / "template" / "dess")
+        for name in SHARED:
+            if name not in own:
+                one(shared, name, out / f"{name}_by_{template}", folder)
+
+
+def dess_template(dess: Path, folder: Path) -> Path:
+    """Make a template of the reference of a real knee: bones, and cartilage where it is trusted."""
+    folder.mkdir(parents=True, exist_ok=True)
+    shutil.copy(dess / "reference_labels.nii.gz", folder / "labels.nii.gz")
+    labels = json.loads((dess / "reference_labels.json").read_text(encoding="utf-8"))["labels"]
+    names = {value: name.split(" (")[0] for value, name in labels.items()}
+    (folder / "labels.json").write_text(json.dumps({"labels": names}), encoding="utf-8")
+    return folder
 
 
 def cut(shared: Path, out: Path) -> None:
@@ -182,9 +196,12 @@ def main() -> None:
                 cut(asked.shared, asked.out / "cut")
             elif name in ("varied", "falling_off"):
                 made(asked.shared, asked.out / name, asked.seeds, variations if name == "varied" else falling_off)
+            elif name == "templates":
+                by_every_template(asked.shared, asked.out / "templates")
             else:
+                template = asked.shared / "data" / "knee" / TEMPLATES.get(name, "template_a")
                 out = asked.out / name.replace("+", "_and_")
-                one(asked.shared, name, out, with_template=not asked.no_template)
+                one(asked.shared, name, out, None if asked.no_template else template)
 
 
 if __name__ == "__main__":
