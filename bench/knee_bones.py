@@ -5,7 +5,7 @@ Each NAME is segmented, its labels and surfaces go to OUT/NAME, and Dice, ASD an
 without handles. Names: dess, phantom_a, phantom_spl, phantom_spl_t1, phantom_spl+phantom_spl_t1 (two volumes), mese (no
 reference: volumes only), falling_off (made images like mese's: bright marrow and fat, sagittal slices of 4 mm, and a
 coil whose sensitivity falls away), varied (made knees of other people, see made_knee_images.py), cut (images of one
-long bone only), templates (each volume with the labels of every other person). Of the made ones `--seeds` says how many.
+long bone only), templates (each volume by every other person). Of the made ones `--seeds` says how many.
 """
 
 import argparse
