@@ -105,7 +105,7 @@ def seen_bones(
     Args:
         knee: The prepared image.
         bones: The template's.
-        kinds: Marrow may be of.
+        kinds: What marrow may be.
 
     Returns:
         Femur and tibia, each as it fits best, whether it is in view or not: `sure` tells.
@@ -136,8 +136,8 @@ def in_view(seen: Mapping[str, SeenBone], bones: Mapping[str, TemplateBone], gri
         grid: The image's upright one.
 
     Returns:
-        None where no bone is in view, or where the only one might as well be the other; both where both are, the
-        femur above the tibia and neither in the other.
+        Nothing where no bone is in view, or where the only one might as well be the other; both where both are,
+        the femur above the tibia and neither in the other.
     """
     sure = {name: each for name, each in seen.items() if each.sure}
     if len(sure) < 2:
