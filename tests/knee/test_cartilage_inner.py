@@ -53,7 +53,7 @@ def test_the_edge_is_a_smooth_sheet_that_goes_back_to_the_bone_where_nothing_is_
     costs[height > 0] = 0.5 * ((OFFSETS_MM - 0.5) / 0.15) ** 2
     stray = int(np.argmax(height))
     costs[stray] = 0.5 * ((OFFSETS_MM + 0.9) / 0.15) ** 2
-    found = inner_edge(costs, MeshGraph.of(surface))
+    found = inner_edge(costs, MeshGraph.of(surface), "bright")
     upper = (height > 3) & (np.linalg.norm(mesh.vertices - mesh.vertices[stray], axis=1) > 3)
     # The bone's own deviation of 0.8 mm pulls a little.
     np.testing.assert_allclose(found.offset_mm[upper], 0.48, atol=0.05)

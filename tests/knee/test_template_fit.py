@@ -62,6 +62,6 @@ def test_a_template_without_a_tibia_cannot_be_laid():
 
 
 def test_a_template_of_wrong_voxels_is_told():
-    check_size(Placement(matrix=1.3 * np.diag([-1.0, 1, 1]), shift=np.zeros(3)))
+    check_size([Placement(matrix=1.3 * np.diag([-1.0, 1, 1]), shift=np.zeros(3))])
     with pytest.raises(TemplateProblem, match=r"made 2\.00 times as large"):
-        check_size(Placement(matrix=2 * np.eye(3), shift=np.zeros(3)))
+        check_size([Placement(matrix=2 * np.eye(3), shift=np.zeros(3))] * 2)

@@ -4,17 +4,17 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy import ndimage
 
 from marey.arrays import Floats, Integers, Mask
 from marey.errors import MareyError, SettingProblem
 from marey.knee.bias_field import bias_field
 from marey.knee.bone_edges import Piece, marrow_odds, refined, soft_tissue_odds
+from marey.knee.bone_notes import fit_note, outgrowth_note, thin_note
 from marey.knee.bright_marrow import BrightImage, cut_along_line, evened, evenness, followed, goes_on, template_odds
 from marey.knee.marrow import WORK_MM, Kind, Knee, NoPairFound, air_level, prepare
 from marey.knee.one_bone import in_line, thick_end
 from marey.knee.partial_view import LONG_BONES, SeenBone, in_view, partial_view, seen_bones
-from marey.knee.region_growing import grow, marrow_level, outgrowth, seed_ball, signed_distance, thin_share
+from marey.knee.region_growing import grow, marrow_level, outgrowth, seed_ball, signed_distance
 from marey.knee.resampling import onward, part_of, resampled, smoothed
 from marey.knee.seeds import find_seeds, kind_at, patella_seeds, seed_voxel
 from marey.knee.structures import BONES, LABELS
@@ -41,9 +41,7 @@ _BOX_MM, _BRIGHT_BOX_MM, _FOLLOW_BOX_MM = 8.0, 16.0, 24.0
 _PATELLA_CM3 = (4.0, 45.0)
 _MOST_PATELLA = 1.6
 """How many times as large as a template's a patella with bright marrow may grow."""
-_OUTGROWTH_CM3 = 1.0
 _LEAST_MARROW = 0.5
-_MOST_THIN = 0.045
 _TOO_LARGE = 1.4
 """How much larger than the template's a bone is that must have leaked."""
 _IN_PART = {
@@ -158,31 +156,17 @@ def segment_bones(
     if look.bright and _larger_than_template(look):
         del look.grown["patella"], look.seeds["patella"]
     fit, limits = _limits(look)
-    notes = [] if fit is None else [_fit_note(fit)]
+    notes = [] if fit is None else [fit_note(fit)]
     if template is not None and fit is None:
         notes.append(
             "The template is left out: its bone does not lie well on the only long bone in view. Without it a bone may"
             " reach far into what surrounds it: look at the surface."
         )
-    if "patella" in limits and _patella_leaks(look, limits["patella"], fit):
-        look.grown.pop("patella", None)
-        _grow_patella(look, limits["patella"], given)
-    else:
-        # A patella that grew without a leak needs no limit, and a template's seldom has its shape.
-        limits.pop("patella", None)
+    _limit_patella(look, limits, fit, given)
     if "patella" not in look.grown:
         missing["patella"] = "No patella was found: give its place with --seed patella X Y Z."
-    found = {}
-    for index, name in enumerate(look.grown):
-        report(f"edge of the {name}", 0.5 + 0.5 * index / len(look.grown))
-        bone, box = _bone(look, name, limits.get(name))
-        share = _marrow_share(look, name, bone)
-        if share < _LEAST_MARROW:
-            missing[name] = f"No {name} was found: of what was taken for it only {100 * share:.0f} % is like marrow."
-            continue
-        found[name] = bone, box
-        notes += _outgrowth_note(name, bone, look.grid)
-        notes += _thin_note(name, bone, look.grid) if name not in limits else []
+    found, of_bones = _edges(look, limits, missing, report)
+    notes += of_bones
     report("bones", 1.0)
     notes += missing.values()
     return BoneSegmentation(
@@ -193,6 +177,38 @@ def segment_bones(
         notes=tuple(notes),
         missing=missing,
     )
+
+
+def _limit_patella(
+    look: _Look, limits: dict[str, np.ndarray], fit: TemplateFit | None, given: Mapping[str, Floats]
+) -> None:
+    """Grow the patella again within the template's where it leaked or did not grow; else take that limit away."""
+    if "patella" in limits and _patella_leaks(look, limits["patella"], fit):
+        look.grown.pop("patella", None)
+        _grow_patella(look, limits["patella"], given)
+    else:
+        # A patella that grew without a leak needs no limit, and a template's seldom has its shape.
+        limits.pop("patella", None)
+
+
+def _edges(
+    look: _Look, limits: Mapping[str, np.ndarray], missing: dict[str, str], report: Report
+) -> tuple[dict[str, tuple[Bone, tuple[slice, ...]]], list[str]]:
+    """Move the edge of each bone that grew; what turns out to be none goes to those missing. Gives notes, too."""
+    found: dict[str, tuple[Bone, tuple[slice, ...]]] = {}
+    notes: list[str] = []
+    for index, name in enumerate(look.grown):
+        report(f"edge of the {name}", 0.5 + 0.5 * index / len(look.grown))
+        bone, box = _bone(look, name, limits.get(name))
+        inside = resampled(bone.distance_mm, bone.grid, look.grid, outside=-50.0) > 0
+        share = _marrow_share(look, name, inside)
+        if share < _LEAST_MARROW:
+            missing[name] = f"No {name} was found: of what was taken for it only {100 * share:.0f} % is like marrow."
+            continue
+        found[name] = bone, box
+        notes += outgrowth_note(name, inside, look.grid)
+        notes += thin_note(name, inside) if name not in limits else []
+    return found, notes
 
 
 def _looked(volumes: tuple[Volume, ...], given: Mapping[str, Floats], bones: Mapping[str, TemplateBone]) -> _Look:
@@ -368,49 +384,11 @@ def _patella_leaks(look: _Look, limit: np.ndarray, fit: TemplateFit | None) -> b
     return alone and int(look.grown["patella"].sum()) > _TOO_LARGE * int((limit > 0).sum())
 
 
-def _fit_note(fit: TemplateFit) -> str:
-    side = "mirrored, as it is of the other side" if fit.mirrored else "of the same side"
-    return f"The template is {side}; {100 * fit.fit:.0f} % of its edges lie on edges of bone."
-
-
-def _marrow_share(look: _Look, name: str, bone: Bone) -> float:
+def _marrow_share(look: _Look, name: str, inside: Mask) -> float:
     """How much of a bone the image itself shows to be like the marrow at its seed: a template may have added much."""
-    inside = resampled(bone.distance_mm, bone.grid, look.grid, outside=-50.0) > 0
     likeness = look.own_likeness(name)[inside]
     known = likeness[~np.isnan(likeness)]
     return float((known > 0).mean()) if known.size else 0.0
-
-
-def _outgrowth_note(name: str, bone: Bone, grid: Grid) -> list[str]:
-    """Say where a femur or tibia has a part that none has: it may have leaked there."""
-    if name not in LONG_BONES:
-        return []
-    part = outgrowth(resampled(bone.distance_mm, bone.grid, grid, outside=-50.0) > 0)
-    pieces, count = ndimage.label(part)
-    if not count:
-        return []
-    sizes = np.bincount(pieces.ravel())[1:]
-    cm3 = float(sizes.max()) * WORK_MM**3 / 1000
-    if cm3 < _OUTGROWTH_CM3:
-        return []
-    x, y, z = grid.lps(np.argwhere(pieces == 1 + int(sizes.argmax())).mean(axis=0)[::-1])
-    return [
-        f"The {name} has an outgrowth of {cm3:.1f} cm3 about LPS {x:.0f} {y:.0f} {z:.0f} mm that may be a leak:"
-        " look there; a template, or another seed, may keep it out."
-    ]
-
-
-def _thin_note(name: str, bone: Bone, grid: Grid) -> list[str]:
-    """Say of a femur or tibia that grew without a template that it is not as round as whole ones are."""
-    if name not in LONG_BONES:
-        return []
-    share = thin_share(resampled(bone.distance_mm, bone.grid, grid, outside=-50.0) > 0)
-    if share < _MOST_THIN:
-        return []
-    return [
-        f"The {name} has {100 * share:.0f} % of its volume in thin parts, where whole ones have 1 to 2 %: it has"
-        " probably leaked. Look at its surface; a template would keep leaks out."
-    ]
 
 
 def _grow_patella(look: _Look, limit: np.ndarray | None, given: Mapping[str, Floats]) -> None:

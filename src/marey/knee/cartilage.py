@@ -226,7 +226,8 @@ def _settled(
         told_by = [
             inner_costs(each, seen, thickness, looked, moved) for each, seen in zip(profiles, known, strict=True)
         ]
-        inner = inner_edge(np.sum(told_by, axis=0), graph)
+        dark = any(np.median(seen.marrow) < 1 for seen in known)
+        inner = inner_edge(np.sum(told_by, axis=0), graph, "dark" if dark else "bright")
         moved = np.asarray(inner.offset_mm)
         more = [measured_blur(*both, thickness, sure) for both in zip(profiles, known, strict=True)]
         blurred = [blur * each for blur, each in zip(blurred, more, strict=True)]

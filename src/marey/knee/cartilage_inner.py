@@ -7,13 +7,15 @@ from scipy.special import ndtr
 
 from marey.arrays import Floats, Mask, frozen
 from marey.knee.cartilage_evidence import DEPTHS_MM, OVER_MM, STEP_MM, STRAY, Profiles, Tissues
+from marey.knee.marrow import Kind
 from marey.knee.mesh_graph import MeshGraph
 
 OFFSETS_MM = np.arange(-7, 8) * 0.2
 """How far the edge may lie outward of the bone's surface as it was found."""
-BONE_SD_MM = 0.8
-"""How well the bone's surface was found, as a standard deviation."""
-SLOPE_SD = 0.3
+BONE_SD_MM = {"dark": 0.5, "bright": 0.8}
+"""How well the bone's surface was found, as a standard deviation, by the marrow: a bone with dark marrow was cut along
+the very edge at which cartilage begins; bright marrow ends at the cortex, and fades into cartilage."""
+SLOPE_SD = {"dark": 0.15, "bright": 0.3}
 """How fast its error changes over the bone [mm/mm]."""
 _TEAR = 12.0
 """No pair of neighbours costs more."""
@@ -38,15 +40,16 @@ class InnerEdge:
             object.__setattr__(self, name, frozen(getattr(self, name)))
 
 
-def inner_edge(costs: Floats, graph: MeshGraph) -> InnerEdge:
+def inner_edge(costs: Floats, graph: MeshGraph, marrow: Kind) -> InnerEdge:
     """Choose the place of the edge at each vertex, as a smooth sheet.
 
     Args:
         costs: (V, S) of each of `OFFSETS_MM` by the image, from `inner_costs`, summed over the images.
         graph: Of the bone.
+        marrow: Whether it is dark beside cartilage, in any of the images, or bright.
     """
-    own = costs + 0.5 * (OFFSETS_MM / BONE_SD_MM) ** 2
-    beliefs = graph.choose(own, OFFSETS_MM, SLOPE_SD, _TEAR)
+    own = costs + 0.5 * (OFFSETS_MM / BONE_SD_MM[marrow]) ** 2
+    beliefs = graph.choose(own, OFFSETS_MM, SLOPE_SD[marrow], _TEAR)
     chance = np.exp(own.min(1, keepdims=True) - own)
     chance /= chance.sum(1, keepdims=True)
     mean = chance @ OFFSETS_MM

@@ -1,6 +1,6 @@
 """A template's bones laid roughly into an image: where each bone's edge should be, against leaks."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,7 +24,7 @@ _STARTS_MM = (-15.0, 0.0, 15.0)
 _AFFINE_SD = 0.08
 """How much a bone may be stretched or sheared beside the whole template: standard deviation of the matrix's terms."""
 _SHIFT_SD_MM = 8.0
-_SIZES = (0.67, 1.5)
+_SIZES = (0.6, 1.65)
 """How much larger one person's knee is than another's, child and man, at most."""
 _OUTWARD_MM = (0.0, 1.0, 2.0, 3.0)
 _CARRY_MM = 8.0
@@ -138,13 +138,16 @@ def check_fit(value: float) -> None:
         )
 
 
-def check_size(placement: Placement) -> None:
+def check_size(placements: Sequence[Placement]) -> None:
     """Make sure that a template was not stretched from a doll's knee, or a giant's.
+
+    Args:
+        placements: Of its long bones; a patella's own is too uncertain.
 
     Raises:
         TemplateProblem: It was.
     """
-    size = abs(float(np.linalg.det(placement.matrix))) ** (1 / 3)
+    size = float(np.mean([abs(np.linalg.det(each.matrix)) ** (1 / 3) for each in placements]))
     if not _SIZES[0] < size < _SIZES[1]:
         raise TemplateProblem(
             f"The template would have to be made {size:.2f} times as large to lie in this image. Is the size of its"
@@ -178,8 +181,7 @@ def place_template(
         np.mean([_contrast(bones[name], placements[name], likeness[name], grid, 2.0).mean() for name in both])
     )
     check_fit(value)
-    for name in both:
-        check_size(placements[name])
+    check_size([placements[name] for name in both if name in ("femur", "tibia")])
     return replace(best, placements=placements, fit=value)
 
 
