@@ -92,6 +92,19 @@ def test_a_thick_shaft_is_closed_where_the_image_ends(depth_mm):
     assert np.ptp(surface.vertices_mm[:, 2]) == pytest.approx(28.0, abs=1.5)
 
 
+@pytest.mark.parametrize("edge_mm", [1.0, 2.5, 4.0])
+def test_a_sheet_thinner_than_the_edges_asked_for_is_closed_and_not_pinched(edge_mm):
+    """Half a shell that thins out towards its rim, as cartilage on a condyle: its two sides may not meet in an edge."""
+    count = 56
+    grid = Grid(shape=(count, count, count), lps_from_voxel=np.diag([0.8, 0.8, 0.8, 1.0]))
+    k, j, i = np.meshgrid(*[0.8 * (np.arange(count) - count / 2)] * 3, indexing="ij")
+    half = np.interp(i, [0.0, 15.0], [0.2, 1.3])
+    surface = surface_of_field(half - np.abs(np.sqrt(i**2 + j**2 + k**2) - 17.0), grid, edge_mm=edge_mm, several=True)
+    edges = np.sort(surface.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    assert (np.unique(edges, axis=0, return_counts=True)[1] == 2).all()
+    assert len(surface.faces) > surface.area_mm2 / (0.5 * edge_mm**2)
+
+
 def test_nothing_gives_no_surface():
     distance, grid = ball((1.0, 1.0, 1.0), flip=False)
     with pytest.raises(MareyError, match="nothing to make"):
