@@ -42,6 +42,32 @@ def test_cartilage_of_another_bone_leaves_nothing(tmp_path: Path, capsys):
     assert not (tmp_path / "bone_marey").exists()
 
 
+def test_cartilage_that_mostly_lies_elsewhere_is_an_error_and_names_its_file(tmp_path: Path, capsys):
+    """Moved by its bone's radius, or half as large, some lines still go through it: that is no thickness."""
+    bone, good = ball(20.0), shell(20.0, 22.0)
+    faces = good.faces
+    write_mesh(tmp_path / "bone.ply", bone)
+    write_mesh(tmp_path / "good.ply", good)
+    write_mesh(tmp_path / "moved.ply", Surface(vertices_mm=good.vertices_mm + [20.0, 0, 0], faces=faces))
+    write_mesh(tmp_path / "half.ply", Surface(vertices_mm=good.vertices_mm / 2 + [10.0, 0, 0], faces=faces))
+    for name in ("moved", "half"):
+        words = ["knee", "thickness", *(str(tmp_path / f"{each}.ply") for each in ("bone", "good", name))]
+        assert run(words) == 2
+        assert f"{name}.ply: does not lie on that bone: only" in capsys.readouterr().err
+        assert not (tmp_path / "bone_marey").exists()
+
+
+def test_cartilage_of_which_a_part_lies_on_nothing_is_measured_and_that_is_said(tmp_path: Path, capsys):
+    bone = ball(20.0)
+    write_mesh(
+        tmp_path / "bone.ply",
+        Surface(vertices_mm=bone.vertices_mm, faces=bone.faces[bone.corners_mm[..., 2].max(1) < 6]),
+    )
+    write_mesh(tmp_path / "cartilage.ply", shell(20.0, 22.0))
+    assert run(["knee", "thickness", str(tmp_path / "bone.ply"), str(tmp_path / "cartilage.ply")]) == 0
+    assert "of what it encloses lies over the bone bone.ply; the rest is in no number." in capsys.readouterr().err
+
+
 def test_small_holes_and_turned_faces_are_mended_and_an_open_sheet_is_an_error(tmp_path: Path, capsys):
     bone, sheet = ball(20.0), shell(20.0, 22.0)
     faces = sheet.faces.copy()

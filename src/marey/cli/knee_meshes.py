@@ -18,6 +18,9 @@ THINNEST_MM = 3.0
 """Even a part of a patella reaches farther across."""
 _MOST_CARTILAGE = 0.5
 """Of a bone's volume; a patella's cartilage has a third at most."""
+_LEAST_OVER_BONE, _MOSTLY_OVER_BONE = 0.4, 0.8
+"""Shares of a cartilage: nine tenths and more where it lies on its bone, a quarter at most where it is moved by 20 mm,
+made half as large, or another bone's; half of a bone carries the half."""
 
 SMALL_HOLE = 30
 """A hole with so many edges at most is closed."""
@@ -68,6 +71,31 @@ def check_order(bone: Path, on: Surface, cartilage: Path, sheet: Surface) -> Non
             cartilage, f"is too large for the cartilage of that bone: it encloses {sizes}",
             "The bone is named first, then the cartilages on it; both in millimetres.",
         )  # fmt: skip
+
+
+def check_place(
+    bone: Path, on: Surface, cartilage: Path, sheet: Surface, thickness_mm: Floats, progress: Progress
+) -> None:
+    """Make sure that a cartilage lies on the bone, by how much of it the thickness over the vertices accounts for.
+
+    Args:
+        bone: The file of the bone.
+        on: The bone.
+        cartilage: The file of the cartilage.
+        sheet: The cartilage, closed.
+        thickness_mm: (N,) of this cartilage alone, over the bone's vertices.
+        progress: Is told of a part that lies on nothing.
+
+    Raises:
+        FileProblem: Most of it lies elsewhere: it is moved, of another size or another bone's.
+    """
+    share = float(thickness_mm @ on.vertex_areas_mm2) / sheet.volume_mm3
+    wrong = f"only {100 * share:.0f} % of what it encloses lies over the bone {bone.name}"
+    if share < _LEAST_OVER_BONE:
+        remedy = "Give both as one person's, in one place and in millimetres."
+        raise FileProblem(cartilage, f"does not lie on that bone: {wrong}", remedy)
+    if share < _MOSTLY_OVER_BONE:
+        progress.warn(f"{cartilage.name}: {wrong}; the rest is in no number.")
 
 
 def read_cartilage(path: Path, progress: Progress) -> Surface:

@@ -6,11 +6,12 @@ from pathlib import Path
 import numpy as np
 
 from marey.arrays import Floats
-from marey.cli.knee_meshes import check_order, read_bone, read_cartilage
+from marey.cli.knee_meshes import check_order, check_place, read_bone, read_cartilage
 from marey.cli.progress import Progress
 from marey.errors import FileProblem, MareyError
 from marey.io.meshes import write_mesh
 from marey.io.npz import write_arrays
+from marey.knee.surface import Surface
 from marey.knee.thickness import cartilage_thickness
 from marey.view.knee_maps import thickness_colours
 
@@ -35,16 +36,23 @@ def measure_thickness(
     out = out or bone.with_name(f"{bone.stem}_marey")
     surface = read_bone(bone, progress)
     sheets = [read_cartilage(path, progress) for path in cartilages]
-    try:
-        thickness = cartilage_thickness(surface, sheets)
-    except MareyError as error:
-        text = str(error).rstrip(".")
-        raise FileProblem(cartilages[0], text[0].lower() + text[1:], f"Is it the cartilage of {bone}?") from error
-    for path, sheet in zip(cartilages, sheets, strict=True):
+    each = [_over(bone, surface, path, sheet) for path, sheet in zip(cartilages, sheets, strict=True)]
+    for path, sheet, over in zip(cartilages, sheets, each, strict=True):
         check_order(bone, surface, path, sheet)
+        check_place(bone, surface, path, sheet, over, progress)
+    thickness = np.max(each, axis=0)
     write_arrays(out / "thickness.npz", {"thickness_mm": thickness})
     write_mesh(out / "thickness.ply", surface, colours=thickness_colours(thickness), values={"thickness_mm": thickness})
     return out, _summary(thickness)
+
+
+def _over(bone: Path, on: Surface, path: Path, sheet: Surface) -> Floats:
+    """Measure one cartilage alone (N,) [mm]."""
+    try:
+        return cartilage_thickness(on, [sheet])
+    except MareyError as error:
+        text = str(error).rstrip(".")
+        raise FileProblem(path, text[0].lower() + text[1:], f"Is it the cartilage of {bone}?") from error
 
 
 def _summary(thickness: Floats) -> str:
