@@ -2,6 +2,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pytest
 from tests.made_bones import made_bone
 
 from marey.cli.main import run
@@ -59,3 +60,24 @@ def test_bones_that_do_not_fit_leave_nothing(tmp_path: Path, capsys):
     assert run(["knee", "register", str(tmp_path / "template.ply"), str(tmp_path / "whale.ply"), "--quiet"]) == 2
     assert "does not fit whale.ply" in capsys.readouterr().err
     assert not (tmp_path / "whale_marey").exists()
+
+
+def test_a_folder_that_cannot_be_written_is_told_before_the_work(tmp_path: Path, capsys, monkeypatch):
+    monkeypatch.setattr("marey.cli.knee_register.register_on_either_side", lambda *_, **__: pytest.fail("too late"))
+    for name in ("template", "femur"):
+        write_mesh(tmp_path / f"{name}.ply", made_bone(fine=3))
+    words = ["knee", "register", str(tmp_path / "template.ply"), str(tmp_path / "femur.ply"), "--out"]
+    assert run([*words, str(tmp_path / "femur.ply" / "below")]) == 2
+    assert "cannot be made (Not a directory)" in capsys.readouterr().err
+
+
+def test_a_template_of_which_the_subject_shows_a_part_is_registered_and_that_is_said(tmp_path: Path, capsys):
+    bone = made_bone(shaft_mm=30.0, size=0.55, fine=3)
+    write_mesh(tmp_path / "template.ply", bone)
+    part = bone.faces[bone.corners_mm[..., 0].max(1) < np.median(bone.vertices_mm[:, 0]) + 3.0]
+    write_mesh(tmp_path / "part.ply", Surface(vertices_mm=bone.vertices_mm, faces=part))
+    words = ["knee", "register", str(tmp_path / "template.ply"), str(tmp_path / "part.ply"), "--no-mirror"]
+    assert run(words) == 0
+    assert "% of template.ply still lies more than 3 mm from part.ply: there it has no counterpart" in (
+        capsys.readouterr().err
+    )

@@ -7,6 +7,7 @@ from threadpoolctl import threadpool_limits
 
 from marey.cli.knee_meshes import read_bone
 from marey.cli.progress import Progress
+from marey.cli.run_record import StageCache
 from marey.errors import FileProblem, MareyError
 from marey.io.meshes import write_mesh
 from marey.io.registration import write_rigid
@@ -16,6 +17,12 @@ from marey.knee.rigid_registration import RigidRegistration
 from marey.knee.sided_registration import SidedRegistration, register_on_either_side
 from marey.knee.sides import MIRROR, mirrored
 from marey.knee.surface import Surface
+from marey.knee.triangle_tree import TriangleTree
+
+_COUNTERPART_MM, _MOST_WITHOUT = 3.0, 0.1
+"""So far off a bent template has nothing to lie on; the share of it at which that is said."""
+_ALIKE_MM = 0.7
+"""Mean distance of bent bones that is too much for the same bone of two people: docs/accuracy.md has 0.23 to 0.45."""
 
 
 def register(template: Path, subject: Path, out: Path | None, *, mirror: bool | None, progress: Progress) -> Path:
@@ -36,6 +43,19 @@ def register(template: Path, subject: Path, out: Path | None, *, mirror: bool | 
     """
     out = out or subject.with_name(f"{subject.stem}_marey")
     model, person = read_bone(template, progress), joined(read_bone(subject, progress))
+    # Made before the work: a folder that cannot be written to is told at once.
+    cache = StageCache(out, [])
+    try:
+        return _registered(model, person, template, subject, out, mirror=mirror, progress=progress)
+    finally:
+        cache.clear()
+
+
+def _registered(
+    model: Surface, person: Surface, template: Path, subject: Path, out: Path, *, mirror: bool | None,
+    progress: Progress,
+) -> Path:  # fmt: skip
+    """Register, tell and write."""
     try:
         with threadpool_limits(1):
             with progress.stage_of_shares("Laying the template on the bone") as done:
@@ -49,11 +69,32 @@ def register(template: Path, subject: Path, out: Path | None, *, mirror: bool | 
         text = str(error).rstrip(".")
         remedy = "" if mirror is None else "Without --mirror and --no-mirror both sides are tried."
         raise FileProblem(template, f"does not fit {subject.name}: {text[0].lower() + text[1:]}", remedy) from error
+    _say_doubt(elastic, person, template, subject, progress)
     matrix = sided.rigid.subject_from_template.matrix @ (MIRROR if sided.mirrored else np.eye(4))
     write_rigid(out / "rigid.json", matrix, _about(sided, elastic))
     write_mesh(out / "registered.ply", elastic.deformation.subject_surface(laid))
     progress.say(_summary(sided.rigid, elastic))
     return out
+
+
+def _say_doubt(
+    elastic: ElasticRegistration, person: Surface, template: Path, subject: Path, progress: Progress
+) -> None:  # fmt: skip
+    """Tell where the template has no counterpart, and that two bones do not become alike."""
+    bent = elastic.registered
+    off = TriangleTree.of(person).nearest(bent.vertices_mm).distance_mm
+    areas = bent.vertex_areas_mm2
+    share = float(areas[off > _COUNTERPART_MM].sum() / areas.sum())
+    if share > _MOST_WITHOUT:
+        progress.warn(
+            f"{100 * share:.0f} % of {template.name} still lies more than {_COUNTERPART_MM:g} mm from {subject.name}: "
+            "there it has no counterpart, and its place is a guess."
+        )
+    if elastic.surface_distance_mm > _ALIKE_MM:
+        progress.warn(
+            f"Bent, {template.name} still lies {elastic.surface_distance_mm:.2f} mm from {subject.name} on average; "
+            "the same bone of two people comes to 0.2 to 0.5 mm. Is it the same bone, and as much of it?"
+        )
 
 
 def _say_side(sided: SidedRegistration, mirror: bool | None, progress: Progress) -> None:
