@@ -181,7 +181,22 @@ def test_too_few_common_markers_are_an_error(made: MadeActivity, tmp_path: Path,
     few = {key: values[:2] for key, values in table.items()}
     (tmp_path / "knee" / "markers.json").write_text(json.dumps(few), encoding="utf-8")
     said = failing("--reference", str(made.standing), knee=tmp_path / "knee")
+    assert "markers.json: cannot be joined with" in said
     assert "No bone can be carried" in said
+
+
+def test_where_one_bone_alone_can_be_joined_it_is_moved_and_the_exit_code_says_so(
+    made: MadeActivity, tmp_path: Path, capsys
+):
+    shutil.copytree(made.knee, tmp_path / "knee")
+    table = json.loads((made.knee / "markers.json").read_text(encoding="utf-8"))
+    kept = [row for row, bone in enumerate(table["marker_segment"]) if bone == "femur"]
+    few = {key: [values[row] for row in kept] for key, values in table.items()}
+    (tmp_path / "knee" / "markers.json").write_text(json.dumps(few), encoding="utf-8")
+    words = ["knee", "animate", str(tmp_path / "knee"), str(made.motion), "--reference", str(made.standing)]
+    assert run([*words, "--view", "medial", "--out", str(tmp_path / "out")]) == 3
+    assert "Not moved: tibia" in capsys.readouterr().err
+    assert (tmp_path / "out" / "knee.html").is_file()
 
 
 def test_bones_without_cartilage_are_measured_themselves_and_that_is_said(made: MadeActivity, tmp_path: Path, capsys):

@@ -190,7 +190,7 @@ def animate(
 
     The markers of KNEE_DIR/markers.json and those of the laboratory join the two. Leaves `knee_motion.npz`,
     `proximity.csv`, `correspondence.json`, `knee.glb`, `knee.mp4`, the page `knee.html` and `run.json` in
-    `MOTION/knee`, or in DIR.
+    `MOTION/knee`, or in DIR. Ends with exit code 3 where femur or tibia cannot be moved; the rest is written.
 
     Examples:
     * `marey knee animate knee walk_marey --reference standing.c3d`
@@ -200,6 +200,7 @@ def animate(
     from marey.cli.knee_animate import AnimateOptions
     from marey.cli.knee_animate import animate as animate_knee
     from marey.cli.progress import Progress
+    from marey.io.npz import read_arrays
 
     options = AnimateOptions(
         out=out, reference=reference, method=method, compare=compare, landmarks=landmarks, side=side, frame=frame,
@@ -207,6 +208,11 @@ def animate(
     )  # fmt: skip
     folder = animate_knee(knee, motion, options, Progress(quiet=quiet))
     typer.echo(f"Page: {folder / 'knee.html'}")
+    moved = read_arrays(folder / "knee_motion.npz")["bones"].tolist()
+    still = [bone for bone in ("femur", "tibia") if bone not in moved]
+    if still:
+        typer.echo(f"Not moved: {', '.join(still)} (see the notes).", err=True)
+        raise typer.Exit(INCOMPLETE)
 
 
 @app.command()

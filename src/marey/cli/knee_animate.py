@@ -134,12 +134,19 @@ def animate(knee_folder: Path, motion_folder: Path, options: AnimateOptions, pro
         joining = _Joining(
             knee=knee, sides=sides, standing=standing, limit_mm=options.limit_mm, noise_mm=options.noise_mm
         )  # fmt: skip
-        joined = _joined(joining, activity)
+        joined = _joined(joining, activity, options.reference or motion_folder)
         _say_joined(joined, progress)
         found = _moved(joining, joined, activity, options.method or first_method(motion_folder), progress, cache)
         compared = None
         if other is not None:
-            compared = _moved(joining, _joined(joining, other), other, _name_of(options), progress, cache)
+            compared = _moved(
+                joining,
+                _joined(joining, other, options.reference or motion_folder),
+                other,
+                _name_of(options),
+                progress,
+                cache,
+            )
         _say_doubts(found, compared, joined, knee, progress)
         results = AnimationResults(
             title=f"{knee_folder.resolve().name} by {motion_folder.resolve().name}", parts=knee.parts, found=found,
@@ -205,14 +212,17 @@ def _name_of(options: AnimateOptions) -> str:
     return first_method(path) if path.is_dir() else str(options.compare)
 
 
-def _joined(joining: _Joining, activity: Activity) -> KneeCorrespondence:
+def _joined(joining: _Joining, activity: Activity, reference: Path) -> KneeCorrespondence:
     """Join scanner and laboratory."""
     knee = joining.knee
     posture = reference_posture(activity, joining.standing, noise_mm=joining.noise_mm)
-    return correspond(
-        knee.markers, posture, knee.bones,
-        segment_of_label=activity.segment_of_label, left=knee.left, landmarks=knee.landmarks,
-    )  # fmt: skip
+    try:
+        return correspond(
+            knee.markers, posture, knee.bones,
+            segment_of_label=activity.segment_of_label, left=knee.left, landmarks=knee.landmarks,
+        )  # fmt: skip
+    except MareyError as problem:
+        raise FileProblem(knee.folder / "markers.json", f"cannot be joined with {reference}", str(problem)) from problem
 
 
 def _say_joined(joined: KneeCorrespondence, progress: Progress) -> None:
