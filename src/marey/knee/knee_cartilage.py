@@ -22,7 +22,7 @@ from marey.knee.volume import Volume
 _PASSES = 2
 """In the second one each bone's cartilage knows how thick this person's is on the others."""
 _SURE = 0.5
-LEAST_SEEN = 0.5
+LEAST_SEEN = 0.4
 """Over at least such a share of a cartilage the image must tell more of its thickness than the template does."""
 MOST_BLUR = 0.5
 """The blur of its edges [standard deviation] over the thickness: beyond, the two edges of a layer run together."""
