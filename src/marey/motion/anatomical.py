@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from marey.arrays import Floats, frozen
-from marey.body.skeleton import Skeleton
+from marey.body.articulation.skeleton import Skeleton
 from marey.errors import MareyError
 from marey.geometry import rotations
 

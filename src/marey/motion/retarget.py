@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from marey.arrays import Floats, Integers, frozen
-from marey.body.skeleton import PARENTS
+from marey.body.articulation.skeleton import PARENTS
 from marey.errors import MareyError
 from marey.geometry import rotations
 from marey.motion.motion import Motion

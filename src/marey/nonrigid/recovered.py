@@ -8,13 +8,13 @@ from marey.arrays import Floats, Integers, Mask, frozen
 from marey.cameras.camera import Camera
 from marey.cameras.rig import Rig
 from marey.errors import MareyError
-from marey.nonrigid.calibrated import CalibratedShapes
-from marey.nonrigid.held_size import HeldSizeShapes
-from marey.nonrigid.homogeneous import HomogeneousShapes
-from marey.nonrigid.many_views import ManyViewShapes
-from marey.nonrigid.one_view import NonRigidShapes
-from marey.nonrigid.perspective import PerspectiveShapes
-from marey.nonrigid.scaled_orthographic import ScaledShapes
+from marey.nonrigid.in_space.calibrated import CalibratedShapes
+from marey.nonrigid.in_space.factorisation import HomogeneousShapes
+from marey.nonrigid.many_cameras.held_size import HeldSizeShapes
+from marey.nonrigid.many_cameras.many_views import ManyViewShapes
+from marey.nonrigid.many_cameras.scaled_orthographic import ScaledShapes
+from marey.nonrigid.one_camera.one_view import NonRigidShapes
+from marey.nonrigid.one_camera.perspective import PerspectiveShapes
 
 ONE_VIEW = "one camera, orthographic"
 SCALED_VIEW = "one camera, scaled orthographic"

@@ -7,9 +7,9 @@ from typing import final
 import numpy as np
 
 from marey.arrays import Floats, Integers, frozen
-from marey.body.metaball_person import MetaballSpace
-from marey.body.metaballs import Metaballs, PosedMetaballs
-from marey.body.pose import PosedBody
+from marey.body.articulation.pose import PosedBody
+from marey.body.metaballs.metaball_person import MetaballSpace
+from marey.body.metaballs.metaballs import Metaballs, PosedMetaballs
 from marey.observations.observation import Linearization, Observation
 
 
