@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from marey.arrays import Floats, Integers, frozen
+from marey.arrays import Floats, Integers, freeze_fields
 from marey.errors import MareyError
 
 
@@ -19,8 +19,7 @@ class PiecewisePolynomial:
     """(P, K) of the powers 0, 1, ... of the distance from the piece's start."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "starts", frozen(self.starts))
-        object.__setattr__(self, "coefficients", frozen(self.coefficients))
+        freeze_fields(self, "starts", "coefficients")
         if self.coefficients.ndim != 2 or self.starts.shape != self.coefficients.shape[:1] or not len(self.starts):
             raise MareyError(f"{len(self.starts)} pieces do not fit to coefficients of {self.coefficients.shape}.")
         if not (np.isfinite(self.starts).all() and np.isfinite(self.coefficients).all()):

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from marey.arrays import Floats, Integers, Mask, frozen
+from marey.arrays import Floats, Integers, Mask, freeze_fields
 from marey.body.articulation.coordinate_functions import PackedFunctions, PiecewisePolynomial, pack
 from marey.errors import MareyError
 from marey.geometry.rigid import RigidTransform
@@ -51,7 +51,7 @@ class JointMotion:
     """Gives the angle [rad] or the way [m]."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "axis", frozen(self.axis))
+        freeze_fields(self, "axis")
         if self.axis.shape != (3,) or not abs(np.linalg.norm(self.axis) - 1) < 1e-9:
             raise MareyError(f"The axis {self.axis} is no unit vector.")
 
@@ -83,7 +83,7 @@ class ModelMarker:
     """(3,) in the body [m]."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "place", frozen(self.place))
+        freeze_fields(self, "place")
 
 
 class PackedBody(NamedTuple):

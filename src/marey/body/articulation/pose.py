@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from marey.arrays import Floats, Integers, frozen
+from marey.arrays import Floats, Integers, freeze_fields
 from marey.body.articulation import kinematics
 from marey.body.articulation.skeleton import PackedSkeleton
 from marey.body.articulation.surface import Body
@@ -29,9 +29,7 @@ class Pose:
     """(D - 6,) of the joint coordinates [rad]."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "translation", frozen(self.translation))
-        object.__setattr__(self, "rotation", frozen(self.rotation))
-        object.__setattr__(self, "angles", frozen(self.angles))
+        freeze_fields(self, "translation", "rotation", "angles")
 
     def step(self, change: Floats) -> "Pose":
         """Move by a change (D,): translation [m], turn about the world's axes [rad], joint angles [rad]."""

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from marey.arrays import Floats, Integers, frozen
+from marey.arrays import Floats, Integers, freeze_fields, frozen
 from marey.errors import SettingProblem
 from marey.geometry import rotations
 
@@ -79,7 +79,7 @@ class Skeleton:
     """The joints' coordinates, ordered by segment; the root's six come before them in every vector."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "parents", frozen(self.parents, np.int64))
+        freeze_fields(self, "parents", dtype=np.int64)
         order = [self.segment_names.index(c.segment) for c in self.coordinates]
         if order != sorted(order):
             raise ValueError("coordinates must be ordered by segment")

@@ -6,7 +6,7 @@ from typing import NamedTuple, Protocol, Self
 
 import numpy as np
 
-from marey.arrays import Floats, Integers, Mask, frozen
+from marey.arrays import Floats, Integers, Mask, freeze_fields, frozen
 from marey.body.articulation.kinematics import share_faces
 from marey.body.articulation.skeleton import JOINT_OF_SEGMENT, PackedSkeleton, Skeleton
 
@@ -64,8 +64,9 @@ class ShapeSpace:
     """Whether the first numbers say most of a person, so that a rough fit may leave out the others."""
 
     def __post_init__(self) -> None:
-        for name in ("vertex_mean", "vertex_modes", "joint_mean", "joint_modes", "prior_mean", "prior_covariance"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
+        freeze_fields(
+            self, "vertex_mean", "vertex_modes", "joint_mean", "joint_modes", "prior_mean", "prior_covariance"
+        )
 
     def __len__(self) -> int:
         """Count the numbers."""
@@ -167,10 +168,8 @@ class Body:
     """The metaballs whose surface the skin is, of the same numbers; None where the skin is a mesh of its own."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "numbers", frozen(self.numbers))
-        object.__setattr__(self, "faces", frozen(self.faces, np.int64))
-        object.__setattr__(self, "vertex_segments", frozen(self.vertex_segments, np.int64))
-        object.__setattr__(self, "vertex_weights", frozen(self.vertex_weights))
+        freeze_fields(self, "numbers", "vertex_weights")
+        freeze_fields(self, "faces", "vertex_segments", dtype=np.int64)
 
     @property
     def packed(self) -> PackedSkeleton:

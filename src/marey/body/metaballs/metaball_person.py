@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from marey.arrays import Floats, Integers, frozen
+from marey.arrays import Floats, Integers, freeze_fields
 from marey.body.articulation.skeleton import Skeleton
 from marey.body.articulation.surface import Body, ShapeSpace
 from marey.body.metaballs.metaballs import ANY_LIMB, Linearized, Metaballs, PosedMetaballs
@@ -69,10 +69,16 @@ class MetaballSpace:
             object.__setattr__(self, "sharpness_modes", np.zeros((len(self.names), len(self.mean))))
         if not len(self.fall):
             object.__setattr__(self, "fall", np.log(2.0 * self.mean.weight))
-        for name in (
-            "centre_modes", "radii_modes", "joint_modes", "prior_covariance", "prior_mean", "sharpness_modes", "fall",
-        ):  # fmt: skip
-            object.__setattr__(self, name, frozen(getattr(self, name)))
+        freeze_fields(
+            self,
+            "centre_modes",
+            "radii_modes",
+            "joint_modes",
+            "prior_covariance",
+            "prior_mean",
+            "sharpness_modes",
+            "fall",
+        )
 
     def __len__(self) -> int:
         """Count the numbers."""

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from marey.arrays import Floats, Integers, frozen
+from marey.arrays import Floats, Integers, freeze_fields, frozen
 from marey.body.articulation import kinematics
 from marey.body.articulation.pose import Pose, PosedSegments
 from marey.body.articulation.skeleton import LIMBS, PackedSkeleton, Skeleton
@@ -66,9 +66,8 @@ class Metaballs:
     """(M,) 1 in the paper; a greater one with smaller radii has the same size and a sharper edge."""
 
     def __post_init__(self) -> None:
-        for name in ("joint_centres", "centre", "rotation", "radii", "weight"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-        object.__setattr__(self, "segment", frozen(self.segment, np.int64))
+        freeze_fields(self, "joint_centres", "centre", "rotation", "radii", "weight")
+        freeze_fields(self, "segment", dtype=np.int64)
         if not (np.all(self.radii > 0.0) and np.all(self.weight > 0.0)):
             raise ValueError("radii and weights of metaballs must be positive")
 

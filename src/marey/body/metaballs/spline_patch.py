@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from marey.arrays import Floats, frozen
+from marey.arrays import Floats, freeze_fields
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -24,8 +24,7 @@ class SplinePatch:
     """(B, A, 3) [m], at the parameters `along` and the first A of `around`."""
 
     def __post_init__(self) -> None:
-        for name in ("around", "along", "points"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
+        freeze_fields(self, "around", "along", "points")
 
     def at(self, around: Floats, along: Floats) -> Floats:
         """Give the points (b, a, 3) at parameters around (a,) and along (b,)."""

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from marey.arrays import Floats, Integers, Mask, frozen
+from marey.arrays import Floats, Integers, Mask, freeze_fields
 from marey.errors import SettingProblem
 from marey.images.matching.matching import MatchSettings
 from marey.images.matching.reference_patches import ReferencePatches
@@ -93,10 +93,8 @@ class FeatureTracks:
     """(F, P) whether the place follows from the other points alone; never where the point was seen."""
 
     def __post_init__(self) -> None:
-        for name in ("tracks", "tracks_sd"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-        for name in ("visible", "predicted"):
-            object.__setattr__(self, name, frozen(getattr(self, name), np.bool_))
+        freeze_fields(self, "tracks", "tracks_sd")
+        freeze_fields(self, "visible", "predicted", dtype=np.bool_)
         shape = self.tracks.shape
         if len(shape) != 3 or shape[1] != 2:
             raise SettingProblem(f"Tracks of shape {shape} are none of one view (frames, 2, points).")

@@ -13,7 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from marey.arrays import Floats, Integers, Mask, frozen
+from marey.arrays import Floats, Integers, Mask, freeze_fields
 from marey.errors import SettingProblem
 from marey.images.matching import matching_kernels as kernels
 from marey.images.matching.splines import SplinePicture, noise_shares, sample
@@ -119,10 +119,8 @@ class Matches:
     """(n,) an `Outcome` each."""
 
     def __post_init__(self) -> None:
-        for name in ("pixels", "search_from_template", "covariance", "correlation", "gain", "offset", "noise"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-        for name in ("steps", "outcome"):
-            object.__setattr__(self, name, frozen(getattr(self, name), np.int64))
+        freeze_fields(self, "pixels", "search_from_template", "covariance", "correlation", "gain", "offset", "noise")
+        freeze_fields(self, "steps", "outcome", dtype=np.int64)
 
     def __len__(self) -> int:
         """Count the patches."""

@@ -6,7 +6,7 @@ import cv2
 import numba
 import numpy as np
 
-from marey.arrays import Floats, frozen
+from marey.arrays import Floats, freeze_fields
 from marey.errors import SettingProblem
 
 POLE = np.sqrt(3.0) - 2.0
@@ -25,7 +25,7 @@ class SplinePicture:
     """(H, W) float32 [grey levels]; NaN about missing pixels."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "coefficients", frozen(self.coefficients, np.float32))
+        freeze_fields(self, "coefficients", dtype=np.float32)
 
 
 def spline_of(image: np.ndarray) -> SplinePicture:

@@ -7,7 +7,7 @@ import cv2
 import numba
 import numpy as np
 
-from marey.arrays import Mask, frozen
+from marey.arrays import Mask, freeze_fields
 
 LEAST_NOISE = 1.0
 """Standard deviation in grey levels below which no recording of eight bits a channel is believed."""
@@ -42,8 +42,7 @@ class Background:
     size: tuple[int, int]
 
     def __post_init__(self):
-        for name in ("mean", "steepness", "trust"):
-            object.__setattr__(self, name, frozen(getattr(self, name), np.float32))
+        freeze_fields(self, "mean", "steepness", "trust", dtype=np.float32)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -64,8 +63,7 @@ class Exposure:
     jitter: float
 
     def __post_init__(self):
-        for name in ("gain", "offset", "noise"):
-            object.__setattr__(self, name, frozen(getattr(self, name), np.float32))
+        freeze_fields(self, "gain", "offset", "noise", dtype=np.float32)
 
 
 def part(background: Background, roi: tuple[slice, slice]) -> Background:

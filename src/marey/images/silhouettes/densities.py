@@ -11,7 +11,7 @@ from functools import cache
 import numba
 import numpy as np
 
-from marey.arrays import Mask, frozen
+from marey.arrays import Mask, freeze_fields
 
 COLOUR_SHIFT = 3
 """Colours are counted in cubes of 8 grey levels a side, the kernel's standard deviation."""
@@ -44,8 +44,7 @@ class Appearance:
     shadow: np.ndarray
 
     def __post_init__(self):
-        for name in ("person", "surroundings", "shadow"):
-            object.__setattr__(self, name, frozen(getattr(self, name), np.float32))
+        freeze_fields(self, "person", "surroundings", "shadow", dtype=np.float32)
 
 
 def unknown(channels: int) -> Appearance:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from marey.arrays import Floats, Integers, frozen
+from marey.arrays import Floats, Integers, freeze_fields
 from marey.body.articulation.skeleton import JOINT_OF_SEGMENT, PARENTS
 from marey.errors import FileProblem
 from marey.io.axes import GLTF_FROM_WORLD, turned_points
@@ -36,8 +36,8 @@ class Character:
     """By segment: what the file calls it."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "vertices", frozen(self.vertices))
-        object.__setattr__(self, "faces", frozen(self.faces, np.int64))
+        freeze_fields(self, "vertices")
+        freeze_fields(self, "faces", dtype=np.int64)
 
 
 def read_character(path: Path | str) -> Character:

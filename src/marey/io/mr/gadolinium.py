@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from marey.arrays import Floats, frozen
+from marey.arrays import Floats, freeze_fields
 from marey.errors import FileProblem
 from marey.io.atomic import replacing
 from marey.knee.markers.gadolinium import Gadolinium
@@ -34,8 +34,7 @@ class MarkersInScanner:
     """(M,) femur, tibia or patella, on which each rides, None where it is not said; empty where none is."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "centres_mm", frozen(self.centres_mm))
-        object.__setattr__(self, "sd_mm", frozen(self.sd_mm))
+        freeze_fields(self, "centres_mm", "sd_mm")
 
     @staticmethod
     def of(found: Gadolinium) -> "MarkersInScanner":

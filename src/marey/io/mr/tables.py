@@ -1,4 +1,4 @@
-"""Small result files of a knee: `cartilage.csv` with one row per region, and `rigid.json` with a bone's registration."""
+"""Small result files of a knee: `cartilage.csv`, one row per region, and `rigid.json`, a bone's registration."""
 
 import csv
 import json

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from marey.arrays import Floats, frozen
+from marey.arrays import Floats, freeze_fields
 from marey.errors import FileProblem
 from marey.geometry import rotations
 from marey.io.atomic import replacing
@@ -26,8 +26,7 @@ class Table:
     in_degrees: bool = True
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "time", frozen(self.time))
-        object.__setattr__(self, "values", frozen(self.values))
+        freeze_fields(self, "time", "values")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

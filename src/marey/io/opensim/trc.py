@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from marey.arrays import Floats, frozen
+from marey.arrays import Floats, freeze_fields
 from marey.errors import FileProblem
 from marey.io.atomic import replacing
 from marey.io.axes import OPENSIM_FROM_WORLD, turned_points
@@ -28,8 +28,7 @@ class PointPaths:
     """(F, N, 3) in the world (Z up) [m]; NaN where missing."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "time", frozen(self.time))
-        object.__setattr__(self, "points", frozen(self.points))
+        freeze_fields(self, "time", "points")
 
 
 def write_trc(path: Path | str, paths: PointPaths) -> None:

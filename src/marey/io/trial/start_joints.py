@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from marey.arrays import Floats, frozen
+from marey.arrays import Floats, freeze_fields
 from marey.body.articulation.skeleton import JOINT_OF_SEGMENT
 from marey.cameras.rig import Rig
 from marey.cameras.triangulate import triangulate
@@ -75,8 +75,7 @@ class StartJoints:
     """Where the points come from: "clicked", or the detector's layout."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "pixels", frozen(self.pixels))
-        object.__setattr__(self, "confidence", frozen(self.confidence))
+        freeze_fields(self, "pixels", "confidence")
 
 
 def read_start_joints(path: Path | str, rig: Rig, *, count: int) -> StartJoints:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr
 
-from marey.arrays import Floats, Mask, frozen
+from marey.arrays import Floats, Mask, freeze_fields
 from marey.knee.cartilage.evidence import DEPTHS_MM, THICKEST_MM
 from marey.knee.cartilage.prediction import TOLD_SHARE
 from marey.knee.space.surface import Surface
@@ -31,8 +31,7 @@ class Contact:
     """(V,) standard deviation of that."""
 
     def __post_init__(self) -> None:
-        for name in ("away_mm", "begins_mm", "begins_sd_mm"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
+        freeze_fields(self, "away_mm", "begins_mm", "begins_sd_mm")
 
     @property
     def theirs(self) -> Floats:

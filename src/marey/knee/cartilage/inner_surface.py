@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr
 
-from marey.arrays import Floats, Mask, frozen
+from marey.arrays import Floats, Mask, freeze_fields
 from marey.knee.bones.marrow import Kind
 from marey.knee.cartilage.evidence import DEPTHS_MM, OVER_MM, STEP_MM, STRAY, Profiles, Tissues
 from marey.knee.space.mesh_graph import MeshGraph
@@ -36,8 +36,7 @@ class InnerEdge:
     """(V,) by each vertex's own profile and `BONE_SD_MM`."""
 
     def __post_init__(self) -> None:
-        for name in ("offset_mm", "sd_mm"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
+        freeze_fields(self, "offset_mm", "sd_mm")
 
 
 def inner_edge(costs: Floats, graph: MeshGraph, marrow: Kind) -> InnerEdge:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from marey.arrays import Floats, frozen
+from marey.arrays import Floats, freeze_fields
 from marey.knee.registration.deformation import Deformation
 from marey.knee.space.mesh_graph import MeshGraph
 from marey.knee.space.surface import Surface
@@ -28,8 +28,7 @@ class CartilagePrediction:
     """(V,) how probable it is that cartilage is there, from 0 to 1."""
 
     def __post_init__(self) -> None:
-        for name in ("thickness_mm", "presence"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
+        freeze_fields(self, "thickness_mm", "presence")
 
 
 def predict_cartilage(

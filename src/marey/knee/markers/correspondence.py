@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import gammaincinv
 
-from marey.arrays import Floats, Mask, frozen
+from marey.arrays import Floats, Mask, freeze_fields
 from marey.errors import MareyError
 from marey.geometry import rotations
 from marey.knee.markers.anatomical_frames import BoneFrame, Landmarks, bone_frame
@@ -235,7 +235,7 @@ class SurfaceDoubt:
     """(V, 3, 3), or (F, V, 3, 3) of a transform a frame, along the axes of the frame that it leads to."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "covariance_mm2", frozen(self.covariance_mm2))
+        freeze_fields(self, "covariance_mm2")
 
     @property
     def sd_mm(self) -> Floats:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import gammaincc
 
-from marey.arrays import Floats, Mask, frozen
+from marey.arrays import Floats, Mask, freeze_fields
 from marey.errors import MareyError
 from marey.geometry import rotations
 
@@ -35,8 +35,9 @@ class CommonMarkers:
     """(M, 3)."""
 
     def __post_init__(self) -> None:
-        for name in ("from_mm", "from_sd_mm", "to_mm", "to_sd_mm"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
+        names = ("from_mm", "from_sd_mm", "to_mm", "to_sd_mm")
+        freeze_fields(self, *names)
+        for name in names:
             if getattr(self, name).shape != (len(self.names), 3):
                 raise MareyError(f"{len(self.names)} common markers and their {name} do not fit together.")
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import gamma, gammaincc
 
-from marey.arrays import Floats, Integers, Mask, frozen
+from marey.arrays import Floats, Integers, Mask, freeze_fields
 from marey.errors import MareyError
 from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
@@ -33,8 +33,7 @@ class Markers:
     """(N,)."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "places_mm", frozen(self.places_mm))
-        object.__setattr__(self, "sd_mm", frozen(self.sd_mm))
+        freeze_fields(self, "places_mm", "sd_mm")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -51,7 +50,7 @@ class GroupMatch:
     """How many such matches are to be expected of markers that are none of the balls."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "markers", frozen(self.markers, np.int64))
+        freeze_fields(self, "markers", dtype=np.int64)
 
     @property
     def count(self) -> int:

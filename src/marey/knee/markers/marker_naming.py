@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from marey.arrays import Floats, Mask, frozen
+from marey.arrays import Floats, Mask, freeze_fields
 from marey.errors import MareyError
 from marey.geometry.rigid import RigidTransform
 from marey.knee.markers.marker_bones import bone_of_label, bone_of_segment, bones_by_place, in_order, may_ride
@@ -34,8 +34,7 @@ class ScannerMarkers:
     """(M,) the bone that each rides on, None where it is not said; empty where none is."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "centres_mm", frozen(self.centres_mm))
-        object.__setattr__(self, "sd_mm", frozen(self.sd_mm))
+        freeze_fields(self, "centres_mm", "sd_mm")
         count = len(self.centres_mm)
         for name in ("names", "bones"):
             object.__setattr__(self, name, tuple(getattr(self, name)) or (None,) * count)

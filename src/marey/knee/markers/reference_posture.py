@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.special import gammaincc
 
-from marey.arrays import Floats, Integers, frozen
+from marey.arrays import Floats, Integers, freeze_fields
 from marey.errors import MareyError
 from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
@@ -41,9 +41,9 @@ class Activity:
     """`left` or `right`, where it is known and the segments' names do not tell."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "time", frozen(self.time))
+        freeze_fields(self, "time")
         if self.reference_frames is not None:
-            object.__setattr__(self, "reference_frames", frozen(self.reference_frames, np.int64))
+            freeze_fields(self, "reference_frames", dtype=np.int64)
 
     def places(self, segment: str, labels: tuple[str, ...]) -> Floats:
         """Give the places (M, 3) of markers in a bone's frame in the reference posture [m]; NaN where not seen.

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from marey.arrays import Floats, Mask, frozen
+from marey.arrays import Floats, Mask, freeze_fields
 from marey.errors import MareyError
 from marey.knee.motion.joint_surface import JointSurface, joint_surface, whole_surface
 from marey.knee.motion.proximity import LIMIT_MM, Proximity, RelativePoses, proximity
@@ -44,7 +44,7 @@ class JointMotion:
     """Bone to capture global from MR anatomic [mm]."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "time", frozen(self.time))
+        freeze_fields(self, "time")
         wrong = [bone for bone, pose in self.poses.items() if len(pose.rotation) != len(self.time)]
         if wrong:
             raise MareyError(f"The motion of {', '.join(wrong)} has another number of frames than the activity.")

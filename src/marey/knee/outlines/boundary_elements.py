@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from marey.arrays import Floats, Mask, frozen
+from marey.arrays import Floats, Mask, freeze_fields
 from marey.knee.outlines.wire_tree import MOST_COST, Costs
 
 FEATURES = ("inside", "outside", "across", "magnitude")
@@ -47,7 +47,7 @@ class BoundaryElements:
     """Of rows, and of columns."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "features", frozen(self.features, np.float32))
+        freeze_fields(self, "features", dtype=np.float32)
 
     @cached_property
     def usual(self) -> NDArray[np.float32]:
@@ -79,8 +79,7 @@ class LearnedCosts:
     """(4, B)."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "ends", frozen(self.ends))
-        object.__setattr__(self, "log_odds", frozen(self.log_odds))
+        freeze_fields(self, "ends", "log_odds")
 
 
 def boundary_elements(image: Floats, spacing_mm: tuple[float, float]) -> BoundaryElements:

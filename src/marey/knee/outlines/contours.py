@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from marey.arrays import Floats, Mask, frozen
+from marey.arrays import Floats, Mask, freeze_fields
 from marey.errors import MareyError
 from marey.knee.bones.region_growing import signed_distance
 from marey.knee.outlines.outlines import filled
@@ -36,8 +36,7 @@ class Contour:
     """(N, 2) x and y [px]."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "anchors", frozen(self.anchors))
-        object.__setattr__(self, "outline", frozen(self.outline))
+        freeze_fields(self, "anchors", "outline")
 
 
 def slice_of(array: np.ndarray, axis: str, index: int) -> np.ndarray:

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from marey.arrays import Floats, Integers, Mask, frozen
+from marey.arrays import Floats, Integers, Mask, freeze_fields
 from marey.errors import MareyError
 from marey.knee.outlines.boundary_elements import BoundaryElements, LearnedCosts, boundary_elements, step_costs
 from marey.knee.outlines.outlines import edge_image, filled
@@ -28,7 +28,7 @@ class ClosedWire:
     """From each anchor to the next, and from the last to the first: (n, 2) corners, both ends with them."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "anchors", frozen(self.anchors, np.int64))
+        freeze_fields(self, "anchors", dtype=np.int64)
 
     @cached_property
     def corners(self) -> Integers:

@@ -7,7 +7,7 @@ import numba
 import numpy as np
 from scipy import ndimage
 
-from marey.arrays import Floats, frozen
+from marey.arrays import Floats, freeze_fields
 from marey.errors import MareyError
 from marey.knee.space.surface import Surface
 
@@ -29,8 +29,7 @@ class Deformation:
     """(3, X, Y, Z) d at the nodes; between them a cubic spline, beyond them as at the last."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "origin_mm", frozen(self.origin_mm))
-        object.__setattr__(self, "displacement_mm", frozen(self.displacement_mm))
+        freeze_fields(self, "origin_mm", "displacement_mm")
 
     def template_points(self, subject_mm: Floats) -> Floats:
         """Carry points (..., 3) from the subject to the template."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from marey.arrays import Floats, Mask, frozen
+from marey.arrays import Floats, Mask, freeze_fields
 from marey.errors import MareyError
 from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
@@ -59,7 +59,7 @@ class RigidRegistration:
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "covariance", frozen(self.covariance))
+        freeze_fields(self, "covariance")
 
     @property
     def turn_sd_deg(self) -> Floats:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from marey.arrays import Floats, Mask, frozen
+from marey.arrays import Floats, Mask, freeze_fields
 from marey.knee.space.surface import Surface
 
 LEAST_CUT_MM2 = 200.0
@@ -35,8 +35,7 @@ class CutPlane:
     """(3,) unit, out of the bone."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "point_mm", frozen(self.point_mm))
-        object.__setattr__(self, "normal", frozen(self.normal))
+        freeze_fields(self, "point_mm", "normal")
 
     def depth_mm(self, points_mm: Floats) -> Floats:
         """Tell how far points (..., 3) lie within the plane; negative beyond."""

@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from marey.arrays import Floats, Integers, frozen
+from marey.arrays import Floats, Integers, freeze_fields
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -18,8 +18,8 @@ class Surface:
     """(T, 3)."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "vertices_mm", frozen(self.vertices_mm))
-        object.__setattr__(self, "faces", frozen(self.faces, np.int64))
+        freeze_fields(self, "vertices_mm")
+        freeze_fields(self, "faces", dtype=np.int64)
 
     @cached_property
     def corners_mm(self) -> Floats:

@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from marey.arrays import Floats, Mask, frozen
+from marey.arrays import Floats, Mask, freeze_fields
 from marey.knee.space.structures import LABELS
 
 
@@ -20,7 +20,7 @@ class Grid:
     """(4, 4): homogeneous (i, j, k) to LPS [mm]. Its determinant may be negative."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "lps_from_voxel", frozen(self.lps_from_voxel))
+        freeze_fields(self, "lps_from_voxel")
 
     @property
     def spacing_mm(self) -> Floats:
@@ -60,7 +60,7 @@ class Volume:
     grid: Grid
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "intensity", frozen(self.intensity, np.float32))
+        freeze_fields(self, "intensity", dtype=np.float32)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -72,7 +72,7 @@ class Labels:
     grid: Grid
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "labels", frozen(self.labels, np.uint8))
+        freeze_fields(self, "labels", dtype=np.uint8)
 
     def mask(self, structure: str) -> Mask:
         """(k, j, i) true where the structure is."""

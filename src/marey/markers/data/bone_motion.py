@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from marey.arrays import Floats, Mask, frozen
+from marey.arrays import Floats, Mask, freeze_fields
 from marey.errors import MareyError
 
 
@@ -28,8 +28,7 @@ class BoneMotion:
     def __post_init__(self) -> None:
         object.__setattr__(self, "segments", tuple(self.segments))
         object.__setattr__(self, "notes", tuple(self.notes))
-        for name in ("rotation", "origin", "covariance"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
+        freeze_fields(self, "rotation", "origin", "covariance")
         shape = (len(self.rotation), len(self.segments))
         right = ((*shape, 3, 3), (*shape, 3), (*shape, 6, 6))
         if (self.rotation.shape, self.origin.shape, self.covariance.shape) != right:

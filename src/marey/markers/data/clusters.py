@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from marey.arrays import Floats, Integers, frozen
+from marey.arrays import Floats, Integers, freeze_fields, frozen
 from marey.errors import MareyError
 
 
@@ -33,8 +33,7 @@ class AnatomicalCalibration:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "frames", frozen(np.atleast_1d(self.frames), np.int64))
-        object.__setattr__(self, "rotation", frozen(self.rotation))
-        object.__setattr__(self, "origin", frozen(self.origin))
+        freeze_fields(self, "rotation", "origin")
         shape = (len(self.frames), len(self.segments))
         if self.rotation.shape != (*shape, 3, 3) or self.origin.shape != (*shape, 3):
             raise MareyError(f"An anatomical calibration of {shape[1]} segments in {shape[0]} frames does not fit.")

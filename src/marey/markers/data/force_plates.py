@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from marey.arrays import Floats, frozen
+from marey.arrays import Floats, freeze_fields
 from marey.geometry.rigid import RigidTransform
 
 _LOADED_N = 20.0
@@ -26,8 +26,7 @@ class ForcePlate:
     """(T, 3) of that force about the middle of the plate's surface, in the laboratory [N m]."""
 
     def __post_init__(self) -> None:
-        for name in ("corners", "force", "moment"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
+        freeze_fields(self, "corners", "force", "moment")
 
     @property
     def laboratory_from_plate(self) -> RigidTransform:

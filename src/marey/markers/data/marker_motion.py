@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from marey.arrays import Floats, frozen
+from marey.arrays import Floats, freeze_fields
 from marey.markers.data.bone_motion import BoneMotion
 from marey.markers.data.clusters import Cluster
 from marey.markers.data.trajectories import MarkerTrajectories
@@ -23,7 +23,7 @@ class MarkerMotion:
     """(F, M, 3) in the bone's frame [m]; NaN where marker or bone is missing."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "places", frozen(self.places))
+        freeze_fields(self, "places")
 
     @property
     def moved(self) -> Floats:

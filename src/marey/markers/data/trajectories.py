@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from marey.arrays import Floats, Mask, frozen
+from marey.arrays import Floats, Mask, freeze_fields
 from marey.errors import MareyError
 
 
@@ -30,9 +30,8 @@ class MarkerTrajectories:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "labels", tuple(str(label) for label in self.labels))
-        object.__setattr__(self, "points", frozen(self.points))
-        object.__setattr__(self, "filled", frozen(self.filled, bool))
-        object.__setattr__(self, "residuals", frozen(self.residuals))
+        freeze_fields(self, "points", "residuals")
+        freeze_fields(self, "filled", dtype=bool)
         shape = (len(self.points), len(self.labels))
         if self.points.shape != (*shape, 3) or self.filled.shape != shape or self.residuals.shape != shape:
             raise MareyError(f"Marker trajectories of {shape[1]} labels do not fit together.")

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from marey.arrays import Floats, Integers, Mask, frozen
+from marey.arrays import Floats, Integers, Mask, freeze_fields
 from marey.body.articulation.jointed_body import JointedBody
 from marey.body.articulation.jointed_kinematics import marker_bodies
 from marey.errors import MareyError
@@ -48,10 +48,8 @@ class InverseKinematics:
     """Sentences: which markers of trial, model or tasks were not used."""
 
     def __post_init__(self) -> None:
-        for name in ("coordinates", "coordinates_sd", "marker_weights", "residuals"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-        for name in ("rotational", "determined"):
-            object.__setattr__(self, name, frozen(getattr(self, name), bool))
+        freeze_fields(self, "coordinates", "coordinates_sd", "marker_weights", "residuals")
+        freeze_fields(self, "rotational", "determined", dtype=bool)
 
     @property
     def rms(self) -> Floats:

@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from marey.arrays import Floats, frozen
+from marey.arrays import Floats, freeze_fields
 from marey.geometry import rotations
 from marey.markers.data.bone_motion import BoneMotion
 from marey.motion.anatomical import JOINTS, euler_angles
@@ -53,8 +53,7 @@ class JointKinematics:
     """(F, T) [m]; NaN where not known."""
 
     def __post_init__(self) -> None:
-        for name in ("angles", "angles_sd", "translations", "translations_sd"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
+        freeze_fields(self, "angles", "angles_sd", "translations", "translations_sd")
 
 
 def joint_of(parent: str, child: str, side: str | None = None) -> BoneJoint:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from marey.arrays import Floats, frozen
+from marey.arrays import Floats, freeze_fields
 from marey.errors import MareyError
 from marey.geometry import rotations
 from marey.markers.data.bone_motion import BoneMotion
@@ -36,12 +36,11 @@ class NamedTransform:
     transform known exactly."""
 
     def __post_init__(self) -> None:
-        for name in ("rotation", "translation"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
+        freeze_fields(self, "rotation", "translation")
         batch = self.rotation.shape[:-2]
         fits = self.rotation.shape == (*batch, 3, 3) and self.translation.shape == (*batch, 3) and len(batch) < 2
         if self.covariance is not None:
-            object.__setattr__(self, "covariance", frozen(self.covariance))
+            freeze_fields(self, "covariance")
             fits = fits and self.covariance.shape == (*batch, 6, 6)
         if not fits:
             raise MareyError(f"The transform to {self.to!r} from {self.from_!r} does not fit together.")

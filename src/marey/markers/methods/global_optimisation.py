@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from marey.arrays import Floats, Mask, frozen
+from marey.arrays import Floats, Mask, freeze_fields
 from marey.errors import MareyError
 from marey.geometry import rotations
 from marey.markers.data.bone_motion import BoneMotion
@@ -55,8 +55,7 @@ class GlobalOptimisation:
     """For each segment (M,) the size of its markers' residuals [m]."""
 
     def __post_init__(self) -> None:
-        for name in ("centres_in_parent", "centres_in_child", "axes"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
+        freeze_fields(self, "centres_in_parent", "centres_in_child", "axes")
 
 
 def global_ball(problem: MarkerProblem) -> BoneMotion:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import BSpline
 
-from marey.arrays import Floats, frozen
+from marey.arrays import Floats, freeze_fields
 from marey.errors import SettingProblem
 
 
@@ -20,7 +20,7 @@ class SkinForm:
     """(F, Q) the functions, each of largest size 1, so that its vector is the largest displacement."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "functions", frozen(self.functions))
+        freeze_fields(self, "functions")
 
     @property
     def count(self) -> int:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from marey.arrays import Floats, Mask, frozen
+from marey.arrays import Floats, Mask, freeze_fields
 from marey.errors import MareyError
 from marey.markers.data.rigid_fit import fit_rigid
 from marey.markers.preprocessing.low_rank import in_cluster
@@ -33,8 +33,7 @@ class FunctionalCentre:
     """(N, 3) where the child's markers are in its frame [m]."""
 
     def __post_init__(self) -> None:
-        for name in ("in_parent", "in_child", "covariance", "parent_shape", "child_shape"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
+        freeze_fields(self, "in_parent", "in_child", "covariance", "parent_shape", "child_shape")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -59,9 +58,16 @@ class FunctionalAxis:
     """(N, 3) [m]."""
 
     def __post_init__(self) -> None:
-        for name in ("in_parent", "in_child", "point_in_parent", "point_in_child", "covariance", "parent_shape",
-                     "child_shape"):  # fmt: skip
-            object.__setattr__(self, name, frozen(getattr(self, name)))
+        freeze_fields(
+            self,
+            "in_parent",
+            "in_child",
+            "point_in_parent",
+            "point_in_child",
+            "covariance",
+            "parent_shape",
+            "child_shape",
+        )
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

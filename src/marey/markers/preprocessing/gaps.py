@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 from scipy.interpolate import Akima1DInterpolator
 
-from marey.arrays import Floats, Integers, Mask, frozen
+from marey.arrays import Floats, Integers, Mask, freeze_fields
 from marey.markers.data.clusters import Cluster
 from marey.markers.data.labels import NEEDED
 from marey.markers.data.trajectories import MarkerTrajectories
@@ -79,8 +79,8 @@ class FilledGaps:
     """One a segment, and one for the markers of none, where there was a gap."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "way", frozen(self.way, np.int64))
-        object.__setattr__(self, "sd", frozen(self.sd))
+        freeze_fields(self, "way", dtype=np.int64)
+        freeze_fields(self, "sd")
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from marey.arrays import Floats, frozen
+from marey.arrays import Floats, freeze_fields
 from marey.geometry import rotations
 from marey.markers.data.clusters import Cluster
 from marey.markers.data.trajectories import MarkerTrajectories
@@ -36,8 +36,7 @@ class AnatomicalFrame:
     """(6, 6) of the turn about the bone's axes [rad] and of the origin [m], as `BoneMotion.covariance`."""
 
     def __post_init__(self) -> None:
-        for name in ("rotation", "origin", "covariance"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
+        freeze_fields(self, "rotation", "origin", "covariance")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

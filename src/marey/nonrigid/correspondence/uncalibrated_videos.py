@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from marey.arrays import Floats, Integers, Mask, frozen
+from marey.arrays import Floats, Integers, Mask, freeze_fields
 from marey.errors import MareyError, SettingProblem
 from marey.images.matching.feature_tracks import DEFAULT, FollowSettings, Pictures, follow_points
 from marey.images.matching.features import good_features
@@ -49,8 +49,7 @@ class ViewTracks:
     """What a user should know of this answer."""
 
     def __post_init__(self) -> None:
-        for name in ("tracks", "tracks_sd", "probability"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
+        freeze_fields(self, "tracks", "tracks_sd", "probability")
 
     @property
     def tied(self) -> Mask:

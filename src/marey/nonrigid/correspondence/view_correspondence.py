@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import expit
 
-from marey.arrays import Floats, Integers, frozen
+from marey.arrays import Floats, Integers, freeze_fields
 from marey.errors import SettingProblem
 from marey.nonrigid.correspondence.affine_epipolar import epipolar_hypotheses
 from marey.nonrigid.correspondence.partial_assignment import best_pairs, pair_probabilities
@@ -58,11 +58,8 @@ class Correspondence:
     """What a user should know of this answer."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "pairs", frozen(self.pairs, np.int64))
-        object.__setattr__(self, "alone_first", frozen(self.alone_first, np.int64))
-        object.__setattr__(self, "alone_second", frozen(self.alone_second, np.int64))
-        object.__setattr__(self, "probability", frozen(self.probability))
-        object.__setattr__(self, "score", frozen(self.score))
+        freeze_fields(self, "pairs", "alone_first", "alone_second", dtype=np.int64)
+        freeze_fields(self, "probability", "score")
 
 
 @dataclass(frozen=True, eq=False)

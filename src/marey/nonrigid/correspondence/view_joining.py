@@ -6,7 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
-from marey.arrays import Floats, Integers, frozen
+from marey.arrays import Floats, Integers, freeze_fields
 from marey.errors import SettingProblem
 from marey.nonrigid.correspondence.partial_assignment import best_pairs, pair_probabilities
 from marey.nonrigid.correspondence.view_correspondence import Correspondence, match_tracks
@@ -29,9 +29,8 @@ class JoinedViews:
     """What a user should know of this answer."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "tracks", frozen(self.tracks))
-        object.__setattr__(self, "points", frozen(self.points, np.int64))
-        object.__setattr__(self, "probability", frozen(self.probability))
+        freeze_fields(self, "tracks", "probability")
+        freeze_fields(self, "points", dtype=np.int64)
 
     def shared(self, cameras: int = 2) -> Integers:
         """Give the points (n,) that at least so many cameras see."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from marey.arrays import Floats, Integers, Mask, frozen
+from marey.arrays import Floats, Integers, Mask, freeze_fields
 from marey.cameras.rig import Rig
 from marey.cameras.triangulate import triangulate
 from marey.errors import MareyError
@@ -45,8 +45,8 @@ class CalibratedShapes(HomogeneousShapes):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, "residuals_px", frozen(self.residuals_px))
-        object.__setattr__(self, "views", frozen(self.views, np.int64))
+        freeze_fields(self, "residuals_px")
+        freeze_fields(self, "views", dtype=np.int64)
 
 
 def factorise_calibrated(

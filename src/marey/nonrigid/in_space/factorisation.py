@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from marey.arrays import Floats, Mask, frozen
+from marey.arrays import Floats, Mask, freeze_fields
 from marey.errors import MareyError
 from marey.nonrigid.in_space.errors import shape_covariance
 from marey.nonrigid.in_space.measured_places import MeasuredPlaces, PointsInSpace
@@ -68,9 +68,8 @@ class HomogeneousShapes:
 
     def __post_init__(self) -> None:
         names = ("shape", "shape_sd", "rotation", "translation", "covariance", "basis", "coefficients", "residuals")
-        for name in names:
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-        object.__setattr__(self, "predicted", frozen(self.predicted, bool))
+        freeze_fields(self, *names)
+        freeze_fields(self, "predicted", dtype=bool)
 
     @property
     def rank(self) -> int:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from marey.arrays import Floats, Integers, Mask, frozen
+from marey.arrays import Floats, Integers, Mask, freeze_fields
 from marey.nonrigid.in_space.errors import pose_variance, shape_covariance
 from marey.nonrigid.in_space.measured_places import MeasuredPlaces, PointsInSpace
 from marey.nonrigid.in_space.model import HomogeneousModel, improve, with_more_modes
@@ -46,9 +46,8 @@ class RankChoice:
     least 1."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "ranks", frozen(self.ranks, np.int64))
-        for name in ("held_out_rms", "held_out_sd"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
+        freeze_fields(self, "ranks", dtype=np.int64)
+        freeze_fields(self, "held_out_rms", "held_out_sd")
 
 
 @dataclass

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from marey.arrays import Floats, Mask, frozen
+from marey.arrays import Floats, Mask, freeze_fields
 from marey.nonrigid.core.alignment import mean_shape
 from marey.nonrigid.many_cameras.many_views import ManyViewShapes, factorise_views
 
@@ -27,7 +27,7 @@ class HeldSizeShapes:
     """(F,) how large a frame's pictures are, 1 on average; the same in all cameras."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "magnification", frozen(self.magnification))
+        freeze_fields(self, "magnification")
 
 
 def factorise_at_held_size(tracks: Floats) -> HeldSizeShapes:

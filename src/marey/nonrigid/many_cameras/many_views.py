@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from marey.arrays import Floats, Mask, frozen
+from marey.arrays import Floats, Mask, freeze_fields
 from marey.errors import MareyError
 from marey.geometry import rotations
 from marey.nonrigid.core.alignment import mean_shape
@@ -85,12 +85,22 @@ class ManyViewShapes:
     """What a user should know of this answer."""
 
     def __post_init__(self) -> None:
-        for name in (
-            "shape", "shape_sd", "rotation", "rotation_sd", "camera_from_first", "camera_sd", "scale", "translation",
-            "basis", "coefficients", "noise_sd", "residuals",
-        ):  # fmt: skip
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-        object.__setattr__(self, "predicted", frozen(self.predicted, bool))
+        freeze_fields(
+            self,
+            "shape",
+            "shape_sd",
+            "rotation",
+            "rotation_sd",
+            "camera_from_first",
+            "camera_sd",
+            "scale",
+            "translation",
+            "basis",
+            "coefficients",
+            "noise_sd",
+            "residuals",
+        )
+        freeze_fields(self, "predicted", dtype=bool)
 
     @property
     def rank(self) -> int:

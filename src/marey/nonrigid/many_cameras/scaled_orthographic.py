@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from marey.arrays import Floats, Mask, frozen
+from marey.arrays import Floats, Mask, freeze_fields
 from marey.nonrigid.core.completion import complete_tracks
 from marey.nonrigid.many_cameras.held_size import magnifications
 from marey.nonrigid.one_camera.one_view import COMPLETING_RANK, NonRigidShapes, factorise_tracks
@@ -30,7 +30,7 @@ class ScaledShapes:
     """(F,) how large a frame's picture is, 1 on average."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "magnification", frozen(self.magnification))
+        freeze_fields(self, "magnification")
 
     @property
     def in_tracks_unit(self) -> NonRigidShapes:

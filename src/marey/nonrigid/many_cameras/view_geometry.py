@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from marey.arrays import Floats, Mask, frozen
+from marey.arrays import Floats, Mask, freeze_fields
 from marey.geometry import rotations
 
 FEWEST_POINTS = 4
@@ -40,8 +40,7 @@ class ViewPair:
     """(P,) root mean square of what a point departs along the shared direction; NaN where not seen by both."""
 
     def __post_init__(self) -> None:
-        for name in ("first_axes", "second_axes", "spread", "point_rms"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
+        freeze_fields(self, "first_axes", "second_axes", "spread", "point_rms")
 
     def second_from_first(self, angle: float) -> Floats:
         """Give the rotation (3, 3) with an angle [rad] between the sights; the mirror image has minus the angle."""

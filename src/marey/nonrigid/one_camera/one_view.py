@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from marey.arrays import Floats, Mask, frozen
+from marey.arrays import Floats, Mask, freeze_fields
 from marey.errors import MareyError, SettingProblem
 from marey.geometry import rotations
 from marey.nonrigid.core.completion import complete_tracks, singular_vectors
@@ -125,9 +125,8 @@ class NonRigidShapes:
             "residuals",
             "rank_curve",
         )
-        for name in names:
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-        object.__setattr__(self, "predicted", frozen(self.predicted, bool))
+        freeze_fields(self, *names)
+        freeze_fields(self, "predicted", dtype=bool)
 
     @property
     def rank(self) -> int:

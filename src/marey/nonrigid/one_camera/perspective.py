@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from marey.arrays import Floats, Integers, Mask, frozen
+from marey.arrays import Floats, Integers, Mask, freeze_fields
 from marey.errors import MareyError
 from marey.geometry import rotations
 from marey.nonrigid.core.track_checks import RIGID, checked
@@ -98,10 +98,9 @@ class PerspectiveShapes:
     """What a user should know of this answer."""
 
     def __post_init__(self) -> None:
-        names = ("shape", "shape_sd", "rotation", "rotation_sd", "translation", "translation_sd")
-        for name in (*names, "basis", "coefficients", "residuals"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-        object.__setattr__(self, "predicted", frozen(self.predicted, bool))
+        freeze_fields(self, "shape", "shape_sd", "rotation", "rotation_sd", "translation", "translation_sd")
+        freeze_fields(self, "basis", "coefficients", "residuals")
+        freeze_fields(self, "predicted", dtype=bool)
 
     @property
     def rank(self) -> int:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from marey.arrays import Floats, frozen
+from marey.arrays import Floats, freeze_fields
 from marey.errors import MareyError
 from marey.nonrigid.core.metric_upgrade import orthonormal_triple
 
@@ -25,8 +25,7 @@ class PlainShapes:
     """(F, K)."""
 
     def __post_init__(self) -> None:
-        for name in ("shape", "rotation", "translation", "basis", "coefficients"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
+        freeze_fields(self, "shape", "rotation", "translation", "basis", "coefficients")
 
     @property
     def rank(self) -> int:

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from marey.arrays import Floats, Mask, frozen
+from marey.arrays import Floats, Mask, freeze_fields
 from marey.errors import SettingProblem
 from marey.images.matching.feature_tracks import (
     DEFAULT,
@@ -89,7 +89,7 @@ class RankTracks:
     """Standard deviation of a coordinate about the low rank [px]."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "curve", frozen(self.curve))
+        freeze_fields(self, "curve")
 
 
 def refine_tracks(

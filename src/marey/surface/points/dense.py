@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from marey.arrays import Floats, Image, Integers, frozen
+from marey.arrays import Floats, Image, Integers, freeze_fields
 from marey.cameras.epipolar import epipolar_lines
 from marey.surface.points.acceptance import beside_lines
 from marey.surface.points.bend import bends
@@ -50,11 +50,9 @@ class Tuples:
     """(n, 3) red, green, blue of the template."""
 
     def __post_init__(self) -> None:
-        for name in ("pixels", "sd", "bend", "correlation", "maps"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-        for name in ("nodes", "size"):
-            object.__setattr__(self, name, frozen(getattr(self, name), np.int64))
-        object.__setattr__(self, "colour", frozen(self.colour, np.uint8))
+        freeze_fields(self, "pixels", "sd", "bend", "correlation", "maps")
+        freeze_fields(self, "nodes", "size", dtype=np.int64)
+        freeze_fields(self, "colour", dtype=np.uint8)
 
     def __len__(self) -> int:
         """Count the tuples."""

@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from marey.arrays import Floats, Integers, Mask, frozen
+from marey.arrays import Floats, Integers, Mask, freeze_fields
 from marey.surface.points.views import View
 
 _AROUND = np.array([[0, -1], [0, 1], [-1, 0], [1, 0], [-1, -1], [-1, 1], [1, -1], [1, 1]])
@@ -74,9 +74,8 @@ class Field:
     """(n,) of the patch [px]; 0 where nothing was found."""
 
     def __post_init__(self) -> None:
-        for name in ("there", "maps", "covariance", "correlation"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-        object.__setattr__(self, "size", frozen(self.size, np.int64))
+        freeze_fields(self, "there", "maps", "covariance", "correlation")
+        freeze_fields(self, "size", dtype=np.int64)
 
     @property
     def found(self) -> Mask:

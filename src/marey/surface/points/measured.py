@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from marey.arrays import Floats, Image, Integers, Mask, frozen
+from marey.arrays import Floats, Image, Integers, Mask, freeze_fields
 from marey.errors import SettingProblem
 
 
@@ -37,10 +37,9 @@ class MeasuredPoints:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "camera_names", tuple(map(str, self.camera_names)))
-        object.__setattr__(self, "frame", frozen(self.frame, np.int64))
-        object.__setattr__(self, "colour", frozen(self.colour, np.uint8))
-        for name in ("points", "covariance", "pixels", "correlation", "residual_px"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
+        freeze_fields(self, "frame", dtype=np.int64)
+        freeze_fields(self, "colour", dtype=np.uint8)
+        freeze_fields(self, "points", "covariance", "pixels", "correlation", "residual_px")
         count, cameras = len(self.frame), len(self.camera_names)
         faults = [
             f"{name} has the shape {getattr(self, name).shape} instead of {(count, *shape)}"

@@ -8,7 +8,7 @@ from itertools import pairwise
 import cv2
 import numpy as np
 
-from marey.arrays import Floats, Mask, frozen
+from marey.arrays import Floats, Mask, freeze_fields
 from marey.cameras.triangulate import triangulate
 from marey.images.matching.matching import MatchSettings, match
 from marey.surface.points.acceptance import Limits, good
@@ -59,8 +59,7 @@ class Seeds:
     """(n, 2, 2) affine maps of the surroundings."""
 
     def __post_init__(self) -> None:
-        for name in ("pixels", "there", "maps"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
+        freeze_fields(self, "pixels", "there", "maps")
 
     def __len__(self) -> int:
         """Count the seeds."""

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from marey.arrays import Floats, Integers, frozen
+from marey.arrays import Floats, Integers, freeze_fields
 from marey.cameras.camera import Camera
 
 _SUPPORTS = 65
@@ -28,9 +28,8 @@ class Hypotheses:
     """(m, 2, 2) affine map of the surroundings."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "first", frozen(self.first, np.int64))
-        object.__setattr__(self, "places", frozen(self.places))
-        object.__setattr__(self, "maps", frozen(self.maps))
+        freeze_fields(self, "first", dtype=np.int64)
+        freeze_fields(self, "places", "maps")
 
 
 def facing_maps(template: Camera, search: Camera, pixels: Floats, points: Floats) -> tuple[Floats, Floats]:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from marey.arrays import Floats, Integers, Mask, frozen
+from marey.arrays import Floats, Integers, Mask, freeze_fields, frozen
 from marey.errors import SettingProblem
 from marey.surface.tracks.tracking import Tracks
 
@@ -43,9 +43,9 @@ class Trajectories:
     """(N,) whether a filter took the trajectory out whole; its arrays keep what was taken out."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "frames", frozen(self.frames, np.int64))
+        freeze_fields(self, "frames", dtype=np.int64)
         object.__setattr__(self, "rate", float(self.rate))
-        object.__setattr__(self, "removed", frozen(self.removed, np.bool_))
+        freeze_fields(self, "removed", dtype=np.bool_)
         object.__setattr__(self, "camera_names", tuple(map(str, self.camera_names)))
         both = (len(self.frames), len(self.removed))
         wanted = {
