@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from marey.observations.observation import Linearization, Observation, SurfaceObservation
     from marey.pipelines.markers.bones import Bones, load_bones
     from marey.pipelines.markers.estimate import estimate_bones, open_markers
+    from marey.pipelines.nonrigid.factorise import factorise, read_tracks
+    from marey.pipelines.nonrigid.shapes import Shapes, load_shapes
     from marey.pipelines.progress import Progress, RecordingProgress
     from marey.process import tuned_process
 
@@ -31,12 +33,16 @@ __all__ = [
     "RecordingProgress",
     "Rig",
     "SettingProblem",
+    "Shapes",
     "SurfaceObservation",
     "__version__",
     "estimate_bones",
     "example_folder",
+    "factorise",
     "load_bones",
+    "load_shapes",
     "open_markers",
+    "read_tracks",
     "triangulate",
     "tuned_process",
 ]
@@ -52,11 +58,15 @@ _MODULES = {
     "RecordingProgress": "pipelines.progress",
     "Rig": "cameras.rig",
     "SettingProblem": "errors",
+    "Shapes": "pipelines.nonrigid.shapes",
     "SurfaceObservation": "observations.observation",
     "estimate_bones": "pipelines.markers.estimate",
     "example_folder": "io.trial.example",
+    "factorise": "pipelines.nonrigid.factorise",
     "load_bones": "pipelines.markers.bones",
+    "load_shapes": "pipelines.nonrigid.shapes",
     "open_markers": "pipelines.markers.estimate",
+    "read_tracks": "pipelines.nonrigid.factorise",
     "triangulate": "cameras.triangulate",
     "tuned_process": "process",
 }
