@@ -247,7 +247,7 @@ def test_ctrl_c_leaves_no_results_and_the_same_command_goes_on(tmp_path, made, m
     def stopped(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("marey.pipelines.nonrigid.results.write_results", stopped)
+    monkeypatch.setattr("marey.pipelines.nonrigid.shapes.write_results", stopped)
     assert run(["nonrigid", given, "--basis-shapes", "2", "--quiet"]) == INTERRUPTED
     assert [path.name for path in (tmp_path / "given_marey").iterdir()] == [".work"]
     monkeypatch.undo()
@@ -334,11 +334,11 @@ def test_videos_and_options_that_do_not_go_together_are_said(video, tmp_path, ca
         writer.release()
         assert words in complaint([str(video), str(other)], capsys)
     matrix = ["--matrix", "700,700,64,64"]
-    assert "for one camera" in complaint([str(video), str(other), *matrix], capsys)
-    assert "for one camera" in complaint([str(video), str(other), "--scaled"], capsys)
+    assert "for a single camera" in complaint([str(video), str(other), *matrix], capsys)
+    assert "for a single camera" in complaint([str(video), str(other), "--scaled"], capsys)
     (tmp_path / "a.npz").write_bytes(b"")
     assert "either videos, or files" in complaint([str(video), str(tmp_path / "a.npz")], capsys)
-    assert "once for each" in complaint([str(video), str(other), *3 * ["--points", str(tmp_path / "a.npz")]], capsys)
+    assert "once per video" in complaint([str(video), str(other), *3 * ["--points", str(tmp_path / "a.npz")]], capsys)
 
 
 @pytest.fixture(scope="module")
@@ -389,8 +389,8 @@ def test_files_of_several_cameras_that_do_not_fit_are_said(tmp_path, capsys, two
     a, b, c = (str(tmp_path / f"{name}.npz") for name in "abc")
     assert "same number of frames" in complaint([a, b], capsys)
     assert "points in space" in complaint([a, c], capsys)
-    assert "one name" in complaint([a, a], capsys)
-    assert "for one camera" in complaint([a, a, "--matrix", "700,700,64,64"], capsys)
+    assert "the same name" in complaint([a, a], capsys)
+    assert "for a single camera" in complaint([a, a, "--matrix", "700,700,64,64"], capsys)
 
 
 LENS = np.array([-0.1, 0, 0, 0])
