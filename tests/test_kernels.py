@@ -321,6 +321,8 @@ def test_different_code_has_different_digests(first, second):
 @pytest.fixture
 def user(tmp_path, monkeypatch):
     """A user's home on Linux and folder of temporary files."""
+    if sys.platform == "win32":
+        pytest.skip("the permissions of these folders are POSIX's")
     monkeypatch.setattr(sys, "platform", "linux")
     for name in ("NUMBA_CACHE_DIR", "MAREY_CACHE_DIR", "XDG_CACHE_HOME"):
         monkeypatch.delenv(name, raising=False)
@@ -334,9 +336,6 @@ def user(tmp_path, monkeypatch):
 
 def private(folder: Path) -> bool:
     return stat.S_IMODE(folder.stat().st_mode) == 0o700
-
-
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="these folders' permissions are POSIX's")
 
 
 def test_kernels_are_kept_in_the_users_cache(user, monkeypatch):
