@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from marey.images.nearest import CELL
+from marey.images.silhouettes.nearest import CELL
 from marey.kernels import kernel
 
 SLACK = 2.0
