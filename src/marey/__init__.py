@@ -1,3 +1,64 @@
 """Measures how a body moves and what shape it has, from what is seen at its surface."""
 
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from marey.cameras.camera import Camera
+    from marey.cameras.rig import Rig
+    from marey.cameras.triangulate import triangulate
+    from marey.errors import FileProblem, MareyError, SettingProblem
+    from marey.io.trial.example import example_folder
+    from marey.observations.observation import Linearization, Observation, SurfaceObservation
+    from marey.pipelines.progress import Progress, RecordingProgress
+    from marey.process import tuned_process
+
 __version__ = "0.1.0"
+
+__all__ = [
+    "Camera",
+    "FileProblem",
+    "Linearization",
+    "MareyError",
+    "Observation",
+    "Progress",
+    "RecordingProgress",
+    "Rig",
+    "SettingProblem",
+    "SurfaceObservation",
+    "__version__",
+    "example_folder",
+    "triangulate",
+    "tuned_process",
+]
+
+_MODULES = {
+    "Camera": "cameras.camera",
+    "FileProblem": "errors",
+    "Linearization": "observations.observation",
+    "MareyError": "errors",
+    "Observation": "observations.observation",
+    "Progress": "pipelines.progress",
+    "RecordingProgress": "pipelines.progress",
+    "Rig": "cameras.rig",
+    "SettingProblem": "errors",
+    "SurfaceObservation": "observations.observation",
+    "example_folder": "io.trial.example",
+    "triangulate": "cameras.triangulate",
+    "tuned_process": "process",
+}
+"""The module of each public name; it is imported when the name is first used ([PEP 562])."""
+
+
+def __getattr__(name: str) -> object:
+    """Import a public name from its module."""
+    if name not in _MODULES:
+        raise AttributeError(f"module 'marey' has no attribute {name!r}")
+    value = getattr(import_module(f"marey.{_MODULES[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    """List the public names, whether they are imported yet or not."""
+    return sorted({*globals(), *__all__})
