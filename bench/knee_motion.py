@@ -56,8 +56,7 @@ from marey.markers.kinematics.transform_chain import (
     identity,
 )
 from marey.pipelines.knee.animate import AnimateOptions, animate
-from marey.pipelines.markers.markers import markers
-from marey.pipelines.markers.settings import MarkersOptions
+from marey.pipelines.markers.estimate import estimate_bones, open_markers
 from marey.pipelines.progress import RecordingProgress
 
 TRIALS = ("unibo_step_up", "ottawa_walking", "lmam_treadmill_walking")
@@ -156,13 +155,11 @@ def trial(shared: Path, name: str, work: Path) -> None:
     }
     np.savez(work / "reference.npz", **known)
     quiet = RecordingProgress()
-    options = MarkersOptions(
-        out=work / "motion",
-        reference=work / "reference.npz",
-        methods=("skin", "rigid"),
-        side="left" if left else "right",
-    )
-    motion = markers(sta / f"{name}.c3d", options, quiet)
+    motion = work / "motion"
+    walk = open_markers(
+        sta / f"{name}.c3d", reference=work / "reference.npz", side="left" if left else "right", progress=quiet
+    )  # fmt: skip
+    estimate_bones(walk, ("skin", "rigid"), out=motion, progress=quiet)
     out = animate(
         knee_folder, motion, AnimateOptions(reference=work / "standing.c3d", compare="rigid", out=work / "out"), quiet
     )

@@ -10,12 +10,15 @@ if TYPE_CHECKING:
     from marey.errors import FileProblem, MareyError, SettingProblem
     from marey.io.trial.example import example_folder
     from marey.observations.observation import Linearization, Observation, SurfaceObservation
+    from marey.pipelines.markers.bones import Bones, load_bones
+    from marey.pipelines.markers.estimate import estimate_bones, open_markers
     from marey.pipelines.progress import Progress, RecordingProgress
     from marey.process import tuned_process
 
 __version__ = "0.1.0"
 
 __all__ = [
+    "Bones",
     "Camera",
     "FileProblem",
     "Linearization",
@@ -27,12 +30,16 @@ __all__ = [
     "SettingProblem",
     "SurfaceObservation",
     "__version__",
+    "estimate_bones",
     "example_folder",
+    "load_bones",
+    "open_markers",
     "triangulate",
     "tuned_process",
 ]
 
 _MODULES = {
+    "Bones": "pipelines.markers.bones",
     "Camera": "cameras.camera",
     "FileProblem": "errors",
     "Linearization": "observations.observation",
@@ -43,7 +50,10 @@ _MODULES = {
     "Rig": "cameras.rig",
     "SettingProblem": "errors",
     "SurfaceObservation": "observations.observation",
+    "estimate_bones": "pipelines.markers.estimate",
     "example_folder": "io.trial.example",
+    "load_bones": "pipelines.markers.bones",
+    "open_markers": "pipelines.markers.estimate",
     "triangulate": "cameras.triangulate",
     "tuned_process": "process",
 }
