@@ -36,7 +36,6 @@ from marey.io.mr.meshes import read_mesh, write_mesh
 from marey.io.mr.volumes import read_template
 from marey.io.npz import read_arrays, write_arrays
 from marey.io.opensim.trc import PointPaths
-from marey.knee.bones.surfacing import surface_of_labels
 from marey.knee.markers.anatomical_frames import bone_frame
 from marey.knee.motion.joint_motion import KneeMotion, joint_proximities, joint_sides, knee_angles, motion_of_chains
 from marey.knee.motion.joint_surface import JointSurface, joint_surface
@@ -44,6 +43,7 @@ from marey.knee.motion.proximity import RelativePoses, proximity
 from marey.knee.space.sides import MIRROR, mirrored
 from marey.knee.space.structures import BONE_OF_CARTILAGE, LABELS
 from marey.knee.space.surface import Surface
+from marey.knee.space.surfacing import surface_of_labels
 from marey.markers.kinematics.transform_chain import (
     CAPTURE_ANATOMIC,
     CAPTURE_BONE,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from tests.made_knees import made_grid, made_labels, made_volume
 
-from marey.knee.bones.surfacing import surface_of_labels
+from marey.knee.space.surfacing import surface_of_labels
 from marey.knee.cartilage.outer_surface import CartilageSheet
 from marey.knee.cartilage.subregions import subregions, whole
 from marey.knee.space.structures import BONES

@@ -8,7 +8,7 @@ from scipy import ndimage, sparse
 from marey.arrays import Floats, Integers
 from marey.errors import MareyError
 from marey.extras import import_optional
-from marey.knee.bones.region_growing import signed_distance
+from marey.knee.space.distances import signed_distance
 from marey.knee.space.resampling import resampled, upright_grid
 from marey.knee.space.structures import BONE_OF_CARTILAGE
 from marey.knee.space.surface import Surface

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from marey.knee.bones.one_bone import in_line, thick_end
+from marey.knee.bones.located_bones import in_line, thick_end
 from marey.knee.space.volume import Grid
 
 

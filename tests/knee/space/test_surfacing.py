@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from marey.errors import MareyError
-from marey.knee.bones.surfacing import smoothed_surface, surface_of_field, surface_of_labels
 from marey.knee.space.structures import LABELS
 from marey.knee.space.surface import Surface
+from marey.knee.space.surfacing import smoothed_surface, surface_of_field, surface_of_labels
 from marey.knee.space.volume import Grid, Labels
 
 pytest.importorskip("skimage")
