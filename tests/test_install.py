@@ -1,5 +1,6 @@
 """What an installed program needs besides its code."""
 
+import importlib.metadata
 import os
 import re
 import subprocess
@@ -24,6 +25,23 @@ def test_kernels_are_kept_in_a_private_folder_where_nothing_else_can_be_written_
     assert place.is_dir()
     assert place.stat().st_mode & 0o077 == 0
     place.rmdir()
+
+
+def test_the_version_is_read_when_it_is_needed_and_not_at_import():
+    code = "import sys, marey; print('importlib.metadata' in sys.modules, marey.__version__)"
+    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    assert shown[0] == "False"
+    assert re.match(r"\d", shown[1])
+
+
+def test_the_version_of_a_tree_that_was_not_installed_is_unknown(monkeypatch):
+    def missing(name: str) -> str:
+        raise importlib.metadata.PackageNotFoundError(name)
+
+    monkeypatch.delitem(vars(marey), "__version__", raising=False)
+    monkeypatch.setattr(importlib.metadata, "version", missing)
+    assert marey.__version__ == marey.UNKNOWN_VERSION
+    monkeypatch.delitem(vars(marey), "__version__")
 
 
 def test_the_program_answers_without_loading_what_it_does_not_need():
