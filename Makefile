@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: test demo lint clean
+.PHONY: test demo lint docs clean
 
 # A .venv without .ready is what an interrupted set-up left: begin anew. The checks need more than the program does.
 .venv/.ready: pyproject.toml constraints.txt
@@ -22,6 +22,14 @@ lint: .venv/.checks
 
 test: lint
 	$(BIN)/python -m pytest
+
+.venv/.docs: .venv/.ready
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[docs]"
+	touch $@
+
+docs: .venv/.docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	@echo "Documentation: site/index.html"
 
 demo: .venv/.ready
 	$(BIN)/marey demo
