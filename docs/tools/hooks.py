@@ -19,6 +19,16 @@ import typer
 DOCS = Path(__file__).parents[1]
 BIBLIOGRAPHY = "reference/bibliography.md"
 
+MOVED = {
+    "body.md": "explanation/body.md",
+    "retarget.md": "how-to/retarget.md",
+    "tracking.md": "explanation/tracking.md",
+    "surface.md": "how-to/surface.md",
+    "markers.md": "how-to/markers.md",
+    "nonrigid-methods.md": "explanation/nonrigid.md",
+}
+"""Links of docs/accuracy.md that name pages as they were called before the site."""
+
 _CITATION = re.compile(r"\[([A-Z][A-Za-z]+\d{4}[a-z]?)\](?![(\[:])")
 _CODE = re.compile(r"(^ *```.*?^ *```[^\n]*$|^(?: {4}|\t)[^\n]*$|`[^`\n]+`)", re.MULTILINE | re.DOTALL)
 _FORMULA = re.compile(r'<(span|div) class="arithmatex">(.*?)</\1>', re.DOTALL)
@@ -42,6 +52,8 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
         if marker in markdown:
             markdown = markdown.replace(marker, make())
     path = page.file.src_uri
+    if path == "accuracy.md":
+        markdown = re.sub(r"\]\(([a-z-]+\.md)", lambda found: f"]({MOVED.get(found.group(1), found.group(1))}", markdown)
     return markdown if path == BIBLIOGRAPHY else linked_citations(markdown, path)
 
 
