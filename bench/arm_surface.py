@@ -17,12 +17,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from marey.cli.progress import Progress
-from marey.cli.surface import surface
-from marey.cli.surface_settings import SurfaceOptions
-from marey.io.calibration import write_cameras_toml
-from marey.io.surface import read_surface
-from marey.io.trial import read_trial
+from marey.io.calibration.readers import write_cameras_toml
+from marey.io.shapes.measured_surface import read_surface
+from marey.io.trial.trial import read_trial
+from marey.pipelines.progress import Progress
+from marey.pipelines.surface.settings import SurfaceOptions
+from marey.pipelines.surface.surface import surface
 
 QUALITY = 50
 FACTOR = 0.5

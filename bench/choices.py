@@ -12,10 +12,10 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-from marey.cli import capture
-from marey.cli.progress import Progress
-from marey.cli.settings import CaptureSettings
-from marey.fit.sequence import SequenceSettings
+from marey.fit.recipes.sequence import SequenceSettings
+from marey.pipelines.capture import capture
+from marey.pipelines.capture.settings import CaptureSettings
+from marey.pipelines.progress import Progress
 from takes import empty_frames, score, truth_of
 
 CHOICES: dict[str, dict[str, object]] = {

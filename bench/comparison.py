@@ -11,13 +11,13 @@ from pathlib import Path
 
 import numpy as np
 
-from marey.cli.compare import CompareOptions, compare
-from marey.cli.progress import Progress
 from marey.geometry.rigid import RigidTransform
-from marey.io.mot_sto import Table, write_table
-from marey.io.trc import PointPaths, write_trc
+from marey.io.opensim.mot_sto import Table, write_table
+from marey.io.opensim.trc import PointPaths, write_trc
 from marey.motion.comparison import Comparison
 from marey.motion.recording import interpolated
+from marey.pipelines.compare import CompareOptions, compare
+from marey.pipelines.progress import Progress
 
 RATE, SHIFT, NOISE_M = 50.0, 0.2345, 5e-4
 OTHER_FROM_OWN = RigidTransform.from_vector(np.radians([2.0, -3.0, 130.0]), np.array([1.5, -0.8, 0.1]))

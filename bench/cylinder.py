@@ -16,14 +16,14 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from marey.cameras.epipolar import epipolar_lines
-from marey.cli.progress import Progress
-from marey.cli.surface import surface
-from marey.cli.surface_settings import SurfaceOptions
-from marey.images.matching import MatchSettings, match
-from marey.images.splines import SplinePicture, spline_of
-from marey.io.calibration import read_rig
-from marey.io.surface import read_surface
-from marey.surface.measured import MeasuredPoints
+from marey.images.matching.matching import MatchSettings, match
+from marey.images.matching.splines import SplinePicture, spline_of
+from marey.io.calibration.readers import read_rig
+from marey.io.shapes.measured_surface import read_surface
+from marey.pipelines.progress import Progress
+from marey.pipelines.surface.settings import SurfaceOptions
+from marey.pipelines.surface.surface import surface
+from marey.surface.points.measured import MeasuredPoints
 
 GOOD = 0.05
 

@@ -17,12 +17,12 @@ import numpy as np
 
 from marey.cameras.rig import Rig
 from marey.cameras.triangulate import triangulate
-from marey.cli.progress import Progress
-from marey.cli.surface import surface
-from marey.cli.surface_settings import SurfaceOptions
-from marey.io.calibration import read_rig
-from marey.io.surface import read_surface
-from marey.surface.measured import MeasuredPoints
+from marey.io.calibration.readers import read_rig
+from marey.io.shapes.measured_surface import read_surface
+from marey.pipelines.progress import Progress
+from marey.pipelines.surface.settings import SurfaceOptions
+from marey.pipelines.surface.surface import surface
+from marey.surface.points.measured import MeasuredPoints
 
 LEFT, MIDDLE, RIGHT = range(3)
 

@@ -20,15 +20,15 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from marey.body.jointed_body import JointedBody
-from marey.body.jointed_kinematics import marker_bodies, place
-from marey.io.markers import read_markers
-from marey.io.mot_sto import read_table
-from marey.io.osim_model import read_osim_model
-from marey.io.osim_tasks import read_tasks
-from marey.markers.inverse_kinematics import InverseKinematics, inverse_kinematics
-from marey.markers.tasks import TaskSet
-from marey.markers.trajectories import MarkerTrajectories
+from marey.body.articulation.jointed_body import JointedBody
+from marey.body.articulation.jointed_kinematics import marker_bodies, place
+from marey.io.markers.readers import read_markers
+from marey.io.opensim.mot_sto import read_table
+from marey.io.opensim.osim_model import read_osim_model
+from marey.io.opensim.osim_tasks import read_tasks
+from marey.markers.data.trajectories import MarkerTrajectories
+from marey.markers.kinematics.inverse_kinematics import InverseKinematics, inverse_kinematics
+from marey.markers.kinematics.tasks import TaskSet
 
 RUNS = (("walk", "ik_weights"), ("walk", "ik_weights_uniform"), ("static", "ik_weights"))
 

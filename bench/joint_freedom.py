@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 from markers_trials import HEAD, Row, print_together, read_trial, row, score
 
-from marey.markers.chain import ChainJoint
-from marey.markers.global_optimisation import optimise_chain
-from marey.markers.rigid_fit import rigid
+from marey.markers.data.rigid_fit import rigid
+from marey.markers.methods.chain import ChainJoint
+from marey.markers.methods.global_optimisation import optimise_chain
 
 KNEES: dict[str, tuple[int, float | None]] = {str(n): (n, None) for n in range(1, 7)} | {"6, 5 mm": (6, 0.005)}
 """Degrees of freedom, and how softly the centre is held [m]."""

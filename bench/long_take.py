@@ -17,20 +17,20 @@ from pathlib import Path
 
 import numpy as np
 
-from marey.body.person import person_body
-from marey.body.pose import Pose, PosedBody
-from marey.body.surface import Body
+from marey.body.articulation.pose import Pose, PosedBody
+from marey.body.articulation.surface import Body
+from marey.body.people.person import person_body
 from marey.cameras.camera import Camera
-from marey.cli.kept_candidates import KeptArrays
-from marey.fit import sequence
-from marey.fit.banded import windows
-from marey.fit.levels import FrameLevels
-from marey.fit.sequence import RefineMemory, SequenceFit, refine_in_pieces
+from marey.fit.recipes import sequence
+from marey.fit.recipes.sequence import RefineMemory, SequenceFit, refine_in_pieces
+from marey.fit.search.levels import FrameLevels
+from marey.fit.solver.banded import windows
 from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
 from marey.io.stages import FrameLog
 from marey.motion.from_fit import measured
 from marey.observations.correspondence import view_of
+from marey.pipelines.capture.kept_candidates import KeptArrays
 
 RATE, SIZE, FOCAL, DISTANCE, ROUNDS = 30.0, (160, 200), 220.0, 3.2, 3
 

@@ -20,13 +20,13 @@ import numpy as np
 from made_skin_trials import KINDS, MadeTrial, made_trial
 
 from marey.geometry import rotations
-from marey.markers import estimator, joint_laxity, skin_motion
-from marey.markers.bone_motion import BoneMotion
-from marey.markers.joint_laxity import Give
-from marey.markers.multiple_calibration import multiple_calibration
-from marey.markers.problem import MarkerProblem
-from marey.markers.rigid_fit import rigid
-from marey.markers.skin_motion import SkinForm
+from marey.markers.data.bone_motion import BoneMotion
+from marey.markers.data.problem import MarkerProblem
+from marey.markers.data.rigid_fit import rigid
+from marey.markers.methods import estimator, joint_constraints, skin_motion
+from marey.markers.methods.joint_constraints import Give
+from marey.markers.methods.multiple_calibration import multiple_calibration
+from marey.markers.methods.skin_motion import SkinForm
 from marey.motion.anatomical import euler_angles
 
 TRIALS = ("lmam_treadmill_walking", "ottawa_walking", "unibo_step_up")
@@ -126,7 +126,7 @@ HEAD = """| {} | one posture: mean | 90 % | worst | share above 1.05 | 95 % hold
 @contextmanager
 def scaled(joint: float, skin: float) -> Iterator[None]:
     """Work with the knee's small turns and the skin's common motion taken that much larger."""
-    table, pair = joint_laxity._LAXITY, KNEE
+    table, pair = joint_constraints._LAXITY, KNEE
     before = table[pair], estimator._COMMON_TURN, estimator._COMMON_SHIFT
     table[pair] = replace(
         before[0], **{name: Give(anyway=g.anyway * joint, turned=g.turned * joint)
@@ -142,7 +142,7 @@ def scaled(joint: float, skin: float) -> Iterator[None]:
 def without(shared: Path) -> None:
     """Take one part away at a time, on the real trials."""
     trials = [real_trial(shared, name) for name in TRIALS]
-    table, forms, skin = joint_laxity._LAXITY, skin_motion.FORMS, estimator.skin_and_joints
+    table, forms, skin = joint_constraints._LAXITY, skin_motion.FORMS, estimator.skin_and_joints
     knee = table[KNEE]
 
     def alone(problem: MarkerProblem) -> BoneMotion:

@@ -12,15 +12,15 @@ from pathlib import Path
 import numpy as np
 from parts import run_parts
 
-from marey.io.c3d_forces import read_events, read_force_plates
-from marey.io.markers import read_markers
-from marey.markers.clusters import Cluster
-from marey.markers.exchanges import Exchange, exchange_back, find_exchanges
-from marey.markers.functional import carried, score, sphere_centre
-from marey.markers.gait_events import events_from_force, events_from_markers
-from marey.markers.gaps import FROM_CLUSTER, SPLINE, fill_gaps, from_cluster, spline
-from marey.markers.labels import clusters_named, find_clusters
-from marey.markers.trajectories import MarkerTrajectories
+from marey.io.markers.c3d_forces import read_events, read_force_plates
+from marey.io.markers.readers import read_markers
+from marey.markers.data.clusters import Cluster
+from marey.markers.data.labels import clusters_named, find_clusters
+from marey.markers.data.trajectories import MarkerTrajectories
+from marey.markers.preprocessing.exchanges import Exchange, exchange_back, find_exchanges
+from marey.markers.preprocessing.functional import carried, score, sphere_centre
+from marey.markers.preprocessing.gait_events import events_from_force, events_from_markers
+from marey.markers.preprocessing.gaps import FROM_CLUSTER, SPLINE, fill_gaps, from_cluster, spline
 from marey.motion.gait import STRIKE, GaitEvent
 
 PELVIS = ("LASI", "RASI", "LPSI", "RPSI")

@@ -25,11 +25,11 @@ import ezc3d
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from marey.markers.bone_motion import BoneMotion
-from marey.markers.clusters import AnatomicalCalibration, Cluster
-from marey.markers.methods import METHODS, choose_methods
-from marey.markers.problem import MarkerProblem
-from marey.markers.trajectories import trajectories
+from marey.markers.data.bone_motion import BoneMotion
+from marey.markers.data.clusters import AnatomicalCalibration, Cluster
+from marey.markers.data.problem import MarkerProblem
+from marey.markers.data.trajectories import trajectories
+from marey.markers.methods.methods import METHODS, choose_methods
 
 MM = 1000.0
 

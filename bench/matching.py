@@ -15,8 +15,8 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
-from marey.images.matching import MatchSettings, match
-from marey.images.splines import spline_of
+from marey.images.matching.matching import MatchSettings, match
+from marey.images.matching.splines import spline_of
 
 SHAPE = (960, 1280)
 MAP, SHIFT = np.array([[1.04, 0.03], [-0.02, 0.96]]), np.array([3.3, -2.7])

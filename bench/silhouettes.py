@@ -16,8 +16,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from marey.images import background as backgrounds
-from marey.images.silhouettes import Silhouette, segment
+from marey.images.silhouettes import background as backgrounds
+from marey.images.silhouettes.silhouettes import Silhouette, segment
 
 
 def video(path: Path) -> np.ndarray:

@@ -15,11 +15,11 @@ import cv2
 import numpy as np
 
 from marey.arrays import Floats, Mask
-from marey.body.person import family_body, person_body
-from marey.body.pose import Pose, PosedBody
-from marey.body.surface import Body
+from marey.body.articulation.pose import Pose, PosedBody
+from marey.body.articulation.surface import Body
+from marey.body.people.person import family_body, person_body
 from marey.cameras.camera import Camera
-from marey.fit.person import (
+from marey.fit.recipes.person import (
     PersonSettings,
     Take,
     mend_person,
@@ -29,7 +29,7 @@ from marey.fit.person import (
     track_person,
     with_shape,
 )
-from marey.fit.sequence import joined
+from marey.fit.recipes.sequence import joined
 from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
 from marey.observations.correspondence import view_of
