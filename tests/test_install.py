@@ -7,8 +7,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
 import marey
 
 ROOT = Path(__file__).parents[1]
@@ -50,15 +48,6 @@ def test_the_program_answers_without_loading_what_it_does_not_need():
     assert shown.startswith(f"marey {marey.__version__}")
     loaded = set(shown.split())
     assert not loaded & {"numba", "scipy", "cv2", "av"}
-
-
-@pytest.mark.parametrize("page", [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))], ids=lambda p: p.name)
-def test_pages_link_only_to_what_is_there(page: Path):
-    text = page.read_text(encoding="utf-8")
-    links = [link.split("#")[0] for link in re.findall(r"\]\(([^)\s]+)\)", text) if "://" not in link]
-    missing = [link for link in links if link and not (page.parent / link).exists()]
-    # The figures are written when a release is measured.
-    assert missing == []
 
 
 def test_data_that_the_program_reads_is_declared_as_part_of_the_package():

@@ -53,7 +53,9 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
             markdown = markdown.replace(marker, make())
     path = page.file.src_uri
     if path == "accuracy.md":
-        markdown = re.sub(r"\]\(([a-z-]+\.md)", lambda found: f"]({MOVED.get(found.group(1), found.group(1))}", markdown)
+        markdown = re.sub(
+            r"\]\(([a-z-]+\.md)", lambda found: f"]({MOVED.get(found.group(1), found.group(1))}", markdown
+        )
     return markdown if path == BIBLIOGRAPHY else linked_citations(markdown, path)
 
 
