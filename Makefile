@@ -16,7 +16,7 @@ $(VENV)/.ready: pyproject.toml constraints.txt
 	touch $@
 
 $(VENV)/.checks: $(VENV)/.ready
-	$(INSTALL) --editable ".[test,knee,plot,xarray]"
+	$(INSTALL) --editable ".[test,knee,plot,xarray,docs]"
 	touch $@
 
 lint: $(VENV)/.checks
