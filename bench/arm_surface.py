@@ -20,9 +20,10 @@ import numpy as np
 from marey.io.calibration.readers import write_cameras_toml
 from marey.io.shapes.measured_surface import read_surface
 from marey.io.trial.trial import read_trial
-from marey.pipelines.progress import Progress
+from marey.pipelines.progress import RecordingProgress
 from marey.pipelines.surface.settings import SurfaceOptions
 from marey.pipelines.surface.surface import surface
+from marey.process import tuned_process
 
 QUALITY = 50
 FACTOR = 0.5
@@ -88,6 +89,7 @@ def scored(shared: Path, *arguments: str | Path) -> str:
     return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
 
 
+@tuned_process()
 def main() -> None:
     shared, out = Path(sys.argv[1]), Path(sys.argv[2])
     trial = shared / "data" / "people" / "arm3"
@@ -95,7 +97,7 @@ def main() -> None:
     for name in sys.argv[3:] or WAYS:
         (folder, spacing), tracks = WAYS[name](trial, out), name == "default"
         started = time.perf_counter()
-        surface(folder, SurfaceOptions(out=out / name, spacing=spacing, tracks=tracks), Progress(quiet=True))
+        surface(folder, SurfaceOptions(out=out / name, spacing=spacing, tracks=tracks), RecordingProgress())
         seconds = time.perf_counter() - started
         found = scored(shared, out / name / "surface.npz", truth)
         took = json.loads((out / name / "run.json").read_text())["timings_s"]

@@ -15,7 +15,8 @@ from pathlib import Path
 from marey.fit.recipes.sequence import SequenceSettings
 from marey.pipelines.capture import capture
 from marey.pipelines.capture.settings import CaptureSettings
-from marey.pipelines.progress import Progress
+from marey.pipelines.progress import RecordingProgress
+from marey.process import tuned_process
 from takes import empty_frames, score, truth_of
 
 CHOICES: dict[str, dict[str, object]] = {
@@ -47,6 +48,7 @@ def refined_by_choice(names: list[str], seconds: dict[str, float]):
     return refined, write_each
 
 
+@tuned_process()
 def main() -> None:
     """Capture and score what was asked for; print one JSON line a choice."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -59,7 +61,7 @@ def main() -> None:
     capture._refined, capture.write_capture = refined_by_choice(names, seconds)
     for take in asked.takes:
         trial, out = asked.shared / "data" / "people" / take, asked.out / take
-        capture.capture(trial, CaptureSettings(out=out, overlay=False), Progress(quiet=True))
+        capture.capture(trial, CaptureSettings(out=out, overlay=False), RecordingProgress())
         for name in names:
             where = out / name.replace(" ", "_")
             skip = ("--skip-empty", empty_frames(trial))

@@ -17,7 +17,7 @@ from marey.io.opensim.trc import PointPaths, write_trc
 from marey.motion.comparison import Comparison
 from marey.motion.recording import interpolated
 from marey.pipelines.compare import CompareOptions, compare
-from marey.pipelines.progress import Progress
+from marey.pipelines.progress import RecordingProgress
 
 RATE, SHIFT, NOISE_M = 50.0, 0.2345, 5e-4
 OTHER_FROM_OWN = RigidTransform.from_vector(np.radians([2.0, -3.0, 130.0]), np.array([1.5, -0.8, 0.1]))
@@ -75,7 +75,7 @@ def main(results: Path, truth: Path, out: Path) -> None:
     out.mkdir(parents=True, exist_ok=True)
     for path in write_other(truth, out):
         options = CompareOptions(out=out / f"compared_{path.suffix[1:]}")
-        tell(path.name, compare(results, path, options, Progress(quiet=True))[1])
+        tell(path.name, compare(results, path, options, RecordingProgress())[1])
 
 
 if __name__ == "__main__":

@@ -20,9 +20,10 @@ from marey.images.matching.matching import MatchSettings, match
 from marey.images.matching.splines import SplinePicture, spline_of
 from marey.io.calibration.readers import read_rig
 from marey.io.shapes.measured_surface import read_surface
-from marey.pipelines.progress import Progress
+from marey.pipelines.progress import RecordingProgress
 from marey.pipelines.surface.settings import SurfaceOptions
 from marey.pipelines.surface.surface import surface
+from marey.process import tuned_process
 from marey.surface.points.measured import MeasuredPoints
 
 GOOD = 0.05
@@ -46,7 +47,7 @@ def fitted_cylinder(points: np.ndarray, start: np.ndarray) -> tuple[float, np.nd
 def dense(folder: Path, out: Path, reference: np.lib.npyio.NpzFile) -> None:
     hull = cv2.convexHull(reference["points_left"][0].astype(np.float32))
     for size, spacing in ((13, 6), (21, 8)):
-        surface(folder, SurfaceOptions(out=out, patch=size, spacing=spacing, tracks=False), Progress(quiet=True))
+        surface(folder, SurfaceOptions(out=out, patch=size, spacing=spacing, tracks=False), RecordingProgress())
         measured = read_surface(out / "surface.npz")
         for position in range(5):
             points = measured.of_frame(position)
@@ -76,6 +77,7 @@ def stated(points: MeasuredPoints, start: np.ndarray, beside: np.ndarray) -> str
     return f"{np.median(ratio) / 0.6745:.2f} times the stated sd, {100 * np.mean(ratio < 1.96):.0f} % within 1.96"
 
 
+@tuned_process()
 def main() -> None:
     folder, rng = Path(sys.argv[1]) / "data" / "surface" / "cylinder", np.random.default_rng(0)
     reference, template = np.load(folder / "reference.npz"), load(folder, "left_1")

@@ -58,7 +58,7 @@ from marey.markers.kinematics.transform_chain import (
 from marey.pipelines.knee.animate import AnimateOptions, animate
 from marey.pipelines.markers.markers import markers
 from marey.pipelines.markers.settings import MarkersOptions
-from marey.pipelines.progress import Progress
+from marey.pipelines.progress import RecordingProgress
 
 TRIALS = ("unibo_step_up", "ottawa_walking", "lmam_treadmill_walking")
 SEGMENT = {"femur": "thigh", "tibia": "shank"}
@@ -155,7 +155,7 @@ def trial(shared: Path, name: str, work: Path) -> None:
         f"{s}_{k}": truth[f"{s}_{k}"][at] for s in SEGMENT.values() for k in ("rotation", "origin")
     }
     np.savez(work / "reference.npz", **known)
-    quiet = Progress(quiet=True)
+    quiet = RecordingProgress()
     options = MarkersOptions(
         out=work / "motion",
         reference=work / "reference.npz",

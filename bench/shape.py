@@ -27,8 +27,9 @@ from marey.fit.points.levenberg import LevenbergSettings, fit_points
 from marey.fit.points.surface_points import FramePoints, PersonPoints
 from marey.io.shapes.measured_surface import write_surface
 from marey.pipelines.capture.settings import CaptureSettings
-from marey.pipelines.progress import Progress
+from marey.pipelines.progress import RecordingProgress
 from marey.pipelines.shape.shape import shape
+from marey.process import tuned_process
 from marey.surface.points.measured import MeasuredPoints
 
 NOISE, SEEN_BY = 3e-4, 3
@@ -174,7 +175,7 @@ def arm(shared, out, trial, preset, frames):
         told("surface.py", "--tracks", out / "trajectories.npz", truth)
     began = time.perf_counter()
     options = CaptureSettings(out=out, preset=preset, frames=(0, frames) if frames else None, overlay=False)
-    shape(trial, options, Progress(quiet=True))
+    shape(trial, options, RecordingProgress())
     took = json.loads((out / "run.json").read_text())["timings_s"]
     sys.stdout.write(f"marey shape {trial.name} --preset {preset}: {time.perf_counter() - began:.0f} s, {took}\n")
     told("surface.py", "--skin", out / "skin.npz", truth)
@@ -183,6 +184,7 @@ def arm(shared, out, trial, preset, frames):
     told("capture.py", out, truth, "--joints", f"{preset.partition('_')[0]}_(shoulder|elbow|wrist)")
 
 
+@tuned_process()
 def main() -> None:
     if sys.argv[1:2] == ["arm"]:
         shared, out, *rest = sys.argv[2:]

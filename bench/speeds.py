@@ -11,10 +11,13 @@ import sys
 from dataclasses import asdict
 from pathlib import Path
 
-from marey.cli.main import example_folder
-from marey.pipelines.speed.speeds import bench, machine
+from marey.io.trial.example import example_folder
+from marey.pipelines.progress import RecordingProgress
+from marey.pipelines.speed.speeds import machine, measure_speeds
+from marey.process import tuned_process
 
 if __name__ == "__main__":
     trial = Path(sys.argv[1]) if len(sys.argv) > 1 else None
-    speeds = bench(trial, example=example_folder())
+    with tuned_process():
+        speeds = measure_speeds(trial, example=example_folder(), progress=RecordingProgress())
     print(json.dumps({"machine": machine(), "speeds": [asdict(speed) for speed in speeds]}))

@@ -20,10 +20,12 @@ from marey.images.silhouettes.interior import InteriorEdges
 from marey.io.trial.masks import open_masks
 from marey.io.trial.trial import read_trial
 from marey.pipelines.capture import stages
-from marey.pipelines.progress import Progress
+from marey.pipelines.progress import RecordingProgress
 from marey.pipelines.speed.speeds import LEVEL_SET_LIMIT_MS
+from marey.process import tuned_process
 
 
+@tuned_process()
 def main() -> None:
     """Print one JSON line a stage."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -31,9 +33,7 @@ def main() -> None:
     parser.add_argument("results", type=Path)
     parser.add_argument("--frames", type=int, default=40)
     asked = parser.parse_args()
-    stages.quiet_threads()
-    stages.keep_memory()
-    trial, progress = read_trial(asked.trial), Progress(quiet=True)
+    trial, progress = read_trial(asked.trial), RecordingProgress()
     files = [open_masks(asked.results / "surface_masks" / f"{camera.name}.npz") for camera in trial.rig]
     with threadpool_limits(1):
         models, small = stages.backgrounds(trial, progress)

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from marey.cli.options import Frames, NoOverlay, Quiet
+from marey.cli.work import working
 from marey.pipelines.capture.settings import parse_frames, parse_names
 
 
@@ -72,7 +73,6 @@ def nonrigid(
     """
     from marey.pipelines.nonrigid.nonrigid import nonrigid as recover
     from marey.pipelines.nonrigid.settings import NonRigidOptions
-    from marey.pipelines.progress import Progress
 
     options = NonRigidOptions(
         out=out, points=tuple(points or ()), mask=mask, matrix=matrix, scaled=scaled, cameras=cameras,
@@ -80,5 +80,6 @@ def nonrigid(
         only=None if only is None else parse_names(only, option="--only", example="thigh_*"),
         frames=None if frames is None else parse_frames(frames), basis_shapes=basis_shapes, overlay=not no_overlay,
     )  # fmt: skip
-    results = recover(inputs, options, Progress(quiet=quiet))
+    with working(quiet=quiet) as progress:
+        results = recover(inputs, options, progress)
     typer.echo(f"Report: {results / 'report.html'}")

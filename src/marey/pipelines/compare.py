@@ -77,7 +77,7 @@ def compare(first: Path, second: Path, options: CompareOptions, progress: Progre
         )  # fmt: skip
         write_record(folder, command="compare", settings=asked, inputs=inputs, root=Path.cwd(), progress=progress)
     for line in told(result):
-        progress.say(line)
+        progress.report(line)
     return out, result
 
 

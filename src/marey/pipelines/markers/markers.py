@@ -64,7 +64,7 @@ def markers(path: Path, options: MarkersOptions, progress: Progress) -> Path:
         )  # fmt: skip
         write_results(results, options, out, progress)
     for line in told(results):
-        progress.say(line)
+        progress.report(line)
     return out
 
 
@@ -228,7 +228,7 @@ def follow_model(path: Path, options: MarkersOptions, progress: Progress) -> Pat
             runs=[run], coordinates=found.table,
         )  # fmt: skip
         write_results(results, options, out, progress)
-    progress.say(found.told)
+    progress.report(found.told)
     return out
 
 
