@@ -15,7 +15,21 @@ if TYPE_CHECKING:
     from marey.pipelines.progress import Progress, RecordingProgress
     from marey.process import tuned_process
 
-__version__ = "0.1.0"
+UNKNOWN_VERSION = "0+unknown"
+"""Version of a source tree that was never installed: its tags were not read."""
+
+
+def __getattr__(name: str) -> str:
+    """Read the version, which follows the repository's tags, from the installed package when it is first needed."""
+    if name != "__version__":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        globals()[name] = version("marey")
+    except PackageNotFoundError:
+        globals()[name] = UNKNOWN_VERSION
+    return str(globals()[name])
 
 __all__ = [
     "Bones",
