@@ -1,30 +1,35 @@
-"""Mend and refine a take with one choice of the recipe at a time, and score each, for docs/accuracy.md.
+"""Takes refined with one choice of the method at a time.
 
-    python bench/choices.py SHARED OUT TAKE [TAKE ...] [--only NAME,NAME]
-
-SHARED holds `data/people` and `score`. A take is captured once; only its mending and refinement are done for each of
-CHOICES, from the same silhouettes and the same followed poses. Results lie in OUT/TAKE/CHOICE.
+A take is captured once; only its completion and refinement are repeated for each of `CHOICES`, from the same silhouettes
+and the same tracked poses.
 """
 
 import argparse
-import json
 import time
 from dataclasses import replace
-from pathlib import Path
 
 from marey.cli import capture
 from marey.cli.progress import Progress
 from marey.cli.settings import CaptureSettings
 from marey.fit.sequence import SequenceSettings
-from takes import empty_frames, score, truth_of
+
+from bench.capture.takes import MOTION, begin, fill
+from bench.common.program import empty_frames, score, truth_of
+from bench.declaration import Bench
+from bench.recording import Run
+
+BENCH = Bench(
+    measures="Captured motion with one choice of the refinement changed at a time, against rendered truth or key points.",
+    sources=("src/marey/cameras", "src/marey/images", "src/marey/body", "src/marey/observations", "src/marey/fit", "src/marey/motion", "src/marey/cli"),
+    minutes=20,
+)
 
 CHOICES: dict[str, dict[str, object]] = {
-    "as it is": {},
+    "unchanged": {},
     "no edges inside": {"interior": False},
     "no votes": {"vote": False},
     "rays": {"residual": "ray"},
 }
-KEPT = ("joint_mm", "joint_p95_mm", "steady_mm", "elbow_knee_deg", "elbow_knee_steady_deg", "covered_95")
 
 
 def refined_by_choice(names: list[str], seconds: dict[str, float]):
@@ -47,26 +52,23 @@ def refined_by_choice(names: list[str], seconds: dict[str, float]):
     return refined, write_each
 
 
-def main() -> None:
-    """Capture and score what was asked for; print one JSON line a choice."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("shared", type=Path)
-    parser.add_argument("out", type=Path)
-    parser.add_argument("takes", nargs="+")
-    parser.add_argument("--only", default=",".join(CHOICES))
-    asked = parser.parse_args()
-    names, seconds = asked.only.split(","), {}
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("takes", nargs="*", help="of data/people; reach, walk, stealth and jacks without any")
+    parser.add_argument("--only", default=",".join(CHOICES), metavar="NAME,NAME", help=", ".join(CHOICES))
+
+
+def run(run: Run) -> None:
+    """Capture, refine by choice, and score."""
+    names, seconds = run.arguments.only.split(","), dict[str, float]()
     capture._refined, capture.write_capture = refined_by_choice(names, seconds)
-    for take in asked.takes:
-        trial, out = asked.shared / "data" / "people" / take, asked.out / take
+    table = begin(run, "One choice changed at a time", ("take", "choice"), MOTION)
+    for take in run.arguments.takes or ("reach", "walk", "stealth", "jacks"):
+        trial, out = run.shared / "data" / "people" / take, run.out / "choices" / take
         capture.capture(trial, CaptureSettings(out=out, overlay=False), Progress(quiet=True))
         for name in names:
-            where = out / name.replace(" ", "_")
             skip = ("--skip-empty", empty_frames(trial))
-            numbers = score(asked.shared / "score" / "capture.py", where, truth_of(trial), *skip)
-            row = {key: numbers[key] for key in KEPT if key in numbers}
-            print(json.dumps({"take": take, "choice": name, **row, "cpu_s": round(seconds[name], 1)}), flush=True)
-
-
-if __name__ == "__main__":
-    main()
+            numbers = score(run, "capture.py", out / name.replace(" ", "_"), truth_of(trial), *skip)
+            fill(table, (take, name), numbers, MOTION)
+    spent = "; ".join(f"{name} {seconds[name]:.0f} s" for name in names)
+    table.note += f" Processor time of the last take's refinement: {spent}."

@@ -1,12 +1,11 @@
-"""Captured takes beside a second measuring system: its clock and laboratory found again, its elbows and knees compared.
+"""Captured takes beside a second measuring system: its clock and laboratory are estimated, elbows and knees compared.
 
-`python bench/comparison.py RESULTS TRUTH.npz OUT` takes the results of `marey capture` on a rendered take, and
-writes the take's true joint centres as another laboratory would give them: at 50 Hz, in axes of its own, on a clock of
-its own, with 0.5 mm of noise, as `other.trc` and `other.mot`. It then runs `marey compare` on both pairs and prints how
-far the estimates lie from the truth, as section 3 of [Rosenhahn2006] compares two systems.
+The second system is made of the take's true joint centres: at 50 Hz, in axes of its own, on a clock of its own, with
+0.5 mm of noise, as TRC and MOT. `marey compare` compares the capture with both files, as section 3 of [Rosenhahn2006]
+compares two systems.
 """
 
-import sys
+import argparse
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +18,15 @@ from marey.io.trc import PointPaths, write_trc
 from marey.motion.comparison import Comparison
 from marey.motion.recording import interpolated
 
+from bench.common import program
+from bench.declaration import Bench
+from bench.recording import Column, Run
+
+BENCH = Bench(
+    measures="Estimated clock and laboratory of a second, made system, and the agreement of joint angles with it.",
+    sources=("src/marey/motion", "src/marey/fit", "src/marey/observations", "src/marey/cli"),
+    minutes=2,
+)
 RATE, SHIFT, NOISE_M = 50.0, 0.2345, 5e-4
 OTHER_FROM_OWN = RigidTransform.from_vector(np.radians([2.0, -3.0, 130.0]), np.array([1.5, -0.8, 0.1]))
 HINGES = {"knee": ("hip", "knee", "ankle"), "elbow": ("shoulder", "elbow", "wrist")}
@@ -53,30 +61,45 @@ def flexion(near: np.ndarray, middle: np.ndarray, far: np.ndarray) -> np.ndarray
     return np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), (a * b).sum(1))
 
 
-def tell(what: str, result: Comparison) -> None:
+def laboratories(result: Comparison) -> tuple[float | None, ...]:
+    """Turn [deg] and shift [mm] of the estimated laboratory from the true one, each with its stated deviation."""
     found = result.alignment
-    print(f"{what}: shift off by {1e3 * (found.shift_s - SHIFT):+.2f} ms, stated sd {1e3 * found.shift_sd_s:.2f} ms")
-    if result.first.point_names:
-        off = found.first_from_second @ OTHER_FROM_OWN
-        turn, move = np.degrees(np.linalg.norm(off.rotation_vector)), 1e3 * np.linalg.norm(off.translation)
-        stated = np.degrees(np.linalg.norm(found.turn_sd)), 1e3 * np.linalg.norm(found.translation_sd)
-        print(f"  laboratories off by {turn:.2f} degrees (sd {stated[0]:.2f}) and {move:.1f} mm (sd {stated[1]:.1f})")
-        print(f"  points in common {1e3 * found.residual_m:.1f} mm apart")
-    for row in result.agreements:
-        if row.kind == "angle":
-            low, high = np.degrees(row.limits)
-            print(
-                f"  {row.name}: RMS {np.degrees(row.rms):.2f} degrees, bias {np.degrees(row.bias):+.2f}, limits "
-                f"{low:+.2f} to {high:+.2f}, correlation {row.correlation:.3f}"
-            )
+    if not result.first.point_names:
+        return None, None, None, None, None
+    off = found.first_from_second @ OTHER_FROM_OWN
+    turn, move = np.degrees(np.linalg.norm(off.rotation_vector)), 1e3 * np.linalg.norm(off.translation)
+    stated = np.degrees(np.linalg.norm(found.turn_sd)), 1e3 * np.linalg.norm(found.translation_sd)
+    return turn, stated[0], move, stated[1], 1e3 * found.residual_m
 
 
-def main(results: Path, truth: Path, out: Path) -> None:
-    out.mkdir(parents=True, exist_ok=True)
-    for path in write_other(truth, out):
-        options = CompareOptions(out=out / f"compared_{path.suffix[1:]}")
-        tell(path.name, compare(results, path, options, Progress(quiet=True))[1])
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("takes", nargs="*", help="rendered takes of data/people; walk and reach without any")
 
 
-if __name__ == "__main__":
-    main(*map(Path, sys.argv[1:4]))
+def run(run: Run) -> None:
+    """Compare the captured takes with the made system."""
+    where = run.table(
+        "Clock and laboratory", ("take", "from"),
+        Column("shift off by", "ms", 2), Column("stated sd", "ms", 2), Column("turned by", "deg", 2),
+        Column("stated sd", "deg", 2), Column("moved by", "mm", 1), Column("stated sd", "mm", 1),
+        Column("common points apart", "mm", 1),
+    )  # fmt: skip
+    angles = run.table(
+        "Angles", ("take", "from", "angle"),
+        Column("RMS", "deg", 2), Column("bias", "deg", 2), Column("lower limit", "deg", 2),
+        Column("upper limit", "deg", 2), Column("correlation", "", 3),
+    )  # fmt: skip
+    for take in run.arguments.takes or ("walk", "reach"):
+        trial, results = program.take(run, take)
+        out = run.out / "comparison" / take
+        out.mkdir(parents=True, exist_ok=True)
+        for path in write_other(program.truth_of(trial), out):
+            options = CompareOptions(out=out / f"compared_{path.suffix[1:]}")
+            result = compare(results, path, options, Progress(quiet=True))[1]
+            found, kind = result.alignment, "points" if path.suffix == ".trc" else "elbows and knees alone"
+            where.row((take, kind), 1e3 * (found.shift_s - SHIFT), 1e3 * found.shift_sd_s, *laboratories(result))
+            for row in result.agreements:
+                if row.kind == "angle":
+                    values = np.degrees([row.rms, row.bias, *row.limits])
+                    angles.row((take, kind, row.name), *values, row.correlation)

@@ -1,17 +1,23 @@
-"""Reopen a folder of results with other programs and compare what they see.
+"""Results of a capture reopened with other programs, and compared with `motion.npz`.
 
-    python bench/check_formats.py RESULTS
-
-Needs none of marey: OpenSim (opensim), ezc3d, trimesh and pygltflib, xarray, Blender (bpy), and its own reader of BVH.
-A program that is not installed is named and skipped. The reference is motion.npz; what is not the same within the
-format's own rounding is an error.
+The programs are OpenSim (opensim), ezc3d, trimesh and pygltflib, xarray, Blender (bpy), and a reader of BVH in this
+module. A program that is not installed is skipped and named. A difference above the format's own rounding is an error.
 """
 
-import json
-import sys
+import argparse
 from pathlib import Path
 
 import numpy as np
+
+from bench.common import program
+from bench.declaration import Bench
+from bench.recording import Column, Run
+
+BENCH = Bench(
+    measures="Largest difference between written results and what other programs read from them.",
+    sources=("src/marey/io", "src/marey/motion"),
+    minutes=2,
+)
 
 OPENSIM_FROM_WORLD = np.eye(3)[[1, 2, 0]]
 
@@ -274,17 +280,28 @@ def check(folder: Path) -> tuple[dict[str, float], list[str]]:
     return found, missing
 
 
-def main() -> None:
-    """Print the differences; end with 1 where one is too large."""
-    found, missing = check(Path(sys.argv[1]))
-    bad = [name for name, value in found.items() if not value <= LIMITS[name.rsplit("[", 1)[1][:-1]]]
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("take", nargs="?", default="reach", help="a take of data/people")
+
+
+def run(run: Run) -> None:
+    """Capture, reopen, and compare.
+
+    Raises:
+        SystemExit: If a difference is too large.
+    """
+    _, results = program.take(run, run.arguments.take)
+    found, missing = check(results)
+    table = run.table("Written results reopened", ("quantity", "unit"), Column("largest difference"), Column("limit"))
+    bad = []
     for name, value in found.items():
-        print(f"{name:60s} {value:.2e}{'   TOO LARGE' if name in bad else ''}")
-    for name in missing:
-        print(f"{name} is not installed: skipped")
-    print(json.dumps(found))
-    sys.exit(1 if bad else 0)
-
-
-if __name__ == "__main__":
-    main()
+        what, _, unit = name.rpartition(" [")
+        limit = LIMITS[unit.rstrip("]")]
+        table.row((what, unit.rstrip("]")), f"{value:.1e}", f"{limit:.0e}")
+        if not value <= limit:
+            bad.append(what)
+    if missing:
+        table.note = f"Not installed and therefore skipped: {', '.join(missing)}."
+    if bad:
+        raise SystemExit(f"Larger than the limit: {', '.join(bad)}.")

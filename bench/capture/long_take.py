@@ -1,11 +1,8 @@
-"""Refine takes of many frames: memory stays bounded, time grows as the frames, and windows change nothing.
+"""Refinement of takes of many frames: memory stays bounded, time grows with the frames, and windows change nothing.
 
-    python bench/long_take.py [1000 4000 ...] [--compare]
-
-The person is the family's mean, walking on the spot for as long as is asked, seen by four small cameras; silhouettes
-are drawn when they are asked for, so that what is measured is the refinement. What it remembers goes to a folder that
-is thrown away, as `marey capture` keeps it beside its results. --compare refines some frames in one system and in
-windows, and prints the differences in parts of the stated standard deviations.
+The person is the family's mean, walking on the spot before four small cameras; silhouettes are drawn on demand, so that
+only the refinement is measured. Intermediate results go to a folder that is deleted. `--compare` refines the same frames
+in one system and in windows and states the differences in units of the standard deviations.
 """
 
 import argparse
@@ -31,6 +28,16 @@ from marey.geometry.rigid import RigidTransform
 from marey.io.stages import FrameLog
 from marey.motion.from_fit import measured
 from marey.observations.correspondence import view_of
+
+from bench.declaration import Bench
+from bench.recording import Column, Run, Table
+
+BENCH = Bench(
+    measures="Time and memory of the refinement of long takes, and the effect of its windows.",
+    sources=("src/marey/fit", "src/marey/body", "src/marey/observations"),
+    minutes=12,
+    data=False,
+)
 
 RATE, SIZE, FOCAL, DISTANCE, ROUNDS = 30.0, (160, 200), 220.0, 3.2, 3
 
@@ -79,8 +86,8 @@ def begun(body: Body, count: int) -> tuple[list[Pose], list[int]]:
     return start, np.linspace(0, count - 1, 25).astype(int).tolist()
 
 
-def grow(count: int) -> None:
-    """Refine a take of so many frames, and print time and memory."""
+def grow(table: Table, count: int) -> None:
+    """Refine a take of this many frames; time and memory."""
     body = person_body("coarse")
     levels = FrameLevels(cameras(), Seen(body), 1.0)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -99,15 +106,12 @@ def grow(count: int) -> None:
             ]  # fmt: skip
     seconds = time.perf_counter() - began
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    print(
-        f"{sum(len(m.frames) for m in kept)} frames in {len(kept)} windows: {1e3 * seconds / count / ROUNDS:.1f} ms a "
-        f"frame and round, peak memory {peak / 1e6:.2f} GB, of which {before / 1e6:.2f} GB before",
-        flush=True,
-    )
+    frames = sum(len(part.frames) for part in kept)
+    table.row(str(frames), len(kept), 1e3 * seconds / count / ROUNDS, peak / 1e6, before / 1e6)
 
 
-def compare(count: int = 480) -> None:
-    """Refine some frames in one system and in windows; print how much that changes."""
+def compare(table: Table, count: int = 480) -> None:
+    """Refine some frames in one system and in windows; the largest differences."""
     body = person_body("coarse")
     levels = FrameLevels(cameras(), Seen(body), 1.0)
     start, shape_frames = begun(body, count)
@@ -129,24 +133,28 @@ def compare(count: int = 480) -> None:
         shape = np.abs(parts.body.numbers - whole.body.numbers) / shape_sd
         sd = np.sqrt(np.diagonal(whole.covariance, axis1=1, axis2=2))[:, : len(body.skeleton)]
         steps = np.array([a.change_to(b) for a, b in zip(whole.poses, parts.poses, strict=True)])
-        print(
-            f"windows of 120 frames, {overlap} neighbours: poses differ by at most {np.abs(steps / sd).max():.4f} sd, "
-            f"the shape by {shape.max():.4f} sd",
-            flush=True,
-        )
+        table.row(str(overlap), np.abs(steps / sd).max(), shape.max())
 
 
-def main() -> None:
-    """Refine what was asked for."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("frames", nargs="*", type=int, default=[])
-    parser.add_argument("--compare", action="store_true")
-    asked = parser.parse_args()
-    for count in asked.frames:
-        grow(count)
-    if asked.compare:
-        compare()
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("frames", nargs="*", type=int, help="lengths of takes (300, 1000 and 3000 without any)")
+    parser.add_argument("--compare", action="store_true", help="compare windows with one system instead")
 
 
-if __name__ == "__main__":
-    main()
+def run(run: Run) -> None:
+    """Refine takes."""
+    given = run.arguments
+    if given.compare:
+        columns = (Column("poses differ by at most", "sd", 4), Column("shape differs by at most", "sd", 4))
+        compare(run.table("Windows of 120 frames against one system of 480 frames", "neighbouring frames", *columns))
+        return
+    columns = (
+        Column("windows"),
+        Column("per frame and round", "ms", 0),
+        Column("peak memory", "GB", 2),
+        Column("memory before", "GB", 2),
+    )
+    table = run.table("Refinement of long takes", "frames", *columns)
+    for count in given.frames or (300, 1000, 3000):
+        grow(table, count)

@@ -1,16 +1,12 @@
-"""Make harder takes of a rendered one, capture and score them: frames left out, somebody who leaves, pictures of noise.
+"""Harder takes made of rendered ones: frames left out, a person who leaves, pictures of noise.
 
-    python bench/made_takes.py SHARED OUT jacks --every 6
-    python bench/made_takes.py SHARED OUT walk --away 35:64:25
-    python bench/made_takes.py SHARED OUT walk --noise 40:55
-
---every N keeps each N-th frame, as a slower camera would. --away A:B:N shows the empty room for N frames in the place
-of frames A to B, so that the person comes back elsewhere. --noise A:B shows nothing but noise in frames A to B. Frames
-count from the first that shows somebody. The truth of the frames that are left is scored; results stay in OUT.
+`--every N` keeps each N-th frame, as a slower camera would. `--away A:B:N` shows the empty room for N frames in the place
+of frames A to B, so that the person comes back elsewhere. `--noise A:B` shows nothing but noise in frames A to B. Frames
+count from the first that shows the person. Without arguments the cases of `CASES` are made. The truth of the remaining
+frames is scored.
 """
 
 import argparse
-import json
 import shutil
 import tomllib
 from pathlib import Path
@@ -18,7 +14,22 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from takes import capture, empty_frames, score
+from bench.capture.takes import MOTION, begin, fill
+from bench.common.program import capture, empty_frames, score
+from bench.declaration import Bench
+from bench.recording import Run
+
+BENCH = Bench(
+    measures="Takes with a low frame rate, with an absent person and with pictures of noise, against rendered truth.",
+    sources=("src/marey/cameras", "src/marey/images", "src/marey/body", "src/marey/observations", "src/marey/fit", "src/marey/motion", "src/marey/cli"),
+    minutes=3,
+)
+CASES = (
+    ("jacks", {"every": 6}),
+    ("walk", {"away": "35:64:25"}),
+    ("walk", {"noise": "40:55"}),
+)
+"""Takes and how they are made harder."""
 
 EMPTY, NOISE = -1, -2
 
@@ -33,14 +44,14 @@ def pictures(clip: Path) -> list[np.ndarray]:
         found.append(picture)
 
 
-def plan_of(count: int, asked: argparse.Namespace) -> list[int]:
+def plan_of(count: int, given: argparse.Namespace) -> list[int]:
     """List which frame of the person each new frame shows, or `EMPTY` or `NOISE`."""
-    plan = list(range(0, count, asked.every))
-    if asked.away:
-        first, end, away = map(int, asked.away.split(":"))
+    plan = list(range(0, count, given.every))
+    if given.away:
+        first, end, away = map(int, given.away.split(":"))
         plan = [*plan[:first], *[EMPTY] * away, *plan[end:]]
-    if asked.noise:
-        first, end = map(int, asked.noise.split(":"))
+    if given.noise:
+        first, end = map(int, given.noise.split(":"))
         plan[first:end] = [NOISE] * (end - first)
     return plan
 
@@ -75,26 +86,35 @@ def make(trial: Path, folder: Path, plan: list[int], every: int) -> Path:
     return folder
 
 
-def main() -> None:
-    """Make, capture and score one take."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("shared", type=Path)
-    parser.add_argument("out", type=Path)
-    parser.add_argument("take")
-    parser.add_argument("--every", type=int, default=1)
-    parser.add_argument("--away", default="")
-    parser.add_argument("--noise", default="")
-    asked = parser.parse_args()
-    trial = asked.shared / "data" / "people" / asked.take
-    with np.load(trial / "truth" / "truth.npz") as truth:
-        plan = plan_of(len(truth["joints"]), asked)
-    name = f"{asked.take}_{asked.every}_{asked.away}_{asked.noise}".replace(":", "-").strip("_")
-    made, out = make(trial, asked.out / "made" / name, plan, asked.every), asked.out / name
-    capture(made, out)
-    numbers = score(asked.shared / "score" / "capture.py", out, made / "truth" / "truth.npz")
-    state = "".join(map(str, np.load(out / "motion.npz")["state"]))
-    print(json.dumps({"take": name, **numbers, "state": state}), flush=True)
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("take", nargs="?", help="a rendered take of data/people; all of CASES without one")
+    parser.add_argument("--every", type=int, default=1, metavar="N")
+    parser.add_argument("--away", default="", metavar="A:B:N")
+    parser.add_argument("--noise", default="", metavar="A:B")
 
 
-if __name__ == "__main__":
-    main()
+def run(run: Run) -> None:
+    """Make, capture and score the takes."""
+    given = run.arguments
+    one = {"every": given.every, "away": given.away, "noise": given.noise}
+    table = begin(run, "Harder takes", ("take", "made"), MOTION)
+    states = []
+    for take, changes in [(given.take, one)] if given.take else CASES:
+        trial = run.shared / "data" / "people" / take
+        made_as = argparse.Namespace(**{"every": 1, "away": "", "noise": ""} | changes)
+        with np.load(trial / "truth" / "truth.npz") as truth:
+            plan = plan_of(len(truth["joints"]), made_as)
+        what = " ".join(f"--{name} {value}" for name, value in changes.items() if value not in ("", 1))
+        folder = run.out / "made_takes" / f"{take}{what.replace(' ', '_').replace(':', '-')}"
+        made = make(trial, folder / "trial", plan, made_as.every)
+        out = capture(made, folder / "results")
+        fill(table, (take, what), score(run, "capture.py", out, made / "truth" / "truth.npz"))
+        states.append(f"`{take} {what}`: {runs(np.load(out / 'motion.npz')['state'])}")
+    table.note += " `state` in `motion.npz`, with the number of frames: " + "; ".join(states) + "."
+
+
+def runs(state: np.ndarray) -> str:
+    """Runs of equal states, with their lengths."""
+    ends = np.flatnonzero(np.diff(state)) + 1
+    return ", ".join(f"{part[0]} ({len(part)})" for part in np.split(state, ends))

@@ -1,14 +1,11 @@
-"""Silhouettes of a trial: writes masks/<camera>.npz, to be scored beside the truth, and prints the time per picture.
+"""Silhouettes of a take, picture by picture: overlap with the truth and time per picture.
 
-    python bench/silhouettes.py TRIAL OUT [--every N] [--alone] [--plate file|take|dark|marred] [--grey]
-
-Each picture starts from the result of the one before, as long as no tracked body is there to predict it (--alone:
-from nothing). --plate take: the background comes from the take itself; dark: the plate is exposed a tenth less and
-noisy; marred: it has a black bar and a ghost.
+Each picture starts from the result of the one before, since no tracked body predicts it here (`--alone`: from nothing).
+`--plate take` estimates the background from the take itself; `dark` exposes the plate 10 % less and adds noise; `marred`
+adds a black bar and a ghost.
 """
 
 import argparse
-import sys
 import time
 import tomllib
 from pathlib import Path
@@ -18,6 +15,17 @@ import numpy as np
 
 from marey.images import background as backgrounds
 from marey.images.silhouettes import Silhouette, segment
+
+from bench.common.program import empty_frames, score
+from bench.declaration import Bench
+from bench.recording import Column, Run
+
+BENCH = Bench(
+    measures="Overlap of silhouettes with the true masks, and processor time per picture.",
+    sources=("src/marey/images",),
+    minutes=4,
+)
+TAKES = ("walk", "reach", "stealth", "jacks")
 
 
 def video(path: Path) -> np.ndarray:
@@ -69,27 +77,30 @@ def silhouettes(trial: Path, camera: str, options: argparse.Namespace) -> tuple[
     return masks, times
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("trial", type=Path)
-    parser.add_argument("out", type=Path)
-    parser.add_argument("--every", type=int, default=1)
-    parser.add_argument("--alone", action="store_true")
-    parser.add_argument("--grey", action="store_true")
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("takes", nargs="*", help=f"of data/people; {', '.join(TAKES)} without any")
+    parser.add_argument("--every", type=int, default=1, metavar="N", help="only each N-th picture")
+    parser.add_argument("--alone", action="store_true", help="start each picture from nothing")
+    parser.add_argument("--grey", action="store_true", help="use grey pictures")
     parser.add_argument("--plate", choices=("file", "take", "dark", "marred"), default="file")
-    options = parser.parse_args()
+
+
+def run(run: Run) -> None:
+    """Segment and score."""
+    columns = (Column("silhouettes IoU", "", 3), Column("per picture, median", "ms", 1), Column("fastest 10 %", "ms", 1))
+    table = run.table("Silhouettes without a tracked body", "take", *columns)
     cv2.setNumThreads(1)
-    (options.out / "masks").mkdir(parents=True, exist_ok=True)
-    cameras = [name for name in tomllib.loads((options.trial / "cameras.toml").read_text()) if name != "metadata"]
-    for camera in cameras:
-        masks, times = silhouettes(options.trial, camera, options)
-        np.savez_compressed(options.out / "masks" / f"{camera}.npz", shape=masks.shape, bits=np.packbits(masks))
-        if times:
-            low, median = (1e3 * np.percentile(times, part) for part in (10, 50))
-            sys.stdout.write(f"{camera} {masks.shape[2]}x{masks.shape[1]}: {median:.1f} ms a picture ")
-            sys.stdout.write(f"(median of the process time; one in ten below {low:.1f})\n")
-        sys.stdout.flush()
-
-
-if __name__ == "__main__":
-    main()
+    for name in run.arguments.takes or TAKES:
+        trial, out = run.shared / "data" / "people" / name, run.out / "silhouettes" / name
+        (out / "masks").mkdir(parents=True, exist_ok=True)
+        spent: list[float] = []
+        for camera in tomllib.loads((trial / "cameras.toml").read_text()):
+            if camera != "metadata":
+                masks, times = silhouettes(trial, camera, run.arguments)
+                np.savez_compressed(out / "masks" / f"{camera}.npz", shape=masks.shape, bits=np.packbits(masks))
+                spent += times
+        low, median = 1e3 * np.percentile(spent, (10, 50)) if spent else (None, None)
+        truth = trial / "truth" / "masks.npz"
+        skip = ("--skip-empty", empty_frames(trial))
+        table.row(name, score(run, "masks.py", out, truth, *skip)["iou"] if truth.exists() else None, median, low)

@@ -1,52 +1,59 @@
-"""Capture takes whose truth is known, and score them: the table of docs/accuracy.md.
+"""Captured takes against their truth: joints, angles, silhouettes and surface.
 
-    python bench/takes.py SHARED OUT [walk reach ...] [--drop-cameras] [--upper] [--starts]
-
-SHARED holds `data/people` and `score`. --drop-cameras takes every camera away in turn; --upper cuts the pictures of
-reach at the hips; --starts captures every tenth frame alone. Results stay in OUT; a finished one is not made again.
+Without options every take is captured with all cameras and scored. `--drop-cameras` leaves out each camera in turn,
+`--upper` captures the arms of `reach` from pictures cut at the hips, `--starts` captures every tenth frame alone. The
+takes `walk`, `reach`, `stealth` and `jacks` are rendered, with exact truth; `balancing` is real, and its reference are key
+points that a detector found, with errors of some centimetres.
 """
 
 import argparse
-import json
-import subprocess
-import sys
 import tomllib
 from pathlib import Path
 
 import cv2
 import numpy as np
 
+from bench.common.program import capture, empty_frames, score, truth_of
+from bench.declaration import Bench
+from bench.recording import Column, Run, Table
+
+BENCH = Bench(
+    measures="Joints, angles, silhouettes and surface of captured takes, against rendered truth or detected key points.",
+    sources=("src/marey/cameras", "src/marey/images", "src/marey/body", "src/marey/observations", "src/marey/fit", "src/marey/motion", "src/marey/cli"),
+    minutes=6,
+)
+
+TAKES = ("walk", "reach", "stealth", "jacks", "balancing")
 LEGS = "pelvis|thorax|head|thigh|shank|foot"
 ARMS = "shoulder|elbow|wrist"
 CUT_ROW = 285
+"""First row (pixels) that is cut away from the pictures of `reach`."""
 
-
-def capture(trial: Path, out: Path, *options: str) -> None:
-    """Run `marey capture` unless its results are there."""
-    if not (out / "run.json").exists():
-        command = [sys.executable, "-c", "from marey.cli.main import main; main()", "capture", str(trial)]
-        subprocess.run([*command, "--out", str(out), "--no-overlay", "--quiet", *options], check=True)
-
-
-def score(script: Path, *arguments: object) -> dict:
-    """Run a score script; give the numbers of its last line."""
-    run = subprocess.run(
-        [sys.executable, str(script), *map(str, arguments)], capture_output=True, text=True, check=True
-    )
-    return json.loads(run.stdout.splitlines()[-1])
-
-
-def empty_frames(trial: Path) -> int:
-    """Tell how many leading frames of a take show nobody."""
-    truth = trial / "truth" / "truth.npz"
-    return int(np.load(truth)["empty"]) if truth.exists() else 0
-
-
-def truth_of(trial: Path) -> Path:
-    """Find what is known of a take: rendered joints, or detected key points."""
-    rendered = trial / "truth" / "truth.npz"
-    return rendered if rendered.exists() else trial / "truth" / "keypoints3d.npz"
-
+MOTION = (
+    (Column("joints", "mm", 1), "joint_mm"),
+    (Column("worst joint, 95 %", "mm", 0), "joint_p95_mm"),
+    (Column("steady", "mm", 1), "steady_mm"),
+    (Column("elbow, knee", "deg", 1), "elbow_knee_deg"),
+    (Column("steady", "deg", 1), "elbow_knee_steady_deg"),
+    (Column("95 % intervals hold", "", 2), "covered_95"),
+    (Column("frames with a result", "", 3), "seen"),
+)
+"""Columns of a motion, with the names that score/capture.py gives."""
+WHOLE = (
+    *MOTION,
+    (Column("trunk, legs turn", "deg", 1), "turn_trunk_legs_deg"),
+    (Column("silhouettes IoU", "", 3), "iou_masks"),
+    (Column("surface IoU", "", 3), "iou_surface_masks"),
+    (Column("worst length", "mm", 1), "lengths_worst_mm"),
+    (Column("lengths, stated sd", "", 2), "lengths_in_sd"),
+    (Column("agreement by camera"), "agreement"),
+)
+NOTE = (
+    "*Joints*: mean distance of the twelve limb joint centres from the truth; *steady*: the same without each joint's constant "
+    "offset. *Turn*: rotation of the segment since its first frame, against the truth. *Lengths*: thighs, shanks, upper arms and "
+    "forearms; their root mean square error in stated standard deviations. *Agreement*: overlap of the fitted surface and the "
+    "silhouettes."
+)
 
 LENGTHS = {
     "thigh": ("hip", "knee"),
@@ -76,21 +83,18 @@ def lengths(trial: Path, out: Path) -> dict:
     }
 
 
-def judged(shared: Path, trial: Path, out: Path) -> dict:
+def judged(run: Run, trial: Path, out: Path) -> dict:
     """Score motion, silhouettes and surface of a take."""
     skip = ("--skip-empty", empty_frames(trial))
-    numbers = score(shared / "score" / "capture.py", out, truth_of(trial), *skip)
-    numbers["turn_trunk_legs_deg"] = score(
-        shared / "score" / "capture.py", out, truth_of(trial), *skip, "--limbs", LEGS
-    ).get("turn_deg")
+    numbers = score(run, "capture.py", out, truth_of(trial), *skip)
+    numbers["turn_trunk_legs_deg"] = score(run, "capture.py", out, truth_of(trial), *skip, "--limbs", LEGS).get("turn_deg")
     masks = trial / "truth" / "masks.npz"
     masks = masks if masks.exists() else trial / "truth" / "masks"
     for kind in ("masks", "surface_masks"):
-        numbers[f"iou_{kind}"] = score(shared / "score" / "masks.py", out, masks, *skip, "--of", kind)["iou"]
+        numbers[f"iou_{kind}"] = score(run, "masks.py", out, masks, *skip, "--of", kind)["iou"]
     numbers |= lengths(trial, out)
     agreement = np.load(out / "motion.npz")["agreement"]
-    numbers["agreement"] = [round(float(v), 3) for v in np.nanmean(agreement, 0)]
-    numbers["timings_s"] = json.loads((out / "run.json").read_text())["timings_s"]
+    numbers["agreement"] = " ".join(f"{v:.2f}" for v in np.nanmean(agreement, 0))
     return numbers
 
 
@@ -115,23 +119,19 @@ def cut_at_hips(trial: Path, folder: Path) -> Path:
     return folder
 
 
-def starts(shared: Path, trial: Path, out: Path) -> dict:
-    """Start from every tenth frame alone; tell the share of starts whose limb joints all lie within 150 mm."""
+def starts(run: Run, trial: Path) -> tuple[int, int, int]:
+    """Start from every tenth frame alone: number of starts, those facing right, those with all limb joints in 150 mm."""
     truth = np.load(truth_of(trial))
     skip = empty_frames(trial)
     count = len(truth["joints"] if "joints" in truth else truth["xyz"])
     worst, facing = [], []
     for frame in range(skip, skip + count, 10):
-        where = out / f"frame_{frame:04d}"
+        where = run.out / "starts" / trial.name / f"frame_{frame:04d}"
         capture(trial, where, "--frames", f"{frame}:{frame + 1}")
         errors, forward = start_errors(where, truth, frame, frame - skip)
         worst.append(errors.max())
         facing.append(forward > 0)
-    return {
-        "starts": len(worst),
-        "within_150_mm": float(np.mean(np.array(worst) < 0.15)),
-        "facing": float(np.mean(facing)),
-    }
+    return len(worst), int(np.sum(facing)), int(np.sum(np.array(worst) < 0.15))
 
 
 def start_errors(out: Path, truth: "np.lib.npyio.NpzFile", frame: int, row: int) -> tuple[np.ndarray, float]:
@@ -152,42 +152,70 @@ def start_errors(out: Path, truth: "np.lib.npyio.NpzFile", frame: int, row: int)
     )
 
 
-def main() -> None:
-    """Capture and score what was asked for; print one JSON line a take."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("shared", type=Path)
-    parser.add_argument("out", type=Path)
-    parser.add_argument("takes", nargs="*")
-    parser.add_argument("--drop-cameras", action="store_true")
-    parser.add_argument("--upper", action="store_true")
-    parser.add_argument("--starts", action="store_true")
-    asked = parser.parse_args()
-    for name in asked.takes:
-        trial, out = asked.shared / "data" / "people" / name, asked.out / name
-        if asked.starts:
-            print(json.dumps({"take": name, **starts(asked.shared, trial, asked.out / "starts" / name)}), flush=True)
-            continue
-        cameras = [c for c in tomllib.loads((trial / "cameras.toml").read_text()) if c != "metadata"]
-        if asked.drop_cameras:
-            for left_out in cameras:
-                kept = [c for c in cameras if c != left_out]
-                capture(trial, asked.out / f"{name}_without_{left_out}", "--cameras", ",".join(kept))
-                numbers = score(
-                    asked.shared / "score" / "capture.py", asked.out / f"{name}_without_{left_out}", truth_of(trial),
-                    "--skip-empty", empty_frames(trial),
-                )  # fmt: skip
-                print(json.dumps({"take": name, "without": left_out, **numbers}), flush=True)
-            continue
-        capture(trial, out)
-        print(json.dumps({"take": name, **judged(asked.shared, trial, out)}), flush=True)
-    if asked.upper:
-        trial = asked.shared / "data" / "people" / "reach"
-        cut = cut_at_hips(trial, asked.out / "reach_cut")
-        capture(cut, asked.out / "reach_upper", "--preset", "upper")
-        arms = ("--skip-empty", empty_frames(trial), "--joints", ARMS)
-        numbers = score(asked.shared / "score" / "capture.py", asked.out / "reach_upper", truth_of(trial), *arms)
-        print(json.dumps({"take": "reach cut at the hips", **numbers}), flush=True)
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("takes", nargs="*", help=f"of {', '.join(TAKES)}, or another folder of data/people")
+    parser.add_argument("--drop-cameras", action="store_true", help="leave out each camera in turn")
+    parser.add_argument("--upper", action="store_true", help="the arms of reach, from pictures cut at the hips")
+    parser.add_argument("--starts", action="store_true", help="capture every tenth frame alone")
 
 
-if __name__ == "__main__":
-    main()
+def run(run: Run) -> None:
+    """Capture and score."""
+    given = run.arguments
+    trials = [run.shared / "data" / "people" / name for name in given.takes or ([] if given.upper else TAKES)]
+    if given.starts:
+        every_start(run, trials)
+    elif given.drop_cameras:
+        without_cameras(run, trials)
+    elif trials:
+        whole(run, trials)
+    if given.upper:
+        upper_body(run)
+
+
+def begin(run: Run, title: str, labels: str | tuple[str, ...], columns: tuple = MOTION) -> Table:
+    """Begin a table of scores."""
+    return run.table(title, labels, *(column for column, _ in columns), note=NOTE)
+
+
+def fill(table: Table, labels: str | tuple[str, ...], numbers: dict, columns: tuple = MOTION) -> None:
+    """Append the scores of one capture."""
+    table.row(labels, *(numbers.get(key) for _, key in columns))
+
+
+def whole(run: Run, trials: list[Path]) -> None:
+    """Capture with all cameras."""
+    table = begin(run, "All cameras", "take", WHOLE)
+    for trial in trials:
+        out = capture(trial, run.out / "takes" / trial.name)
+        fill(table, trial.name, judged(run, trial, out), WHOLE)
+
+
+def without_cameras(run: Run, trials: list[Path]) -> None:
+    """Capture with each camera left out in turn."""
+    table = begin(run, "One camera left out", ("take", "without"))
+    for trial in trials:
+        cameras = [name for name in tomllib.loads((trial / "cameras.toml").read_text()) if name != "metadata"]
+        for camera in cameras:
+            kept = ",".join(name for name in cameras if name != camera)
+            out = capture(trial, run.out / "takes" / f"{trial.name}_without_{camera}", "--cameras", kept)
+            skip = ("--skip-empty", empty_frames(trial))
+            fill(table, (trial.name, camera), score(run, "capture.py", out, truth_of(trial), *skip))
+
+
+def every_start(run: Run, trials: list[Path]) -> None:
+    """Start from every tenth frame alone."""
+    columns = (Column("starts"), Column("facing right"), Column("every limb joint within 150 mm"))
+    table = run.table("Starts from every tenth frame alone", "take", *columns)
+    for trial in trials:
+        table.row(trial.name, *starts(run, trial))
+
+
+def upper_body(run: Run) -> None:
+    """Capture the arms of `reach` from pictures that end at the hips."""
+    trial = run.shared / "data" / "people" / "reach"
+    cut = cut_at_hips(trial, run.out / "reach_cut")
+    out = capture(cut, run.out / "takes" / "reach_upper", "--preset", "upper")
+    arms = ("--skip-empty", empty_frames(trial), "--joints", ARMS)
+    fill(begin(run, "Cut at the hips, `--preset upper`, arms alone", "take"), "reach", score(run, "capture.py", out, truth_of(trial), *arms))

@@ -1,15 +1,11 @@
-"""Follow people who turn once round before three cameras: made takes with exact truth.
+"""People who turn once round before three cameras: made takes with exact truth.
 
-    python bench/turning.py [SEED ...]
-
-Each seed draws a person of sixteen family numbers, more than the body that is fitted has, turns them through 360
-degrees in three seconds while arms and legs swing, and roughens the silhouettes of three cameras by a pixel. Start,
-tracking, shape and refinement are those of `marey capture`. Printed are the limb joints' mean and worst distances from
-the truth and the greatest error of the pelvis' turn about the vertical.
+Each seed draws a person of sixteen family numbers, more than the fitted body has, turns them through 360 degrees in three
+seconds while arms and legs swing, and roughens the silhouettes of three cameras by a pixel. Start, tracking, shape and
+refinement are those of `marey capture`.
 """
 
-import sys
-from collections.abc import Sequence
+import argparse
 
 import cv2
 import numpy as np
@@ -34,6 +30,15 @@ from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
 from marey.observations.correspondence import view_of
 
+from bench.declaration import Bench
+from bench.recording import Column, Run
+
+BENCH = Bench(
+    measures="Joints and heading of made people who turn once round, against exact truth.",
+    sources=("src/marey/fit", "src/marey/body", "src/marey/observations"),
+    minutes=4,
+    data=False,
+)
 RATE, FRAMES, SIZE, FOCAL, DISTANCE = 30.0, 90, (480, 400), 600.0, 3.4
 LIMBS = [f"{s}_{j}" for s in ("left", "right") for j in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")]
 
@@ -118,21 +123,25 @@ def turn_error(found: PosedBody, true: PosedBody) -> float:
     return float(np.degrees(abs(np.arctan2(np.linalg.det(ahead), ahead[0] @ ahead[1]))))
 
 
-def main(seeds: Sequence[int]) -> None:
-    """Print one line a seed."""
-    for seed in seeds:
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("seeds", nargs="*", type=int, help="0, 1 and 2 without any")
+
+
+def run(run: Run) -> None:
+    """Make and follow one take per seed."""
+    columns = (
+        Column("frames followed"),
+        Column("joints", "mm", 1),
+        Column("worst single joint", "mm", 0),
+        Column("heading off by at most", "deg", 1),
+    )
+    table = run.table(f"People who turn once round in {FRAMES} frames, three cameras", "seed", *columns)
+    for seed in run.arguments.seeds or (0, 1, 2):
         take, truth = made_take(seed)
         found = captured(take)
         errors = 1e3 * np.array(
             [np.linalg.norm(limbs(a) - limbs(b), axis=1) for a, b in zip(found, truth, strict=True)]
         )
-        turns = [turn_error(a, b) for a, b in zip(found, truth, strict=True)]
-        print(
-            f"seed {seed}: {len(found)} of {FRAMES} frames, joints {errors.mean():.1f} mm, "
-            f"worst {errors.max():.0f} mm, heading off by at most {max(turns):.1f} degrees",
-            flush=True,
-        )
-
-
-if __name__ == "__main__":
-    main([int(seed) for seed in sys.argv[1:]] or [0, 1, 2])
+        turns = max(turn_error(a, b) for a, b in zip(found, truth, strict=True))
+        table.row(str(seed), len(found), errors.mean(), errors.max(), turns)

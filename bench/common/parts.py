@@ -1,17 +1,20 @@
-"""What benches of several parts share: `SHARED [PART]` on the command line; all parts where none is named."""
+"""Benchmarks of several parts: `[PART]` on the command line; all parts without one."""
 
 import argparse
-from collections.abc import Callable
-from pathlib import Path
+from collections.abc import Callable, Mapping
+
+from bench.recording import Run
+
+Part = Callable[[Run], None]
 
 
-def run_parts(about: str | None, parts: dict[str, Callable[[Path], None]], *, within: str = "") -> None:
-    """Run the part that was asked for, or all in their order, each with the shared folder, or the one within it."""
-    reader = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
-    reader.add_argument("shared", type=Path)
-    reader.add_argument("part", nargs="?", choices=[*parts])
-    asked = reader.parse_args()
+def add_parts(parser: argparse.ArgumentParser, parts: Mapping[str, Part]) -> None:
+    """Add the argument that chooses one part."""
+    parser.add_argument("part", nargs="?", choices=[*parts], help="all without one")
+
+
+def run_parts(run: Run, parts: Mapping[str, Part]) -> None:
+    """Run the chosen part, or all in their order."""
     for name, part in parts.items():
-        if asked.part in (None, name):
-            print(f"\n{name}", flush=True)
-            part(asked.shared / within)
+        if run.arguments.part in (None, name):
+            part(run)

@@ -1,13 +1,10 @@
-"""How the default method from skin markers to bones stands where nothing of it was chosen: three checks.
+"""The default method from skin markers to bones where none of its constants was chosen: three checks.
 
-    python bench/markers_estimator.py SHARED --parts          random parts of real trials: other markers and references
-    python bench/markers_estimator.py SHARED --leave-one-out  constants chosen on two real trials, judged on the third
-    python bench/markers_estimator.py SHARED --made 60        random trials with made skin and known bones
-    python bench/markers_estimator.py SHARED --kinds 10       the same of eight sorts, with sizes as in the collection
-    python bench/markers_estimator.py SHARED --without        what it measures without one of its parts
-
-Every figure is the knee's three angles' root mean square error against that of the rigid fit of the same trial with one
-posture. The data: Cereatti et al. 2017, J Biomech, doi 10.1016/j.jbiomech.2017.02.004.
+`parts`: random parts of real trials, with other markers and references. `made`: random trials with made skin and known
+bones. `kinds`: the same of eight kinds of activity, with sizes as in the collection. `leave-one-out`: constants chosen on two
+real trials, judged on the third. `without`: the method without one of its parts. Every figure is the root mean square error
+of the knee's three angles, divided by that of the rigid fit of the same trial with one posture. The data: Cereatti et al.
+2017, J Biomech, doi 10.1016/j.jbiomech.2017.02.004.
 """
 
 import argparse
@@ -17,7 +14,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from made_skin_trials import KINDS, MadeTrial, made_trial
 
 from marey.geometry import rotations
 from marey.markers import estimator, joint_laxity, skin_motion
@@ -29,6 +25,16 @@ from marey.markers.rigid_fit import rigid
 from marey.markers.skin_motion import SkinForm
 from marey.motion.anatomical import euler_angles
 
+from bench.common.parts import add_parts, run_parts
+from bench.declaration import Bench
+from bench.markers.made_skin_trials import KINDS, MadeTrial, made_trial
+from bench.recording import Column, Run, Table
+
+BENCH = Bench(
+    measures="Knee angles of the default method on parts of real trials and on made ones, relative to the rigid fit.",
+    sources=("src/marey/markers", "src/marey/motion", "src/marey/geometry"),
+    minutes=8,
+)
 TRIALS = ("lmam_treadmill_walking", "ottawa_walking", "unibo_step_up")
 FACTORS = (0.5, 0.7, 1.0, 1.4, 2.0)
 KNEE = ("thigh", "shank")
@@ -107,20 +113,24 @@ def some_markers(rng: np.random.Generator, points: np.ndarray) -> np.ndarray:
             return chosen
 
 
-def told(name: str, results: list[tuple[Judged, Judged]]) -> None:
+def begin(run: Run, title: str) -> Table:
+    """Begin a table of errors relative to the rigid fit."""
+    columns = [
+        Column(f"{posture} posture{'s' * (posture > 1)}: {what}", "", 2)
+        for posture in (1, 2)
+        for what in ("mean", "90 % below", "worst", "share above 1.05", "95 % hold")
+    ]
+    return run.table(title, "trials", *columns)
+
+
+def fill(table: Table, name: str, results: list[tuple[Judged, Judged]]) -> None:
+    """Append a row."""
     cells = []
     for posture in (0, 1):
         ratio = np.array([result[posture].against_rigid for result in results])
         share = np.mean([result[posture].held for result in results])
-        worse = (ratio > 1.05).mean()
-        cells.append(
-            f"{ratio.mean():.2f} | {np.quantile(ratio, 0.9):.2f} | {ratio.max():.2f} | {worse:.2f} | {share:.2f}"
-        )
-    print(f"| {name} | {' | '.join(cells)} |", flush=True)
-
-
-HEAD = """| {} | one posture: mean | 90 % | worst | share above 1.05 | 95 % hold | two postures: mean | 90 % | worst | share above 1.05 | 95 % hold |
-| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |"""  # noqa: E501
+        cells += [ratio.mean(), np.quantile(ratio, 0.9), ratio.max(), (ratio > 1.05).mean(), share]
+    table.row(name, *cells)
 
 
 @contextmanager
@@ -139,85 +149,97 @@ def scaled(joint: float, skin: float) -> Iterator[None]:
         table[pair], estimator._COMMON_TURN, estimator._COMMON_SHIFT = before
 
 
-def without(shared: Path) -> None:
+def without(run: Run) -> None:
     """Take one part away at a time, on the real trials."""
-    trials = [real_trial(shared, name) for name in TRIALS]
-    table, forms, skin = joint_laxity._LAXITY, skin_motion.FORMS, estimator.skin_and_joints
-    knee = table[KNEE]
+    trials = [real_trial(run.shared, name) for name in TRIALS]
+    laxity, forms, skin = joint_laxity._LAXITY, skin_motion.FORMS, estimator.skin_and_joints
+    knee = laxity[KNEE]
 
     def alone(problem: MarkerProblem) -> BoneMotion:
         return skin(replace(problem, joints=()))
 
     cases = {
-        "all of it": (skin, knee, forms),
+        "the whole method": (skin, knee, forms),
         "no joint": (alone, knee, forms),
         "joint's centre only": (skin, replace(knee, adduction=None, rotation=None), forms),
         "joint's small turns only": (skin, replace(knee, translation=Give(anyway=1.0, turned=1.0)), forms),
         "one form for every skin": (skin, knee, (SkinForm(),)),
     }
-    print("| | " + " | ".join(f"{name}: one, two" for name in TRIALS) + " | mean: one, two |")
-    print("| --- | --- | --- | --- | --- |")
+    table = by_trial(run, "Without one part of the method", "method", ("mean",))
     for name, (method, joint, offered) in cases.items():
-        table[KNEE], skin_motion.FORMS = joint, offered
+        laxity[KNEE], skin_motion.FORMS = joint, offered
         both = np.array([[each.against_rigid for each in judge(trial, method)] for trial in trials])
-        cells = " | ".join(f"{one:.2f}, {two:.2f}" for one, two in [*both, both.mean(0)])
-        print(f"| {name} | {cells} |", flush=True)
-    table[KNEE], skin_motion.FORMS = knee, forms
+        table.row(name, *[f"{one:.2f}, {two:.2f}" for one, two in [*both, both.mean(0)]])
+    laxity[KNEE], skin_motion.FORMS = knee, forms
 
 
-def leave_one_out(shared: Path) -> None:
+def by_trial(run: Run, title: str, labels: str | tuple[str, ...], more: tuple[str, ...] = ()) -> Table:
+    """Begin a table with one column per trial."""
+    columns = [Column(f"{name}: one posture, two") for name in (*TRIALS, *more)]
+    return run.table(title, labels, *columns)
+
+
+def leave_one_out(run: Run) -> None:
     """Choose both factors on two trials, judge them on the third."""
-    trials = {name: real_trial(shared, name) for name in TRIALS}
+    trials = {name: real_trial(run.shared, name) for name in TRIALS}
     figures = {}
-    print("| knee's small turns x | skin's common motion x | " + " | ".join(f"{n}: one, two" for n in TRIALS) + " |")
-    print("| --- | --- | --- | --- | --- |")
+    table = by_trial(run, "Factors of the method's constants", ("knee's small turns x", "skin's common motion x"))
     for joint in FACTORS:
         for skin in (0.7, 1.0, 1.4):
             with scaled(joint, skin):
                 both = [judge(trial, estimator.skin_and_joints) for trial in trials.values()]
             figures[joint, skin] = np.array([[each.against_rigid for each in pair] for pair in both])
-            cells = " | ".join(f"{one:.2f}, {two:.2f}" for one, two in figures[joint, skin])
-            print(f"| {joint} | {skin} | {cells} |", flush=True)
+            table.row((str(joint), str(skin)), *[f"{one:.2f}, {two:.2f}" for one, two in figures[joint, skin]])
+    chosen = run.table(
+        "Factors that the other two trials choose", "trial", Column("knee's small turns x"),
+        Column("skin's common motion x"), Column("one posture", "", 2), Column("two postures", "", 2),
+    )  # fmt: skip
     for index, name in enumerate(TRIALS):
         best = min(figures, key=lambda key: np.delete(figures[key], index, 0).mean())
-        one, two = figures[best][index]
-        print(f"{name}: the other two choose {best}; with these {one:.2f} and {two:.2f}")
+        chosen.row(name, *best, *figures[best][index])
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser()
-    parser.add_argument("shared", type=Path)
-    parser.add_argument("--parts", action="store_true")
-    parser.add_argument("--leave-one-out", action="store_true")
-    parser.add_argument("--without", action="store_true")
-    parser.add_argument("--made", type=int, metavar="N")
-    parser.add_argument("--kinds", type=int, metavar="N")
-    parser.add_argument("--draws", type=int, default=20)
-    given = parser.parse_args()
-    if given.parts:
-        print(HEAD.format(f"{given.draws} random parts of"))
-        for name in TRIALS:
-            rng, trial = np.random.default_rng(0), real_trial(given.shared, name)
-            told(name, [judge(part_of(rng, trial), estimator.skin_and_joints) for _ in range(given.draws)])
-    if given.without:
-        without(given.shared)
-    if given.leave_one_out:
-        leave_one_out(given.shared)
-    if given.made:
-        print(HEAD.format(f"{given.made} made trials"))
-        skin = estimator.skin_and_joints
-        for name, method, joint in (
-            ("default", skin, 1.0), ("knee twice as tight", skin, 0.5), ("rigid, calibration", calibrated, 1.0)
-        ):  # fmt: skip
-            rng = np.random.default_rng(0)
-            with scaled(joint, 1.0):
-                told(name, [judge(made_trial(rng), method) for _ in range(given.made)])
-    if given.kinds:
-        print(HEAD.format(f"{given.kinds} made trials of a sort"))
-        for name, kind in KINDS.items():
-            rng = np.random.default_rng(0)
-            told(name, [judge(made_trial(rng, kind), estimator.skin_and_joints) for _ in range(given.kinds)])
+def parts(run: Run) -> None:
+    """Judge the method on random parts of the real trials."""
+    table = begin(run, f"{run.arguments.draws} random parts of each trial")
+    for name in TRIALS:
+        rng, trial = np.random.default_rng(0), real_trial(run.shared, name)
+        fill(table, name, [judge(part_of(rng, trial), estimator.skin_and_joints) for _ in range(run.arguments.draws)])
 
 
-if __name__ == "__main__":
-    main()
+def made(run: Run) -> None:
+    """Judge the method, a tighter knee and simpler methods on made trials."""
+    count, skin = run.arguments.made, estimator.skin_and_joints
+    table = begin(run, f"{count} made trials of any kind")
+    for name, method, joint in (
+        ("default", skin, 1.0), ("knee held twice as tightly", skin, 0.5),
+        ("rigid; with two postures `calibration`", calibrated, 1.0),
+    ):  # fmt: skip
+        rng = np.random.default_rng(0)
+        with scaled(joint, 1.0):
+            fill(table, name, [judge(made_trial(rng), method) for _ in range(count)])
+
+
+def kinds(run: Run) -> None:
+    """Judge the method on made trials of each kind of activity."""
+    table = begin(run, f"{run.arguments.kinds} made trials of each kind")
+    for name, kind in KINDS.items():
+        rng = np.random.default_rng(0)
+        results = [judge(made_trial(rng, kind), estimator.skin_and_joints) for _ in range(run.arguments.kinds)]
+        fill(table, name, results)
+
+
+PARTS = {"parts": parts, "made": made, "kinds": kinds, "leave-one-out": leave_one_out, "without": without}
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    add_parts(parser, PARTS)
+    parser.add_argument("--draws", type=int, default=16, help="random parts per trial")
+    parser.add_argument("--made", type=int, default=60, help="made trials")
+    parser.add_argument("--kinds", type=int, default=12, help="made trials of each kind")
+
+
+def run(run: Run) -> None:
+    """Judge the method."""
+    run_parts(run, PARTS)

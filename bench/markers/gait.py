@@ -1,18 +1,11 @@
-"""Inverse kinematics of an OpenSim model beside OpenSim's own: joint angles, their optimum, and time a frame.
+"""Inverse kinematics of an OpenSim model beside OpenSim's own: joint angles, their optimum, and time per frame.
 
-    python bench/gait.py SHARED [--repeat N]
-
-SHARED holds `data/markers/gait`: a scaled model, two trials, two sets of weights, and the angles that OpenSim 4.6 gives
-for one of them. Prints one JSON line a trial and set of weights: the greatest root mean square difference of a joint
-angle and of a translation from that file; and, where the package `opensim` is installed, from its inverse kinematics
-run here at its own accuracy and at 1e-9, with its time a frame beside ours (process time, the best of N runs, one
-thread, files already read; ours with standard deviations, OpenSim's without). `cost` is the weighted sum of squares
-of the frames by OpenSim's answer less that by ours, relative: above 0 where ours is the better optimum.
+The angles are compared with those that OpenSim 4.6 gives for one trial (a file of the recordings) and, where the package
+`opensim` is installed, with its inverse kinematics run here, at its default accuracy and at 1e-9. Times are the shortest
+process time of several runs, on one thread, with files already read; ours with standard deviations, OpenSim's without.
 """
 
 import argparse
-import json
-import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -30,6 +23,14 @@ from marey.markers.inverse_kinematics import InverseKinematics, inverse_kinemati
 from marey.markers.tasks import TaskSet
 from marey.markers.trajectories import MarkerTrajectories
 
+from bench.declaration import Bench
+from bench.recording import Column, Run, Table
+
+BENCH = Bench(
+    measures="Inverse kinematics of an OpenSim model, against OpenSim's own.",
+    sources=("src/marey/markers", "src/marey/body"),
+    minutes=2,
+)
 RUNS = (("walk", "ik_weights"), ("walk", "ik_weights_uniform"), ("static", "ik_weights"))
 
 
@@ -43,18 +44,15 @@ def quickest(function: Callable[[], object], times: int) -> float:
     return min(spent)
 
 
-def difference(found: InverseKinematics, path: Path) -> dict[str, float]:
-    """The greatest RMS difference from a MOT: of an angle [degrees], of a translation [mm]; NaN of ours left out."""
+def difference(found: InverseKinematics, path: Path) -> tuple[float, float]:
+    """The greatest RMS difference from a MOT: of an angle [degrees], of a translation [mm]; ours without a value left out."""
     table = read_table(path)
     theirs = table.values[:, [table.columns.index(name) for name in found.coordinate_names]]
     ours = np.where(found.rotational, np.degrees(found.coordinates), 1e3 * found.coordinates)
     apart = ours - np.where(found.rotational, theirs, 1e3 * theirs)
     known = np.isfinite(apart).all(0)
     rms = np.sqrt((apart**2).mean(0))
-    return {
-        "angle_deg": float(f"{rms[known & found.rotational].max():.2g}"),
-        "translation_mm": float(f"{rms[known & ~found.rotational].max():.2g}"),
-    }
+    return float(rms[known & found.rotational].max()), float(rms[known & ~found.rotational].max())
 
 
 def cost(model: JointedBody, tasks: TaskSet, trial: MarkerTrajectories, labels: tuple[str, ...], values) -> float:
@@ -101,51 +99,49 @@ def of_opensim(gait: Path, trial: str, weights: str, out: Path, accuracy: float 
     return lambda: keep[1].run()
 
 
-def measure(gait: Path, trial: str, weights: str, repeat: int, folder: Path) -> dict[str, object]:
-    """One line of the table."""
+def measure(table: Table, gait: Path, trial: str, weights: str, repeat: int, folder: Path) -> None:
+    """The rows of one trial and set of weights."""
     model, tasks = read_osim_model(gait / "model_scaled.osim"), read_tasks(gait / f"{weights}.xml")
     markers = read_markers(gait / f"{trial}.trc")
     found = inverse_kinematics(model, tasks, markers)
-    row: dict[str, object] = {"trial": trial, "weights": weights, "frames": len(markers)}
-    row["ms_a_frame"] = round(
-        1e3 * quickest(lambda: inverse_kinematics(model, tasks, markers), repeat) / len(markers), 2
-    )
-    row["markers"], row["rms_mm"] = len(found.marker_labels), round(1e3 * float(np.nanmean(found.rms)), 2)
-    row["not_determined"] = [n for n, d in zip(found.coordinate_names, found.determined.T, strict=True) if not d.any()]
+    own_ms = 1e3 * quickest(lambda: inverse_kinematics(model, tasks, markers), repeat) / len(markers)
     reference = gait / f"{trial}_reference_ik.mot"
+    name = f"{trial} ({len(markers)} frames)"
     if reference.exists() and weights == "ik_weights":
-        row["from_the_file"] = difference(found, reference)
+        table.row((name, weights, f"`{reference.name}`"), *_short(*difference(found, reference)), own_ms, None, None)
     for accuracy in (None, 1e-9):
         out = folder / "opensim.mot"
         tool = of_opensim(gait, trial, weights, out, accuracy)
         if tool is None:
-            row["opensim"] = "not installed"
-            break
-        took = quickest(tool, repeat if accuracy is None else 1) / len(markers)
-        table = read_table(out)
-        theirs = table.values[:, [table.columns.index(name) for name in found.coordinate_names]]
+            table.note = "OpenSim is not installed here."
+            return
+        theirs_ms = 1e3 * quickest(tool, repeat if accuracy is None else 1) / len(markers)
+        stored = read_table(out)
+        theirs = stored.values[:, [stored.columns.index(name) for name in found.coordinate_names]]
         theirs = np.where(found.rotational, np.radians(theirs), theirs)
         ours = np.where(np.isfinite(found.coordinates), found.coordinates, theirs)
         costs = [cost(model, tasks, markers, found.marker_labels, values) for values in (theirs, ours)]
-        name = "opensim" if accuracy is None else f"opensim_at_{accuracy:g}"
-        row[name] = {
-            **difference(found, out), "ms_a_frame": round(1e3 * took, 2),
-            "cost": float(f"{(costs[0] - costs[1]) / costs[1]:.1e}"),
-        }  # fmt: skip
-    return row
+        other = "OpenSim" if accuracy is None else f"OpenSim at {accuracy:g}"
+        above = f"{(costs[0] - costs[1]) / costs[1]:.0e}"
+        table.row((name, weights, other), *_short(*difference(found, out)), own_ms, theirs_ms, above)
 
 
-def main() -> None:
-    """Print one line for each trial and set of weights."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("shared", type=Path)
-    parser.add_argument("--repeat", type=int, default=5)
-    asked = parser.parse_args()
-    gait = asked.shared.resolve() / "data" / "markers" / "gait"
-    with threadpool_limits(1), tempfile.TemporaryDirectory() as folder:
+def _short(*values: float) -> list[str]:
+    return [f"{value:.2g}" for value in values]
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("--repeat", type=int, default=5, help="runs of which the shortest counts")
+
+
+def run(run: Run) -> None:
+    """Solve, and compare."""
+    table = run.table(
+        "Coordinates beside OpenSim's", ("trial", "weights", "beside"), Column("greatest difference of an angle", "deg"),
+        Column("of a translation", "mm"), Column("per frame", "ms", 2), Column("OpenSim, per frame", "ms", 1),
+        Column("OpenSim's cost above ours, relative"),
+    )  # fmt: skip
+    with threadpool_limits(1):
         for trial, weights in RUNS:
-            print(json.dumps(measure(gait, trial, weights, asked.repeat, Path(folder))), flush=True)
-
-
-if __name__ == "__main__":
-    main()
+            measure(table, run.shared / "data" / "markers" / "gait", trial, weights, run.arguments.repeat, run.out)

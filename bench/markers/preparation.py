@@ -1,16 +1,15 @@
-"""How well trials of markers are read, filled and checked, on real ones: `python bench/markers_input.py SHARED [PART]`.
+"""Trials of markers: how well they are filled, checked and prepared.
 
-Parts: gaps (cut into measured paths, filled, compared), exchanges (labels exchanged on purpose, and false alarms),
-joints (the hip's centre carried from a functional trial into walking), events (of the gait, against given ones).
+`gaps`: cut into measured paths, filled and compared. `exchanges`: labels exchanged on purpose, and false alarms. `joints`:
+the hip's centre carried from a functional trial into walking. `events`: of the gait, against given ones.
 """
 
-import sys
+import argparse
 import warnings
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from parts import run_parts
 
 from marey.io.c3d_forces import read_events, read_force_plates
 from marey.io.markers import read_markers
@@ -23,14 +22,18 @@ from marey.markers.labels import clusters_named, find_clusters
 from marey.markers.trajectories import MarkerTrajectories
 from marey.motion.gait import STRIKE, GaitEvent
 
+from bench.common.parts import add_parts, run_parts
+from bench.declaration import Bench
+from bench.recording import Column, Run, Table
+
+BENCH = Bench(
+    measures="Filled gaps, exchanged labels, joint centres and gait events of marker trials, against measured ones.",
+    sources=("src/marey/markers", "src/marey/motion", "src/marey/io"),
+    minutes=3,
+)
 PELVIS = ("LASI", "RASI", "LPSI", "RPSI")
+HOW = {"one": "one segment, 10 % of the frames", "two": "two segments, 10 % of the frames", "all": "two segments, all frames"}
 LENGTHS = (5, 10, 24, 60, 120, 240)
-
-
-def main() -> None:
-    run_parts(
-        __doc__, {"gaps": gaps, "exchanges": exchanges, "joints": joints, "events": events}, within="data/markers"
-    )
 
 
 def lmam(folder: Path) -> tuple[MarkerTrajectories, tuple[Cluster, ...]]:
@@ -45,10 +48,15 @@ def lmam(folder: Path) -> tuple[MarkerTrajectories, tuple[Cluster, ...]]:
     return replace(trial, points=points), find_clusters(trial.labels).clusters
 
 
-def gaps(folder: Path) -> None:
+def gaps(run: Run) -> None:
+    folder = run.shared / "data" / "markers"
     trial, clusters = lmam(folder)
-    print("RMS distance of filled points from the measured ones, mm; gaps beside the file's own")
-    print("cluster          frames  spline  cluster  chosen  stated  spline's share")
+    columns = [Column(name, "mm", 2) for name in ("spline", "cluster", "chosen", "stated")]
+    table = run.table(
+        "RMS distance of filled points from the measured ones, beside the file's own gaps", ("markers", "gap [frames]"),
+        *columns, Column("share filled by the spline", "", 2),
+        note="*Chosen*: what `--fill best` takes. *Stated*: its own standard deviation.",
+    )  # fmt: skip
     sparse = [Cluster(segment=c.segment, labels=c.labels[::5]) for c in clusters]
     for cluster in (*clusters, *sparse):
         rng, chosen = np.random.default_rng(5), trial.select(cluster.labels)
@@ -65,8 +73,7 @@ def gaps(folder: Path) -> None:
             ]  # fmt: skip
             stated = 1e3 * np.sqrt(3 * np.nanmean(filled.sd[cut] ** 2))
             share = (filled.way[cut] == SPLINE).sum() / max(1, np.isin(filled.way[cut], (SPLINE, FROM_CLUSTER)).sum())
-            name = f"{cluster.segment}, {len(cluster.labels)}"
-            print(f"{name:16} {length:6} {off[0]:7.2f} {off[1]:8.2f} {off[2]:7.2f} {stated:7.2f} {share:10.2f}")
+            table.row((f"{cluster.segment}, {len(cluster.labels)}", str(length)), *off, stated, share)
 
 
 def cuts(trial: MarkerTrajectories, length: int, rng: np.random.Generator) -> np.ndarray:
@@ -86,8 +93,10 @@ def rms(filled: np.ndarray, points: np.ndarray, cut: np.ndarray) -> float:
     return float(1e3 * np.sqrt(np.nanmean(((filled - points)[cut] ** 2).sum(-1))))
 
 
-def exchanges(folder: Path) -> None:
-    print("trial, pairs exchanged in one cluster / between two / all along: found of made, others named by mistake")
+def exchanges(run: Run) -> None:
+    folder = run.shared / "data" / "markers"
+    columns = [Column(f"{how}: {what}") for how in HOW.values() for what in ("found", "others named")]
+    table = run.table("Labels exchanged at random", "trial", Column("named in the original trial"), *columns)
     for path in sorted([*folder.glob("sta/*.c3d"), *folder.glob("functional/*.c3d"), *folder.glob("functional/*.trc")]):
         trial = read_markers(path)
         clusters = find_clusters(trial.labels).clusters
@@ -98,9 +107,10 @@ def exchanges(folder: Path) -> None:
             for c in clusters
         ]
         alarms = len(find_exchanges(trial, clusters))
-        rng, told = np.random.default_rng(1), []
-        for how in ("one", "two", "all"):
+        rng, cells = np.random.default_rng(1), []
+        for how in HOW:
             if how != "one" and len(seen) < 2:
+                cells += [None, None]
                 continue
             found = made = wrong = 0
             for _ in range(6):
@@ -110,8 +120,8 @@ def exchanges(folder: Path) -> None:
                 made += 1
                 found += any(set(x.labels) == set(pair) for x in named)
                 wrong += sum(set(x.labels) != set(pair) for x in named)
-            told.append(f"{how} {found}/{made}, {wrong}")
-        print(f"{path.stem:24} alarms on the trial as it is: {alarms};  {';  '.join(told)}")
+            cells += [f"{found} of {made}", wrong]
+        table.row(path.stem, alarms, *cells)
 
 
 def drawn(
@@ -131,24 +141,30 @@ def drawn(
     return (str(first), str(second)), frames
 
 
-def joints(folder: Path) -> None:
+def joints(run: Run) -> None:
+    folder = run.shared / "data" / "markers"
     trial, walk = (read_markers(folder / "functional" / f"{name}.c3d") for name in ("left_hip", "walk"))
     thigh = [f"LF0{n}" for n in range(1, 6)]
+    table = run.table(
+        "Hip centre of `left_hip.c3d` carried into `walk.c3d`, against that file's own centre", "method",
+        Column("median", "mm", 1), Column("largest", "mm", 1), Column("residual", "mm", 1), Column("stated sd [mm]"),
+    )  # fmt: skip
     known = walk.select(["LeftHipCenterScore"]).points[:, 0]
     for name, find in (("SCoRE", score), ("sphere", sphere_centre)):
         centre = find(trial.select(PELVIS).points, trial.select(thigh).points)
         at = carried(centre.parent_shape, centre.in_parent, walk.select(PELVIS).points)
         off = 1e3 * np.linalg.norm(at - known, axis=-1)
         sd = 1e3 * np.sqrt(np.diag(centre.covariance))
-        print(
-            f"{name}: median {np.median(off):.1f} mm from LeftHipCenterScore, largest {off.max():.1f}; "
-            f"residual {1e3 * centre.residual:.1f} mm, stated sd {sd[0]:.1f} {sd[1]:.1f} {sd[2]:.1f} mm"
-        )
+        table.row(name, np.median(off), off.max(), 1e3 * centre.residual, ", ".join(f"{v:.1f}" for v in sd))
 
 
-def events(folder: Path) -> None:
+def events(run: Run) -> None:
+    folder = run.shared / "data" / "markers"
     path = folder / "functional" / "walk.c3d"
     walk, given = read_markers(path), read_events(path)
+    table = run.table(
+        "Gait events", "compared", Column("found"), Column("mean off", "ms", 0), Column("largest off", "ms", 0)
+    )
     body = walk.select(PELVIS).points.mean(1)
     feet = {side: walk.select([f"{side[0].upper()}HEE"]).points[:, 0] for side in ("left", "right")}
     force = events_from_force(read_force_plates(path), feet, rate=walk.rate, start_s=walk.start_s)
@@ -156,9 +172,9 @@ def events(folder: Path) -> None:
     for side, heel in feet.items():
         toe = walk.select([f"{side[0].upper()}TOE"]).points[:, 0]
         found += events_from_markers(heel, body, rate=walk.rate, start_s=walk.start_s, side=side, toe=toe)
-    compared("walk, markers against force plates", found, force)
-    compared("walk, force plates against the file's events", force, given)
-    compared("walk, markers against the file's events", found, given)
+    compared(table, "walk, markers against force plates", found, force)
+    compared(table, "walk, force plates against the file's events", force, given)
+    compared(table, "walk, markers against the file's events", found, given)
     trial, clusters = lmam(folder)
     thigh = np.nanmean(read_markers(folder / "sta" / "lmam_treadmill_walking.c3d").select(clusters[0].labels).points, 1)
     with np.load(folder / "sta" / "lmam_treadmill_walking.npz") as truth:
@@ -166,20 +182,32 @@ def events(folder: Path) -> None:
             GaitEvent(kind=STRIKE, side=None, time=f / trial.rate, source="given") for f in truth["event_heel_strike"]
         ]
         heel = truth["heel_global"] * 1e-3
-    compared("treadmill, heel against the file's strikes", events_from_markers(heel, thigh, rate=trial.rate), strikes)
+    compared(table, "treadmill, heel against the file's strikes", events_from_markers(heel, thigh, rate=trial.rate), strikes)
 
 
-def compared(name: str, found: list[GaitEvent] | tuple[GaitEvent, ...], known) -> None:
-    """Print how many events have one of their kind within 100 ms, and how far that is."""
+def compared(
+    table: Table, name: str, found: list[GaitEvent] | tuple[GaitEvent, ...], known: list[GaitEvent] | tuple[GaitEvent, ...]
+) -> None:
+    """How many events have one of their kind within 100 ms, and how far apart they are."""
     off = []
     for event in known:
         same = [e.time - event.time for e in found if (e.kind, e.side) == (event.kind, event.side)]
         nearest = min(same, key=abs, default=np.inf)
         off += [1e3 * nearest] if abs(nearest) < 0.1 else []
-    told = f"mean {np.mean(off):+.0f}, largest {np.max(np.abs(off)):.0f} ms" if off else "-"
-    print(f"{name}: {len(off)} of {len(known)} found; {told}")
+    middle = (np.mean(off), np.max(np.abs(off))) if off else (None, None)
+    table.row(name, f"{len(off)} of {len(known)}", *middle)
 
 
-if __name__ == "__main__":
-    warnings.simplefilter("error")
-    sys.exit(main())
+PARTS = {"gaps": gaps, "exchanges": exchanges, "joints": joints, "events": events}
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    add_parts(parser, PARTS)
+
+
+def run(run: Run) -> None:
+    """Run the parts; a warning of the program is an error."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        run_parts(run, PARTS)

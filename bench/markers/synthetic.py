@@ -1,21 +1,13 @@
 """The methods from skin markers to bones on made clusters with exact truth.
 
-    python bench/markers_synthetic.py [rigid] [interval] [masses] [table3]
-
-`rigid`: markers that do not move over the bones; the largest error of each method. `interval`: skin motion of a known
-form, 8 mm, with 0.2 mm of noise. `masses`: when redistributed masses help. `table3`: table 3 of Alexander, Bregler and
-Andriacchi 2003 with data made as they describe theirs. Everything by default.
+`rigid`: markers that do not move over the bones; the largest error of each method. `interval`: skin motion of a known form.
+`masses`: when redistributed masses help. `table3`: table 3 of [Alexander2003] with data made as the authors describe theirs.
 """
 
-import sys
+import argparse
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from tests.skin_clusters import leg_and_bones, placed, problem, smooth_motion, thigh, turns
 
 from marey.arrays import Floats
 from marey.markers.cluster_data import cluster_data
@@ -27,6 +19,17 @@ from marey.markers.rigid_fit import fit_rigid, rigid
 from marey.markers.skin_forms import SkinForm
 from marey.nonrigid.homogeneous import factorise_points
 
+from bench.common.parts import add_parts, run_parts
+from bench.declaration import Bench
+from bench.recording import Column, Run
+from tests.skin_clusters import leg_and_bones, placed, problem, smooth_motion, thigh, turns
+
+BENCH = Bench(
+    measures="Methods from skin markers to bones on made clusters, against exact truth.",
+    sources=("src/marey/markers", "src/marey/motion", "src/marey/geometry", "src/marey/nonrigid"),
+    minutes=3,
+    data=False,
+)
 SETS = 20
 NOISE_M = 2e-4
 SKIN_M = 8e-3
@@ -37,18 +40,19 @@ def rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def exact() -> None:
-    """Print what each method makes of rigid markers."""
-    print("\n| method, rigid markers | largest turn error, rad | largest origin error, m |\n| --- | --- | --- |")
+def exact(run: Run) -> None:
+    """What each method makes of markers that do not move over the bones."""
+    columns = (Column("largest turn error", "rad"), Column("largest origin error", "m"))
+    table = run.table("Rigid markers", "method", *columns)
     for entry in METHODS.values():
         leg, bones = leg_and_bones(np.random.default_rng(1), known=[0, 20])
         if entry.lacks(leg):
-            print(f"| {entry.name} | - | {entry.lacks(leg)} |")
+            table.row(entry.name, None, str(entry.lacks(leg)))
             continue
         motion = entry.run(leg)
         turn = max(turns(motion.bone(name)[0], bone[0]).max() for name, bone in bones.items())
         shift = max(np.abs(motion.bone(name)[1] - bone[1]).max() for name, bone in bones.items())
-        print(f"| {entry.name} | {turn:.0e} | {shift:.0e} |")
+        table.row(entry.name, f"{turn:.0e}", f"{shift:.0e}")
 
 
 def own_phases(time: Floats, rng: np.random.Generator, markers: int) -> tuple[Floats, Floats]:
@@ -94,21 +98,19 @@ def made(seed: int, form: str, frames: int, markers: int) -> tuple[MarkerProblem
 LENGTHS = {form: (200,) for form in FORMS} | {"all markers sinusoids of any phase": (200, 400)}
 
 
-def interval(markers: int = 12) -> None:
-    """Print what interval deformation takes away of the rigid fit's error."""
-    print(f"\nSkin motion of 8 mm, noise 0.2 mm, {markers} markers, {SETS} sets; root mean square\n")
-    print("| form, known to the method | frames | rigid deg | interval | removed | rigid mm | interval | cannot see |")
-    print("| --- | --- | --- | --- | --- | --- | --- | --- |")
+def interval(run: Run, markers: int = 12) -> None:
+    """What interval deformation takes away of the rigid fit's error."""
+    table = run.table(
+        f"Skin motion of 8 mm, noise of 0.2 mm, {markers} markers, {SETS} sets; root mean square",
+        ("form, known to the method", "frames"),
+        Column("rigid", "deg", 2), Column("interval", "deg", 2), Column("removed", "%", 0), Column("rigid", "mm", 1),
+        Column("interval", "mm", 1), Column("stated as not determined"),
+    )  # fmt: skip
     for form, lengths in LENGTHS.items():
         for frames in lengths:
             errors, unseen = interval_errors(form, frames, markers)
             before, after = np.degrees(errors[:2])
-            first, second = 1000 * errors[2:]
-            share = 100 * (1 - after / before)
-            print(
-                f"| {form} | {frames} | {before:.2f} | {after:.2f} | {share:.0f} % | {first:.1f} | {second:.1f} | "
-                f"{unseen} |"
-            )
+            table.row((form, str(frames)), before, after, 100 * (1 - after / before), *(1000 * errors[2:]), unseen)
 
 
 def interval_errors(form: str, frames: int, markers: int) -> tuple[Floats, str]:
@@ -154,11 +156,11 @@ def smooth_skin(shape: Floats, frames: int, rng: np.random.Generator) -> Floats:
 
 
 MOTIONS = {
-    "random, 3 mm a coordinate": noise_alone,
+    "random, 3 mm per coordinate": noise_alone,
     "one marker slips by some 20 mm": one_slips,
     "bulge of one side": bulge,
-    "even swelling by a tenth": even_swelling,
-    "every marker its own smooth way, some 10 mm": smooth_skin,
+    "even swelling by 10 %": even_swelling,
+    "every marker on its own smooth path, some 10 mm": smooth_skin,
 }
 
 
@@ -175,17 +177,18 @@ def in_front(rng: np.random.Generator, markers: int) -> Floats:
 CLUSTERS = {"all around the limb": around, "on its front half": in_front}
 
 
-def masses(frames: int = 60, markers: int = 12) -> None:
-    """Print when redistributed masses help."""
-    print(f"\nRoot mean square error of the turn, degrees; {markers} markers, {SETS} sets of {frames} frames\n")
-    print("| skin motion | cluster | rigid | pct | pct_masses | masses better than unit masses in |")
-    print("| --- | --- | --- | --- | --- | --- |")
+def masses(run: Run, frames: int = 60, markers: int = 12) -> None:
+    """When redistributed masses help."""
+    table = run.table(
+        f"Root mean square turn error, {markers} markers, {SETS} sets of {frames} frames", ("skin motion", "cluster"),
+        Column("rigid", "deg", 2), Column("pct", "deg", 2), Column("pct_masses", "deg", 2),
+        Column("sets in which masses are better than unit masses"),
+    )  # fmt: skip
     for name, skin in MOTIONS.items():
         for kind, cluster in CLUSTERS.items():
             errors = [turn_errors(seed, cluster, skin, frames, markers) for seed in range(SETS)]
-            a, b, c = np.degrees(np.sqrt(np.mean(np.square(errors), 0)))
-            better = sum(e[2] < e[1] for e in errors)
-            print(f"| {name} | {kind} | {a:.2f} | {b:.2f} | {c:.2f} | {better} of {SETS} |")
+            mean = np.degrees(np.sqrt(np.mean(np.square(errors), 0)))
+            table.row((name, kind), *mean, sum(e[2] < e[1] for e in errors))
 
 
 def turn_errors(seed: int, cluster: Callable, skin: Callable, frames: int, markers: int) -> list[float]:
@@ -224,17 +227,16 @@ def contaminated(rng: np.random.Generator, frames: int = 100, markers: int = 20)
     return rotation, origin, places, placed(rotation, origin, places) + rng.normal(0, RANDOM_M, places.shape)
 
 
-def table3() -> None:
-    """Print the paper's table 3 with made data: mean and standard deviation over the sets."""
+def table3(run: Run) -> None:
+    """The paper's table 3 with made data: mean and standard deviation over the sets."""
     rows = np.array([reconstructions(np.random.default_rng(seed)) for seed in range(SETS)])
-    names = ("from the measured markers, mm", "from the markers' true places, mm", "bone's turn, deg")
-    print(f"\n{SETS} made sets; mean +- standard deviation over them\n")
-    print("| | rigid | " + " | ".join(f"K = {k}" for k in RANKS) + " |\n" + "| --- " * (2 + len(RANKS)) + "|")
+    names = ("from the measured markers [mm]", "from the markers' true places [mm]", "bone's turn [deg]")
+    columns = [Column("rigid"), *(Column(f"K = {k}") for k in RANKS)]
+    table = run.table(f"{SETS} made sets; mean and standard deviation over them", "error", *columns)
     for number, name in enumerate(names):
         mean, spread = rows[:, number].mean(0), rows[:, number].std(0, ddof=1)
-        cells = " | ".join(f"{m:.2f} +- {s:.2f}" for m, s in zip(mean, spread, strict=True))
-        print(f"| {name} | {cells} |")
-    print("| the paper's table 3, mm | 6.8 | 7.2 | 6.7 | 6.4 | 6.3 | 6.2 |")
+        table.row(name, *[f"{m:.2f} +- {s:.2f}" for m, s in zip(mean, spread, strict=True)])
+    table.row("the paper's table 3 [mm]", "6.8", "7.2", "6.7", "6.4", "6.3", "6.2")
 
 
 RANKS = (1, 2, 3, 4, 5)
@@ -256,13 +258,14 @@ def reconstructions(rng: np.random.Generator) -> list[list[float]]:
     return [measured, true, [float(np.degrees(rms(turns(pose, rotation)))) for pose in poses]]
 
 
-PARTS: dict[str, Callable[[], None]] = {"rigid": exact, "interval": interval, "masses": masses, "table3": table3}
+PARTS = {"rigid": exact, "interval": interval, "masses": masses, "table3": table3}
 
 
-def main() -> None:
-    for name in sys.argv[1:] or PARTS:
-        PARTS[name]()
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    add_parts(parser, PARTS)
 
 
-if __name__ == "__main__":
-    main()
+def run(run: Run) -> None:
+    """Run the parts."""
+    run_parts(run, PARTS)

@@ -1,23 +1,14 @@
-"""Every method from skin markers to bones on the real trials with true bones, beside the rigid fit.
+"""Every method from skin markers to bones on real trials with true bones, beside the rigid fit.
 
-    python bench/markers_trials.py SHARED [--methods NAME ...] [--trials NAME ...]
-    python bench/markers_trials.py SHARED --exercise
-
-The fair protocol: the bones are known in the first frame alone, or in that frame and the one farthest from it in knee
-flexion. Prints a table a trial: degrees RMS of thigh and shank (turn) and of the knee's three angles, their root mean
-square, that against the rigid fit with one posture, and the share of true errors that 1.96 stated standard deviations
-hold; at the end all trials in one table, each cell thigh / shank; the knee's angles; these together. The figures are
-those of score/bones.py. `--exercise`: artefact assessment on the treadmill alone, skin learned from the first stride
-with the true bones, the other strides as the activity. The data: Cereatti et al. 2017, J Biomech,
-doi 10.1016/j.jbiomech.2017.02.004.
+The bones are known in the first frame alone (one posture), or in that frame and the one farthest from it in knee flexion
+(two). `--exercise`: artefact assessment on the treadmill alone, skin learned from the first stride with the true bones, the
+other strides as the activity. The data: Cereatti et al. 2017, J Biomech, doi 10.1016/j.jbiomech.2017.02.004.
 """
 
 import argparse
-import json
-import subprocess
-import sys
 import tempfile
 import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -31,6 +22,15 @@ from marey.markers.methods import METHODS, choose_methods
 from marey.markers.problem import MarkerProblem
 from marey.markers.trajectories import trajectories
 
+from bench.common import program
+from bench.declaration import Bench
+from bench.recording import Column, Run
+
+BENCH = Bench(
+    measures="Bones from skin markers by every method, against true bones of real trials.",
+    sources=("src/marey/markers", "src/marey/motion", "src/marey/geometry"),
+    minutes=3,
+)
 MM = 1000.0
 
 
@@ -86,12 +86,12 @@ def write_bones(motion: BoneMotion, path: Path) -> None:
     np.savez(path, **arrays)
 
 
-def score(motion: BoneMotion, shared: Path, truth: Path) -> dict:
+def score(run: Run, motion: BoneMotion, truth: Path) -> dict:
+    """The scores of estimated bones, by score/bones.py."""
     with tempfile.TemporaryDirectory() as folder:
         result = Path(folder) / "bones.npz"
         write_bones(motion, result)
-        command = [sys.executable, str(shared / "score" / "bones.py"), str(result), str(truth)]
-        return json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+        return program.score(run, "bones.py", result, truth)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,40 +120,51 @@ class Row:
         """The knee's angles in a cell."""
         return " ".join(f"{v:.1f}" for v in self.knee)
 
-    @property
-    def line(self) -> str:
-        """The row of one trial's table."""
-        return (
-            f"| {self.method} | {self.postures} | {self.thigh:.1f} / {self.shank:.1f} | {self.angles} | "
-            f"{self.together:.2f} | {100 * self.against:+.0f} % | {self.held:.2f} | {self.seen:.2f} | "
-            f"{self.seconds:.2f} |"
-        )
+
+NOTE = (
+    "Each cell: root mean square turn error of thigh / shank; of the knee's flexion, adduction and rotation; of these three "
+    "together (degrees). *Against rigid*: the last number against the rigid fit with one posture, mean of the trials and the "
+    "worst of them. *Hold*: share of the true errors within 1.96 stated standard deviations, over all frames. *Seen*: smallest "
+    "share of frames with a result."
+)
+Method = tuple[str, Callable[[MarkerProblem], BoneMotion | None]]
+"""A name, and the estimate; None where the method cannot use the trial."""
 
 
-HEAD = """
-### {}
-
-| method | postures | thigh, shank | flexion, adduction, rotation | together | against rigid, 1 | 95 % hold | seen | s |
-| --- | --- | --- | --- | --- | --- | --- | --- | --- |"""
+def sta_trials(run: Run, names: Sequence[str] | None) -> list[str]:
+    """The chosen trials of data/markers/sta, or all."""
+    return list(names or sorted(path.stem for path in (run.shared / "data" / "markers" / "sta").glob("*.c3d")))
 
 
-def rows_of(shared: Path, name: str, methods: list[str]) -> list[Row]:
-    """Run the methods on one trial, printing as they end."""
-    folder = shared / "data" / "markers" / "sta"
+def compare_methods(run: Run, title: str, label: str, methods: Sequence[Method], names: Sequence[str]) -> None:
+    """Run all methods on all trials, and fill one table with one row per method and number of postures."""
+    trials = {name: rows_of(run, name, methods) for name in names}
+    columns = [Column(name) for name in trials]
+    summary = (Column("mean against rigid", "%", 0), Column("worst", "%", 0), Column("95 % hold", "", 2), Column("seen", "", 2))
+    table = run.table(title, (label, "postures"), *columns, *summary, note=NOTE)
+    for lines in zip(*trials.values(), strict=True):
+        cells = [f"{r.thigh:.1f} / {r.shank:.1f}; {r.angles}; {r.together:.2f}" for r in lines]
+        against = 100 * np.array([r.against for r in lines])
+        frames = np.array([r.frames for r in lines])
+        held = np.array([r.held for r in lines]) @ frames / frames.sum()
+        seen = min(r.seen for r in lines)
+        table.row((lines[0].method, str(lines[0].postures)), *cells, against.mean(), against.max(), held, seen)
+
+
+def rows_of(run: Run, name: str, methods: Sequence[Method]) -> list[Row]:
+    """Run the methods on one trial."""
+    folder = run.shared / "data" / "markers" / "sta"
     truth = folder / f"{name}.npz"
-    print(HEAD.format(name), flush=True)
     problems = read_trial(folder, name)
-    first = score(METHODS["rigid"].run(problems[0]), shared, truth)["knee_rms_deg"]
-    baseline, rows = rms(first), list[Row]()
-    for entry in choose_methods(methods):
+    baseline, rows = rms(score(run, METHODS["rigid"].run(problems[0]), truth)["knee_rms_deg"]), list[Row]()
+    for method, estimate in methods:
         for problem in problems:
-            if entry.lacks(problem):
-                continue
             started = time.perf_counter()
-            motion = entry.run(problem)
-            seconds = time.perf_counter() - started
-            rows.append(row(entry.name, problem, score(motion, shared, truth), baseline, seconds))
-            print(rows[-1].line, flush=True)
+            motion = estimate(problem)
+            if motion is not None:
+                seconds = time.perf_counter() - started
+                rows.append(row(method, problem, score(run, motion, truth), baseline, seconds))
+                run.say(f"{name}: {method}, {rows[-1].postures}: {rows[-1].together:.2f} degrees, {seconds:.2f} s")
     return rows
 
 
@@ -169,19 +180,25 @@ def row(name: str, problem: MarkerProblem, figures: dict, baseline: float, secon
     )  # fmt: skip
 
 
-def first_stride_as_exercise(shared: Path, name: str = "lmam_treadmill_walking") -> None:
-    """Learn skin motion from a trial's first stride with its true bones; print the others beside the rigid fit."""
-    folder = shared / "data" / "markers" / "sta"
+def first_stride_as_exercise(run: Run, name: str = "lmam_treadmill_walking") -> None:
+    """Learn skin motion from a trial's first stride with its true bones; the other strides beside the rigid fit."""
+    folder = run.shared / "data" / "markers" / "sta"
     truth = np.load(folder / f"{name}.npz")
     whole, _ = read_trial(folder, name)
     end, count = int(truth["event_heel_strike"][1]), len(whole.trajectories)
     exercise, activity = stretch(whole, truth, 0, end, list(range(end))), stretch(whole, truth, end, count, [end])
+    table = run.table(
+        f"{name}: skin learned from the first stride", "method",
+        *(Column(f"{segment} {what}", unit, 1) for segment in ("thigh", "shank") for what, unit in (("turn", "deg"), ("origin", "mm"))),
+        Column("knee's angles together", "deg", 2),
+    )  # fmt: skip
     with tempfile.TemporaryDirectory() as scratch:
         rest = Path(scratch) / "truth.npz"
         np.savez(rest, **{key: truth[key][end:] for key in truth if key.endswith(("_rotation", "_origin"))})
         for method in ("rigid", "artefact"):
-            figures = score(METHODS[method].run(replace(activity, exercise=exercise)), shared, rest)
-            print(method, f"{rms(figures['knee_rms_deg']):.2f}", figures)
+            figures = score(run, METHODS[method].run(replace(activity, exercise=exercise)), rest)
+            errors = [figures[segment][key] for segment in ("thigh", "shank") for key in ("turn_rms_deg", "origin_rms_mm")]
+            table.row(method, *errors, rms(figures["knee_rms_deg"]))
 
 
 def stretch(
@@ -199,39 +216,22 @@ def stretch(
     return replace(problem, trajectories=points, calibration=calibration)
 
 
-def rms(values: list[float]) -> float:
+def rms(values: Sequence[float]) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def print_together(trials: dict[str, list[Row]]) -> None:
-    """Print one line a method over all trials: turns, the knee's angles and these together; means over the trials."""
-    names = " | ".join(trials)
-    print(f"\n### All trials\n\n| method | postures | {names} | mean against rigid, 1 | worst | 95 % hold |")
-    print("| --- " * (5 + len(trials)) + "|")
-    for lines in zip(*trials.values(), strict=True):
-        cells = " | ".join(f"{r.thigh:.1f} / {r.shank:.1f}; {r.angles}; {r.together:.2f}" for r in lines)
-        against = 100 * np.array([r.against for r in lines])
-        frames = np.array([r.frames for r in lines])
-        held = np.array([r.held for r in lines]) @ frames / frames.sum()
-        print(
-            f"| {lines[0].method} | {lines[0].postures} | {cells} | {against.mean():+.0f} % | {against.max():+.0f} % | "
-            f"{held:.2f} |"
-        )
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser()
-    parser.add_argument("shared", type=Path)
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
     parser.add_argument("--methods", nargs="*", default=["all"])
-    parser.add_argument("--trials", nargs="*")
+    parser.add_argument("--trials", nargs="*", help="of data/markers/sta; all without any")
     parser.add_argument("--exercise", action="store_true")
-    given = parser.parse_args()
+
+
+def run(run: Run) -> None:
+    """Estimate bones, and score them."""
+    given = run.arguments
     if given.exercise:
-        first_stride_as_exercise(given.shared)
+        first_stride_as_exercise(run)
         return
-    names = given.trials or sorted(path.stem for path in (given.shared / "data" / "markers" / "sta").glob("*.c3d"))
-    print_together({name: rows_of(given.shared, name, given.methods) for name in names})
-
-
-if __name__ == "__main__":
-    main()
+    methods = [(each.name, lambda problem, e=each: None if e.lacks(problem) else e.run(problem)) for each in choose_methods(given.methods)]
+    compare_methods(run, "Methods on real trials", "method", methods, sta_trials(run, given.trials))

@@ -1,29 +1,43 @@
-"""A moving arm's surface against its true one, and once more as a careless user films it.
-
-    python bench/arm_surface.py SHARED OUT [as-given] [careless] [default]
+"""The measured surface of a moving arm against its true one, and of the same clip as a careless user films it.
 
 `as-given` measures every third pixel. `careless` is the same clip at half the size, each picture stored as JPEG of
-quality 50; the cameras are scaled. `default` is `marey surface` as it is: every second pixel, and followed. Prints what
-score/surface.py prints, how long each stage took, and how honest the stated standard deviations are.
+quality 50; the cameras are scaled. `default` is `marey surface` with its defaults: every second pixel, and tracked.
 """
 
-import json
-import subprocess
+import argparse
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from marey.cli.progress import Progress
-from marey.cli.surface import surface
-from marey.cli.surface_settings import SurfaceOptions
 from marey.io.calibration import write_cameras_toml
 from marey.io.surface import read_surface
 from marey.io.trial import read_trial
 
+from bench.common.program import score, surface
+from bench.declaration import Bench
+from bench.recording import Column, Run, Table
+
+BENCH = Bench(
+    measures="Distance of the measured surface and its trajectories from the true surface of a rendered arm (arm3).",
+    sources=("src/marey/cameras", "src/marey/images", "src/marey/surface", "src/marey/cli"),
+    minutes=15,
+)
+
+SURFACE = (
+    Column("points"), Column("median", "mm", 2), Column("95 % below", "mm", 2), Column("farther than 10 mm", "", 3),
+    Column("covered", "", 2),
+)  # fmt: skip
+SURFACE_KEYS = ("points", "median_mm", "p95_mm", "far", "covered")
+TRACKS = (Column("trajectories"), Column("frames, mean", "", 1), Column("drift", "mm", 2), Column("strayed", "", 3))
+TRACKS_KEYS = ("trajectories", "frames", "drift_mm", "strayed")
+NOTE = (
+    "Distances from the true surface. *Covered*: share of the vertices that all three cameras see with a point within 3 mm. "
+    "*Drift*: distance, in a trajectory's last frame, from the place of the surface where it began, median. *Strayed*: share of "
+    "trajectories that are ever more than 10 mm from that place."
+)
 QUALITY = 50
 FACTOR = 0.5
 
@@ -57,19 +71,19 @@ def default(trial: Path, out: Path) -> tuple[Path, int]:
 WAYS: dict[str, Callable[[Path, Path], tuple[Path, int]]] = {
     "as-given": as_given, "careless": careless, "default": default
 }  # fmt: skip
-TOLD = (10, 35, 60)
+FRAMES = (10, 35, 60)
 """Frames in which errors are compared with their standard deviations."""
 
 
-def honesty(shared: Path, result: Path, truth: Path) -> None:
+def stated(run: Run, table: Table, name: str, result: Path, truth: Path) -> None:
     """Compare distances along the true surface's normal with the standard deviations stated for that direction."""
-    sys.path.insert(0, str(shared / "score"))
+    sys.path.insert(0, str(run.shared / "score"))
     from surface import nearest_on_faces
 
     points = read_surface(result)
     with np.load(truth) as file:
         vertices, faces = file["vertices"].astype(float), file["faces"]
-    for frame in TOLD:
+    for frame in FRAMES:
         own = points.of_frame(frame)
         which, weights, _ = nearest_on_faces(own.points, vertices[frame], faces)
         corner = vertices[frame][faces[which]]
@@ -77,33 +91,36 @@ def honesty(shared: Path, result: Path, truth: Path) -> None:
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         off = np.einsum("nc,nc->n", own.points - np.einsum("nk,nkc->nc", weights, corner), normal)
         ratio = np.abs(off) / np.sqrt(np.einsum("ni,nij,nj->n", normal, own.covariance, normal))
-        sys.stdout.write(
-            f"  frame {frame}: along the normal {np.median(ratio) / 0.6745:.2f} times the stated sd (medians), "
-            f"{100 * np.mean(ratio < 1):.0f} % within one, {100 * np.mean(ratio < 1.96):.0f} % within 1.96\n"
-        )
+        within = [100 * np.mean(ratio < limit) for limit in (1, 1.96)]
+        table.row((name, str(frame)), np.median(ratio) / 0.6745, *within)
 
 
-def scored(shared: Path, *arguments: str | Path) -> str:
-    command = [sys.executable, shared / "score" / "surface.py", *arguments]
-    return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("ways", nargs="*", help=f"{', '.join(WAYS)}; all without any")
 
 
-def main() -> None:
-    shared, out = Path(sys.argv[1]), Path(sys.argv[2])
-    trial = shared / "data" / "people" / "arm3"
+def run(run: Run) -> None:
+    """Measure, and score."""
+    trial = run.shared / "data" / "people" / "arm3"
     truth = trial / "truth" / "truth.npz"
-    for name in sys.argv[3:] or WAYS:
-        (folder, spacing), tracks = WAYS[name](trial, out), name == "default"
-        started = time.perf_counter()
-        surface(folder, SurfaceOptions(out=out / name, spacing=spacing, tracks=tracks), Progress(quiet=True))
-        seconds = time.perf_counter() - started
-        found = scored(shared, out / name / "surface.npz", truth)
-        took = json.loads((out / name / "run.json").read_text())["timings_s"]
-        sys.stdout.write(f"{name}, every {spacing} px, {seconds:.0f} s ({took}): {found}\n")
-        honesty(shared, out / name / "surface.npz", truth)
-        if tracks:
-            sys.stdout.write(f"  {scored(shared, '--tracks', out / name / 'trajectories.npz', truth)}\n")
+    points = run.table("Points", ("film", "spacing [px]"), *SURFACE, note=NOTE)
+    tracks = run.table("Trajectories", "film", *TRACKS)
+    ratios = run.table(
+        "Distances along the normal beside their stated standard deviations", ("film", "frame"),
+        Column("ratio of medians", "", 2), Column("within 1 sd", "%", 0), Column("within 1.96 sd", "%", 0),
+    )  # fmt: skip
+    for name in run.arguments.ways or WAYS:
+        folder, spacing = WAYS[name](trial, run.out / "arm")
+        options = () if name == "default" else ("--no-tracks",)
+        found = surface(folder, run.out / "arm" / name, "--spacing", str(spacing), *options)
+        points.row((name, str(spacing)), *numbers(SURFACE_KEYS, score(run, "surface.py", found / "surface.npz", truth)))
+        stated(run, ratios, name, found / "surface.npz", truth)
+        if name == "default":
+            scores = score(run, "surface.py", "--tracks", found / "trajectories.npz", truth)
+            tracks.row(name, *numbers(TRACKS_KEYS, scores))
 
 
-if __name__ == "__main__":
-    main()
+def numbers(keys: tuple[str, ...], scores: dict) -> list[float | None]:
+    """The scores of some names."""
+    return [scores.get(key) for key in keys]

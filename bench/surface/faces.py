@@ -1,15 +1,11 @@
-"""Real faces from three cameras: how much of the skin is measured, how well rays meet, how well pairs of views agree.
+"""Real faces from three cameras: share of the skin measured, how well rays meet, how well pairs of views agree.
 
-    python bench/faces.py SHARED OUT [SPACING]
-
-Runs `marey surface` on the instants 2 to 5 of `face1` together, and on each for itself, and compares with the facial
-skin that was drawn by hand. Pairs: the distance between the points of left and middle and those of middle and right,
-for the same pixel of the middle picture, from the pixels in surface.npz, by the corrected cameras and the given ones.
+`marey surface` measures instants 2 to 5 of `face1` together, and each alone, and the points are compared with the facial
+skin that was outlined by hand. Pairs: the distance between the points of the left and middle camera and those of the middle
+and right camera, for the same pixel of the middle picture, by the corrected cameras and by the given ones.
 """
 
-import shutil
-import sys
-from collections.abc import Iterator
+import argparse
 from pathlib import Path
 
 import cv2
@@ -17,53 +13,56 @@ import numpy as np
 
 from marey.cameras.rig import Rig
 from marey.cameras.triangulate import triangulate
-from marey.cli.progress import Progress
-from marey.cli.surface import surface
-from marey.cli.surface_settings import SurfaceOptions
 from marey.io.calibration import read_rig
 from marey.io.surface import read_surface
 from marey.surface.measured import MeasuredPoints
 
+from bench.common.program import surface
+from bench.declaration import Bench
+from bench.recording import Column, Run
+
+BENCH = Bench(
+    measures="Coverage and agreement of surfaces of real faces; there is no true surface.",
+    sources=("src/marey/cameras", "src/marey/images", "src/marey/surface", "src/marey/cli"),
+    minutes=8,
+)
+
 LEFT, MIDDLE, RIGHT = range(3)
 
 
-def main() -> None:
-    data, out = Path(sys.argv[1]) / "data" / "surface" / "face1", Path(sys.argv[2])
-    spacing = int(sys.argv[3]) if len(sys.argv) > 3 else 2
-    for name, options, instants in runs(out, spacing):
-        surface(data, options, Progress(quiet=True))
-        rig = read_rig(data / "cameras.toml")
-        corrected = out / name / "cameras.toml"
-        points = read_surface(out / name / "surface.npz")
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("--spacing", type=int, default=2, help="pixels from point to point")
+
+
+def run(run: Run) -> None:
+    """Measure, and compare."""
+    data, spacing = run.shared / "data" / "surface" / "face1", run.arguments.spacing
+    table = run.table(
+        f"Faces, a point every {spacing} px", ("measured", "instant"), Column("skin measured", "%", 1),
+        Column("in three views", "%", 1), Column("residual, median", "px", 2), Column("pairs agree within, median", "mm", 2),
+        Column("95 %", "mm", 1), Column("by the given cameras, median", "mm", 2),
+    )  # fmt: skip
+    alone = [(f"alone_{k}", (k - 1, k), [k]) for k in (2, 3, 4, 5)]
+    for name, frames, instants in (("together", (1, 5), [2, 3, 4, 5]), *alone):
+        options = ("--frames", "{}:{}".format(*frames), "--spacing", str(spacing), "--no-tracks")
+        out = surface(data, run.out / "faces" / f"{name}_{spacing}", *options)
+        points, rig = read_surface(out / "surface.npz"), read_rig(data / "cameras.toml")
         for instant in instants:
             skin = cv2.imread(str(data / f"face_{instant}.png"), cv2.IMREAD_GRAYSCALE) > 0
-            report(name, instant, points.of_frame(instant - 1), skin, spacing, rig, corrected)
+            row = compared(points.of_frame(instant - 1), skin, spacing, rig, out / "cameras.toml")
+            table.row(("together" if len(instants) > 1 else "alone", str(instant)), *row)
 
 
-def runs(out: Path, spacing: int) -> Iterator[tuple[str, SurfaceOptions, list[int]]]:
-    shutil.rmtree(out, ignore_errors=True)
-    for name, frames, instants in (
-        ("together", (1, 5), [2, 3, 4, 5]),
-        *((f"alone_{k}", (k - 1, k), [k]) for k in (2, 3, 4, 5)),
-    ):
-        yield name, SurfaceOptions(out=out / name, frames=frames, spacing=spacing, tracks=False), instants
-
-
-def report(
-    name: str, instant: int, points: MeasuredPoints, skin: np.ndarray, spacing: int, given: Rig, corrected: Path
-) -> None:  # fmt: skip
+def compared(points: MeasuredPoints, skin: np.ndarray, spacing: int, given: Rig, corrected: Path) -> tuple[float, ...]:
+    """The figures of one instant."""
     column, row = np.round(points.pixels[:, MIDDLE]).astype(int).T
     on_skin = points[skin[row, column]]
     whole = on_skin[on_skin.views == 3]
     rig = read_rig(corrected) if corrected.is_file() else given
     agree, by_given = (pairs(whole, each) for each in (rig, given))
     share = 100 * spacing**2 / skin.sum()
-    sys.stdout.write(
-        f"{name} face {instant}: {share * len(on_skin):.1f} % of the skin measured, "
-        f"{share * len(whole):.1f} % in three views; residual {np.median(whole.residual_px):.3f} px "
-        f"(all points of three views {np.median(points.residual_px[points.views == 3]):.3f}); pairs agree within "
-        f"{agree[0]:.2f} mm median, {agree[1]:.2f} mm p95 (given cameras {by_given[0]:.2f}, {by_given[1]:.2f})\n"
-    )
+    return share * len(on_skin), share * len(whole), np.median(whole.residual_px), *agree, by_given[0]
 
 
 def pairs(points: MeasuredPoints, rig: Rig) -> tuple[float, float]:
@@ -75,7 +74,3 @@ def pairs(points: MeasuredPoints, rig: Rig) -> tuple[float, float]:
     ]  # fmt: skip
     apart = 1e3 * np.linalg.norm(found[0] - found[1], axis=1)
     return float(np.median(apart)), float(np.percentile(apart, 95))
-
-
-if __name__ == "__main__":
-    main()

@@ -1,14 +1,12 @@
-"""Least-squares matching beside OpenCV's: speed and error on one made pair of pictures, in one run.
+"""Least-squares matching beside OpenCV: speed and error on one made pair of pictures.
 
-    python bench/matching.py [NOISE]
-
-A texture of plane waves, filmed twice: the second time under an affine map (4 % of strain, 3 % of shear), gain 0.9 and
-offset 12, both with NOISE grey levels (1) of noise, rounded to whole ones. Starts lie up to a pixel from the truth.
-`findTransformECC` seeks the same affine map by the same criterion, `calcOpticalFlowPyrLK` the shift alone. After the
-speeds, whether the stated covariance is that of the errors, for textures of less and less contrast.
+A texture of plane waves is filmed twice: the second time under an affine map (4 % of strain, 3 % of shear), gain 0.9 and
+offset 12, both with `--noise` grey levels of noise, rounded to whole ones. Starts lie up to a pixel from the truth.
+`findTransformECC` finds the same affine map by the same criterion, `calcOpticalFlowPyrLK` the shift alone. The second table
+compares the errors with the stated covariance, for textures of decreasing contrast.
 """
 
-import sys
+import argparse
 import time
 from collections.abc import Callable
 
@@ -18,6 +16,15 @@ import numpy as np
 from marey.images.matching import MatchSettings, match
 from marey.images.splines import spline_of
 
+from bench.declaration import Bench
+from bench.recording import Column, Run, Table
+
+BENCH = Bench(
+    measures="Speed, error and stated covariance of patch matching on made pictures, beside OpenCV.",
+    sources=("src/marey/images",),
+    minutes=2,
+    data=False,
+)
 SHAPE = (960, 1280)
 MAP, SHIFT = np.array([[1.04, 0.03], [-0.02, 0.96]]), np.array([3.3, -2.7])
 STEP, MARGIN, REPEATS = 4, 40, 7
@@ -59,18 +66,21 @@ def timed(
     return found, good, sorted(spent)
 
 
-def report(name: str, result: tuple[np.ndarray, np.ndarray, list[float]], truth: np.ndarray) -> None:
+def report(table: Table, name: str, result: tuple[np.ndarray, np.ndarray, list[float]], truth: np.ndarray) -> None:
     found, good, spent = result
     error = np.sqrt(np.mean(np.sum((found[good] - truth[good]) ** 2, axis=-1)))
     rate, best = (good.sum() / seconds / 1000 for seconds in (spent[len(spent) // 2], spent[0]))
-    share = 100 * good.mean()
-    sys.stdout.write(
-        f"{name:50s} {rate:8.2f} k patches/s (best {best:.2f}), {share:5.1f} % converged, {error:.4f} px rms\n"
-    )
+    table.row(name, rate, best, 100 * good.mean(), error)
 
 
-def main() -> None:
-    noise, rng = float(sys.argv[1]) if len(sys.argv) > 1 else 1.0, np.random.default_rng(0)
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("--noise", type=float, default=1.0, help="grey levels")
+
+
+def run(run: Run) -> None:
+    """Match, and compare."""
+    noise, rng = run.arguments.noise, np.random.default_rng(0)
     template, search, pixels, truth = pictures(rng, noise)
     starts = truth + rng.uniform(-1, 1, truth.shape)
     angle = rng.uniform(0, np.pi, len(truth))
@@ -94,23 +104,30 @@ def main() -> None:
         return found, good.ravel() > 0
 
     ours(2)  # compiles, or reads what was compiled before
-    sys.stdout.write(
-        f"{len(pixels)} patches of {SIZE}x{SIZE}, noise {noise:g} grey levels, medians of {REPEATS} runs\n"
-    )
-    report("ours, two threads", timed(lambda: ours(2), REPEATS), truth)
-    report("ours, two threads, splines of both pictures too", timed(lambda: ours(2, new_splines=True), REPEATS), truth)
-    report("ours, one thread", timed(lambda: ours(1), REPEATS), truth)
-    report("ours, one thread, along lines", timed(lambda: ours(1, lines=True), REPEATS), truth)
-    report("calcOpticalFlowPyrLK, one thread, no pyramid", timed(lambda: flow(0), REPEATS), truth)
+    table = run.table(
+        f"{len(pixels)} patches of {SIZE}x{SIZE} pixels, noise of {noise:g} grey levels, medians of {REPEATS} runs", "method",
+        Column("patches per second", "1000", 0), Column("best", "1000", 0), Column("found", "%", 1),
+        Column("error, RMS", "px", 4),
+    )  # fmt: skip
+    report(table, "two threads", timed(lambda: ours(2), REPEATS), truth)
+    report(table, "two threads, splines of both pictures too", timed(lambda: ours(2, new_splines=True), REPEATS), truth)
+    report(table, "one thread", timed(lambda: ours(1), REPEATS), truth)
+    report(table, "one thread, along given lines", timed(lambda: ours(1, lines=True), REPEATS), truth)
+    report(table, "`calcOpticalFlowPyrLK`, one thread, no pyramid", timed(lambda: flow(0), REPEATS), truth)
     few = rng.permutation(len(pixels))[:ECC_PATCHES]
     result = timed(lambda: correlated(template, search, pixels[few], starts[few]), 1)
-    report("findTransformECC, affine, one thread", result, truth[few])
+    report(table, "`findTransformECC`, affine, one thread", result, truth[few])
+    stated = run.table(
+        "Errors beside the stated covariance", ("contrast [grey levels]", "centres beside whole pixels [px]"),
+        Column("squared error over variance", "", 2), Column("mean error in x", "px", 3),
+        Column("mean error in y", "px", 3), Column("error, RMS", "px", 4), Column("found", "%", 1),
+    )  # fmt: skip
     for contrast in (30.0, 10.0, 5.0):
-        honesty(noise, contrast)
+        compare_errors(stated, noise, contrast)
 
 
-def honesty(noise: float, contrast: float) -> None:
-    """Compare errors with the stated covariance, for patches on whole pixels and beside them."""
+def compare_errors(table: Table, noise: float, contrast: float) -> None:
+    """Compare errors with the stated covariance, for patches centred on whole pixels and beside them."""
     rng = np.random.default_rng(1)
     template, search, pixels, truth = pictures(rng, noise, contrast)
     splines = spline_of(template), spline_of(search)
@@ -120,11 +137,8 @@ def honesty(noise: float, contrast: float) -> None:
         good = found.converged
         errors, precision = (found.pixels - there)[good], np.linalg.inv(found.covariance[good])
         ratio = np.einsum("ni,nij,nj->n", errors, precision, errors) / 2
-        sys.stdout.write(
-            f"contrast {contrast:g}, centres {beside:g} px beside whole ones: squared errors over variance "
-            f"{ratio.mean():.3f}, mean error {errors[:, 0].mean():+.4f} {errors[:, 1].mean():+.4f} px, "
-            f"rms {np.sqrt(np.mean(np.sum(errors**2, axis=-1))):.4f} px, {100 * good.mean():.1f} % converged\n"
-        )
+        rms = np.sqrt(np.mean(np.sum(errors**2, axis=-1)))
+        table.row((f"{contrast:g}", f"{beside:g}"), ratio.mean(), *errors.mean(axis=0), rms, 100 * good.mean())
 
 
 def correlated(
@@ -145,7 +159,3 @@ def correlated(
             continue
         found[i] = warp @ (half, half, 1) + (left, top)
     return found, np.linalg.norm(found - starts, axis=-1) < 4
-
-
-if __name__ == "__main__":
-    main()
