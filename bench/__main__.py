@@ -11,7 +11,7 @@ from pathlib import Path
 from bench.declaration import GROUPS, Bench, find_benches
 from bench.pages import write_pages
 from bench.provenance import PROJECT, age, current_commit, is_dirty, machine
-from bench.recording import RECORDS, Record, Run, read_records, record_path, write_record
+from bench.recording import Record, Run, read_records, record_path, write_record
 
 
 def main(words: Sequence[str] | None = None) -> int:
@@ -20,7 +20,9 @@ def main(words: Sequence[str] | None = None) -> int:
     commands = parser.add_subparsers(dest="command", required=True)
     listing = commands.add_parser("list", help="List the benchmarks, what they measure, and the age of their records.")
     listing.add_argument("group", nargs="?", choices=GROUPS)
-    running = commands.add_parser("run", help="Run a benchmark, print its figures and write its record.", add_help=False)
+    running = commands.add_parser(
+        "run", help="Run a benchmark, print its figures and write its record.", add_help=False
+    )
     running.add_argument("name", help="a name of `python -m bench list`")
     commands.add_parser("report", help="Write the pages under docs/accuracy from the records.")
     given, rest = parser.parse_known_args(words)
@@ -63,10 +65,13 @@ def run_bench(name: str, words: Sequence[str]) -> int:
         print(f"There is no benchmark {name!r}: see `python -m bench list`.", file=sys.stderr)
         return 2
     module = bench.module()
-    own, common = argparse.ArgumentParser(add_help=False), argparse.ArgumentParser(
-        prog=f"python -m bench run {name}",
-        description=module.__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+    own, common = (
+        argparse.ArgumentParser(add_help=False),
+        argparse.ArgumentParser(
+            prog=f"python -m bench run {name}",
+            description=module.__doc__,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        ),
     )
     common.add_argument("--shared", type=Path, default=PROJECT.parent / "shared", help="the folder of recordings")
     common.add_argument("--out", type=Path, help="a folder that keeps the results; otherwise they are deleted")

@@ -26,7 +26,10 @@ AgeOf = Callable[[Bench, Record], Age]
 
 
 def write_pages(
-    pages: Path = PROJECT / "docs" / "accuracy", benches: Path = FOLDER, records: Path = RECORDS, project: Path = PROJECT
+    pages: Path = PROJECT / "docs" / "accuracy",
+    benches: Path = FOLDER,
+    records: Path = RECORDS,
+    project: Path = PROJECT,
 ) -> list[Path]:
     """Write one page per group of benchmarks.
 

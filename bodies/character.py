@@ -13,13 +13,13 @@ from pathlib import Path
 import numpy as np
 
 from marey.arrays import Floats
-from marey.body.kinematics import blend_skin
-from marey.body.metaball_person import metaball_body, metaball_space
-from marey.body.spline_skin import spline_body
-from marey.body.surface import Body, ShapeSpace
+from marey.body.articulation.kinematics import blend_skin
+from marey.body.articulation.surface import Body, ShapeSpace
+from marey.body.metaballs.metaball_person import metaball_body, metaball_space
+from marey.body.metaballs.spline_skin import spline_body
 from marey.geometry import rotations
-from marey.io.glb import write_glb
-from marey.io.gltf import Gltf, binary_chunk, pack_glb
+from marey.io.gltf.glb import write_glb
+from marey.io.gltf.gltf import Gltf, binary_chunk, pack_glb
 
 NAMES = {
     "pelvis": "Hips", "abdomen": "Spine", "thorax": "Spine2", "neck": "Neck", "head": "Head", "clavicle": "Shoulder",

@@ -6,7 +6,7 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 
-from marey.body.family import BodyFamily, load_family
+from marey.body.people.family import BodyFamily, load_family
 from marey.geometry import rotations
 
 matplotlib.use("Agg")

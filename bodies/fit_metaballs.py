@@ -13,11 +13,11 @@ from draw import VIEWS, draw
 from scipy.cluster.vq import kmeans2
 from scipy.spatial import cKDTree
 
-from marey.body.family import distal_ends, load_family
-from marey.body.metaball_person import vertex_limbs
-from marey.body.metaballs import ANY_LIMB, Metaballs
-from marey.body.person import family_body
-from marey.body.surface import Body, ShapeSpace
+from marey.body.articulation.surface import Body, ShapeSpace
+from marey.body.metaballs.metaball_person import vertex_limbs
+from marey.body.metaballs.metaballs import ANY_LIMB, Metaballs
+from marey.body.people.family import distal_ends, load_family
+from marey.body.people.person import family_body
 
 OUT = Path(__file__).parents[1] / "src" / "marey" / "body" / "metaballs.npz"
 

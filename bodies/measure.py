@@ -114,7 +114,7 @@ class Fit:
 
 def beyond(family_like, numbers: int, endings: tuple[str, ...]):
     """Modes of skin and joints: the family's first ones, and those of `departures` whose names end so."""
-    from marey.body.departures import departure_modes
+    from marey.body.people.departures import departure_modes
 
     more = departure_modes(family_like).keep(*endings).standardised()
     keep = len(more) if endings else 0
@@ -124,7 +124,7 @@ def beyond(family_like, numbers: int, endings: tuple[str, ...]):
 
 def subsampled(learned: crowd.People, seen: np.ndarray, pick: np.ndarray):
     """The family on some of anny's own vertices as marey's record; its faces mean nothing."""
-    from marey.body.family import load_family
+    from marey.body.people.family import load_family
 
     skin, modes, joints, joint_modes, _ = components(learned, np.ones(len(seen)), seen, 16)
     weights, segments = four_weights(learned.weights[pick])

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from marey.body.coordinate_functions import linear, polynomial, scaled, simm_spline
-from marey.body.jointed_body import (
+from marey.body.articulation.coordinate_functions import linear, polynomial, scaled, simm_spline
+from marey.body.articulation.jointed_body import (
     Coupling,
     JointedBody,
     JointMotion,

@@ -9,12 +9,12 @@ import numpy as np
 
 from marey.arrays import Floats
 from marey.geometry.rigid import RigidTransform
-from marey.io.bones import BoneFile, write_bones
-from marey.io.c3d import write_c3d
-from marey.io.meshes import write_mesh
-from marey.io.trc import PointPaths
-from marey.knee.surface import Surface
-from marey.markers.bone_motion import BoneMotion
+from marey.io.markers.bones import BoneFile, write_bones
+from marey.io.markers.c3d import write_c3d
+from marey.io.mr.meshes import write_mesh
+from marey.io.opensim.trc import PointPaths
+from marey.knee.space.surface import Surface
+from marey.markers.data.bone_motion import BoneMotion
 from tests.made_joints import RADIUS_MM, made_joint
 
 GAP_MM = 1.0

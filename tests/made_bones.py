@@ -3,7 +3,7 @@
 import numpy as np
 import trimesh
 
-from marey.knee.surface import Surface
+from marey.knee.space.surface import Surface
 
 
 def made_bone(*, shaft_mm: float = 60.0, seed: int = 0, size: float = 1.0, fine: int = 4) -> Surface:

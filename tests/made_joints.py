@@ -3,7 +3,7 @@
 import numpy as np
 import trimesh
 
-from marey.knee.surface import Surface
+from marey.knee.space.surface import Surface
 
 RADIUS_MM, APART_MM, THICK_MM = 20.0, 44.0, 2.0
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from marey.knee.structures import BONES, CARTILAGE_OF_BONE, LABELS
-from marey.knee.volume import Grid, Labels, Volume
+from marey.knee.space.structures import BONES, CARTILAGE_OF_BONE, LABELS
+from marey.knee.space.volume import Grid, Labels, Volume
 
 LEVELS = {
     "dark": {"air": 2.0, "fat": 30.0, "muscle": 70.0, "cartilage": 110.0, "marrow": 13.0, "cortex": 10.0},

@@ -7,11 +7,11 @@ import numpy as np
 
 from marey.arrays import Floats
 from marey.geometry.rigid import RigidTransform
-from marey.knee.marker_naming import ScannerMarkers
-from marey.knee.reference_posture import Activity
-from marey.knee.surface import Surface
-from marey.markers.bone_motion import BoneMotion
-from marey.markers.trajectories import MarkerTrajectories, trajectories
+from marey.knee.markers.marker_naming import ScannerMarkers
+from marey.knee.markers.reference_posture import Activity
+from marey.knee.space.surface import Surface
+from marey.markers.data.bone_motion import BoneMotion
+from marey.markers.data.trajectories import MarkerTrajectories, trajectories
 from tests.made_bones import made_bone
 
 BALLS = {

@@ -8,7 +8,7 @@ import numpy as np
 from marey.cameras.camera import Camera
 from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
-from marey.surface.measured import MeasuredPoints
+from marey.surface.points.measured import MeasuredPoints
 from tests.textures import Texture
 from tests.worlds import looking_at
 

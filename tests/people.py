@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from marey.body.pose import Pose, SurfacePoints
-from marey.body.skeleton import Skeleton, full_skeleton
-from marey.body.surface import Body, ShapeSpace
+from marey.body.articulation.pose import Pose, SurfacePoints
+from marey.body.articulation.skeleton import Skeleton, full_skeleton
+from marey.body.articulation.surface import Body, ShapeSpace
 
 ARM = np.array([0.67, -0.02, -0.74])
 

@@ -3,9 +3,9 @@
 import numpy as np
 
 from marey.arrays import Floats
-from marey.body.pose import Pose, PosedBody
-from marey.body.skeleton import full_skeleton, root_rotation
-from marey.body.surface import Body, ShapeSpace
+from marey.body.articulation.pose import Pose, PosedBody
+from marey.body.articulation.skeleton import full_skeleton, root_rotation
+from marey.body.articulation.surface import Body, ShapeSpace
 from marey.motion import anatomical
 from marey.motion.motion import MEASURED, NOBODY, Motion
 

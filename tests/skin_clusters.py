@@ -6,9 +6,9 @@ import numpy as np
 
 from marey.arrays import Floats
 from marey.geometry import rotations
-from marey.markers.clusters import AnatomicalCalibration, Cluster
-from marey.markers.problem import MarkerProblem
-from marey.markers.trajectories import trajectories
+from marey.markers.data.clusters import AnatomicalCalibration, Cluster
+from marey.markers.data.problem import MarkerProblem
+from marey.markers.data.trajectories import trajectories
 
 RATE = 100.0
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from marey.surface.measured import MeasuredPoints
+from marey.surface.points.measured import MeasuredPoints
 
 CAMERAS = ("left", "middle", "right")
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from marey.body.pose import PosedBody
+from marey.body.articulation.pose import PosedBody
 from marey.cameras.camera import Camera
 from marey.cameras.rig import Rig
 from marey.geometry.rigid import RigidTransform

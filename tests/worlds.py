@@ -8,14 +8,14 @@ import cv2
 import numpy as np
 
 from marey.arrays import Floats, Mask
-from marey.body.family import Level as Detail
-from marey.body.person import family_body
-from marey.body.pose import Pose, PosedBody
-from marey.body.skeleton import Skeleton
-from marey.body.surface import Body
+from marey.body.articulation.pose import Pose, PosedBody
+from marey.body.articulation.skeleton import Skeleton
+from marey.body.articulation.surface import Body
+from marey.body.people.family import Level as Detail
+from marey.body.people.person import family_body
 from marey.cameras.camera import Camera
-from marey.fit.levels import FrameLevels
-from marey.fit.person import Take
+from marey.fit.recipes.person import Take
+from marey.fit.search.levels import FrameLevels
 from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
 from marey.observations.correspondence import view_of

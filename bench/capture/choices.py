@@ -8,19 +8,26 @@ import argparse
 import time
 from dataclasses import replace
 
-from marey.cli import capture
-from marey.cli.progress import Progress
-from marey.cli.settings import CaptureSettings
-from marey.fit.sequence import SequenceSettings
-
 from bench.capture.takes import MOTION, begin, fill
 from bench.common.program import empty_frames, score, truth_of
 from bench.declaration import Bench
 from bench.recording import Run
+from marey.fit.recipes.sequence import SequenceSettings
+from marey.pipelines.capture import capture
+from marey.pipelines.capture.settings import CaptureSettings
+from marey.pipelines.progress import Progress
 
 BENCH = Bench(
     measures="Captured motion with one choice of the refinement changed at a time, against rendered truth or key points.",
-    sources=("src/marey/cameras", "src/marey/images", "src/marey/body", "src/marey/observations", "src/marey/fit", "src/marey/motion", "src/marey/cli"),
+    sources=(
+        "src/marey/cameras",
+        "src/marey/images",
+        "src/marey/body",
+        "src/marey/observations",
+        "src/marey/fit",
+        "src/marey/motion",
+        "src/marey/pipelines/capture",
+    ),
     minutes=20,
 )
 

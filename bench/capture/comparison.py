@@ -10,21 +10,20 @@ from pathlib import Path
 
 import numpy as np
 
-from marey.cli.compare import CompareOptions, compare
-from marey.cli.progress import Progress
-from marey.geometry.rigid import RigidTransform
-from marey.io.mot_sto import Table, write_table
-from marey.io.trc import PointPaths, write_trc
-from marey.motion.comparison import Comparison
-from marey.motion.recording import interpolated
-
 from bench.common import program
 from bench.declaration import Bench
 from bench.recording import Column, Run
+from marey.geometry.rigid import RigidTransform
+from marey.io.opensim.mot_sto import Table, write_table
+from marey.io.opensim.trc import PointPaths, write_trc
+from marey.motion.comparison import Comparison
+from marey.motion.recording import interpolated
+from marey.pipelines.compare import CompareOptions, compare
+from marey.pipelines.progress import Progress
 
 BENCH = Bench(
     measures="Estimated clock and laboratory of a second, made system, and the agreement of joint angles with it.",
-    sources=("src/marey/motion", "src/marey/fit", "src/marey/observations", "src/marey/cli"),
+    sources=("src/marey/motion", "src/marey/fit", "src/marey/observations", "src/marey/pipelines/compare.py"),
     minutes=2,
 )
 RATE, SHIFT, NOISE_M = 50.0, 0.2345, 5e-4

@@ -14,23 +14,22 @@ from pathlib import Path
 
 import numpy as np
 
-from marey.body.person import person_body
-from marey.body.pose import Pose, PosedBody
-from marey.body.surface import Body
+from bench.declaration import Bench
+from bench.recording import Column, Run, Table
+from marey.body.articulation.pose import Pose, PosedBody
+from marey.body.articulation.surface import Body
+from marey.body.people.person import person_body
 from marey.cameras.camera import Camera
-from marey.cli.kept_candidates import KeptArrays
-from marey.fit import sequence
-from marey.fit.banded import windows
-from marey.fit.levels import FrameLevels
-from marey.fit.sequence import RefineMemory, SequenceFit, refine_in_pieces
+from marey.fit.recipes import sequence
+from marey.fit.recipes.sequence import RefineMemory, SequenceFit, refine_in_pieces
+from marey.fit.search.levels import FrameLevels
+from marey.fit.solver.banded import windows
 from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
 from marey.io.stages import FrameLog
 from marey.motion.from_fit import measured
 from marey.observations.correspondence import view_of
-
-from bench.declaration import Bench
-from bench.recording import Column, Run, Table
+from marey.pipelines.capture.kept_candidates import KeptArrays
 
 BENCH = Bench(
     measures="Time and memory of the refinement of long takes, and the effect of its windows.",

@@ -21,7 +21,15 @@ from bench.recording import Run
 
 BENCH = Bench(
     measures="Takes with a low frame rate, with an absent person and with pictures of noise, against rendered truth.",
-    sources=("src/marey/cameras", "src/marey/images", "src/marey/body", "src/marey/observations", "src/marey/fit", "src/marey/motion", "src/marey/cli"),
+    sources=(
+        "src/marey/cameras",
+        "src/marey/images",
+        "src/marey/body",
+        "src/marey/observations",
+        "src/marey/fit",
+        "src/marey/motion",
+        "src/marey/pipelines/capture",
+    ),
     minutes=3,
 )
 CASES = (

@@ -14,7 +14,15 @@ from bench.recording import Run
 
 BENCH = Bench(
     measures="Captures with generic metaballs, fitted metaballs and the learned body, against rendered truth or key points.",
-    sources=("src/marey/cameras", "src/marey/images", "src/marey/body", "src/marey/observations", "src/marey/fit", "src/marey/motion", "src/marey/cli"),
+    sources=(
+        "src/marey/cameras",
+        "src/marey/images",
+        "src/marey/body",
+        "src/marey/observations",
+        "src/marey/fit",
+        "src/marey/motion",
+        "src/marey/pipelines/capture",
+    ),
     minutes=15,
 )
 

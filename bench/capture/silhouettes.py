@@ -13,12 +13,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from marey.images import background as backgrounds
-from marey.images.silhouettes import Silhouette, segment
-
 from bench.common.program import empty_frames, score
 from bench.declaration import Bench
 from bench.recording import Column, Run
+from marey.images.silhouettes import background as backgrounds
+from marey.images.silhouettes.silhouettes import Silhouette, segment
 
 BENCH = Bench(
     measures="Overlap of silhouettes with the true masks, and processor time per picture.",
@@ -88,7 +87,11 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(run: Run) -> None:
     """Segment and score."""
-    columns = (Column("silhouettes IoU", "", 3), Column("per picture, median", "ms", 1), Column("fastest 10 %", "ms", 1))
+    columns = (
+        Column("silhouettes IoU", "", 3),
+        Column("per picture, median", "ms", 1),
+        Column("fastest 10 %", "ms", 1),
+    )
     table = run.table("Silhouettes without a tracked body", "take", *columns)
     cv2.setNumThreads(1)
     for name in run.arguments.takes or TAKES:

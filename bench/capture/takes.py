@@ -19,7 +19,15 @@ from bench.recording import Column, Run, Table
 
 BENCH = Bench(
     measures="Joints, angles, silhouettes and surface of captured takes, against rendered truth or detected key points.",
-    sources=("src/marey/cameras", "src/marey/images", "src/marey/body", "src/marey/observations", "src/marey/fit", "src/marey/motion", "src/marey/cli"),
+    sources=(
+        "src/marey/cameras",
+        "src/marey/images",
+        "src/marey/body",
+        "src/marey/observations",
+        "src/marey/fit",
+        "src/marey/motion",
+        "src/marey/pipelines/capture",
+    ),
     minutes=6,
 )
 
@@ -87,7 +95,9 @@ def judged(run: Run, trial: Path, out: Path) -> dict:
     """Score motion, silhouettes and surface of a take."""
     skip = ("--skip-empty", empty_frames(trial))
     numbers = score(run, "capture.py", out, truth_of(trial), *skip)
-    numbers["turn_trunk_legs_deg"] = score(run, "capture.py", out, truth_of(trial), *skip, "--limbs", LEGS).get("turn_deg")
+    numbers["turn_trunk_legs_deg"] = score(run, "capture.py", out, truth_of(trial), *skip, "--limbs", LEGS).get(
+        "turn_deg"
+    )
     masks = trial / "truth" / "masks.npz"
     masks = masks if masks.exists() else trial / "truth" / "masks"
     for kind in ("masks", "surface_masks"):
@@ -218,4 +228,8 @@ def upper_body(run: Run) -> None:
     cut = cut_at_hips(trial, run.out / "reach_cut")
     out = capture(cut, run.out / "takes" / "reach_upper", "--preset", "upper")
     arms = ("--skip-empty", empty_frames(trial), "--joints", ARMS)
-    fill(begin(run, "Cut at the hips, `--preset upper`, arms alone", "take"), "reach", score(run, "capture.py", out, truth_of(trial), *arms))
+    fill(
+        begin(run, "Cut at the hips, `--preset upper`, arms alone", "take"),
+        "reach",
+        score(run, "capture.py", out, truth_of(trial), *arms),
+    )

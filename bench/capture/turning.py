@@ -10,12 +10,14 @@ import argparse
 import cv2
 import numpy as np
 
+from bench.declaration import Bench
+from bench.recording import Column, Run
 from marey.arrays import Floats, Mask
-from marey.body.person import family_body, person_body
-from marey.body.pose import Pose, PosedBody
-from marey.body.surface import Body
+from marey.body.articulation.pose import Pose, PosedBody
+from marey.body.articulation.surface import Body
+from marey.body.people.person import family_body, person_body
 from marey.cameras.camera import Camera
-from marey.fit.person import (
+from marey.fit.recipes.person import (
     PersonSettings,
     Take,
     mend_person,
@@ -25,13 +27,10 @@ from marey.fit.person import (
     track_person,
     with_shape,
 )
-from marey.fit.sequence import joined
+from marey.fit.recipes.sequence import joined
 from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
 from marey.observations.correspondence import view_of
-
-from bench.declaration import Bench
-from bench.recording import Column, Run
 
 BENCH = Bench(
     measures="Joints and heading of made people who turn once round, against exact truth.",

@@ -14,10 +14,10 @@ from scipy import ndimage
 from threadpoolctl import threadpool_limits
 
 from marey.arrays import Mask
-from marey.io.volumes import read_volume, simple_itk
-from marey.knee.bias_field import between_two_classes, bias_field
-from marey.knee.resampling import on_grid, resampled, upright_grid
-from marey.knee.structures import LABELS
+from marey.io.mr.volumes import read_volume, simple_itk
+from marey.knee.space.bias_field import between_two_classes, bias_field
+from marey.knee.space.resampling import on_grid, resampled, upright_grid
+from marey.knee.space.structures import LABELS
 
 NAMES = ("phantom_a", "phantom_spl", "phantom_spl_t1")
 CUBE_MM, SMOOTHING_MM, WITHIN_MM = 3.0, 1.5, 3.0

@@ -24,14 +24,14 @@ from made_knee_images import Make, made_knee
 from scipy import sparse
 from threadpoolctl import threadpool_limits
 
-from marey.io.meshes import write_mesh
-from marey.io.volumes import read_template, read_volume, simple_itk, write_labels, write_volume
-from marey.knee.bones import segment_bones
-from marey.knee.resampling import part_of
-from marey.knee.structures import LABELS
-from marey.knee.surface import Surface
-from marey.knee.surfacing import surface_of_field
-from marey.knee.volume import Volume
+from marey.io.mr.meshes import write_mesh
+from marey.io.mr.volumes import read_template, read_volume, simple_itk, write_labels, write_volume
+from marey.knee.bones.bones import segment_bones
+from marey.knee.bones.surfacing import surface_of_field
+from marey.knee.space.resampling import part_of
+from marey.knee.space.structures import LABELS
+from marey.knee.space.surface import Surface
+from marey.knee.space.volume import Volume
 
 SHARED = ("dess", "phantom_a", "phantom_spl", "phantom_spl_t1")
 NAMES = (*SHARED, "phantom_spl+phantom_spl_t1", "mese", "falling_off", "varied", "cut", "templates")

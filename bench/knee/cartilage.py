@@ -23,16 +23,16 @@ from scipy.spatial import cKDTree
 from threadpoolctl import threadpool_limits
 
 from marey.arrays import Floats
-from marey.io.meshes import read_mesh
+from marey.io.mr.meshes import read_mesh
+from marey.io.mr.volumes import read_labels, read_volume
 from marey.io.npz import read_arrays
-from marey.io.volumes import read_labels, read_volume
-from marey.knee.cartilage_labels import with_cartilage
-from marey.knee.knee_cartilage import find_knee_cartilage, knee_template, seen_share
-from marey.knee.structures import BONES, CARTILAGE_OF_BONE, LABELS
-from marey.knee.surface import Surface
-from marey.knee.surfacing import surface_of_labels
-from marey.knee.thickness import cartilage_thickness
-from marey.knee.volume import Labels
+from marey.knee.bones.surfacing import surface_of_labels
+from marey.knee.cartilage.knee_cartilage import find_knee_cartilage, knee_template, seen_share
+from marey.knee.cartilage.labels import with_cartilage
+from marey.knee.cartilage.thickness import cartilage_thickness
+from marey.knee.space.structures import BONES, CARTILAGE_OF_BONE, LABELS
+from marey.knee.space.surface import Surface
+from marey.knee.space.volume import Labels
 
 CASES = {
     "phantom_a": (("phantom_a",), "atlas"),

@@ -23,23 +23,23 @@ from marey.arrays import Floats
 from marey.errors import MareyError
 from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
-from marey.io.markers import read_markers
-from marey.io.volumes import read_volume
-from marey.knee.anatomical_frames import bone_frame
-from marey.knee.correspondence import KneeCorrespondence, bone_chain, correspond, mean_error_quantile
-from marey.knee.gadolinium import find_gadolinium
-from marey.knee.marker_naming import ScannerMarkers
-from marey.knee.reference_posture import Activity, reference_posture
-from marey.knee.surface import Surface
-from marey.knee.surfacing import surface_of_labels
-from marey.knee.volume import Labels
-from marey.markers.bone_motion import BoneMotion
-from marey.markers.clusters import AnatomicalCalibration
-from marey.markers.labels import find_clusters
-from marey.markers.methods import DEFAULT, choose_methods
-from marey.markers.problem import MarkerProblem
-from marey.markers.trajectories import MarkerTrajectories, trajectories
-from marey.markers.transform_chain import CAPTURE_GLOBAL, MR_GLOBAL
+from marey.io.markers.readers import read_markers
+from marey.io.mr.volumes import read_volume
+from marey.knee.bones.surfacing import surface_of_labels
+from marey.knee.markers.anatomical_frames import bone_frame
+from marey.knee.markers.correspondence import KneeCorrespondence, bone_chain, correspond, mean_error_quantile
+from marey.knee.markers.gadolinium import find_gadolinium
+from marey.knee.markers.marker_naming import ScannerMarkers
+from marey.knee.markers.reference_posture import Activity, reference_posture
+from marey.knee.space.surface import Surface
+from marey.knee.space.volume import Labels
+from marey.markers.data.bone_motion import BoneMotion
+from marey.markers.data.clusters import AnatomicalCalibration
+from marey.markers.data.labels import find_clusters
+from marey.markers.data.problem import MarkerProblem
+from marey.markers.data.trajectories import MarkerTrajectories, trajectories
+from marey.markers.kinematics.transform_chain import CAPTURE_GLOBAL, MR_GLOBAL
+from marey.markers.methods.methods import DEFAULT, choose_methods
 
 PHANTOMS = ("phantom_a", "phantom_spl", "phantom_spl_t1")
 TRIALS = {"left": ("lmam_treadmill_walking",), "right": ("ottawa_walking", "unibo_step_up")}

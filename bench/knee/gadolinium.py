@@ -19,10 +19,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from tests.made_balls import limb_grid, limb_with_balls, on_skin
 
-from marey.io.volumes import read_volume
-from marey.knee.gadolinium import Gadolinium, find_gadolinium, joined
-from marey.knee.resampling import part_of
-from marey.knee.volume import Grid, Volume
+from marey.io.mr.volumes import read_volume
+from marey.knee.markers.gadolinium import Gadolinium, find_gadolinium, joined
+from marey.knee.space.resampling import part_of
+from marey.knee.space.volume import Grid, Volume
 
 NAMES = ("phantom_a", "phantom_spl", "phantom_spl_t1", "dess", "mese")
 NEAR_MM = 2.0

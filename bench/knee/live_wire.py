@@ -21,11 +21,12 @@ from skimage.measure import find_contours
 from threadpoolctl import threadpool_limits
 
 from marey.arrays import Floats, Mask
-from marey.cli.knee_outline import serve
-from marey.io.volumes import read_template, read_volume
-from marey.knee.bones import segment_bones
-from marey.knee.boundary_elements import LearnedCosts, learned_costs
-from marey.knee.contours import (
+from marey.io.mr.volumes import read_template, read_volume
+from marey.knee.bones.bones import segment_bones
+from marey.knee.bones.region_growing import signed_distance
+from marey.knee.bones.template import checked_template
+from marey.knee.outlines.boundary_elements import LearnedCosts, learned_costs
+from marey.knee.outlines.contours import (
     AXES,
     Contour,
     labels_of_contours,
@@ -35,14 +36,13 @@ from marey.knee.contours import (
     slice_spacing_mm,
     structure_distance,
 )
-from marey.knee.live_wire import LiveWire
-from marey.knee.outlining import drawn
-from marey.knee.region_growing import signed_distance
-from marey.knee.structures import BONES, LABELS
-from marey.knee.template import checked_template
-from marey.knee.volume import Labels, Volume
-from marey.view.outline_server import OutlineServer
-from marey.view.outline_session import OutlineSession
+from marey.knee.outlines.live_wire import LiveWire
+from marey.knee.outlines.outlining import drawn
+from marey.knee.space.structures import BONES, LABELS
+from marey.knee.space.volume import Labels, Volume
+from marey.pipelines.knee.outline import serve
+from marey.view.outline.server import OutlineServer
+from marey.view.outline.session import OutlineSession
 
 HAND_PX = 0.5
 SHORTEST_PX = 60

@@ -19,15 +19,15 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 from threadpoolctl import threadpool_limits
 
-from marey.io.volumes import read_template
-from marey.knee.cartilage_labels import with_cartilage
-from marey.knee.knee_cartilage import find_knee_cartilage, knee_template
-from marey.knee.region_growing import signed_distance
-from marey.knee.resampling import part_of, read_at, resampled, smoothed, upright_grid
-from marey.knee.structures import BONES, CARTILAGE_OF_BONE, LABELS
-from marey.knee.surfacing import surface_of_labels
-from marey.knee.thickness import cartilage_thickness
-from marey.knee.volume import Grid, Labels, Volume
+from marey.io.mr.volumes import read_template
+from marey.knee.bones.region_growing import signed_distance
+from marey.knee.bones.surfacing import surface_of_labels
+from marey.knee.cartilage.knee_cartilage import find_knee_cartilage, knee_template
+from marey.knee.cartilage.labels import with_cartilage
+from marey.knee.cartilage.thickness import cartilage_thickness
+from marey.knee.space.resampling import part_of, read_at, resampled, smoothed, upright_grid
+from marey.knee.space.structures import BONES, CARTILAGE_OF_BONE, LABELS
+from marey.knee.space.volume import Grid, Labels, Volume
 
 LEVELS = {
     "dark": {"marrow": 14, "cortex": 14, "cartilage": 120, "fat": 26, "muscle": 62, "meniscus": 40},

@@ -15,11 +15,11 @@ import numpy as np
 from scipy import ndimage
 
 from marey.geometry import rotations
-from marey.io.volumes import read_volume, write_labels, write_volume
-from marey.knee.region_growing import signed_distance
-from marey.knee.resampling import on_grid, resampled, upright_grid
-from marey.knee.structures import BONES, CARTILAGE_OF_BONE, LABELS
-from marey.knee.volume import Grid, Labels, Volume
+from marey.io.mr.volumes import read_volume, write_labels, write_volume
+from marey.knee.bones.region_growing import signed_distance
+from marey.knee.space.resampling import on_grid, resampled, upright_grid
+from marey.knee.space.structures import BONES, CARTILAGE_OF_BONE, LABELS
+from marey.knee.space.volume import Grid, Labels, Volume
 
 SOURCE_MM = 0.6
 CORTEX_MM = 1.0

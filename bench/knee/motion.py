@@ -28,27 +28,23 @@ import numpy as np
 from scipy.spatial import cKDTree
 from true_bones import true_bones
 
-from marey.cli.knee_animate import AnimateOptions, animate
-from marey.cli.markers import markers
-from marey.cli.markers_settings import MarkersOptions
-from marey.cli.progress import Progress
 from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
-from marey.io.bones import BoneFile, write_bones
-from marey.io.c3d import write_c3d
-from marey.io.meshes import read_mesh, write_mesh
+from marey.io.markers.bones import BoneFile, write_bones
+from marey.io.markers.c3d import write_c3d
+from marey.io.mr.meshes import read_mesh, write_mesh
+from marey.io.mr.volumes import read_template
 from marey.io.npz import read_arrays, write_arrays
-from marey.io.trc import PointPaths
-from marey.io.volumes import read_template
-from marey.knee.anatomical_frames import bone_frame
-from marey.knee.joint_motion import KneeMotion, joint_proximities, joint_sides, knee_angles, motion_of_chains
-from marey.knee.joint_surface import JointSurface, joint_surface
-from marey.knee.proximity import RelativePoses, proximity
-from marey.knee.sides import MIRROR, mirrored
-from marey.knee.structures import BONE_OF_CARTILAGE, LABELS
-from marey.knee.surface import Surface
-from marey.knee.surfacing import surface_of_labels
-from marey.markers.transform_chain import (
+from marey.io.opensim.trc import PointPaths
+from marey.knee.bones.surfacing import surface_of_labels
+from marey.knee.markers.anatomical_frames import bone_frame
+from marey.knee.motion.joint_motion import KneeMotion, joint_proximities, joint_sides, knee_angles, motion_of_chains
+from marey.knee.motion.joint_surface import JointSurface, joint_surface
+from marey.knee.motion.proximity import RelativePoses, proximity
+from marey.knee.space.sides import MIRROR, mirrored
+from marey.knee.space.structures import BONE_OF_CARTILAGE, LABELS
+from marey.knee.space.surface import Surface
+from marey.markers.kinematics.transform_chain import (
     CAPTURE_ANATOMIC,
     CAPTURE_BONE,
     CAPTURE_DEFORMED,
@@ -59,6 +55,10 @@ from marey.markers.transform_chain import (
     TransformChain,
     identity,
 )
+from marey.pipelines.knee.animate import AnimateOptions, animate
+from marey.pipelines.markers.markers import markers
+from marey.pipelines.markers.settings import MarkersOptions
+from marey.pipelines.progress import Progress
 
 TRIALS = ("unibo_step_up", "ottawa_walking", "lmam_treadmill_walking")
 SEGMENT = {"femur": "thigh", "tibia": "shank"}

@@ -32,25 +32,25 @@ import trimesh
 from threadpoolctl import threadpool_limits
 
 from marey.arrays import Floats
-from marey.cli.knee_meshes import SMALL_HOLE
 from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
-from marey.io.meshes import read_mesh
+from marey.io.mr.meshes import read_mesh
+from marey.io.mr.volumes import read_labels, simple_itk
 from marey.io.npz import write_arrays
-from marey.io.volumes import read_labels, simple_itk
-from marey.knee.cut_ends import cut_planes
-from marey.knee.deformation import Deformation
-from marey.knee.elastic_registration import ElasticSettings, _images, register_elastically, surface_distances
-from marey.knee.mesh_mending import with_holes_closed
-from marey.knee.rigid_registration import RigidRegistration, register_rigidly
-from marey.knee.sided_registration import register_on_either_side
-from marey.knee.sides import mirrored
-from marey.knee.structures import CARTILAGE_OF_BONE
-from marey.knee.surface import Surface
-from marey.knee.surfacing import surface_of_labels
-from marey.knee.thickness import cartilage_thickness
-from marey.knee.triangle_tree import TriangleTree, corner_weights
-from marey.knee.volume import Grid, Labels
+from marey.knee.bones.surfacing import surface_of_labels
+from marey.knee.cartilage.thickness import cartilage_thickness
+from marey.knee.registration.deformation import Deformation
+from marey.knee.registration.elastic import ElasticSettings, _images, register_elastically, surface_distances
+from marey.knee.registration.rigid import RigidRegistration, register_rigidly
+from marey.knee.registration.sided import register_on_either_side
+from marey.knee.space.cut_ends import cut_planes
+from marey.knee.space.mesh_mending import with_holes_closed
+from marey.knee.space.sides import mirrored
+from marey.knee.space.structures import CARTILAGE_OF_BONE
+from marey.knee.space.surface import Surface
+from marey.knee.space.triangle_tree import TriangleTree, corner_weights
+from marey.knee.space.volume import Grid, Labels
+from marey.pipelines.knee.meshes import SMALL_HOLE
 
 SHORTER_MM = 15.0
 PEOPLE = {"femur": ("atlas", "template_a", "dess", "thickness"), "tibia": ("atlas", "template_a", "dess", "thickness"),

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from marey.markers.bone_motion import BoneMotion
+from marey.markers.data.bone_motion import BoneMotion
 
 
 def true_bones(truth: Mapping[str, np.ndarray], segments: Sequence[str]) -> BoneMotion:

@@ -15,20 +15,19 @@ from pathlib import Path
 
 import numpy as np
 
-from marey.geometry import rotations
-from marey.markers import estimator, joint_laxity, skin_motion
-from marey.markers.bone_motion import BoneMotion
-from marey.markers.joint_laxity import Give
-from marey.markers.multiple_calibration import multiple_calibration
-from marey.markers.problem import MarkerProblem
-from marey.markers.rigid_fit import rigid
-from marey.markers.skin_motion import SkinForm
-from marey.motion.anatomical import euler_angles
-
 from bench.common.parts import add_parts, run_parts
 from bench.declaration import Bench
 from bench.markers.made_skin_trials import KINDS, MadeTrial, made_trial
 from bench.recording import Column, Run, Table
+from marey.geometry import rotations
+from marey.markers.data.bone_motion import BoneMotion
+from marey.markers.data.problem import MarkerProblem
+from marey.markers.data.rigid_fit import rigid
+from marey.markers.methods import estimator, joint_constraints, skin_motion
+from marey.markers.methods.joint_constraints import Give
+from marey.markers.methods.multiple_calibration import multiple_calibration
+from marey.markers.methods.skin_motion import SkinForm
+from marey.motion.anatomical import euler_angles
 
 BENCH = Bench(
     measures="Knee angles of the default method on parts of real trials and on made ones, relative to the rigid fit.",
@@ -136,7 +135,7 @@ def fill(table: Table, name: str, results: list[tuple[Judged, Judged]]) -> None:
 @contextmanager
 def scaled(joint: float, skin: float) -> Iterator[None]:
     """Work with the knee's small turns and the skin's common motion taken that much larger."""
-    table, pair = joint_laxity._LAXITY, KNEE
+    table, pair = joint_constraints._LAXITY, KNEE
     before = table[pair], estimator._COMMON_TURN, estimator._COMMON_SHIFT
     table[pair] = replace(
         before[0], **{name: Give(anyway=g.anyway * joint, turned=g.turned * joint)
@@ -152,7 +151,7 @@ def scaled(joint: float, skin: float) -> Iterator[None]:
 def without(run: Run) -> None:
     """Take one part away at a time, on the real trials."""
     trials = [real_trial(run.shared, name) for name in TRIALS]
-    laxity, forms, skin = joint_laxity._LAXITY, skin_motion.FORMS, estimator.skin_and_joints
+    laxity, forms, skin = joint_constraints._LAXITY, skin_motion.FORMS, estimator.skin_and_joints
     knee = laxity[KNEE]
 
     def alone(problem: MarkerProblem) -> BoneMotion:

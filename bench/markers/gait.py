@@ -13,18 +13,17 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from marey.body.jointed_body import JointedBody
-from marey.body.jointed_kinematics import marker_bodies, place
-from marey.io.markers import read_markers
-from marey.io.mot_sto import read_table
-from marey.io.osim_model import read_osim_model
-from marey.io.osim_tasks import read_tasks
-from marey.markers.inverse_kinematics import InverseKinematics, inverse_kinematics
-from marey.markers.tasks import TaskSet
-from marey.markers.trajectories import MarkerTrajectories
-
 from bench.declaration import Bench
 from bench.recording import Column, Run, Table
+from marey.body.articulation.jointed_body import JointedBody
+from marey.body.articulation.jointed_kinematics import marker_bodies, place
+from marey.io.markers.readers import read_markers
+from marey.io.opensim.mot_sto import read_table
+from marey.io.opensim.osim_model import read_osim_model
+from marey.io.opensim.osim_tasks import read_tasks
+from marey.markers.data.trajectories import MarkerTrajectories
+from marey.markers.kinematics.inverse_kinematics import InverseKinematics, inverse_kinematics
+from marey.markers.kinematics.tasks import TaskSet
 
 BENCH = Bench(
     measures="Inverse kinematics of an OpenSim model, against OpenSim's own.",

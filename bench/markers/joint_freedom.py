@@ -7,14 +7,13 @@ glides, 6 free, all held exactly; `6, 5 mm` is free with its centre held by 5 mm
 import argparse
 from collections.abc import Callable
 
-from marey.markers.bone_motion import BoneMotion
-from marey.markers.chain import ChainJoint
-from marey.markers.global_optimisation import optimise_chain
-from marey.markers.problem import MarkerProblem
-
 from bench.declaration import Bench
 from bench.markers.trials import compare_methods, sta_trials
 from bench.recording import Run
+from marey.markers.data.bone_motion import BoneMotion
+from marey.markers.data.problem import MarkerProblem
+from marey.markers.methods.chain import ChainJoint
+from marey.markers.methods.global_optimisation import optimise_chain
 
 BENCH = Bench(
     measures="Bones by global optimisation with knees of one to six degrees of freedom, against true bones of real trials.",
@@ -43,4 +42,6 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(run: Run) -> None:
     """Estimate bones, and score them."""
     methods = [(name, with_knee(*knee)) for name, knee in KNEES.items()]
-    compare_methods(run, "Knees in global optimisation", "degrees of freedom", methods, sta_trials(run, run.arguments.trials))
+    compare_methods(
+        run, "Knees in global optimisation", "degrees of freedom", methods, sta_trials(run, run.arguments.trials)
+    )

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from marey.geometry import rotations
-from marey.markers.clusters import AnatomicalCalibration, Cluster
-from marey.markers.problem import MarkerProblem
-from marey.markers.trajectories import trajectories
+from marey.markers.data.clusters import AnatomicalCalibration, Cluster
+from marey.markers.data.problem import MarkerProblem
+from marey.markers.data.trajectories import trajectories
 
 Z = np.array([0.0, 0.0, 1.0])
 RATES = (6.0, 30.0, 120.0, 200.0, 240.0)

@@ -11,20 +11,19 @@ from pathlib import Path
 
 import numpy as np
 
-from marey.io.c3d_forces import read_events, read_force_plates
-from marey.io.markers import read_markers
-from marey.markers.clusters import Cluster
-from marey.markers.exchanges import Exchange, exchange_back, find_exchanges
-from marey.markers.functional import carried, score, sphere_centre
-from marey.markers.gait_events import events_from_force, events_from_markers
-from marey.markers.gaps import FROM_CLUSTER, SPLINE, fill_gaps, from_cluster, spline
-from marey.markers.labels import clusters_named, find_clusters
-from marey.markers.trajectories import MarkerTrajectories
-from marey.motion.gait import STRIKE, GaitEvent
-
 from bench.common.parts import add_parts, run_parts
 from bench.declaration import Bench
 from bench.recording import Column, Run, Table
+from marey.io.markers.c3d_forces import read_events, read_force_plates
+from marey.io.markers.readers import read_markers
+from marey.markers.data.clusters import Cluster
+from marey.markers.data.labels import clusters_named, find_clusters
+from marey.markers.data.trajectories import MarkerTrajectories
+from marey.markers.preprocessing.exchanges import Exchange, exchange_back, find_exchanges
+from marey.markers.preprocessing.functional import carried, score, sphere_centre
+from marey.markers.preprocessing.gait_events import events_from_force, events_from_markers
+from marey.markers.preprocessing.gaps import FROM_CLUSTER, SPLINE, fill_gaps, from_cluster, spline
+from marey.motion.gait import STRIKE, GaitEvent
 
 BENCH = Bench(
     measures="Filled gaps, exchanged labels, joint centres and gait events of marker trials, against measured ones.",
@@ -32,7 +31,11 @@ BENCH = Bench(
     minutes=3,
 )
 PELVIS = ("LASI", "RASI", "LPSI", "RPSI")
-HOW = {"one": "one segment, 10 % of the frames", "two": "two segments, 10 % of the frames", "all": "two segments, all frames"}
+HOW = {
+    "one": "one segment, 10 % of the frames",
+    "two": "two segments, 10 % of the frames",
+    "all": "two segments, all frames",
+}
 LENGTHS = (5, 10, 24, 60, 120, 240)
 
 
@@ -182,11 +185,16 @@ def events(run: Run) -> None:
             GaitEvent(kind=STRIKE, side=None, time=f / trial.rate, source="given") for f in truth["event_heel_strike"]
         ]
         heel = truth["heel_global"] * 1e-3
-    compared(table, "treadmill, heel against the file's strikes", events_from_markers(heel, thigh, rate=trial.rate), strikes)
+    compared(
+        table, "treadmill, heel against the file's strikes", events_from_markers(heel, thigh, rate=trial.rate), strikes
+    )
 
 
 def compared(
-    table: Table, name: str, found: list[GaitEvent] | tuple[GaitEvent, ...], known: list[GaitEvent] | tuple[GaitEvent, ...]
+    table: Table,
+    name: str,
+    found: list[GaitEvent] | tuple[GaitEvent, ...],
+    known: list[GaitEvent] | tuple[GaitEvent, ...],
 ) -> None:
     """How many events have one of their kind within 100 ms, and how far apart they are."""
     off = []

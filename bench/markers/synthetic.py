@@ -8,21 +8,20 @@ import argparse
 from collections.abc import Callable
 
 import numpy as np
-
-from marey.arrays import Floats
-from marey.markers.cluster_data import cluster_data
-from marey.markers.interval_deformation import deform
-from marey.markers.methods import METHODS
-from marey.markers.point_cluster import point_cluster, point_cluster_masses
-from marey.markers.problem import MarkerProblem
-from marey.markers.rigid_fit import fit_rigid, rigid
-from marey.markers.skin_forms import SkinForm
-from marey.nonrigid.homogeneous import factorise_points
+from tests.skin_clusters import leg_and_bones, placed, problem, smooth_motion, thigh, turns
 
 from bench.common.parts import add_parts, run_parts
 from bench.declaration import Bench
 from bench.recording import Column, Run
-from tests.skin_clusters import leg_and_bones, placed, problem, smooth_motion, thigh, turns
+from marey.arrays import Floats
+from marey.markers.data.cluster_data import cluster_data
+from marey.markers.data.problem import MarkerProblem
+from marey.markers.data.rigid_fit import fit_rigid, rigid
+from marey.markers.methods.interval_deformation import deform
+from marey.markers.methods.methods import METHODS
+from marey.markers.methods.point_cluster import point_cluster, point_cluster_masses
+from marey.markers.methods.skin_forms import SkinForm
+from marey.nonrigid.in_space.factorisation import factorise_points
 
 BENCH = Bench(
     measures="Methods from skin markers to bones on made clusters, against exact truth.",

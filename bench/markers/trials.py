@@ -16,15 +16,14 @@ import ezc3d
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from marey.markers.bone_motion import BoneMotion
-from marey.markers.clusters import AnatomicalCalibration, Cluster
-from marey.markers.methods import METHODS, choose_methods
-from marey.markers.problem import MarkerProblem
-from marey.markers.trajectories import trajectories
-
 from bench.common import program
 from bench.declaration import Bench
 from bench.recording import Column, Run
+from marey.markers.data.bone_motion import BoneMotion
+from marey.markers.data.clusters import AnatomicalCalibration, Cluster
+from marey.markers.data.problem import MarkerProblem
+from marey.markers.data.trajectories import trajectories
+from marey.markers.methods.methods import METHODS, choose_methods
 
 BENCH = Bench(
     measures="Bones from skin markers by every method, against true bones of real trials.",
@@ -140,7 +139,12 @@ def compare_methods(run: Run, title: str, label: str, methods: Sequence[Method],
     """Run all methods on all trials, and fill one table with one row per method and number of postures."""
     trials = {name: rows_of(run, name, methods) for name in names}
     columns = [Column(name) for name in trials]
-    summary = (Column("mean against rigid", "%", 0), Column("worst", "%", 0), Column("95 % hold", "", 2), Column("seen", "", 2))
+    summary = (
+        Column("mean against rigid", "%", 0),
+        Column("worst", "%", 0),
+        Column("95 % hold", "", 2),
+        Column("seen", "", 2),
+    )
     table = run.table(title, (label, "postures"), *columns, *summary, note=NOTE)
     for lines in zip(*trials.values(), strict=True):
         cells = [f"{r.thigh:.1f} / {r.shank:.1f}; {r.angles}; {r.together:.2f}" for r in lines]
@@ -197,7 +201,9 @@ def first_stride_as_exercise(run: Run, name: str = "lmam_treadmill_walking") -> 
         np.savez(rest, **{key: truth[key][end:] for key in truth if key.endswith(("_rotation", "_origin"))})
         for method in ("rigid", "artefact"):
             figures = score(run, METHODS[method].run(replace(activity, exercise=exercise)), rest)
-            errors = [figures[segment][key] for segment in ("thigh", "shank") for key in ("turn_rms_deg", "origin_rms_mm")]
+            errors = [
+                figures[segment][key] for segment in ("thigh", "shank") for key in ("turn_rms_deg", "origin_rms_mm")
+            ]
             table.row(method, *errors, rms(figures["knee_rms_deg"]))
 
 
@@ -233,5 +239,8 @@ def run(run: Run) -> None:
     if given.exercise:
         first_stride_as_exercise(run)
         return
-    methods = [(each.name, lambda problem, e=each: None if e.lacks(problem) else e.run(problem)) for each in choose_methods(given.methods)]
+    methods = [
+        (each.name, lambda problem, e=each: None if e.lacks(problem) else e.run(problem))
+        for each in choose_methods(given.methods)
+    ]
     compare_methods(run, "Methods on real trials", "method", methods, sta_trials(run, given.trials))

@@ -19,7 +19,7 @@ from threadpoolctl import threadpool_limits
 
 from marey.arrays import Floats
 from marey.geometry import rotations
-from marey.nonrigid.one_view import NonRigidShapes, factorise_tracks
+from marey.nonrigid.one_camera.one_view import NonRigidShapes, factorise_tracks
 from nonrigid import degraded, intervals_hold, row, turns_hold
 
 PEOPLE = ("walk", "jacks", "reach")

@@ -15,11 +15,11 @@ import numpy as np
 from parts import run_parts
 
 from marey.arrays import Floats
-from marey.images.feature_tracks import FeatureTracks, follow_points
-from marey.images.features import edge_features, good_features
-from marey.io.tracks import write_tracks
-from marey.io.video import open_clip
-from marey.nonrigid.rank_tracking import refine_tracks, track_features
+from marey.images.matching.feature_tracks import FeatureTracks, follow_points
+from marey.images.matching.features import edge_features, good_features
+from marey.io.shapes.tracks import write_tracks
+from marey.io.video.video import open_clip
+from marey.nonrigid.tracking.rank_tracking import refine_tracks, track_features
 
 MADE = 120
 

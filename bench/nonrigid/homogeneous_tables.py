@@ -29,12 +29,12 @@ from uncalibrated_chain import PIECES, surface_at
 from marey.arrays import Floats, Mask
 from marey.cameras.rig import Rig
 from marey.cameras.triangulate import triangulate
-from marey.io.calibration import read_rig
-from marey.io.video import open_clip
-from marey.markers.rigid_fit import fit_rigid
-from marey.nonrigid.calibrated import factorise_calibrated
-from marey.nonrigid.calibrated_videos import track_calibrated_views
-from marey.nonrigid.homogeneous import HomogeneousShapes, factorise_points
+from marey.io.calibration.readers import read_rig
+from marey.io.video.video import open_clip
+from marey.markers.data.rigid_fit import fit_rigid
+from marey.nonrigid.correspondence.calibrated_videos import track_calibrated_views
+from marey.nonrigid.in_space.calibrated import factorise_calibrated
+from marey.nonrigid.in_space.factorisation import HomogeneousShapes, factorise_points
 
 SETS = 20
 RANKS = (1, 2, 3, 4, 5, None)

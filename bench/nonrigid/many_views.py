@@ -26,8 +26,8 @@ from threadpoolctl import threadpool_limits
 
 from marey.errors import MareyError
 from marey.geometry import rotations
-from marey.nonrigid.many_views import ManyViewShapes, factorise_views
-from marey.nonrigid.one_view import NonRigidShapes, factorise_tracks
+from marey.nonrigid.many_cameras.many_views import ManyViewShapes, factorise_views
+from marey.nonrigid.one_camera.one_view import NonRigidShapes, factorise_tracks
 
 NOISE = 0.005
 MIRROR = np.diag([1.0, 1.0, -1.0])

@@ -19,8 +19,8 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from marey.geometry import rotations
-from marey.nonrigid.one_view import NonRigidShapes, factorise_tracks
-from marey.nonrigid.plain import PlainShapes, factorise_plainly
+from marey.nonrigid.one_camera.one_view import NonRigidShapes, factorise_tracks
+from marey.nonrigid.one_camera.plain import PlainShapes, factorise_plainly
 
 NAMES = ("drink", "pickup", "stretch", "face", "shark_exact")
 SEEDS = (0, 1, 2)

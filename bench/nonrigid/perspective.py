@@ -19,13 +19,13 @@ from parts import run_parts
 
 from marey.arrays import Floats
 from marey.geometry import rotations
-from marey.images.feature_tracks import follow_points
-from marey.io.video import open_clip
-from marey.nonrigid.alignment import mean_shape
-from marey.nonrigid.one_view import factorise_tracks
-from marey.nonrigid.perspective import PerspectiveShapes, factorise_perspective
-from marey.nonrigid.rank_tracking import refine_tracks
-from marey.nonrigid.rotation_paths import MIRROR
+from marey.images.matching.feature_tracks import follow_points
+from marey.io.video.video import open_clip
+from marey.nonrigid.core.alignment import mean_shape
+from marey.nonrigid.core.rotation_paths import MIRROR
+from marey.nonrigid.one_camera.one_view import factorise_tracks
+from marey.nonrigid.one_camera.perspective import PerspectiveShapes, factorise_perspective
+from marey.nonrigid.tracking.rank_tracking import refine_tracks
 
 SEEDS = (0, 1)
 SHARES = (0.05, 0.1, 0.2)

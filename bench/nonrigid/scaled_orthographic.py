@@ -17,8 +17,8 @@ from tests.shape_errors import shape_error
 
 from marey.arrays import Floats
 from marey.geometry import rotations
-from marey.nonrigid.one_view import factorise_tracks
-from marey.nonrigid.scaled_orthographic import factorise_scaled, rigid_magnifications
+from marey.nonrigid.many_cameras.scaled_orthographic import factorise_scaled, rigid_magnifications
+from marey.nonrigid.one_camera.one_view import factorise_tracks
 
 FRAMES, POINTS, NOISE = 80, 25, 0.005
 SEEDS = (0, 1, 2)

@@ -23,12 +23,12 @@ from threadpoolctl import threadpool_limits
 from marey.arrays import Floats, Mask
 from marey.cameras.rig import Rig
 from marey.geometry import rotations
-from marey.io.calibration import read_rig
-from marey.io.video import open_clip
-from marey.nonrigid.alignment import rigid_fits
-from marey.nonrigid.held_size import HeldSizeShapes, factorise_at_held_size
-from marey.nonrigid.many_views import ManyViewShapes
-from marey.nonrigid.uncalibrated_videos import ViewTracks, track_views
+from marey.io.calibration.readers import read_rig
+from marey.io.video.video import open_clip
+from marey.nonrigid.core.alignment import rigid_fits
+from marey.nonrigid.correspondence.uncalibrated_videos import ViewTracks, track_views
+from marey.nonrigid.many_cameras.held_size import HeldSizeShapes, factorise_at_held_size
+from marey.nonrigid.many_cameras.many_views import ManyViewShapes
 
 PIECES = {
     "elbow": ((560, 250), (640, 290), (590, 400), (500, 520), (440, 480), (500, 380)),

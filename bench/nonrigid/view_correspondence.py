@@ -21,8 +21,8 @@ from typing import NamedTuple
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from marey.nonrigid.view_correspondence import match_tracks
-from marey.nonrigid.view_joining import join_views
+from marey.nonrigid.correspondence.view_correspondence import match_tracks
+from marey.nonrigid.correspondence.view_joining import join_views
 
 ANGLES = (20, 45, 90)
 SEEDS = range(3)

@@ -10,7 +10,7 @@ import time
 import numpy as np
 from skimage.segmentation import morphological_chan_vese
 
-from marey.images.level_sets import evolve
+from marey.images.silhouettes.level_sets import evolve
 
 CAPSULES = (
     ((110, 320), (130, 320), 26), ((160, 320), (270, 320), 42), ((170, 285), (260, 235), 13),

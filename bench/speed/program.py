@@ -11,8 +11,8 @@ import sys
 from dataclasses import asdict
 from pathlib import Path
 
-from marey.cli.bench import bench, machine
 from marey.cli.main import example_folder
+from marey.pipelines.speed.speeds import bench, machine
 
 if __name__ == "__main__":
     trial = Path(sys.argv[1]) if len(sys.argv) > 1 else None

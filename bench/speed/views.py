@@ -16,12 +16,12 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from marey.cli import capture_stages as stages
-from marey.cli.bench import LEVEL_SET_LIMIT_MS
-from marey.cli.progress import Progress
-from marey.images.interior import InteriorEdges
-from marey.io.masks import open_masks
-from marey.io.trial import read_trial
+from marey.images.silhouettes.interior import InteriorEdges
+from marey.io.trial.masks import open_masks
+from marey.io.trial.trial import read_trial
+from marey.pipelines.capture import stages
+from marey.pipelines.progress import Progress
+from marey.pipelines.speed.speeds import LEVEL_SET_LIMIT_MS
 
 
 def main() -> None:

@@ -12,17 +12,16 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from marey.io.calibration import write_cameras_toml
-from marey.io.surface import read_surface
-from marey.io.trial import read_trial
-
 from bench.common.program import score, surface
 from bench.declaration import Bench
 from bench.recording import Column, Run, Table
+from marey.io.calibration.readers import write_cameras_toml
+from marey.io.shapes.measured_surface import read_surface
+from marey.io.trial.trial import read_trial
 
 BENCH = Bench(
     measures="Distance of the measured surface and its trajectories from the true surface of a rendered arm (arm3).",
-    sources=("src/marey/cameras", "src/marey/images", "src/marey/surface", "src/marey/cli"),
+    sources=("src/marey/cameras", "src/marey/images", "src/marey/surface", "src/marey/pipelines/surface"),
     minutes=15,
 )
 

@@ -14,14 +14,14 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from marey.body.metaball_person import DETAILS, metaball_space
-from marey.body.metaballs import Metaballs
-from marey.body.skeleton import LIMBS
-from marey.body.spline_skin import Skin, SkinSamples, sample_skin, tessellate
-from marey.io.body import read_body
-from marey.io.glb import write_glb
+from marey.body.articulation.skeleton import LIMBS
+from marey.body.metaballs.metaball_person import DETAILS, metaball_space
+from marey.body.metaballs.metaballs import Metaballs
+from marey.body.metaballs.spline_skin import Skin, SkinSamples, sample_skin, tessellate
+from marey.io.gltf.glb import write_glb
+from marey.io.gltf.rig import read_rig
 from marey.io.npz import read_motion
-from marey.io.rig import read_rig
+from marey.io.results.body import read_body
 from marey.motion.retarget import pose_rig, retarget
 
 PEOPLE, SEED = 20, 1

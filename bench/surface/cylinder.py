@@ -13,21 +13,20 @@ import cv2
 import numpy as np
 from scipy.optimize import least_squares
 
-from marey.cameras.epipolar import epipolar_lines
-from marey.images.matching import MatchSettings, match
-from marey.images.splines import SplinePicture, spline_of
-from marey.io.calibration import read_rig
-from marey.io.surface import read_surface
-from marey.surface.measured import MeasuredPoints
-
 from bench.common import program
 from bench.common.parts import add_parts, run_parts
 from bench.declaration import Bench
 from bench.recording import Column, Run
+from marey.cameras.epipolar import epipolar_lines
+from marey.images.matching.matching import MatchSettings, match
+from marey.images.matching.splines import SplinePicture, spline_of
+from marey.io.calibration.readers import read_rig
+from marey.io.shapes.measured_surface import read_surface
+from marey.surface.points.measured import MeasuredPoints
 
 BENCH = Bench(
     measures="Matches and surfaces of a real speckled cylinder, against an independent program and a true cylinder.",
-    sources=("src/marey/cameras", "src/marey/images", "src/marey/surface", "src/marey/cli"),
+    sources=("src/marey/cameras", "src/marey/images", "src/marey/surface", "src/marey/pipelines/surface"),
     minutes=4,
 )
 GOOD = 0.05

@@ -11,19 +11,18 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from marey.cameras.rig import Rig
-from marey.cameras.triangulate import triangulate
-from marey.io.calibration import read_rig
-from marey.io.surface import read_surface
-from marey.surface.measured import MeasuredPoints
-
 from bench.common.program import surface
 from bench.declaration import Bench
 from bench.recording import Column, Run
+from marey.cameras.rig import Rig
+from marey.cameras.triangulate import triangulate
+from marey.io.calibration.readers import read_rig
+from marey.io.shapes.measured_surface import read_surface
+from marey.surface.points.measured import MeasuredPoints
 
 BENCH = Bench(
     measures="Coverage and agreement of surfaces of real faces; there is no true surface.",
-    sources=("src/marey/cameras", "src/marey/images", "src/marey/surface", "src/marey/cli"),
+    sources=("src/marey/cameras", "src/marey/images", "src/marey/surface", "src/marey/pipelines/surface"),
     minutes=8,
 )
 

@@ -13,11 +13,10 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
-from marey.images.matching import MatchSettings, match
-from marey.images.splines import spline_of
-
 from bench.declaration import Bench
 from bench.recording import Column, Run, Table
+from marey.images.matching.matching import MatchSettings, match
+from marey.images.matching.splines import spline_of
 
 BENCH = Bench(
     measures="Speed, error and stated covariance of patch matching on made pictures, beside OpenCV.",

@@ -20,16 +20,16 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from marey.body.metaball_person import metaball_body, metaball_space, single_radii, vertex_limbs
-from marey.body.metaballs import PosedMetaballs
-from marey.body.pose import Pose, PosedBody
-from marey.cli.progress import Progress
-from marey.cli.settings import CaptureSettings
-from marey.cli.shape import shape
-from marey.fit.levenberg import LevenbergSettings, fit_points
-from marey.fit.surface_points import FramePoints, PersonPoints
-from marey.io.surface import write_surface
-from marey.surface.measured import MeasuredPoints
+from marey.body.articulation.pose import Pose, PosedBody
+from marey.body.metaballs.metaball_person import metaball_body, metaball_space, single_radii, vertex_limbs
+from marey.body.metaballs.metaballs import PosedMetaballs
+from marey.fit.points.levenberg import LevenbergSettings, fit_points
+from marey.fit.points.surface_points import FramePoints, PersonPoints
+from marey.io.shapes.measured_surface import write_surface
+from marey.pipelines.capture.settings import CaptureSettings
+from marey.pipelines.progress import Progress
+from marey.pipelines.shape.shape import shape
+from marey.surface.points.measured import MeasuredPoints
 
 NOISE, SEEN_BY = 3e-4, 3
 

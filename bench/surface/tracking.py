@@ -29,15 +29,15 @@ import numpy as np
 from marey.cameras.camera import Camera
 from marey.cameras.rig import Rig
 from marey.geometry.rigid import RigidTransform
-from marey.io.calibration import read_rig, write_cameras_toml
-from marey.io.surface import read_surface
-from marey.io.take import Take, open_take
-from marey.io.trajectories import read_trajectories
-from marey.surface.filters import FilterSettings, filtered
-from marey.surface.following import ViewPatchSettings
-from marey.surface.measured import MeasuredPoints
-from marey.surface.tracking import track
-from marey.surface.trajectories import Trajectories, gathered, sightings_of
+from marey.io.calibration.readers import read_rig, write_cameras_toml
+from marey.io.shapes.measured_surface import read_surface
+from marey.io.shapes.trajectories import read_trajectories
+from marey.io.video.take import Take, open_take
+from marey.surface.points.measured import MeasuredPoints
+from marey.surface.tracks.filters import FilterSettings, filtered
+from marey.surface.tracks.following import ViewPatchSettings
+from marey.surface.tracks.tracking import track
+from marey.surface.tracks.trajectories import Trajectories, gathered, sightings_of
 
 CASES = ("two", "back", "every-second", "last", "unfiltered", "speed")
 

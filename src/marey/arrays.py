@@ -20,5 +20,19 @@ def frozen(values: object, dtype: type = np.float64) -> NDArray:
     return array
 
 
+def freeze_fields(record: object, *names: str, dtype: type = np.float64) -> None:
+    """Replace array fields of a frozen record by read-only copies; for use in `__post_init__`.
+
+    Args:
+        record: A frozen dataclass.
+        names: Fields that hold arrays, or what NumPy converts to one. A field that is None stays None.
+        dtype: Element type of the copies.
+    """
+    for name in names:
+        values = getattr(record, name)
+        if values is not None:
+            object.__setattr__(record, name, frozen(values, dtype))
+
+
 def _finished(array: NDArray) -> bool:
     return array.flags.c_contiguous and not array.flags.writeable

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from marey.cli import capture
 from marey.cli.main import run
 from marey.geometry.rigid import RigidTransform
 from marey.geometry.rotations import exp
-from marey.io.calibration import read_rig, write_cameras_toml
-from marey.io.masks import write_masks
+from marey.io.calibration.readers import read_rig, write_cameras_toml
+from marey.io.trial.masks import write_masks
+from marey.pipelines.capture import capture
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "reach"
 EMPTY = 10
@@ -75,8 +75,8 @@ def test_known_silhouettes_and_clicked_joints_give_a_motion_near_the_truth(trial
     assert [path.name for path in out.iterdir()] == [".work"]
     monkeypatch.setattr(capture, "track_person", not_again)
     monkeypatch.setattr(capture, "begin", not_again)
-    monkeypatch.setattr("marey.fit.track._mend", not_again)
-    monkeypatch.setattr("marey.fit.sequence._Work._part", not_again)
+    monkeypatch.setattr("marey.fit.recipes.track._mend", not_again)
+    monkeypatch.setattr("marey.fit.recipes.sequence._Work._part", not_again)
     assert run(["capture", str(trial), *options]) == 0, capsys.readouterr().err
     names, joints = truth()
     with np.load(out / "motion.npz") as motion:

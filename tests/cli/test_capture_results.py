@@ -8,8 +8,8 @@ import pytest
 from tests.cli.test_capture import EMPTY, EXAMPLE, give_silhouettes, give_start, truth
 
 from marey.cli.main import run
-from marey.io.masks import open_masks
-from marey.io.results import read_points
+from marey.io.results.results import read_points
+from marey.io.trial.masks import open_masks
 
 COUNT, FIRST, END = 130, 70, 76
 LIMBS = ("hip", "knee", "ankle", "toe", "shoulder", "elbow", "wrist")

@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from marey.cli.compare import same_names
 from marey.cli.main import run
 from marey.geometry.rigid import RigidTransform
-from marey.io.mot_sto import Table, write_table
 from marey.io.npz import write_arrays
-from marey.io.trc import PointPaths, write_trc
+from marey.io.opensim.mot_sto import Table, write_table
+from marey.io.opensim.trc import PointPaths, write_trc
 from marey.motion.names import known_angle, known_point, known_segment, one_sign
 from marey.motion.recording import Recording
+from marey.pipelines.compare import same_names
 
 SHIFT = 0.25
 TIME = np.arange(0, 4, 0.01)

@@ -122,11 +122,11 @@ def test_an_interrupted_run_goes_on_with_what_it_measured(made: MadeActivity, tm
         raise KeyboardInterrupt
 
     with monkeypatch.context() as first:
-        first.setattr("marey.cli.knee_animation_results.VideoWriter", stopped)
+        first.setattr("marey.pipelines.knee.animation_results.VideoWriter", stopped)
         assert run(words) == 130
     assert [path.name for path in (tmp_path / "out").iterdir()] == [".work"]
     with monkeypatch.context() as second:
-        second.setattr("marey.cli.knee_animate.joint_proximities", stopped)
+        second.setattr("marey.pipelines.knee.animate.joint_proximities", stopped)
         assert run(words) == 0
     assert {path.name for path in (tmp_path / "out").iterdir()} == FILES
 

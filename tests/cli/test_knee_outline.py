@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from marey.cli.knee_outline import outline_server, serve
 from marey.cli.main import run
-from marey.cli.progress import Progress
-from marey.io.volumes import write_volume
-from marey.knee.volume import Grid, Volume
+from marey.io.mr.volumes import write_volume
+from marey.knee.space.volume import Grid, Volume
+from marey.pipelines.knee.outline import outline_server, serve
+from marey.pipelines.progress import Progress
 
 if find_spec("SimpleITK") is None:
     pytest.skip("SimpleITK is not installed", allow_module_level=True)

@@ -7,10 +7,10 @@ from tests.made_bones import made_bone
 
 from marey.cli.main import run
 from marey.geometry.rigid import RigidTransform
-from marey.io.meshes import read_mesh, write_mesh
-from marey.io.registration import read_rigid
-from marey.knee.sides import MIRROR, mirrored
-from marey.knee.surface import Surface
+from marey.io.mr.meshes import read_mesh, write_mesh
+from marey.io.mr.tables import read_rigid
+from marey.knee.space.sides import MIRROR, mirrored
+from marey.knee.space.surface import Surface
 
 
 def test_a_bone_of_the_other_side_is_registered(tmp_path: Path, capsys):
@@ -63,7 +63,9 @@ def test_bones_that_do_not_fit_leave_nothing(tmp_path: Path, capsys):
 
 
 def test_a_folder_that_cannot_be_written_is_told_before_the_work(tmp_path: Path, capsys, monkeypatch):
-    monkeypatch.setattr("marey.cli.knee_register.register_on_either_side", lambda *_, **__: pytest.fail("too late"))
+    monkeypatch.setattr(
+        "marey.pipelines.knee.register.register_on_either_side", lambda *_, **__: pytest.fail("too late")
+    )
     for name in ("template", "femur"):
         write_mesh(tmp_path / f"{name}.ply", made_bone(fine=3))
     words = ["knee", "register", str(tmp_path / "template.ply"), str(tmp_path / "femur.ply"), "--out"]

@@ -5,13 +5,13 @@ import re
 import numpy as np
 from tests.made_knees import made_grid, made_labels, made_volume
 
-from marey.cli.knee_report import write_page
 from marey.cli.main import run
-from marey.cli.progress import Progress
-from marey.io.gadolinium import MarkersInScanner
-from marey.knee.bones import BoneSegmentation
-from marey.knee.structures import BONES
-from marey.knee.surfacing import surface_of_labels
+from marey.io.mr.gadolinium import MarkersInScanner
+from marey.knee.bones.bones import BoneSegmentation
+from marey.knee.bones.surfacing import surface_of_labels
+from marey.knee.space.structures import BONES
+from marey.pipelines.knee.report import write_page
+from marey.pipelines.progress import Progress
 
 
 def test_bones_without_a_template_have_a_page_that_view_finds(tmp_path, capsys):

@@ -14,19 +14,19 @@ from tests.made_knees import (
 )
 
 from marey.cli.knee import INCOMPLETE, with_seeds_joined
-from marey.cli.knee_segment import SegmentOptions, given_seeds, parse_seed, title_of
 from marey.cli.main import run
 from marey.errors import SettingProblem
-from marey.io.meshes import read_mesh
+from marey.io.mr.meshes import read_mesh
+from marey.io.mr.volumes import write_labels, write_volume
 from marey.io.npz import read_arrays
-from marey.io.volumes import write_labels, write_volume
-from marey.knee.bones import Bone, BoneSegmentation
-from marey.knee.resampling import part_of
-from marey.knee.structures import LABELS
-from marey.knee.surfacing import surface_of_labels
-from marey.knee.template_fit import Placement, TemplateFit
-from marey.knee.thickness import cartilage_thickness
-from marey.knee.volume import Grid, Labels, Volume
+from marey.knee.bones.bones import Bone, BoneSegmentation
+from marey.knee.bones.surfacing import surface_of_labels
+from marey.knee.bones.template_fit import Placement, TemplateFit
+from marey.knee.cartilage.thickness import cartilage_thickness
+from marey.knee.space.resampling import part_of
+from marey.knee.space.structures import LABELS
+from marey.knee.space.volume import Grid, Labels, Volume
+from marey.pipelines.knee.segment import SegmentOptions, given_seeds, parse_seed, title_of
 
 if find_spec("SimpleITK") is None:
     pytest.skip("SimpleITK is not installed", allow_module_level=True)
@@ -114,7 +114,7 @@ def test_what_is_not_found_is_said_in_the_results_and_by_the_exit_code(tmp_path,
     # A speck that is called cartilage, far from any bone.
     labels[:3, :3, :3] = LABELS["femoral_cartilage"]
     write_labels(tmp_path / "template", Labels(labels=labels, grid=volume.grid))
-    monkeypatch.setattr("marey.cli.knee_segment.segment_bones", lambda volumes, **_: found_bones(volumes[0]))
+    monkeypatch.setattr("marey.pipelines.knee.segment.segment_bones", lambda volumes, **_: found_bones(volumes[0]))
     out = tmp_path / "out"
     typed = ["knee", "segment", str(tmp_path / "knee.nii.gz"), "--template", str(tmp_path / "template")]
     assert run([*typed, "--out", str(out), "-q"]) == INCOMPLETE
@@ -137,7 +137,9 @@ def test_cartilage_is_found_as_thick_as_it_was_made_and_what_fails_beside_it_is_
     labels[-3:, :3, :3] = LABELS["femoral_cartilage"]
     write_labels(tmp_path / "template", Labels(labels=labels, grid=template.grid))
     bones = ("femur", "patella")
-    monkeypatch.setattr("marey.cli.knee_segment.segment_bones", lambda volumes, **_: found_bones(volumes[0], bones))
+    monkeypatch.setattr(
+        "marey.pipelines.knee.segment.segment_bones", lambda volumes, **_: found_bones(volumes[0], bones)
+    )
     out = tmp_path / "out"
     typed = ["knee", "segment", str(tmp_path / "knee.nii.gz"), "--template", str(tmp_path / "template")]
     assert run([*typed, "--out", str(out), "--side", "left", "-q"]) == INCOMPLETE
@@ -168,7 +170,7 @@ def test_cartilage_is_found_as_thick_as_it_was_made_and_what_fails_beside_it_is_
 def test_a_folder_that_cannot_be_written_is_told_before_the_work(tmp_path, capsys, monkeypatch):
     write_volume(tmp_path / "knee.nii.gz", made_volume(made_grid((4.0, 4.0, 5.0)), "dark"))
     (tmp_path / "file").write_text("in the way", encoding="utf-8")
-    monkeypatch.setattr("marey.cli.knee_segment.segment_bones", lambda *_, **__: pytest.fail("it began to work"))
+    monkeypatch.setattr("marey.pipelines.knee.segment.segment_bones", lambda *_, **__: pytest.fail("it began to work"))
     assert run(["knee", "segment", str(tmp_path / "knee.nii.gz"), "--out", str(tmp_path / "file"), "-q"]) == 2
     assert "cannot be made" in capsys.readouterr().err
 
@@ -179,7 +181,7 @@ def test_an_interrupted_run_leaves_nothing_behind(tmp_path, monkeypatch):
     def interrupt(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("marey.cli.knee_segment.segment_bones", interrupt)
+    monkeypatch.setattr("marey.pipelines.knee.segment.segment_bones", interrupt)
     assert run(["knee", "segment", str(tmp_path / "knee.nii.gz"), "-q"]) == 130
     assert [file.name for file in tmp_path.iterdir()] == ["knee.nii.gz"]
 

@@ -7,11 +7,11 @@ import pytest
 from tests.made_knees import made_grid, made_labels, signed_shapes
 
 from marey.cli.main import run
-from marey.io.contours import write_contours
-from marey.io.meshes import read_mesh
-from marey.io.volumes import read_template, write_labels, write_volume
-from marey.knee.contours import Contour, slice_count, slice_of
-from marey.knee.volume import Grid, Volume
+from marey.io.mr.contours import write_contours
+from marey.io.mr.meshes import read_mesh
+from marey.io.mr.volumes import read_template, write_labels, write_volume
+from marey.knee.outlines.contours import Contour, slice_count, slice_of
+from marey.knee.space.volume import Grid, Volume
 
 for needed in ("SimpleITK", "skimage", "fast_simplification"):
     if find_spec(needed) is None:

@@ -4,9 +4,9 @@ import numpy as np
 import trimesh
 
 from marey.cli.main import run
-from marey.io.meshes import read_mesh, write_mesh
+from marey.io.mr.meshes import read_mesh, write_mesh
 from marey.io.npz import read_arrays
-from marey.knee.surface import Surface
+from marey.knee.space.surface import Surface
 
 
 def ball(radius: float) -> Surface:

@@ -6,9 +6,9 @@ import pytest
 
 import marey
 from marey.cli.main import run
-from marey.cli.progress import Progress
-from marey.cli.settings import CaptureSettings
 from marey.errors import FileProblem
+from marey.pipelines.capture.settings import CaptureSettings
+from marey.pipelines.progress import Progress
 
 
 class FakeCapture:
@@ -28,9 +28,9 @@ class FakeCapture:
 @pytest.fixture
 def capture(monkeypatch: pytest.MonkeyPatch) -> FakeCapture:
     fake = FakeCapture()
-    module = types.ModuleType("marey.cli.capture")
+    module = types.ModuleType("marey.pipelines.capture.capture")
     module.capture = fake  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "marey.cli.capture", module)
+    monkeypatch.setitem(sys.modules, "marey.pipelines.capture.capture", module)
     return fake
 
 

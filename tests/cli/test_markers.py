@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from tests.trials import FRAMES, RATE, marker_points, true_bones, write_reference, write_trial
 
-from marey.cli import markers as command
 from marey.cli.main import run
-from marey.io.bones import read_bones
-from marey.io.markers import read_markers
-from marey.io.mot_sto import read_orientations, read_table
+from marey.io.markers.bones import read_bones
+from marey.io.markers.readers import read_markers
 from marey.io.npz import write_arrays
-from marey.io.trc import PointPaths, write_trc
+from marey.io.opensim.mot_sto import read_orientations, read_table
+from marey.io.opensim.trc import PointPaths, write_trc
+from marey.pipelines.markers import markers as command
 
 FILES = ["angles.csv", "angles.mot", "bones.npz", "marker_motion.csv", "motion.c3d", "orientations.sto",
          "report.html", "run.json"]  # fmt: skip

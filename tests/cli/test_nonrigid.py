@@ -13,12 +13,12 @@ from marey.cameras.rig import Rig
 from marey.cli.main import INTERRUPTED, WRONG_INPUT, run
 from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
-from marey.io.c3d import read_c3d, write_c3d
-from marey.io.calibration import write_cameras_toml
+from marey.io.calibration.readers import write_cameras_toml
+from marey.io.markers.c3d import read_c3d, write_c3d
 from marey.io.npz import read_arrays
-from marey.io.shapes import read_shapes
-from marey.io.tracks import read_tracks
-from marey.io.trc import PointPaths
+from marey.io.opensim.trc import PointPaths
+from marey.io.shapes.shapes import read_shapes
+from marey.io.shapes.tracks import read_tracks
 
 FRAMES, POINTS = 60, 12
 
@@ -247,11 +247,11 @@ def test_ctrl_c_leaves_no_results_and_the_same_command_goes_on(tmp_path, made, m
     def stopped(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("marey.cli.nonrigid.write_results", stopped)
+    monkeypatch.setattr("marey.pipelines.nonrigid.nonrigid.write_results", stopped)
     assert run(["nonrigid", given, "--basis-shapes", "2", "--quiet"]) == INTERRUPTED
     assert [path.name for path in (tmp_path / "given_marey").iterdir()] == [".work"]
     monkeypatch.undo()
-    monkeypatch.setattr("marey.cli.nonrigid.factorise_points", stopped)
+    monkeypatch.setattr("marey.pipelines.nonrigid.nonrigid.factorise_points", stopped)
     assert run(["nonrigid", given, "--basis-shapes", "2", "--quiet"]) == 0
     assert not (tmp_path / "given_marey" / ".work").exists()
 

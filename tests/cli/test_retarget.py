@@ -2,11 +2,11 @@
 
 import pytest
 from tests import performer, rigs
-from tests.io.test_rig import segments
+from tests.io.gltf.test_rig import segments
 
 from marey.cli.main import run
-from marey.io.body import write_body
 from marey.io.npz import write_motion
+from marey.io.results.body import write_body
 
 
 @pytest.fixture

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 from tests import performer, rigs
 
-from marey.body.metaball_people import metaball_person
-from marey.cli.shape import write_skin_glb
+from marey.body.metaballs.metaball_people import metaball_person
 from marey.io.npz import write_motion
+from marey.pipelines.shape.shape import write_skin_glb
 
 
 def test_the_skin_moves_as_the_motion_beside_it(tmp_path):

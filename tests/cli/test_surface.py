@@ -7,9 +7,9 @@ from tests import scenes
 from tests.scenes import beside_ball
 
 from marey.cli.main import WRONG_INPUT, run
-from marey.io.calibration import read_rig, write_cameras_toml
-from marey.io.surface import read_surface
-from marey.io.trajectories import read_trajectories
+from marey.io.calibration.readers import read_rig, write_cameras_toml
+from marey.io.shapes.measured_surface import read_surface
+from marey.io.shapes.trajectories import read_trajectories
 
 RIG = scenes.rig(-10, 0, 10)
 OPTIONS = ["--spacing", "6", "--quiet"]
@@ -92,7 +92,7 @@ def test_another_commands_results_stay(results):
 
 
 def test_cameras_that_nod_are_corrected_and_it_is_said(instants, tmp_path, capsys):
-    from tests.surface.test_refine_rig import turned
+    from tests.surface.points.test_refine_rig import turned
 
     wrong = type(RIG)((*RIG.cameras[:2], turned(RIG.cameras[2], 0.12)))
     folder = write_trial(tmp_path / "trial", instants[:1], wrong)
@@ -106,7 +106,7 @@ def test_cameras_that_nod_are_corrected_and_it_is_said(instants, tmp_path, capsy
 
 
 def test_an_interrupted_run_goes_on(instants, tmp_path, monkeypatch):
-    from marey.cli import surface_stages
+    from marey.pipelines.surface import stages as surface_stages
 
     folder = write_trial(tmp_path / "trial", instants)
     whole, calls = surface_stages.intersect, []

@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from marey.body.metaball_person import MetaballSpace, metaball_body, metaball_space, vertex_limbs
-from marey.body.metaballs import PosedMetaballs
-from marey.body.pose import Pose, PosedBody
-from marey.body.surface import Body
-from marey.fit.surface_points import FramePoints
+from marey.body.articulation.pose import Pose, PosedBody
+from marey.body.articulation.surface import Body
+from marey.body.metaballs.metaball_person import MetaballSpace, metaball_body, metaball_space, vertex_limbs
+from marey.body.metaballs.metaballs import PosedMetaballs
+from marey.fit.points.surface_points import FramePoints
 
 ARM = ("shoulder_sweep", "shoulder_lift", "shoulder_turn", "elbow_flexion", "pronation", "wrist_flexion")
 

@@ -5,8 +5,8 @@ import pytest
 
 from marey.errors import FileProblem
 from marey.io.atomic import replacing
-from marey.io.mot_sto import Orientations, Table, read_orientations, read_table, write_orientations, write_table
-from marey.io.trc import PointPaths, read_trc, write_trc
+from marey.io.opensim.mot_sto import Orientations, Table, read_orientations, read_table, write_orientations, write_table
+from marey.io.opensim.trc import PointPaths, read_trc, write_trc
 from marey.motion.motion import Motion
 
 

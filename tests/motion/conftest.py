@@ -3,7 +3,7 @@
 import pytest
 from tests import performer
 
-from marey.body.surface import Body
+from marey.body.articulation.surface import Body
 from marey.motion.motion import Motion
 
 

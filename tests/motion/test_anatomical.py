@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from tests import performer
 
-from marey.body.surface import Body
+from marey.body.articulation.surface import Body
 from marey.errors import MareyError
 from marey.geometry import rotations
 from marey.motion import anatomical

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from tests import worlds
 
-from marey.body.pose import Pose, PosedBody
-from marey.body.skeleton import ROOT_COORDINATES, root_angles, root_rotation
-from marey.fit.sequence import SequenceFit
+from marey.body.articulation.pose import Pose, PosedBody
+from marey.body.articulation.skeleton import ROOT_COORDINATES, root_angles, root_rotation
+from marey.fit.recipes.sequence import SequenceFit
 from marey.geometry import rotations
 from marey.motion import from_fit
 from marey.motion.from_fit import coordinates_of, measured, root_coordinates_from_turn

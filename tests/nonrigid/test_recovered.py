@@ -5,9 +5,9 @@ import pytest
 
 from marey.errors import MareyError
 from marey.geometry import rotations
-from marey.nonrigid.held_size import HeldSizeShapes
-from marey.nonrigid.many_views import ManyViewShapes
-from marey.nonrigid.one_view import factorise_tracks
+from marey.nonrigid.many_cameras.held_size import HeldSizeShapes
+from marey.nonrigid.many_cameras.many_views import ManyViewShapes
+from marey.nonrigid.one_camera.one_view import factorise_tracks
 from marey.nonrigid.recovered import (
     from_held_size,
     from_many_views,

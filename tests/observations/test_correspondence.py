@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from tests import worlds
 
-from marey.body.pose import PosedBody
-from marey.images.nearest import sort_into_cells
+from marey.body.articulation.pose import PosedBody
+from marey.images.silhouettes.nearest import sort_into_cells
 from marey.observations.correspondence import (
     Matching,
     Sighting,

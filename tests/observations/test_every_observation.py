@@ -11,9 +11,9 @@ from tests.people import any_points, any_pose, stick_person
 
 import marey.observations
 from marey.arrays import Floats
-from marey.body.metaball_person import MetaballSpace
-from marey.body.metaballs import Metaballs
-from marey.body.pose import PosedBody
+from marey.body.articulation.pose import PosedBody
+from marey.body.metaballs.metaball_person import MetaballSpace
+from marey.body.metaballs.metaballs import Metaballs
 from marey.cameras.camera import Camera
 from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform

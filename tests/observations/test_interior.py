@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from tests import worlds
 
-from marey.body.pose import PosedBody
-from marey.fit.pose_solver import Schedule, fit_pose
-from marey.images.contours import trace_contour
-from marey.images.interior import InteriorEdges
+from marey.body.articulation.pose import PosedBody
+from marey.fit.solver.pose_solver import Schedule, fit_pose
+from marey.images.silhouettes.contours import trace_contour
+from marey.images.silhouettes.interior import InteriorEdges
 from marey.observations.correspondence import Matching, Sighting, see_outline, view_of
 from marey.observations.interior import see_all, see_interior
 from marey.observations.prior import Habit, JointLimits

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from tests import worlds
 
-from marey.body.pose import PosedBody
+from marey.body.articulation.pose import PosedBody
 from marey.observations.joint_point import JointPoints
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from tests import worlds
 
-from marey.body.pose import Pose, PosedBody
+from marey.body.articulation.pose import Pose, PosedBody
 from marey.observations.prior import Habit, JointLimits, NearPose, ShapePrior
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from marey.images.nearest import nearest_other, nearest_within, sort_into_cells
+from marey.images.silhouettes.nearest import nearest_other, nearest_within, sort_into_cells
 from marey.observations.correspondence import pair_both_ways
 from marey.observations.votes import SLACK, SPLIT, WINDOW, elect
 

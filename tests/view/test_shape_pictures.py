@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from marey.view.shape_lines import near_lines
-from marey.view.shape_overlay import ShapeOverlay, ShapeScene
+from marey.view.pictures.shape_overlay import ShapeOverlay, ShapeScene, near_lines
 
 
 def test_points_on_a_line_are_joined_one_after_the_other():

@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from marey.arrays import Floats, frozen
+from marey.arrays import Floats, freeze_fields, frozen
 from marey.cameras import lens
 from marey.cameras.rays import PluckerLines
 from marey.errors import SettingProblem
@@ -42,7 +42,7 @@ class Camera:
     """Carries the world to the camera's axes: x right, y down, z forward."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "matrix", frozen(self.matrix))
+        freeze_fields(self, "matrix")
         object.__setattr__(self, "distortion", frozen(self.distortion).ravel())
         object.__setattr__(self, "size", (int(self.size[0]), int(self.size[1])))
         faults = camera_faults(self.size, self.matrix, self.distortion, fisheye=self.fisheye)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from marey.arrays import Floats, frozen
+from marey.arrays import Floats, freeze_fields
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -18,8 +18,7 @@ class PluckerLines:
     """(..., 3) [m], point × direction for any point of the line."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "directions", frozen(self.directions))
-        object.__setattr__(self, "moments", frozen(self.moments))
+        freeze_fields(self, "directions", "moments")
 
     @staticmethod
     def through(point: Floats, directions: Floats) -> "PluckerLines":

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from marey.arrays import Floats, Integers, frozen
+from marey.arrays import Floats, Integers, freeze_fields
 from marey.cameras.camera import Camera
 
 _LEAST_SPREAD = 1e-6
@@ -30,9 +30,8 @@ class TriangulatedPoints:
     """(n,) in how many views the point was measured."""
 
     def __post_init__(self) -> None:
-        for name in ("points", "covariance", "residual_px"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-        object.__setattr__(self, "views", frozen(self.views, np.int64))
+        freeze_fields(self, "points", "covariance", "residual_px")
+        freeze_fields(self, "views", dtype=np.int64)
 
 
 def triangulate(cameras: Sequence[Camera], pixels: Floats, *, sigma_px: float | Floats) -> TriangulatedPoints:

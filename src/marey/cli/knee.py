@@ -76,9 +76,9 @@ def segment(
     * `marey knee segment fat_saturated.nii.gz plain.nii.gz --out knee`
     * `marey knee segment series --seed femur 12 -30 40`
     """
-    from marey.cli.knee_segment import SegmentOptions, parse_seed
-    from marey.cli.knee_segment import segment as segment_knee
-    from marey.cli.progress import Progress
+    from marey.pipelines.knee.segment import SegmentOptions, parse_seed
+    from marey.pipelines.knee.segment import segment as segment_knee
+    from marey.pipelines.progress import Progress
 
     options = SegmentOptions(
         out=out,
@@ -110,8 +110,8 @@ def thickness(
     * `marey knee thickness femur.ply femoral_cartilage.ply`
     * `marey knee thickness tibia.ply medial.ply lateral.ply --out tibia`
     """
-    from marey.cli.knee_thickness import measure_thickness
-    from marey.cli.progress import Progress
+    from marey.pipelines.knee.thickness import measure_thickness
+    from marey.pipelines.progress import Progress
 
     folder, found = measure_thickness(bone, cartilages, out, Progress())
     typer.echo(found)
@@ -141,8 +141,8 @@ def register(
     * `marey knee register atlas_femur.ply femur.ply`
     * `marey knee register left_patella.ply right_patella.ply --mirror --out patella`
     """
-    from marey.cli.knee_register import register as register_bones
-    from marey.cli.progress import Progress
+    from marey.pipelines.knee.register import register as register_bones
+    from marey.pipelines.progress import Progress
 
     folder = register_bones(template, subject, out, mirror=mirror, progress=Progress(quiet=quiet))
     typer.echo(f"Registered: {folder / 'registered.ply'}")
@@ -197,10 +197,10 @@ def animate(
     * `marey knee animate knee walk_marey --method skin --compare rigid`
     * `marey knee animate knee walk_marey --frame room --view lateral,posterior`
     """
-    from marey.cli.knee_animate import AnimateOptions
-    from marey.cli.knee_animate import animate as animate_knee
-    from marey.cli.progress import Progress
     from marey.io.npz import read_arrays
+    from marey.pipelines.knee.animate import AnimateOptions
+    from marey.pipelines.knee.animate import animate as animate_knee
+    from marey.pipelines.progress import Progress
 
     options = AnimateOptions(
         out=out, reference=reference, method=method, compare=compare, landmarks=landmarks, side=side, frame=frame,
@@ -238,8 +238,8 @@ def template(
     * `marey knee template atlas/labels.nii.gz --out my_template`
     * `marey knee template contours.json knee.nii.gz --out my_template`
     """
-    from marey.cli.knee_template import make_template
-    from marey.cli.progress import Progress
+    from marey.pipelines.knee.template import make_template
+    from marey.pipelines.progress import Progress
 
     folder = out or sources[0].with_name(f"{sources[0].name.split('.')[0]}_template")
     made = make_template(sources, folder, Progress(quiet=quiet))
@@ -270,8 +270,8 @@ def outline(
     * `marey knee outline knee.nii.gz`
     * `marey knee outline series --out contours.json --no-browser`
     """
-    from marey.cli.knee_outline import outline_server, serve
-    from marey.cli.progress import Progress
+    from marey.pipelines.knee.outline import outline_server, serve
+    from marey.pipelines.progress import Progress
 
     server = outline_server(volume, out, port, Progress(quiet=quiet))
     typer.echo(f"Outlining at {server.address}; kept in {server.session.path}. Ctrl-C ends it.")

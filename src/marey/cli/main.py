@@ -12,8 +12,8 @@ import marey
 from marey.cli import knee
 from marey.cli.nonrigid_options import nonrigid
 from marey.cli.options import BodyFile, Cameras, FixedSizes, Frames, NoOverlay, Out, Preset, Quiet, Start, Stature
-from marey.cli.settings import CaptureSettings, parse_frames, parse_names
 from marey.errors import FileProblem, MareyError
+from marey.pipelines.capture.settings import CaptureSettings, parse_frames, parse_names
 
 INTERRUPTED = 130
 WRONG_INPUT = 2
@@ -121,9 +121,9 @@ def surface(
     * `marey surface arm3 --spacing 4 --frames 0:10`
     * `marey surface face1 --seeds clicked.csv --keep-rig`
     """
-    from marey.cli.progress import Progress
-    from marey.cli.surface import surface as measure_surface
-    from marey.cli.surface_settings import SurfaceOptions
+    from marey.pipelines.progress import Progress
+    from marey.pipelines.surface.settings import SurfaceOptions
+    from marey.pipelines.surface.surface import surface as measure_surface
 
     _require_folder(trial)
     options = SurfaceOptions(
@@ -169,8 +169,8 @@ def shape(
         body=body, overlay=not no_overlay,
     )  # fmt: skip
     _require_folder(trial)
-    from marey.cli.progress import Progress
-    from marey.cli.shape import shape as shape_trial
+    from marey.pipelines.progress import Progress
+    from marey.pipelines.shape.shape import shape as shape_trial
 
     results = shape_trial(trial, settings, Progress(quiet=quiet))
     typer.echo(f"Report: {results / 'report.html'}")
@@ -215,7 +215,7 @@ def retarget(
     * `marey retarget walk01/marey knight.glb`
     * `marey retarget walk01/marey knight.glb --map knight.toml --out knight_walks.glb`
     """
-    from marey.cli.retarget import retarget as carry_over
+    from marey.pipelines.retarget import retarget as carry_over
 
     path, notes = carry_over(
         motion, character, out=out, named=named, grounded=not no_ground, planted=plant_feet
@@ -295,9 +295,9 @@ def markers(
     * `marey markers walk.c3d --clusters person.toml --static static.c3d --functional left_hip.c3d`
     * `marey markers walk.trc --model scaled.osim --weights tasks.xml`
     """
-    from marey.cli.markers import markers as follow_markers
-    from marey.cli.markers_settings import MarkersOptions
-    from marey.cli.progress import Progress
+    from marey.pipelines.markers.markers import markers as follow_markers
+    from marey.pipelines.markers.settings import MarkersOptions
+    from marey.pipelines.progress import Progress
 
     options = MarkersOptions(
         out=out, reference=reference, setup=clusters, static=static, functional=tuple(functional or ()),
@@ -340,9 +340,9 @@ def compare(
     * `marey compare walk01/marey walk01_ik.mot`
     * `marey compare walk01_marey walk02_marey --same-laboratory --shift 0`
     """
-    from marey.cli.compare import CompareOptions
-    from marey.cli.compare import compare as compare_files
-    from marey.cli.progress import Progress
+    from marey.pipelines.compare import CompareOptions
+    from marey.pipelines.compare import compare as compare_files
+    from marey.pipelines.progress import Progress
 
     options = CompareOptions(out=out, named=named, shift_s=shift, same_laboratory=same_laboratory)
     results, _ = compare_files(first, second, options, Progress(quiet=quiet))
@@ -379,15 +379,15 @@ def bench(
 
     Examples: `marey bench`, `marey bench examples/reach`
     """
-    from marey.cli.bench import bench as measure
+    from marey.pipelines.speed.speeds import bench as measure
 
     measure(trial, example=example_folder())
 
 
 def _capture(trial: Path, settings: CaptureSettings, *, quiet: bool) -> None:
     # Imported here, so that help and wrong input answer at once.
-    from marey.cli.capture import capture as capture_trial
-    from marey.cli.progress import Progress
+    from marey.pipelines.capture.capture import capture as capture_trial
+    from marey.pipelines.progress import Progress
 
     _require_folder(trial)
     results = capture_trial(trial, settings, Progress(quiet=quiet))

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from marey.cli.options import Frames, NoOverlay, Quiet
-from marey.cli.settings import parse_frames, parse_names
+from marey.pipelines.capture.settings import parse_frames, parse_names
 
 
 def nonrigid(
@@ -70,9 +70,9 @@ def nonrigid(
     * `marey nonrigid walk.c3d --only "thigh_*"`
     * `marey nonrigid left.mp4 right.mp4 --cameras cameras.toml`
     """
-    from marey.cli.nonrigid import nonrigid as recover
-    from marey.cli.nonrigid_settings import NonRigidOptions
-    from marey.cli.progress import Progress
+    from marey.pipelines.nonrigid.nonrigid import nonrigid as recover
+    from marey.pipelines.nonrigid.settings import NonRigidOptions
+    from marey.pipelines.progress import Progress
 
     options = NonRigidOptions(
         out=out, points=tuple(points or ()), mask=mask, matrix=matrix, scaled=scaled, cameras=cameras,

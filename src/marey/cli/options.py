@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from marey.body.presets import GENERIC_BODIES, PRESETS
+from marey.body.articulation.presets import GENERIC_BODIES, PRESETS
 
 Out = Annotated[
     Path | None, typer.Option("--out", "-o", metavar="DIR", help="Where the results go. [default: TRIAL/marey]")

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from marey.arrays import Floats, frozen
+from marey.arrays import Floats, freeze_fields
 from marey.geometry import rotations
 
 
@@ -18,8 +18,7 @@ class RigidTransform:
     """(3,) [m]."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "rotation", frozen(self.rotation))
-        object.__setattr__(self, "translation", frozen(self.translation))
+        freeze_fields(self, "rotation", "translation")
 
     @staticmethod
     def identity() -> "RigidTransform":

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from marey.arrays import Floats, Mask, frozen
+from marey.arrays import Floats, Mask, freeze_fields
 from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
 from marey.motion.filters import low_pass
@@ -48,7 +48,7 @@ class Alignment:
     """What could not be found, as sentences."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "covariance", frozen(self.covariance))
+        freeze_fields(self, "covariance")
 
     @property
     def turn_sd(self) -> Floats:

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from marey.arrays import Floats, frozen
-from marey.body.skeleton import Skeleton
+from marey.arrays import Floats, freeze_fields
+from marey.body.articulation.skeleton import Skeleton
 from marey.errors import MareyError
 from marey.geometry import rotations
 
@@ -113,7 +113,7 @@ class Anatomy:
     """(S, 3, 3), columns X anterior, Y proximal, Z right, in the axes of the rest posture."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "frames", frozen(self.frames))
+        freeze_fields(self, "frames")
 
     @property
     def angle_names(self) -> tuple[str, ...]:

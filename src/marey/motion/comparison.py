@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from marey.arrays import Floats, frozen
+from marey.arrays import Floats, freeze_fields
 from marey.errors import MareyError
 from marey.geometry import rotations
 from marey.motion.alignment import Alignment, align, common_time
@@ -61,8 +61,7 @@ class Comparison:
     """(S, 3) the constant turn from the first's to the second's frame of each segment, as a rotation vector [rad]."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "time", frozen(self.time))
-        object.__setattr__(self, "segment_offset", frozen(self.segment_offset))
+        freeze_fields(self, "time", "segment_offset")
 
 
 def compare(

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from marey.arrays import Floats, Integers, Mask
-from marey.body.pose import Pose, PosedBody
-from marey.body.skeleton import ROOT_AXES, Skeleton, root_angles
-from marey.body.surface import Body
-from marey.fit.sequence import SequenceFit
+from marey.body.articulation.pose import Pose, PosedBody
+from marey.body.articulation.skeleton import ROOT_AXES, Skeleton, root_angles
+from marey.body.articulation.surface import Body
+from marey.fit.recipes.sequence import SequenceFit
 from marey.geometry import rotations
 from marey.motion.anatomical import anatomy_of, angles_with_sd, turns_of_steps
 from marey.motion.motion import FILLED, LOST, MEASURED, NOBODY, Motion

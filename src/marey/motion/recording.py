@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from marey.arrays import Floats, Mask, frozen
+from marey.arrays import Floats, Mask, freeze_fields, frozen
 from marey.errors import MareyError
 from marey.geometry import rotations
 from marey.motion.filters import known_runs
@@ -37,7 +37,7 @@ class Recording:
     """(F, S, 3, 3) laboratory from segment."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "time", frozen(self.time))
+        freeze_fields(self, "time")
         frames = len(self.time)
         if frames > 1 and not (np.diff(self.time) > 0).all():
             raise MareyError("The times of a motion do not rise.")

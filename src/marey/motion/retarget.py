@@ -7,8 +7,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from marey.arrays import Floats, Integers, frozen
-from marey.body.skeleton import PARENTS
+from marey.arrays import Floats, Integers, freeze_fields
+from marey.body.articulation.skeleton import PARENTS
 from marey.errors import MareyError
 from marey.geometry import rotations
 from marey.motion.motion import Motion
@@ -57,9 +57,8 @@ class Rig:
     """By node of a limb that several nodes turn about its axis: the segment, and the share of its twist."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "parents", frozen(self.parents, np.int64))
-        for name in ("translation", "rotation", "scale", "scene_from_world"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
+        freeze_fields(self, "parents", dtype=np.int64)
+        freeze_fields(self, "translation", "rotation", "scale", "scene_from_world")
 
     @cached_property
     def order(self) -> list[int]:

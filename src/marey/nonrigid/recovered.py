@@ -4,17 +4,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from marey.arrays import Floats, Integers, Mask, frozen
+from marey.arrays import Floats, Integers, Mask, freeze_fields
 from marey.cameras.camera import Camera
 from marey.cameras.rig import Rig
 from marey.errors import MareyError
-from marey.nonrigid.calibrated import CalibratedShapes
-from marey.nonrigid.held_size import HeldSizeShapes
-from marey.nonrigid.homogeneous import HomogeneousShapes
-from marey.nonrigid.many_views import ManyViewShapes
-from marey.nonrigid.one_view import NonRigidShapes
-from marey.nonrigid.perspective import PerspectiveShapes
-from marey.nonrigid.scaled_orthographic import ScaledShapes
+from marey.nonrigid.in_space.calibrated import CalibratedShapes
+from marey.nonrigid.in_space.factorisation import HomogeneousShapes
+from marey.nonrigid.many_cameras.held_size import HeldSizeShapes
+from marey.nonrigid.many_cameras.many_views import ManyViewShapes
+from marey.nonrigid.many_cameras.scaled_orthographic import ScaledShapes
+from marey.nonrigid.one_camera.one_view import NonRigidShapes
+from marey.nonrigid.one_camera.perspective import PerspectiveShapes
 
 ONE_VIEW = "one camera, orthographic"
 SCALED_VIEW = "one camera, scaled orthographic"
@@ -87,9 +87,8 @@ class RankCurve:
     """What the errors are, in words."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "ranks", frozen(self.ranks, np.int64))
-        for name in ("errors", "errors_sd"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
+        freeze_fields(self, "ranks", dtype=np.int64)
+        freeze_fields(self, "errors", "errors_sd")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -108,8 +107,7 @@ class CameraRelations:
     """(F,) how large a frame's pictures are in all cameras, 1 on average; all 1 where the size was not held."""
 
     def __post_init__(self) -> None:
-        for name in ("camera_from_first", "camera_sd", "scale", "translation", "magnification"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
+        freeze_fields(self, "camera_from_first", "camera_sd", "scale", "translation", "magnification")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -161,11 +159,10 @@ class RecoveredShapes:
     """Spread of that over the frames, where it was found from a known distance."""
 
     def __post_init__(self) -> None:
-        for name in _ARRAYS:
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-        object.__setattr__(self, "predicted", frozen(self.predicted, bool))
+        freeze_fields(self, *_ARRAYS)
+        freeze_fields(self, "predicted", dtype=bool)
         if self.path_doubt is not None:
-            object.__setattr__(self, "path_doubt", frozen(self.path_doubt))
+            freeze_fields(self, "path_doubt")
 
     def __len__(self) -> int:
         return len(self.shape)

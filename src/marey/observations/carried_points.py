@@ -6,7 +6,7 @@ from typing import final
 import numpy as np
 
 from marey.arrays import Floats, Integers
-from marey.body.pose import PosedBody
+from marey.body.articulation.pose import PosedBody
 from marey.observations.observation import Linearization, Observation
 
 

@@ -8,15 +8,15 @@ import numba
 import numpy as np
 
 from marey.arrays import Floats, Integers, Mask
-from marey.body.kinematics import points_on_faces
-from marey.body.pose import PosedBody, SurfacePoints
+from marey.body.articulation.kinematics import points_on_faces
+from marey.body.articulation.pose import PosedBody, SurfacePoints
 from marey.cameras import lens
 from marey.cameras.camera import Camera
 from marey.cameras.rays import PluckerLines
 from marey.cameras.visibility import MARGIN, Scratch, View, draw_into, rim_pixels, see
-from marey.images.contours import Contour, trace_contour
-from marey.images.interior import InteriorEdges
-from marey.images.nearest import nearest_other, nearest_within, sort_into_cells
+from marey.images.silhouettes.contours import Contour, trace_contour
+from marey.images.silhouettes.interior import InteriorEdges
+from marey.images.silhouettes.nearest import nearest_other, nearest_within, sort_into_cells
 from marey.observations.silhouette import SilhouettePlanes, SilhouetteRays
 from marey.observations.votes import SLACK, elect
 

@@ -3,8 +3,8 @@
 import numba
 import numpy as np
 
-from marey.body.kinematics import points_on_faces
-from marey.body.pose import PosedBody, SurfacePoints
+from marey.body.articulation.kinematics import points_on_faces
+from marey.body.articulation.pose import PosedBody, SurfacePoints
 from marey.cameras import lens
 from marey.cameras.visibility import JUMP, MARGIN, Scratch, draw_into, drawn_last, interior_rim_pixels
 from marey.observations.correspondence import (

@@ -6,10 +6,10 @@ from typing import final
 
 import numpy as np
 
-from marey.arrays import Floats, Integers, frozen
-from marey.body.metaball_person import MetaballSpace
-from marey.body.metaballs import Metaballs, PosedMetaballs
-from marey.body.pose import PosedBody
+from marey.arrays import Floats, Integers, freeze_fields
+from marey.body.articulation.pose import PosedBody
+from marey.body.metaballs.metaball_person import MetaballSpace
+from marey.body.metaballs.metaballs import Metaballs, PosedMetaballs
 from marey.observations.observation import Linearization, Observation
 
 
@@ -33,9 +33,8 @@ class PointsOnMetaballs(Observation):
     """(n,) standard deviation of each point's distance from the surface [m]."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "points", frozen(self.points))
-        object.__setattr__(self, "limb", frozen(self.limb, np.int64))
-        object.__setattr__(self, "spread", frozen(self.spread))
+        freeze_fields(self, "points", "spread")
+        freeze_fields(self, "limb", dtype=np.int64)
         if not np.all(self.spread > 0.0):
             raise ValueError("every point needs a standard deviation above zero")
 

@@ -8,7 +8,7 @@ import numba
 import numpy as np
 
 from marey.arrays import Floats
-from marey.body.pose import PosedBody, SurfacePoints
+from marey.body.articulation.pose import PosedBody, SurfacePoints
 
 
 @dataclass(frozen=True, eq=False)

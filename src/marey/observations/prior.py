@@ -6,7 +6,7 @@ from typing import final
 import numpy as np
 
 from marey.arrays import Floats
-from marey.body.pose import Pose, PosedBody
+from marey.body.articulation.pose import Pose, PosedBody
 from marey.geometry import rotations
 from marey.observations.observation import AngleObservation, Linearization, Observation
 

@@ -6,7 +6,7 @@ from typing import final
 import numpy as np
 
 from marey.arrays import Floats
-from marey.body.pose import PosedBody, SurfacePoints
+from marey.body.articulation.pose import PosedBody, SurfacePoints
 from marey.observations.observation import SurfaceObservation
 
 

@@ -3,7 +3,7 @@
 import numba
 import numpy as np
 
-from marey.images.nearest import CELL
+from marey.images.silhouettes.nearest import CELL
 
 SLACK = 2.0
 """A second limb's rim that is farther by less than this is as good as the nearest one [px]."""

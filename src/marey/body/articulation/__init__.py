@@ -1,0 +1,1 @@
+"""Skeleton, skin and pose: the articulated body and its kinematics."""

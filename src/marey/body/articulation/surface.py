@@ -1,0 +1,237 @@
+"""A person's body: a skinned surface and its skeleton, and the shapes it may take."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple, Protocol, Self
+
+import numpy as np
+
+from marey.arrays import Floats, Integers, Mask, freeze_fields, frozen
+from marey.body.articulation.kinematics import share_faces
+from marey.body.articulation.skeleton import JOINT_OF_SEGMENT, PackedSkeleton, Skeleton
+
+
+class SkinModel(Protocol):
+    """What determines a body's skin when the skin is not a mesh of its own.
+
+    `marey.body.metaballs` provides the one model that exists. Use `metaballs_of` there to reach it.
+    """
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """(N,) meaning of each shape number."""
+
+    def __len__(self) -> int:
+        """Number of shape numbers."""
+
+    def with_skeleton(self, skeleton: Skeleton) -> Self:
+        """Return the same model on a skeleton with other coordinates."""
+
+
+class FaceShares(NamedTuple):
+    """Which segments carry each face, for the kernels."""
+
+    number: Integers
+    """(T,) how many."""
+    segment: Integers
+    """(T, N) in rising order."""
+    weight: Floats
+    """(T, N, 3) for the three corners."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ShapeSpace:
+    """The shapes a body may take: vertices and joint centres move together, linearly in a few numbers.
+
+    vertices = mean + sum over i of number_i mode_i, and the joint centres with the same numbers.
+    """
+
+    names: tuple[str, ...]
+    """(M,) what each number means."""
+    vertex_mean: Floats
+    """(V, 3) [m]."""
+    vertex_modes: Floats
+    """(M, V, 3) [m by unit of the number]."""
+    joint_mean: Floats
+    """(S, 3) [m]."""
+    joint_modes: Floats
+    """(M, S, 3)."""
+    prior_mean: Floats
+    """(M,) what to expect of a person of whom nothing is known."""
+    prior_covariance: Floats
+    """(M, M)."""
+    ranked: bool = True
+    """Whether the first numbers say most of a person, so that a rough fit may leave out the others."""
+
+    def __post_init__(self) -> None:
+        freeze_fields(
+            self, "vertex_mean", "vertex_modes", "joint_mean", "joint_modes", "prior_mean", "prior_covariance"
+        )
+
+    def __len__(self) -> int:
+        """Count the numbers."""
+        return len(self.names)
+
+    @cached_property
+    def modes_by_vertex(self) -> Floats:
+        """(V, M, 3): the vertices' modes, for kernels that walk over vertices."""
+        return frozen(np.swapaxes(self.vertex_modes, 0, 1))
+
+    @cached_property
+    def modes_by_number_last(self) -> Floats:
+        """(V, 3, M): the vertices' modes, for kernels that sum over many numbers at once."""
+        return frozen(np.moveaxis(self.vertex_modes, 0, 2))
+
+    @cached_property
+    def leading(self) -> Floats:
+        """(M, M): directions of the numbers, one a row, of which the first ones say most of a person.
+
+        The numbers themselves where they are ranked; else independent directions of unit variance, those first in
+        which the people that the prior expects differ most in their skin.
+        """
+        if self.ranked:
+            return frozen(np.eye(len(self)))
+        root = np.linalg.cholesky(self.prior_covariance)
+        skin = self.vertex_modes.reshape(len(self), -1)
+        _, turn = np.linalg.eigh(root.T @ (skin @ skin.T) @ root)
+        return frozen((root @ turn[:, ::-1]).T)
+
+    @cached_property
+    def by_rank(self) -> "ShapeSpace":
+        """The same shapes, by the steps along the `leading` directions: numbers (M,) are leading.T @ steps."""
+        if self.ranked:
+            return self
+        steps = np.linalg.inv(self.leading.T)
+        covariance = steps @ self.prior_covariance @ steps.T
+        return ShapeSpace(
+            names=tuple(f"direction_{i + 1}" for i in range(len(self))),
+            vertex_mean=self.vertex_mean, vertex_modes=np.tensordot(self.leading, self.vertex_modes, 1),
+            joint_mean=self.joint_mean, joint_modes=np.tensordot(self.leading, self.joint_modes, 1),
+            prior_mean=steps @ self.prior_mean, prior_covariance=0.5 * (covariance + covariance.T),
+        )  # fmt: skip
+
+    def first(self, numbers: int) -> "ShapeSpace":
+        """Keep only the first numbers."""
+        return self.keep(range(numbers))
+
+    def keep(self, which: "range | list[int] | Integers") -> "ShapeSpace":
+        """Keep only some of the numbers; the others stay at the mean that the prior expects."""
+        index = np.asarray(which, dtype=np.int64)
+        rest = np.setdiff1d(np.arange(len(self)), index)
+        return ShapeSpace(
+            names=tuple(self.names[i] for i in index),
+            vertex_mean=self.vertex_mean + np.tensordot(self.prior_mean[rest], self.vertex_modes[rest], 1),
+            vertex_modes=self.vertex_modes[index],
+            joint_mean=self.joint_mean + np.tensordot(self.prior_mean[rest], self.joint_modes[rest], 1),
+            joint_modes=self.joint_modes[index],
+            prior_mean=self.prior_mean[index],
+            prior_covariance=self.prior_covariance[np.ix_(index, index)],
+            ranked=self.ranked,
+        )
+
+    def vertices(self, numbers: Floats) -> Floats:
+        """Give the vertices (V, 3) at rest for shape numbers (M,)."""
+        return self.vertex_mean + np.tensordot(numbers, self.vertex_modes, 1)
+
+    def joints(self, numbers: Floats) -> Floats:
+        """Give the joint centres (S, 3) at rest for shape numbers (M,)."""
+        return self.joint_mean + np.tensordot(numbers, self.joint_modes, 1)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Body:
+    """One person's body at rest: skeleton, skin, and the shape numbers that made them."""
+
+    skeleton: Skeleton
+    space: ShapeSpace
+    """The shapes this body may take; of a scan, a space of no numbers."""
+    numbers: Floats
+    """(M,) this person's."""
+    faces: Integers
+    """(T, 3) corners counter-clockwise as seen from outside."""
+    vertex_segments: Integers
+    """(V, 4) segments that carry each vertex."""
+    vertex_weights: Floats
+    """(V, 4) their shares, of sum one; zero where fewer carry it."""
+    outlined: Mask | None = None
+    """(T,) faces whose outline counts; all when None. A preset leaves out the segments that it does not follow."""
+    followed: Mask | None = None
+    """(S,) segments whose motion is measured; all when None. A preset leaves out what it does not follow."""
+    joint_sd: Floats | None = None
+    """(S,) how far, by axis, a joint centre lies from where skin and numbers say, in one posture and another [m]; None
+    where nobody knows."""
+    joint_offset_sd: Floats | None = None
+    """(S,) how far, by axis, it lies from there in every posture [m]; None where nobody knows."""
+    numbers_covariance: Floats | None = None
+    """(M, M) of the numbers, once they were estimated."""
+    metaballs: SkinModel | None = None
+    """The metaballs whose surface the skin is, of the same numbers; None where the skin is a mesh of its own."""
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, "numbers", "vertex_weights")
+        freeze_fields(self, "faces", "vertex_segments", dtype=np.int64)
+
+    @property
+    def packed(self) -> PackedSkeleton:
+        """The skeleton as arrays."""
+        return self.skeleton.packed
+
+    @cached_property
+    def vertices(self) -> Floats:
+        """(V, 3) the skin at rest [m]."""
+        return frozen(self.space.vertices(self.numbers))
+
+    @cached_property
+    def joint_centres(self) -> Floats:
+        """(S, 3) the centre about which each segment turns on its parent, at rest [m]."""
+        return frozen(self.space.joints(self.numbers))
+
+    @cached_property
+    def face_segment(self) -> Integers:
+        """(T,) the segment that carries most of each face."""
+        votes = np.zeros((len(self.faces), len(self.skeleton.segment_names)))
+        for corner in range(3):
+            v = self.faces[:, corner]
+            for n in range(self.vertex_segments.shape[1]):
+                np.add.at(votes, (np.arange(len(v)), self.vertex_segments[v, n]), self.vertex_weights[v, n])
+        return frozen(np.argmax(votes, 1), np.int64)
+
+    @cached_property
+    def followed_joints(self) -> Mask:
+        """(J,) the named joints that are measured: those about which a segment turns on one that is followed."""
+        on = np.maximum(self.skeleton.parents, 0)[self.joint_segments]
+        return frozen(np.ones(len(on)) if self.followed is None else self.followed[on], np.bool_)
+
+    @cached_property
+    def face_limb(self) -> Integers:
+        """(T,) the limb to which each face belongs, see `Skeleton.segment_limb`."""
+        return frozen(self.skeleton.segment_limb[self.face_segment], np.int64)
+
+    @cached_property
+    def outline_counts(self) -> Mask:
+        """(T,) whether the outline of each face counts."""
+        return frozen(np.ones(len(self.faces)) if self.outlined is None else self.outlined, np.bool_)
+
+    @cached_property
+    def face_shares(self) -> FaceShares:
+        """Which segments carry each face."""
+        return FaceShares(*share_faces(self.faces, self.vertex_segments, self.vertex_weights))
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the joint centres that results report."""
+        return tuple(JOINT_OF_SEGMENT[s] for s in self.skeleton.segment_names if s in JOINT_OF_SEGMENT)
+
+    @property
+    def joint_segments(self) -> Integers:
+        """(J,) the segment whose centre each reported joint is."""
+        return np.array([k for k, s in enumerate(self.skeleton.segment_names) if s in JOINT_OF_SEGMENT])
+
+    def with_numbers(self, numbers: Floats) -> "Body":
+        """Give the body other shape numbers."""
+        other = replace(self, numbers=numbers)
+        # What depends on the skin's topology alone goes along.
+        for name in ("face_segment", "outline_counts", "face_shares"):
+            if name in self.__dict__:
+                other.__dict__[name] = self.__dict__[name]
+        return other

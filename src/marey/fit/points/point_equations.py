@@ -1,0 +1,295 @@
+"""Normal equations of points on metaballs: summed up point by point, as many as there are, without an array of all.
+
+A point's distance changes with a few numbers and with the motion of a few segments only. What it says is added to a
+square matrix over all numbers and all segments' shifts and turns; when all points are in, one product turns segments
+into the pose's coordinates ([Plaenkers1999] eq. (2), (14)).
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numba
+import numpy as np
+
+from marey.arrays import Floats, Integers
+from marey.body.articulation import kinematics
+from marey.body.articulation.pose import PosedBody
+from marey.body.articulation.skeleton import LIMBS
+from marey.body.metaballs.metaball_field import THRESHOLD, distance_of_level, log_field
+from marey.body.metaballs.metaball_person import MetaballSpace
+from marey.body.metaballs.metaballs import Metaballs, PosedMetaballs
+from marey.observations.metaball_points import PointsOnMetaballs
+
+_LEAST_SHARE = 1e-6
+"""A ball with less of a point's field is passed over."""
+
+
+class NumbersOfBalls(NamedTuple):
+    """Which numbers move each ball in its segment, and how: ball m has the entries start[m] to start[m + 1]."""
+
+    start: Integers
+    """(M + 1,)."""
+    number: Integers
+    """(E,)."""
+    radii: Floats
+    """(E, 3) [m by unit of the number]."""
+    centre: Floats
+    """(E, 3)."""
+    log_weight: Floats
+    """(E,)."""
+
+    @staticmethod
+    def of(space: MetaballSpace, balls: Metaballs) -> "NumbersOfBalls":
+        """List what is not zero in how a space's numbers move its balls where they stand."""
+        radii, log_weight = space.rates(balls)
+        moves = np.any(radii != 0.0, axis=2) | np.any(space.centre_modes != 0.0, axis=2) | (log_weight != 0.0)
+        ball, number = np.nonzero(moves.T)
+        start = np.concatenate([[0], np.cumsum(np.bincount(ball, minlength=moves.shape[1]))])
+        parts = (start, number, radii[number, ball], space.centre_modes[number, ball], log_weight[number, ball])
+        return NumbersOfBalls(*(np.ascontiguousarray(part) for part in parts))
+
+
+class BallsOfLimbs(NamedTuple):
+    """Which balls a point of each limb feels, see `Metaballs`; a point of the trunk feels the nearest limb's too."""
+
+    start: Integers
+    """(L + 1,)."""
+    ball: Integers
+
+    @staticmethod
+    def of(limb: Integers) -> "BallsOfLimbs":
+        """List the balls of the trunk and of each limb, given every ball's limb (M,)."""
+        lists = [np.flatnonzero((limb == 0) | (limb == k) | (k == 0)) for k in range(len(LIMBS))]
+        return BallsOfLimbs(np.concatenate([[0], np.cumsum([len(own) for own in lists])]), np.concatenate(lists))
+
+
+@dataclass(frozen=True, eq=False)
+class PointEquations:
+    """What measured points say of pose and numbers."""
+
+    hessian: Floats
+    """(D + N, D + N)."""
+    gradient: Floats
+    """(D + N,)."""
+    residual: Floats
+    """(n,) the residuals, without weights: distances [m], or F - 1/2."""
+    weight: Floats
+    """(n,) robust weights."""
+
+
+def point_equations(
+    posed: PosedBody, observed: PointsOnMetaballs, *, scale: float = np.inf, as_distance: bool = True
+) -> PointEquations:
+    """Assemble the normal equations of measured points by pose and numbers.
+
+    Args:
+        posed: the body.
+        observed: the points.
+        scale: distance at which a point counts a quarter [m], see `robust.geman_mcclure`.
+        as_distance: else the residual is the paper's F - 1/2 ([Plaenkers1999] eq. (14)), with `spread` in its unit.
+    """
+    surface, space = observed.surface(posed), observed.space
+    balls, numbers, segments = surface.balls, len(space), len(posed.body.skeleton.segment_names)
+    size = numbers + 6 * segments
+    square, linear = np.zeros((size, size)), np.zeros(size)
+    residual, weight = np.empty(len(observed)), np.empty(len(observed))
+    add_points(
+        observed.points, observed.limb, observed.spread, scale, as_distance, BallsOfLimbs.of(balls.limb),
+        NumbersOfBalls.of(space, balls), balls.limb, balls.segment, surface.place, surface.axes, balls.rotation,
+        balls.radii, np.log(balls.weight), surface.segment_origin[0], len(LIMBS), numbers, square, linear, residual,
+        weight,
+    )  # fmt: skip
+    by_parameters = _by_parameters(surface, space)
+    used = np.flatnonzero(np.diag(square))
+    by_parameters = by_parameters[used]
+    whole = square[np.ix_(used, used)]
+    whole = whole + np.triu(whole, 1).T
+    hessian = by_parameters.T @ whole @ by_parameters
+    return PointEquations(hessian, by_parameters.T @ linear[used], residual, weight)
+
+
+def distances_of(posed: PosedBody, observed: PointsOnMetaballs) -> Floats:
+    """Give the points' distances (n,) from the surface [m]."""
+    return observed.surface(posed).distance(observed.points, observed.limb)
+
+
+def _by_parameters(surface: PosedMetaballs, space: MetaballSpace) -> Floats:
+    """Give how numbers and segments' motions, the columns of `add_points`, follow pose and numbers (N + 6 S, D + N)."""
+    moves = moves_of_segments(surface, space)
+    degrees, numbers = len(surface.balls.skeleton), len(space)
+    alone = np.concatenate([np.zeros((numbers, degrees)), np.eye(numbers)], 1)
+    return np.concatenate([alone, moves.reshape(-1, degrees + numbers)])
+
+
+def moves_of_segments(surface: PosedMetaballs, space: MetaballSpace) -> Floats:
+    """Give how segments' shifts, and turns about the root's origin, follow pose and numbers (S, 6, D + N)."""
+    skeleton, numbers = surface.balls.skeleton, len(space)
+    origin, axes = surface.segment_origin, surface.world_axes
+    segments, degrees = len(origin), len(skeleton)
+    moves = np.zeros((segments, 6, degrees + numbers))
+    moves[:, :3, :3] = np.eye(3)
+    moves[:, 3:, 3:6] = np.eye(3)
+    above = skeleton.above()
+    for q, k in enumerate(skeleton.coordinate_segment):
+        carried = above[:, k]
+        # A turn about the joint is one about the root's origin, and a shift.
+        moves[carried, :3, 6 + q] = np.cross(axes[q], origin[0] - origin[k])
+        moves[carried, 3:, 6 + q] = axes[q]
+    shifted, _ = kinematics.origin_modes(surface.balls.packed.parents, surface.segment_rotation, space.joint_modes)
+    moves[:, :3, degrees:] = np.swapaxes(shifted, 1, 2)
+    return moves
+
+
+@numba.njit(cache=True, nogil=True)
+def add_points(
+    points, limbs, spread, scale, as_distance, of_limbs, of_balls, ball_limb, segment, place, axes, rotation, radii,
+    log_weight, origin, limb_count, numbers, square, linear, residuals, weights,
+):  # fmt: skip
+    """Add what points (n, 3) say to the upper triangle of square and to linear; write residuals and robust weights.
+
+    Columns: the numbers, then for each segment its shift and its turn about the origin. The derivatives are those of
+    `metaball_field.linearize`.
+    """
+    balls = radii.shape[0]
+    local, rise, share = np.empty((balls, 3)), np.empty((balls, 3)), np.empty(balls)
+    listed = np.empty(balls, np.int64)
+    top, total, slope = np.empty(limb_count), np.empty(limb_count), np.empty(3)
+    row, turned = np.zeros(square.shape[0]), np.empty(3)
+    columns, moved = np.empty(square.shape[0], np.int64), np.zeros(square.shape[0], np.bool_)
+    for i in range(points.shape[0]):
+        limb = limbs[i]
+        own = of_limbs.ball[of_limbs.start[max(limb, 0)] : of_limbs.start[max(limb, 0) + 1]]
+        count, level = _feel(
+            points[i],
+            limb,
+            own,
+            ball_limb,
+            place,
+            axes,
+            radii,
+            log_weight,
+            local,
+            rise,
+            share,
+            top,
+            total,
+            slope,
+            listed,
+        )
+        steep = slope[0] ** 2 + slope[1] ** 2 + slope[2] ** 2
+        if as_distance:
+            residual, first, second = distance_of_level(level, steep)
+        else:
+            residual, first, second = THRESHOLD * np.expm1(level), THRESHOLD * np.exp(level), 0.0
+        residuals[i] = residual
+        weights[i] = 1.0 / (1.0 + (residual / scale) ** 2) ** 2
+        used = 0
+        for j in range(count):
+            used = _add_ball(
+                listed[j], share[listed[j]], first, second, slope, steep, local, rise, axes, rotation, radii, segment,
+                of_balls, numbers, points[i], origin, row, moved, columns, used, turned,
+            )  # fmt: skip
+        columns[:used].sort()
+        weight = weights[i] / spread[i] ** 2
+        for a in range(used):
+            p = columns[a]
+            left = weight * row[p]
+            linear[p] += left * residual
+            for b in range(a, used):
+                square[p, columns[b]] += left * row[columns[b]]
+        for a in range(used):
+            row[columns[a]] = 0.0
+            moved[columns[a]] = False
+
+
+@numba.njit(cache=True, nogil=True)
+def _feel(
+    point, limb, own, ball_limb, place, axes, radii, log_weight, local, rise, share, top, total, slope, listed
+):  # fmt: skip
+    """Fill in what a point feels of its balls, see `metaball_field`: places in them, slopes, shares.
+
+    Returns:
+        How many are listed, and ln(F / T).
+    """
+    top[:] = -np.inf
+    total[:] = 0.0
+    for m in own:
+        share[m] = log_field(m, point, place, axes, radii, log_weight[m], local)
+        top[ball_limb[m]] = max(top[ball_limb[m]], share[m])
+    best, level = limb, -np.inf
+    for m in own:
+        total[ball_limb[m]] += np.exp(max(share[m] - top[ball_limb[m]], -40.0))
+    if limb < 1:
+        for k in range(1, top.shape[0]):
+            if total[k] > 0.0 and top[k] + np.log(total[k]) > level:
+                best, level = k, top[k] + np.log(total[k])
+    high = max(top[0], top[best])
+    felt = 0.0
+    for k in (0, best):
+        felt += total[k] * np.exp(top[k] - high) if total[k] > 0.0 else 0.0
+    level = high + np.log(felt)
+    count = 0
+    slope[:] = 0.0
+    for m in own:
+        share[m] = np.exp(share[m] - level) if ball_limb[m] == 0 or ball_limb[m] == best else 0.0
+        if share[m] > _LEAST_SHARE:
+            listed[count] = m
+            count += 1
+            for b in range(3):
+                rise[m, b] = 0.0
+            for a in range(3):
+                along = -4.0 * local[m, a] / radii[m, a] ** 2
+                for b in range(3):
+                    rise[m, b] += along * axes[m, a, b]
+            for b in range(3):
+                slope[b] += share[m] * rise[m, b]
+    return count, level - np.log(THRESHOLD)
+
+
+@numba.njit(cache=True, nogil=True)
+def _add_ball(
+    m, share, first, second, slope, steep, local, rise, axes, rotation, radii, segment, of_balls, numbers, point,
+    origin, row, moved, columns, used, turned,
+):  # fmt: skip
+    """Add one ball's part to a point's row; give how many columns are in use."""
+    along = rise[m, 0] * slope[0] + rise[m, 1] * slope[1] + rise[m, 2] * slope[2]
+    u = share * (first + second * (along - steep))
+    v = share * second
+    base = numbers + 6 * segment[m]
+    if not moved[base]:
+        for a in range(6):
+            moved[base + a] = True
+            columns[used + a] = base + a
+        used += 6
+    begin, end = of_balls.start[m], of_balls.start[m + 1]
+    for e in range(begin, end):
+        if not moved[of_balls.number[e]]:
+            moved[of_balls.number[e]] = True
+            columns[used] = of_balls.number[e]
+            used += 1
+        row[of_balls.number[e]] += u * of_balls.log_weight[e]
+    shift0 = shift1 = shift2 = 0.0
+    for a in range(3):
+        g = axes[m, a, 0] * slope[0] + axes[m, a, 1] * slope[1] + axes[m, a, 2] * slope[2]
+        curve = 4.0 / radii[m, a] ** 2
+        by_radius = (u * local[m, a] + 2.0 * v * g) * local[m, a] * curve / radii[m, a]
+        by_place = curve * (u * local[m, a] + v * g)
+        shift0 += by_place * axes[m, a, 0]
+        shift1 += by_place * axes[m, a, 1]
+        shift2 += by_place * axes[m, a, 2]
+        for e in range(begin, end):
+            inside = 0.0
+            for b in range(3):
+                inside += rotation[m, b, a] * of_balls.centre[e, b]
+            row[of_balls.number[e]] += by_radius * of_balls.radii[e, a] + by_place * inside
+    turned[0] = v * (rise[m, 1] * slope[2] - rise[m, 2] * slope[1])
+    turned[1] = v * (rise[m, 2] * slope[0] - rise[m, 0] * slope[2])
+    turned[2] = v * (rise[m, 0] * slope[1] - rise[m, 1] * slope[0])
+    x, y, z = point[0] - origin[0], point[1] - origin[1], point[2] - origin[2]
+    row[base] += shift0
+    row[base + 1] += shift1
+    row[base + 2] += shift2
+    row[base + 3] += turned[0] + y * shift2 - z * shift1
+    row[base + 4] += turned[1] + z * shift0 - x * shift2
+    row[base + 5] += turned[2] + x * shift1 - y * shift0
+    return used

@@ -1,0 +1,1 @@
+"""Finding a posture from silhouettes when nothing is known of it."""

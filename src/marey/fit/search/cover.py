@@ -1,0 +1,156 @@
+"""Kernels that compare many poses with silhouettes: only what is covered counts, depth does not matter."""
+
+import numba
+import numpy as np
+
+from marey.body.articulation.kinematics import blend_skin, pose_segments
+from marey.cameras.lens import project_points
+
+
+@numba.njit(cache=True, nogil=True)
+def stamp_faces(projected, faces, stamp, canvas, mask):
+    """Write a stamp into every pixel whose centre lies in a front face, but where -1 stands.
+
+    Args:
+        projected: (V, 3) columns and rows [px] first.
+        faces: (T, 3).
+        stamp: no zero.
+        canvas: (h, w) of int32.
+        mask: (h, w) the silhouette.
+
+    Returns:
+        How many pixels inside the silhouette, and how many outside, got the stamp that did not have it.
+    """
+    height, width = canvas.shape
+    inside = outside = 0
+    for f in range(faces.shape[0]):
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        x0, y0 = projected[a, 0], projected[a, 1]
+        x1, y1 = projected[b, 0], projected[b, 1]
+        x2, y2 = projected[c, 0], projected[c, 1]
+        area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
+        if not area < 0.0:
+            continue
+        xmin = max(0, int(np.ceil(min(x0, min(x1, x2)))))
+        xmax = min(width - 1, int(np.floor(max(x0, max(x1, x2)))))
+        ymin = max(0, int(np.ceil(min(y0, min(y1, y2)))))
+        ymax = min(height - 1, int(np.floor(max(y0, max(y1, y2)))))
+        d0, d1 = -(y2 - y1) / area, -(y0 - y2) / area
+        for y in range(ymin, ymax + 1):
+            e0 = ((x2 - x1) * (y - y1) - (y2 - y1) * (xmin - x1)) / area
+            e1 = ((x0 - x2) * (y - y2) - (y0 - y2) * (xmin - x2)) / area
+            for x in range(xmin, xmax + 1):
+                if e0 >= 0.0 and e1 >= 0.0 and e0 + e1 <= 1.0 and canvas[y, x] != -1 and canvas[y, x] != stamp:
+                    canvas[y, x] = stamp
+                    if mask[y, x]:
+                        inside += 1
+                    else:
+                        outside += 1
+                e0 += d0
+                e1 += d1
+    return inside, outside
+
+
+@numba.njit(cache=True, nogil=True)
+def score_poses(
+    parents, coordinate_segment, axes, joints, vertices, vertex_segments, vertex_weights, faces,
+    rotations, translations, angles, cameras, widths, heights, masks,
+):  # fmt: skip
+    """Give the mean intersection over union of many poses (n,) with the silhouettes of all cameras.
+
+    Args:
+        parents: and the following seven describe the body at rest, see `Body`.
+        coordinate_segment: (D - 6,).
+        axes: (D - 6, 3).
+        joints: (S, 3).
+        vertices: (V, 3).
+        vertex_segments: (V, 4).
+        vertex_weights: (V, 4).
+        faces: (T, 3).
+        rotations: (n, 3, 3) of the root.
+        translations: (n, 3).
+        angles: (n, D - 6).
+        cameras: (C, P) packed.
+        widths: (C,) of the pictures; the masks are padded to a common size.
+        heights: (C,).
+        masks: (C, h, w) of bool.
+    """
+    poses, views = rotations.shape[0], cameras.shape[0]
+    canvas = np.zeros((views, masks.shape[1], masks.shape[2]), np.int32)
+    projected = np.empty((vertices.shape[0], 3))
+    area = np.zeros(views, np.int64)
+    for c in range(views):
+        area[c] = masks[c].sum()
+    scores = np.zeros(poses)
+    for n in range(poses):
+        rotation, origin, _ = pose_segments(
+            parents, coordinate_segment, axes, joints, rotations[n], translations[n], angles[n]
+        )
+        posed = blend_skin(vertices, vertex_segments, vertex_weights, joints, rotation, origin)
+        for c in range(views):
+            project_points(cameras[c], posed, projected)
+            view = canvas[c, : heights[c], : widths[c]]
+            both, outside = stamp_faces(projected, faces, n + 1, view, masks[c])
+            union = outside + area[c]
+            scores[n] += (both / union if union > 0 else 1.0) / views
+    return scores
+
+
+@numba.njit(cache=True, nogil=True)
+def score_limb(
+    parents, coordinate_segment, axes, joints, vertices, vertex_segments, vertex_weights, limb_faces, other_faces,
+    limb_vertices, rotation, translation, angles, columns, candidates, cameras, widths, heights, masks,
+):  # fmt: skip
+    """Give the score of a pose for many placements of one limb: only newly covered pixels are counted.
+
+    Args: as in `score_poses`, and
+        limb_faces: (T', 3) the limb's.
+        other_faces: (T'', 3) all others.
+        limb_vertices: (V',) those of the limb's faces.
+        rotation: (3, 3) of the root.
+        translation: (3,).
+        angles: (D - 6,) of the pose whose limb is moved.
+        columns: (k,) the limb's joint coordinates.
+        candidates: (n, k) their angles.
+    """
+    views = cameras.shape[0]
+    canvas = np.zeros((views, masks.shape[1], masks.shape[2]), np.int32)
+    projected = np.empty((vertices.shape[0], 3))
+    both = np.zeros(views)
+    union = np.zeros(views)
+    segment_rotation, origin, _ = pose_segments(
+        parents, coordinate_segment, axes, joints, rotation, translation, angles
+    )
+    posed = blend_skin(vertices, vertex_segments, vertex_weights, joints, segment_rotation, origin)
+    for c in range(views):
+        project_points(cameras[c], posed, projected)
+        view = canvas[c, : heights[c], : widths[c]]
+        both[c], outside = stamp_faces(projected, other_faces, -1, view, masks[c])
+        union[c] = outside + masks[c].sum()
+    limb_segments = vertex_segments[limb_vertices]
+    limb_weights = vertex_weights[limb_vertices]
+    limb_rest = vertices[limb_vertices]
+    local = np.full(vertices.shape[0], -1, np.int64)
+    for i in range(limb_vertices.shape[0]):
+        local[limb_vertices[i]] = i
+    renumbered = np.empty_like(limb_faces)
+    for f in range(limb_faces.shape[0]):
+        for a in range(3):
+            renumbered[f, a] = local[limb_faces[f, a]]
+    limb_projected = np.empty((limb_vertices.shape[0], 3))
+    scores = np.zeros(candidates.shape[0])
+    moved = angles.copy()
+    for n in range(candidates.shape[0]):
+        for k in range(columns.shape[0]):
+            moved[columns[k]] = candidates[n, k]
+        segment_rotation, origin, _ = pose_segments(
+            parents, coordinate_segment, axes, joints, rotation, translation, moved
+        )
+        posed = blend_skin(limb_rest, limb_segments, limb_weights, joints, segment_rotation, origin)
+        for c in range(views):
+            project_points(cameras[c], posed, limb_projected)
+            view = canvas[c, : heights[c], : widths[c]]
+            inside, outside = stamp_faces(limb_projected, renumbered, n + 1, view, masks[c])
+            total = union[c] + outside
+            scores[n] += ((both[c] + inside) / total if total > 0 else 1.0) / views
+    return scores

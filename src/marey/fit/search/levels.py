@@ -1,0 +1,148 @@
+"""The silhouettes of a frame at one size of the pictures, shrunken for speed."""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import lru_cache
+
+import cv2
+import numpy as np
+
+from marey.arrays import Floats, Integers, Mask
+from marey.cameras.camera import Camera
+from marey.images.silhouettes.contours import trace_contour
+from marey.images.silhouettes.interior import InteriorEdges
+from marey.observations.correspondence import Sighting
+
+_PIXEL_BYTES = 160
+"""Of a contour's pixel: place, normal, plane, scale, cell."""
+
+
+@dataclass(frozen=True, eq=False)
+class Level:
+    """One frame's silhouettes at one size of the pictures."""
+
+    cameras: tuple[Camera, ...]
+    masks: tuple[Mask, ...]
+    sightings: tuple[Sighting, ...]
+
+    @staticmethod
+    def of(cameras: Sequence[Camera], masks: Sequence[Mask], factor: float) -> "Level":
+        """Shrink silhouettes and cameras by a factor."""
+        small = tuple(camera.scaled(factor) for camera in cameras)
+        return Level.at_size(small, [shrink(mask, camera.size) for mask, camera in zip(masks, small, strict=True)])
+
+    @staticmethod
+    def at_size(
+        cameras: Sequence[Camera], masks: Sequence[Mask], edges: Sequence[InteriorEdges] | None = None
+    ) -> "Level":
+        """Trace silhouettes that have their cameras' size already, with the edges inside of them if they are known."""
+        inside: Sequence[InteriorEdges | None] = edges or [None] * len(masks)
+        seen = zip(cameras, masks, inside, strict=True)
+        sightings = tuple(Sighting(camera, trace_contour(mask), interior) for camera, mask, interior in seen)
+        return Level(tuple(cameras), tuple(masks), sightings)
+
+    @property
+    def size(self) -> int:
+        """What it takes in memory [bytes], about: masks, and what belongs to each pixel of the contours."""
+        pixels = sum(len(sighting.contour.pixels) for sighting in self.sightings)
+        return sum(mask.nbytes for mask in self.masks) + _PIXEL_BYTES * pixels
+
+    def packed(self) -> tuple[Floats, Integers, Integers, Mask]:
+        """Give cameras (C, P), widths, heights and masks padded to one size, for the kernels."""
+        widths = np.array([camera.width for camera in self.cameras])
+        heights = np.array([camera.height for camera in self.cameras])
+        padded = np.zeros((len(self.cameras), heights.max(), widths.max()), bool)
+        for c, mask in enumerate(self.masks):
+            padded[c, : heights[c], : widths[c]] = mask
+        return np.array([camera.packed for camera in self.cameras]), widths, heights, padded
+
+
+def shrink(mask: Mask, size: tuple[int, int]) -> Mask:
+    """Shrink a silhouette: a pixel is inside where most of what it stands for is."""
+    if (mask.shape[1], mask.shape[0]) == size:
+        return mask
+    share = cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    # Half pixels are many at a factor of two: all left out, they would make the person thinner by a quarter of a pixel.
+    row, column = np.indices(share.shape)
+    return (share > 0.5) | ((share == 0.5) & ((row + column) % 2 == 0))
+
+
+def level_factor(masks: Sequence[Mask], height: float) -> float:
+    """Choose the power of two by which silhouettes shrink to about a height [px]."""
+    tallest = max([int(np.count_nonzero(mask.any(1))) for mask in masks] + [1])
+    return min(1.0, float(2.0 ** np.round(np.log2(height / tallest))))
+
+
+KEPT_BYTES = 1 << 28
+"""What the levels of one size may take in memory: some hundred frames of four small cameras."""
+
+
+class FrameLevels:
+    """The frames of a take at one size, made when they are asked for.
+
+    The first ones are kept for as long as there is room, since refinement goes through a take many times; of the
+    others the last few.
+
+    Args:
+        cameras: of the whole pictures.
+        masks_of: gives the silhouettes (height, width) of a frame, one a camera.
+        factor: new size over old size.
+        edges_of: gives the edges inside of a frame's silhouettes, one set a camera, in whole pictures; None where
+            nobody looked.
+        room: bytes that may be kept.
+    """
+
+    def __init__(
+        self,
+        cameras: Sequence[Camera],
+        masks_of: Callable[[int], Sequence[Mask]],
+        factor: float,
+        edges_of: Callable[[int], Sequence[InteriorEdges] | None] = lambda frame: None,
+        *,
+        room: int = KEPT_BYTES,
+    ):
+        self.factor = factor
+        self._small = tuple(camera.scaled(factor) for camera in cameras)
+        self._masks_of, self._edges_of = masks_of, edges_of
+        self._kept: dict[int, Level] = {}
+        self._room = room
+        self._last = lru_cache(maxsize=16)(self._made)
+
+    def at(self, frame: int) -> Level:
+        """Give the level of a frame."""
+        if frame in self._kept:
+            return self._kept[frame]
+        level = self._last(frame)
+        if level.size <= self._room:
+            self._kept[frame] = level
+            self._room -= level.size
+        return level
+
+    def forget(self) -> None:
+        """Let go of all levels that are kept; they are made again when they are asked for."""
+        self._room += sum(level.size for level in self._kept.values())
+        self._kept.clear()
+        self._last.cache_clear()
+
+    def ahead(self, frames: Iterable[int]) -> Iterator[int]:
+        """Go through frames; the next one is made ready while the caller works on this one."""
+        with ThreadPoolExecutor(1) as helper:
+            last: int | None = None
+            for frame in frames:
+                helper.submit(self._make_ready, frame)
+                if last is not None:
+                    yield last
+                last = frame
+            if last is not None:
+                yield last
+
+    def _make_ready(self, frame: int) -> None:
+        for sighting in self.at(frame).sightings:
+            # Asked for once, they are there.
+            _ = sighting.planes, sighting.radians_per_pixel, sighting.contour.cells
+
+    def _made(self, frame: int) -> Level:
+        shrunk = [shrink(m, c.size) for m, c in zip(self._masks_of(frame), self._small, strict=True)]
+        edges = self._edges_of(frame)
+        return Level.at_size(self._small, shrunk, None if edges is None else [e.scaled(self.factor) for e in edges])

@@ -1,0 +1,195 @@
+"""Normal equations of a stretch of poses: banded over three neighbours in time, bordered by the shape."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import scipy.linalg
+
+from marey.arrays import Floats
+from marey.body.articulation.pose import Pose
+
+
+@dataclass(eq=False)
+class System:
+    """Normal equations of F poses of D coordinates, banded over three neighbours, bordered by M shape numbers."""
+
+    band: Floats
+    """(3D, F D) upper form of `scipy.linalg.solveh_banded`."""
+    border: Floats
+    """(F D, M)."""
+    gradient: Floats
+    """(F D,)."""
+
+    @staticmethod
+    def empty(frames: int, degrees: int, numbers: int) -> "System":
+        """Give the equations of which nothing is known yet."""
+        size = frames * degrees
+        return System(
+            np.zeros((3 * degrees, size)), np.zeros((size, numbers)), np.zeros(size)
+        )  # fmt: skip
+
+    def add_block(self, row: int, column: int, block: Floats) -> None:
+        """Add a block (D, D) of the upper triangle; the lower half of a diagonal block is left out."""
+        degrees = len(block)
+        last = len(self.band) - 1
+        i, j = np.meshgrid(np.arange(degrees), np.arange(degrees), indexing="ij")
+        r, c = row * degrees + i, column * degrees + j
+        upper = c >= r
+        self.band[(last + r - c)[upper], c[upper]] += block[upper]
+
+    def add_frame(self, f: int, hessian: Floats, gradient: Floats, degrees: int) -> None:
+        """Add the equations of one frame, with or without the shape; what they say of the shape alone is left out."""
+        here = slice(f * degrees, (f + 1) * degrees)
+        self.add_block(f, f, hessian[:degrees, :degrees])
+        self.gradient[here] += gradient[:degrees]
+        if len(gradient) > degrees:
+            self.border[here] += hessian[:degrees, degrees:]
+
+    def add_smoothness(self, f: int, poses: Sequence[Pose], spread: Floats) -> None:
+        """Draw the change from f-1 to f and that from f to f+1 together: their difference is an acceleration."""
+        degrees = len(spread)
+        residual = poses[f].change_to(poses[f + 1]) - poses[f - 1].change_to(poses[f])
+        weight = 1.0 / spread**2
+        share = {f - 1: 1.0, f: -2.0, f + 1: 1.0}
+        for a, wa in share.items():
+            self.gradient[a * degrees : (a + 1) * degrees] += wa * weight * residual
+            for b, wb in share.items():
+                if b >= a:
+                    self._add_diagonal(a, b, wa * wb * weight)
+
+    def _add_diagonal(self, row: int, column: int, values: Floats) -> None:
+        degrees = len(values)
+        offset = (column - row) * degrees
+        columns = np.arange(column * degrees, (column + 1) * degrees)
+        self.band[len(self.band) - 1 - offset, columns] += values
+
+    def eliminate(self, trust: Floats, core: slice) -> dict[str, Floats]:
+        """Eliminate the poses: say how they answer, and what they take from the shape's equations.
+
+        Args:
+            trust: (D,) how far a coordinate is believed to lie from where it stands; it damps what nothing fixes.
+            core: the frames whose answer is wanted; those about them only lend it their neighbourhood.
+
+        Returns:
+            `own` (n D,) and `by_shape` (n D, M): the poses' step is -(own + by_shape times the shape's step); `taken`
+            (M, M) and `taken_gradient` (M,), what the core's freedom takes from the shape's information and gradient.
+        """
+        degrees = len(trust)
+        damped = np.tile(1.0 / trust**2, self.band.shape[1] // degrees)
+        solved = self._solved(damped, np.concatenate([self.gradient[:, None], self.border], 1))[1]
+        rows = slice(core.start * degrees, core.stop * degrees)
+        solved, border = solved[rows].copy(), self.border[rows]
+        return {
+            "own": solved[:, 0],
+            "by_shape": solved[:, 1:],
+            "taken": border.T @ solved[:, 1:],
+            "taken_gradient": border.T @ solved[:, 0],
+        }
+
+    def covariances(self, degrees: int, core: slice) -> dict[str, Floats]:
+        """Say how uncertain the poses are, by the recursion of the banded factor.
+
+        Ours: the poses' inverse is needed near its diagonal only, where it follows backwards from the Cholesky
+        factor ([Takahashi1973]); the shape's share comes on top.
+
+        Returns:
+            `blocks` (n, D, D) of the core's poses for a known shape; `spread` (n, D, M), how they follow the shape,
+            see `with_shape_covariance`; `loss` (M, M), what the core takes from the shape's information.
+        """
+        slight = np.full(self.band.shape[1], 1e-12 * self.band[-1].max())
+        factor, solved = self._solved(slight, self.border)
+        rows = slice(core.start * degrees, core.stop * degrees)
+        blocks = _inverse_blocks(factor, len(self.gradient) // degrees, degrees)[core]
+        spread = solved[rows].reshape(len(blocks), degrees, -1)
+        return {"blocks": blocks, "spread": spread.copy(), "loss": self.border[rows].T @ solved[rows]}
+
+    def _solved(self, more: Floats, right: Floats) -> tuple[Floats, Floats]:
+        """Factor the band with more (F D,) on its diagonal, and solve for right sides (F D, k)."""
+        band = self.band.copy()
+        band[-1] += more
+        factor = scipy.linalg.cholesky_banded(band, overwrite_ab=True, check_finite=False)
+        if right.shape[1] == 0:
+            return factor, right
+        return factor, scipy.linalg.cho_solve_banded((factor, False), right, check_finite=False)
+
+
+def with_shape_covariance(blocks: Floats, spread: Floats, shape: Floats) -> Floats:
+    """Join the covariances of poses for a known shape with the shape's own.
+
+    Args:
+        blocks: (n, D, D) see `System.covariances`.
+        spread: (n, D, M), or (n, D, 0) where these poses know nothing of the shape.
+        shape: (M, M) the shape's covariance.
+
+    Returns:
+        (n, D + M, D + M).
+    """
+    count, degrees, _ = blocks.shape
+    whole = np.zeros((count, degrees + len(shape), degrees + len(shape)))
+    whole[:, :degrees, :degrees] = blocks
+    whole[:, degrees:, degrees:] = shape
+    if spread.shape[2]:
+        cross = spread @ shape
+        whole[:, :degrees, :degrees] += cross @ np.swapaxes(spread, 1, 2)
+        whole[:, :degrees, degrees:] = -cross
+        whole[:, degrees:, :degrees] = -np.swapaxes(cross, 1, 2)
+    return whole
+
+
+@dataclass(frozen=True)
+class Window:
+    """A stretch of a sequence that is solved at once: frames whose answer counts, and neighbours on both sides."""
+
+    first: int
+    last: int
+    """One beyond the last frame that is looked at."""
+    begin: int
+    """The first frame whose answer counts."""
+    end: int
+    """One beyond the last frame whose answer counts."""
+
+    @property
+    def core(self) -> slice:
+        """The frames whose answer counts, from the window's first."""
+        return slice(self.begin - self.first, self.end - self.first)
+
+
+def windows(count: int, length: int, overlap: int) -> list[Window]:
+    """Divide a sequence into windows of about a length, each with neighbours; a short one is a single window."""
+    if count <= length + 2 * overlap:
+        return [Window(0, count, 0, count)]
+    edges = np.linspace(0, count, -(-count // length) + 1).astype(int)
+    return [Window(max(int(a) - overlap, 0), min(int(b) + overlap, count), int(a), int(b)) for a, b in pairwise(edges)]
+
+
+def _inverse_blocks(factor: Floats, count: int, degrees: int) -> Floats:
+    """Give the diagonal blocks of (U'U)^-1 for a banded factor U of two blocks beside the diagonal."""
+
+    def upper(row: int, column: int) -> Floats:
+        block = np.zeros((degrees, degrees))
+        if column >= count:
+            return block
+        i, j = np.meshgrid(np.arange(degrees), np.arange(degrees), indexing="ij")
+        r, c = row * degrees + i, column * degrees + j
+        inside = (c >= r) & (c - r < len(factor))
+        block[inside] = factor[(len(factor) - 1 + r - c)[inside], c[inside]]
+        return block
+
+    inverse: dict[tuple[int, int], Floats] = {}
+    zero = np.zeros((degrees, degrees))
+    for f in range(count - 1, -1, -1):
+        diagonal = upper(f, f)
+        own = scipy.linalg.solve_triangular(diagonal, np.eye(degrees), check_finite=False)
+        first, second = own @ upper(f, f + 1), own @ upper(f, f + 2)
+        near, far, beyond = (
+            inverse.get((f + 1, f + 1), zero), inverse.get((f + 2, f + 2), zero), inverse.get((f + 1, f + 2), zero)
+        )  # fmt: skip
+        inverse[f, f + 1] = -(first @ near + second @ beyond.T)
+        inverse[f, f + 2] = -(first @ beyond + second @ far)
+        # A sum of squares, so that rounding cannot make a variance negative.
+        cross = first @ beyond @ second.T
+        whole = own @ own.T + first @ near @ first.T + second @ far @ second.T + cross + cross.T
+        inverse[f, f] = 0.5 * (whole + whole.T)
+    return np.array([inverse[f, f] for f in range(count)])

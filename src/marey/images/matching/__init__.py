@@ -1,0 +1,1 @@
+"""Matching patches between pictures and following points through a video."""

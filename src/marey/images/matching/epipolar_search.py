@@ -1,0 +1,138 @@
+"""Points of one calibrated picture found again in another one, along their epipolar lines, by what they look like."""
+
+import cv2
+import numpy as np
+
+from marey.arrays import Floats, Integers
+from marey.cameras.camera import Camera
+from marey.cameras.epipolar import epipolar_lines
+from marey.errors import SettingProblem
+from marey.images.matching.matching import MatchSettings, match
+from marey.images.matching.patch_search import Candidates, without_twins
+from marey.images.matching.splines import spline_of
+
+NEAREST = 4.0
+"""Nothing is looked for nearer to the first camera than the baseline over this."""
+DEPTHS = 3000
+"""Depths between there and infinity, evenly spread over their inverses."""
+STEP = 2.0
+"""Distance of places on a line that are compared [px]."""
+LEAST_LIKE = 0.5
+"""Least correlation of a place that is matched, before the match."""
+SMOOTH = 1.0
+"""Blur of the pictures that are compared at first [px]."""
+REACH = 6.0
+"""How far from there a match may end [px]."""
+ON_LINE = 2.0
+"""Largest distance of a match from its line [px]."""
+
+
+def find_on_lines(
+    template: np.ndarray,
+    search: np.ndarray,
+    points: Floats,
+    cameras: tuple[Camera, Camera],
+    *,
+    size: int = 21,
+    alike: float = 0.75,
+    each: int = 4,
+) -> Candidates:
+    """Find places on the epipolar lines of points that look like them.
+
+    Patches are compared as a surface that faces the first camera would look to the second one at each depth; the most
+    alike are matched by affine least squares.
+
+    Args:
+        template: (H, W) grey, of the first camera.
+        search: (h, w) grey, of the second camera at the same instant.
+        points: (P, 2) in the template [px].
+        cameras: The two cameras, with their lenses.
+        size: Width and height of the patches [px], odd.
+        alike: Least correlation of a match.
+        each: How many places are matched for a point.
+
+    Returns:
+        Candidates, none or several a point.
+
+    Raises:
+        SettingProblem: A number is impossible, or the cameras stand in one place.
+    """
+    if not 0 < alike < 1 or each < 1 or size < 3 or size % 2 == 0:
+        raise SettingProblem(f"Points cannot be found with a correlation of {alike:g}, {each} places, {size} px.")
+    here, there = _smooth(template), _smooth(search)
+    rows, starts, maps = [], [], []
+    for number, point in enumerate(np.asarray(points, float)):
+        places, linear = _on_line(point, cameras)
+        best = _most_alike(here, there, point, places, linear, size)[:each]
+        rows.append(np.full(len(best), number))
+        starts.append(places[best])
+        maps.append(linear[best])
+    owner = np.concatenate([np.empty(0, np.int64), *rows]).astype(np.int64)
+    if not len(owner):
+        return Candidates(owner, np.empty((0, 2)), np.empty(0))
+    found = match(
+        spline_of(template), spline_of(search), points[owner], np.concatenate(starts), maps=np.concatenate(maps),
+        settings=MatchSettings(size=size, noise=1.5, reach=REACH),
+    )  # fmt: skip
+    good = np.flatnonzero(found.converged & (found.correlation >= alike))
+    good = good[_beside_line(points[owner[good]], found.pixels[good], cameras) <= ON_LINE]
+    return without_twins(Candidates(owner[good], found.pixels[good], found.correlation[good]))
+
+
+def _smooth(image: np.ndarray) -> Floats:
+    return np.asarray(cv2.GaussianBlur(np.asarray(image, np.float32), (0, 0), SMOOTH), np.float32)
+
+
+def _on_line(point: Floats, cameras: tuple[Camera, Camera]) -> tuple[Floats, Floats]:
+    """Give places (S, 2) along a point's line in the second picture, and the affine maps (S, 2, 2) to there."""
+    one, other = cameras
+    baseline = float(np.linalg.norm(other.centre - one.centre))
+    if baseline == 0:
+        raise SettingProblem(f"Cameras '{one.name}' and '{other.name}' stand in one place: a point has no line.")
+    nearness = np.linspace(1e-4, NEAREST, DEPTHS) / baseline
+    corners = point + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    straight = np.concatenate([one.undistort(corners), np.ones((3, 1))], 1) @ one.camera_from_world.rotation
+    seen = other.project(one.centre + straight[:, None] / nearness[:, None])
+    inside = np.flatnonzero(other.sees(seen[0]) & np.isfinite(seen).all((0, 2)))
+    if not len(inside):
+        return np.empty((0, 2)), np.empty((0, 2, 2))
+    steps = np.linalg.norm(np.diff(seen[0, inside], axis=0), axis=1)
+    mark = np.floor(np.concatenate([[0.0], np.cumsum(steps)]) / STEP)
+    kept = inside[np.flatnonzero(np.diff(mark, prepend=-1.0) > 0)]
+    return seen[0, kept], np.stack([seen[1, kept] - seen[0, kept], seen[2, kept] - seen[0, kept]], -1)
+
+
+def _most_alike(here: Floats, there: Floats, point: Floats, places: Floats, linear: Floats, size: int) -> Integers:
+    """Give the numbers of the places where the correlation has a peak, the most alike first."""
+    if not len(places):
+        return np.empty(0, np.int64)
+    side = np.arange(size) - size // 2
+    around = np.stack(np.meshgrid(side, side), -1).reshape(-1, 2)
+    own = _normal(_sampled(here, point + around)[None])
+    likeness = _normal(_sampled(there, places[:, None] + np.swapaxes(linear @ around.T, 1, 2))) @ own[0]
+    beside = np.pad(likeness, 1, constant_values=-1.0)
+    peak = (likeness >= beside[:-2]) & (likeness >= beside[2:]) & (likeness > LEAST_LIKE)
+    peaks = np.flatnonzero(peak)
+    return peaks[np.argsort(-likeness[peaks])]
+
+
+def _sampled(image: Floats, places: Floats) -> Floats:
+    """Give the grey values at places (..., 2)."""
+    flat = np.asarray(places, np.float32).reshape(len(places), -1, 2)
+    values = [
+        cv2.remap(image, part[..., 0], part[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        for part in np.array_split(flat, max(1, len(flat) // 1000))
+    ]
+    return np.concatenate(values).reshape(places.shape[:-1]).astype(float)
+
+
+def _normal(patches: Floats) -> Floats:
+    patches = patches - patches.mean(-1, keepdims=True)
+    return np.asarray(patches / np.maximum(np.linalg.norm(patches, axis=-1, keepdims=True), 1e-6))
+
+
+def _beside_line(points: Floats, pixels: Floats, cameras: tuple[Camera, Camera]) -> Floats:
+    """Give the distances (n,) of pixels from the epipolar lines [px]; infinite where there is none."""
+    on_line, along = epipolar_lines(*cameras, points, pixels)
+    away = pixels - on_line
+    return np.nan_to_num(np.abs(away[:, 0] * along[:, 1] - away[:, 1] * along[:, 0]), nan=np.inf)

@@ -1,0 +1,319 @@
+"""Least-squares matching: patches of one picture found again in another one, to a few hundredths of a pixel.
+
+A patch of the template is carried into the search picture by an affine map and compared there up to a gain and an
+offset of its grey values ([Plaenkers1999] section 2.1, after [Gruen1985]): six and two parameters, by Gauss-Newton.
+"""
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from enum import IntEnum
+from itertools import pairwise
+
+import numpy as np
+
+from marey.arrays import Floats, Integers, Mask, freeze_fields
+from marey.errors import SettingProblem
+from marey.images.matching import matching_kernels as kernels
+from marey.images.matching.splines import SplinePicture, noise_shares, sample
+
+_SHARE = 256
+"""Patches that are worth a thread of their own."""
+
+
+class Outcome(IntEnum):
+    """What became of a patch."""
+
+    CONVERGED = kernels.CONVERGED
+    """The steps became small."""
+    LEFT_PICTURE = kernels.LEFT_PICTURE
+    """The patch reaches beyond the template or the search picture."""
+    TEXTURELESS = kernels.TEXTURELESS
+    """The template's gradients are noise, or all point the same way."""
+    DEGENERATE = kernels.DEGENERATE
+    """The affine map folds the patch, or stretches or shrinks it too much."""
+    STRAYED = kernels.STRAYED
+    """The patch went further from its start than allowed."""
+    UNLIKE = kernels.UNLIKE
+    """What was found is flat, or bright where the template is dark."""
+    UNFINISHED = kernels.UNFINISHED
+    """The steps were still large when the last one was taken."""
+    MISSING = kernels.MISSING
+    """The start is NaN, or a picture is where the patch lies."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MatchSettings:
+    """How patches are matched.
+
+    Raises:
+        SettingProblem: A value is impossible.
+    """
+
+    size: int = 13
+    """Width and height of a patch [px], odd; larger ones are more certain where the surface is flat."""
+    shift_only: bool = False
+    """Seek the shift alone and keep the affine map of the start: for patches with too little texture for more."""
+    steps: int = 20
+    """At most so many steps of Gauss-Newton."""
+    precision: float = 0.02
+    """The last step moves the patch by less, root mean square over its pixels [px]; what is left after it is a
+    tenth of it and less."""
+    reach: float = 4.0
+    """How far from its start a patch may go [px]."""
+    stretch: float = 2.0
+    """By what factor the affine map may stretch or shrink the patch in any direction, against the template."""
+    noise: float = 1.0
+    """Standard deviation of a pixel's noise in the template [grey levels]: tells texture from noise, and how noisy the
+    gradients are. Too large a value draws matches off; 0 leaves such noise out of account."""
+    texture: float = 2.0
+    """Least mean square gradient in the patch's weakest direction, as a multiple of the noise's variance [1/px2]; noise
+    itself has 1.4."""
+
+    def __post_init__(self) -> None:
+        faults = []
+        if self.size < 3 or self.size % 2 == 0:
+            faults.append(f"size is {self.size}; a patch has an odd number of pixels from 3 up")
+        if self.steps < 1:
+            faults.append(f"steps is {self.steps}; at least one step is needed")
+        if self.stretch < 1:
+            faults.append(f"stretch is {self.stretch:g}; it is a factor from 1 up")
+        for name in ("precision", "reach"):
+            if not getattr(self, name) > 0:
+                faults.append(f"{name} is {getattr(self, name):g}; it must be positive")
+        for name in ("noise", "texture"):
+            if not getattr(self, name) >= 0:
+                faults.append(f"{name} is {getattr(self, name):g}; it must not be negative")
+        if faults:
+            raise SettingProblem(f"Matching cannot use these settings: {'; '.join(faults)}.")
+
+    @property
+    def half(self) -> int:
+        """Pixels from a patch's centre to its edge."""
+        return self.size // 2
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Matches:
+    """Where patches were found; NaN where they were not."""
+
+    pixels: Floats
+    """(n, 2) the patches' centres in the search picture [px]."""
+    search_from_template: Floats
+    """(n, 2, 2) the affine map's linear part."""
+    covariance: Floats
+    """(n, 2, 2) of the pixels [px2], from the noise that the grey values themselves show."""
+    correlation: Floats
+    """(n,) of the grey values, 1 where they agree up to gain and offset; known for some of the failures, too."""
+    gain: Floats
+    """(n,) grey values of the search picture are gain times template plus offset."""
+    offset: Floats
+    """(n,) [grey levels]."""
+    noise: Floats
+    """(n,) standard deviation of a pixel's noise that would explain what is left, if equal in both pictures [grey
+    levels]. More than the camera's noise says that the pictures differ by more than gain, offset and affine map."""
+    steps: Integers
+    """(n,) Gauss-Newton steps taken."""
+    outcome: Integers
+    """(n,) an `Outcome` each."""
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, "pixels", "search_from_template", "covariance", "correlation", "gain", "offset", "noise")
+        freeze_fields(self, "steps", "outcome", dtype=np.int64)
+
+    def __len__(self) -> int:
+        """Count the patches."""
+        return len(self.outcome)
+
+    @property
+    def converged(self) -> Mask:
+        """(n,) whether the patch was found."""
+        return self.outcome == Outcome.CONVERGED
+
+
+DEFAULT = MatchSettings()
+
+
+def match(
+    template: SplinePicture,
+    search: SplinePicture,
+    pixels: Floats,
+    starts: Floats,
+    *,
+    along: Floats | None = None,
+    maps: Floats | None = None,
+    settings: MatchSettings = DEFAULT,
+    threads: int = 1,
+) -> Matches:
+    """Find patches of the template picture in the search picture.
+
+    Each step regresses the search patch on the template's derivatives by the map, its grey values, and one; the map is
+    then changed by what the derivatives explain. Unlike [Gruen1985], the gradients are the template's and stay the
+    same through all steps (inverse composition [Baker2004]): the minimum is the same to first order in the noise, and a
+    step costs less. Ours: the covariance allows for the `noise_effects` of both pictures, and their bias is taken from
+    the result.
+
+    Args:
+        template: Picture of which patches are taken.
+        search: Picture in which they are looked for; its size may be another.
+        pixels: (n, 2) the patches' centres in the template, whole or not [px].
+        starts: (n, 2) where to begin in the search picture, to within about a third of the texture's wavelength [px].
+        along: (n, 2) directions of lines through the starts on which the centres stay, of any length: epipolar lines,
+            as `marey.cameras.epipolar` gives them. None leaves the centres free.
+        maps: (n, 2, 2) linear parts of the affine maps to begin with; None for the identity.
+        settings: Size of the patches and limits.
+        threads: Threads that share the patches; 0 for one each core.
+
+    Returns:
+        One match a patch. What is not found is no error: its `outcome` says why.
+    """
+    pixels, count = np.ascontiguousarray(pixels, float), len(pixels)
+    to_search = np.tile([0.0, 0, 1, 0, 0, 1], (count, 1))
+    to_search[:, :2] = starts
+    if maps is not None:
+        to_search[:, 2:] = np.reshape(maps, (count, 4))
+    lines = np.zeros((count, 2))
+    if along is not None:
+        length = np.linalg.norm(along, axis=-1, keepdims=True)
+        lines = np.divide(along, length, out=np.full((count, 2), np.nan), where=length > 0)
+    quality, outcome = np.empty((count, 8)), np.empty(count, np.int8)
+    columns = 2 if settings.shift_only else 6
+    least = settings.texture * settings.noise**2
+    limits = np.array([settings.steps, settings.precision, settings.reach, settings.stretch, least, settings.noise**2])
+
+    def work(some: slice) -> None:
+        kernels.match_patches(
+            template.coefficients, search.coefficients, pixels[some], to_search[some], lines[some], along is not None,
+            settings.half, columns, limits, quality[some], outcome[some],
+        )  # fmt: skip
+
+    _share_out(work, count, threads or os.cpu_count() or 1)
+    return _matches(to_search, quality, outcome)
+
+
+def _share_out(work: Callable[[slice], None], count: int, threads: int) -> None:
+    parts = max(1, min(threads, count // _SHARE))
+    if parts == 1:
+        work(slice(None))
+        return
+    bounds = np.linspace(0, count, parts + 1).astype(int)
+    with ThreadPoolExecutor(parts) as pool:
+        list(pool.map(work, [slice(a, b) for a, b in pairwise(bounds)]))
+
+
+def _matches(to_search: Floats, quality: Floats, outcome: np.ndarray) -> Matches:
+    failed = outcome != Outcome.CONVERGED
+    to_search[failed] = np.nan
+    quality[np.ix_(failed, [0, 1, 2, 4, 5, 6])] = np.nan
+    covariance = quality[:, [0, 2, 2, 1]].reshape(-1, 2, 2)
+    correlation, gain, offset, noise, steps = quality[:, 3:].T
+    return Matches(
+        pixels=to_search[:, :2], search_from_template=to_search[:, 2:].reshape(-1, 2, 2), covariance=covariance,
+        correlation=correlation, gain=gain, offset=offset, noise=noise, steps=steps, outcome=outcome,
+    )  # fmt: skip
+
+
+def offsets(half: int) -> Floats:
+    """Give a patch's pixels (N, 2) about its centre, row by row [px]."""
+    y, x = np.mgrid[-half : half + 1, -half : half + 1]
+    return np.stack([x.ravel(), y.ravel()], axis=-1).astype(float)
+
+
+def grey_values(template: SplinePicture, pixel: Floats, change: Floats, *, half: int) -> tuple[Floats, Floats]:
+    """Predict a patch's grey values from the template, and differentiate them by the parameters.
+
+    Args:
+        template: The template picture.
+        pixel: (2,) the patch's centre [px].
+        change: (8,) shift x and y, the linear part less the identity (row by row), gain, and offset.
+        half: Pixels from the centre to the edge.
+
+    Returns:
+        Values (N,) and their derivatives (N, 8).
+    """
+    around = offsets(half)
+    moved = pixel + change[:2] + around + around @ change[2:6].reshape(2, 2).T
+    value, gradient = sample(template, moved)
+    by_map = np.concatenate([gradient, gradient[:, :1] * around, gradient[:, 1:] * around], axis=-1)
+    columns = [change[6] * by_map, value[:, None], np.ones_like(value)[:, None]]
+    return change[6] * value + change[7], np.concatenate(columns, axis=-1)
+
+
+def one_step(
+    template: SplinePicture, search: SplinePicture, pixel: Floats, to_search: Floats, *, half: int
+) -> tuple[Floats, Floats, Floats]:
+    """Do one step of `match` for one free patch with all parameters; the kernel's plain meaning.
+
+    Args:
+        template: The template picture.
+        search: The search picture.
+        pixel: (2,) the patch's centre in the template [px].
+        to_search: (6,) the map: place of the centre in the search picture [px], and the linear part row by row.
+        half: Pixels from the centre to the edge.
+
+    Returns:
+        The next map (6,), how the template would have had to change (8,), and what that leaves of the search patch's
+        grey values (N,).
+    """
+    unchanged = np.array([0.0, 0, 0, 0, 0, 0, 1, 0])
+    _, derivative = grey_values(template, pixel, unchanged, half=half)
+    linear = to_search[2:].reshape(2, 2)
+    found, _ = sample(search, to_search[:2] + offsets(half) @ linear.T)
+    change = np.linalg.lstsq(derivative, found, rcond=None)[0]
+    left = found - derivative @ change
+    change[:6] /= change[6]
+    return changed(to_search, change[:6]), change, left
+
+
+def changed(to_search: Floats, change: Floats) -> Floats:
+    """Change a map (6,) in the search picture as if the template had undone a change (6,)."""
+    linear = to_search[2:].reshape(2, 2) @ np.linalg.inv(np.eye(2) + change[2:].reshape(2, 2))
+    return np.concatenate([to_search[:2] - linear @ change[:2], linear.ravel()])
+
+
+def noise_effects(
+    derivative: Floats, pixel: Floats, to_search: Floats, *, residual: float, stated: float, gain: float, half: int
+) -> tuple[float, Floats, Floats]:
+    """Say what the noise of both pictures does to a free match; plain meaning of a kernel.
+
+    Ours. Interpolated values have less noise than pixels, so that residuals show too little. The template's gradients
+    are noisy: their normal matrix holds more than the texture's own. And its noise goes together with its gradients'
+    between the pixels, and with the grey values' share in them, which draws matches aside. What residuals show beyond
+    the stated noise is no noise of pixels, but pictures that differ (gloss, a curved surface): it makes the result less
+    certain, and says nothing about gradients.
+
+    Args:
+        derivative: (N, 8) of `grey_values` at no change and gain 1.
+        pixel: (2,) the patch's centre in the template [px].
+        to_search: (6,) the map found.
+        residual: standard deviation of what the match leaves of the search patch [grey levels].
+        stated: the pixels' noise, as far as it is known beforehand [grey levels].
+        gain: of the grey values.
+        half: pixels from the centre to the edge.
+
+    Returns:
+        The noise that the residual shows [grey levels]; the change (6,) that `changed` takes back to undo the bias; and
+        the covariance (2, 2) of the place in the search picture [px2].
+    """
+    around, size = offsets(half), len(derivative)
+    (kept_x, kept_y), (slope_x, slope_y), (both_x, both_y) = _noise_shares_at(pixel)
+    kept = np.prod(_noise_shares_at(to_search[:2] + around @ to_search[2:].reshape(2, 2).T)[0], axis=-1).mean()
+    noise = residual / np.sqrt(gain**2 * kept_x * kept_y + kept)
+    grey = derivative[:, 6:]
+    share = np.linalg.lstsq(grey, derivative[:, :6], rcond=None)[0]
+    columns = derivative[:, :6] - grey @ share
+    normal, spread = columns.T @ columns, np.mean(around[:, 0] ** 2)
+    slopes = np.array([slope_x * kept_y, slope_y * kept_x])
+    white = size * min(noise, stated) ** 2
+    inverse = np.linalg.inv(normal - white * np.diag(np.concatenate([slopes, np.repeat(spread * slopes, 2)])))
+    together = np.array([both_x * kept_y, both_y * kept_x, 0, 0, 0, 0]) - share[0] * kept_x * kept_y
+    linear = to_search[2:].reshape(2, 2)
+    covariance = noise**2 * (inverse + inverse @ normal @ inverse / gain**2)[:2, :2]
+    return noise, white * inverse @ together, linear @ covariance @ linear.T
+
+
+def _noise_shares_at(positions: Floats) -> Floats:
+    """Give `noise_shares` (3, ..., 2) at positions (..., 2) [px], for each axis."""
+    fractions = np.linspace(0, 1, 1001)
+    return np.stack([np.interp(positions % 1, fractions, share) for share in noise_shares(len(fractions))])

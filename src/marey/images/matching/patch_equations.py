@@ -1,0 +1,66 @@
+"""What the grey values of a patch know about its place: a structure matrix and a right-hand side."""
+
+import math
+
+import numba
+import numpy as np
+
+from marey.images.matching import matching_kernels as kernels
+
+
+@numba.njit(cache=True, nogil=True)
+def write_equations(windows, chosen, pixels, search, carried, half, least, information, right, correlation):
+    """Linearise the squared difference of a patch and a picture about where the patch is thought to be.
+
+    Gain and offset of the grey values are fitted first; the gradients are the template's, carried by the affine map
+    ([Irani1999] with the gradients of [Baker2004]). What the shift leaves unexplained is taken as the noise.
+
+    Args:
+        windows: (R, S, S) float32 coefficients of the references' splines.
+        chosen: (n,) which of them.
+        pixels: (n, 2) the patches' centres in their windows; NaN where there is none.
+        search: (H, W) coefficients of the picture.
+        carried: (n, 6) the maps: place of the centre [px], and the linear part row by row.
+        half: pixels from a patch's centre to its edge.
+        least: least variance of a pixel's noise [grey2].
+        information: (n, 2, 2) for the inverse covariance of the places [1/px2]; left as it is where nothing is known.
+        right: (n, 2) for the information times the place that the patch points to [1/px].
+        correlation: (n,) for that of the grey values at the given place.
+    """
+    size = (2 * half + 1) ** 2
+    columns, grey, found = np.empty((2, size)), np.empty(size), np.empty(size)
+    shares, normal, projected = np.empty(2), np.empty((2, 2)), np.empty(2)
+    height, width = search.shape
+    for i in range(pixels.shape[0]):
+        x, y = pixels[i]
+        u, v, a, b, c, d = carried[i]
+        area, wide, high = a * d - b * c, half * (abs(a) + abs(b)), half * (abs(c) + abs(d))
+        inside = u - wide >= 1 and v - high >= 1 and u + wide < width - 2 and v + high < height - 2
+        if not (math.isfinite(x + y) and inside and area > 0.05 and area < 20):
+            continue
+        _, energy = kernels.take_template(windows[chosen[i]], x, y, half, columns, grey, shares, normal)
+        mean = kernels.take_search(search, carried[i], half, found)
+        along, power = kernels.compare(columns, grey, found, mean, projected)
+        if not (math.isfinite(energy + power) and energy > 1e-9 * size and power > 1e-9 * size):
+            continue
+        correlation[i] = along / math.sqrt(energy * power)
+        gain = along / energy
+        if gain <= 0:
+            continue
+        determinant = normal[0, 0] * normal[1, 1] - normal[0, 1] * normal[1, 0]
+        explained = 0.0
+        if determinant > 1e-6 * normal[0, 0] * normal[1, 1]:
+            explained = (
+                normal[1, 1] * projected[0] ** 2 - 2 * normal[0, 1] * projected[0] * projected[1]
+                + normal[0, 0] * projected[1] ** 2
+            ) / determinant  # fmt: skip
+        noise = max(max(power - along * along / energy - explained, 0.0) / (size - 4), least)
+        # Template from search: the inverse of the linear part.
+        p, q, r, s = d / area, -b / area, -c / area, a / area
+        xx, xy, yy = normal[0, 0] * gain**2 / noise, normal[0, 1] * gain**2 / noise, normal[1, 1] * gain**2 / noise
+        information[i, 0, 0] = p * p * xx + 2 * p * r * xy + r * r * yy
+        information[i, 0, 1] = information[i, 1, 0] = p * q * xx + (p * s + q * r) * xy + r * s * yy
+        information[i, 1, 1] = q * q * xx + 2 * q * s * xy + s * s * yy
+        e, f = projected[0] * gain / noise, projected[1] * gain / noise
+        right[i, 0] = information[i, 0, 0] * u + information[i, 0, 1] * v - (p * e + r * f)
+        right[i, 1] = information[i, 1, 0] * u + information[i, 1, 1] * v - (q * e + s * f)

@@ -1,0 +1,164 @@
+"""Points of one picture found again in another one from elsewhere, by what they look like."""
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from marey.arrays import Floats, Integers, Mask
+from marey.errors import SettingProblem
+from marey.images.matching.feature_tracks import extrapolated
+from marey.images.matching.features import good_features
+from marey.images.matching.matching import Matches, MatchSettings, match
+from marey.images.matching.splines import spline_of
+
+_STRETCHES = (0.8, 1.0, 1.25)
+_SHEARS = (-0.25, 0.0, 0.25)
+_SMOOTH = 1.0
+"""Blur of the patches that are compared at first, so that corners need not lie on the very same pixel [px]."""
+_REACH = 6.0
+_ROUNDS = 4
+_AT_ONCE = 256
+"""Points that are compared at once, to bound the memory."""
+
+
+class Candidates(NamedTuple):
+    """Places in another picture that may show points."""
+
+    points: Integers
+    """(n,) the point."""
+    pixels: Floats
+    """(n, 2) the place [px]."""
+    correlation: Floats
+    """(n,) of the grey values, after an affine match."""
+
+
+def find_candidates(
+    template: np.ndarray,
+    search: np.ndarray,
+    points: Floats,
+    *,
+    size: int = 21,
+    alike: float = 0.75,
+    each: int = 5,
+    corners: int = 2000,
+    within: Mask | None = None,
+) -> Candidates:
+    """Find places that look like points of another picture, anywhere.
+
+    Corners of the picture are compared with the points' patches, stretched and sheared as another view may do it; the
+    most alike are matched by affine least squares, so that a candidate shows the very point, not the nearest corner.
+
+    Args:
+        template: (H, W) grey, with the points.
+        search: (h, w) grey.
+        points: (P, 2) [px].
+        size: Width and height of the patches [px], odd.
+        alike: Least correlation.
+        each: How many corners are tried for a point.
+        corners: How many corners the picture may have.
+        within: (h, w) where candidates may lie; everywhere when None.
+
+    Returns:
+        Candidates, none or several a point.
+
+    Raises:
+        SettingProblem: A picture is not a grey one, or a number is impossible.
+    """
+    if not 0 < alike < 1 or each < 1:
+        raise SettingProblem(f"Points cannot be found with a correlation of {alike:g} among {each} corners each.")
+    found = good_features(search, count=corners, spacing=5.0, within=within)
+    if not len(found) or not len(points):
+        return Candidates(np.empty(0, np.int64), np.empty((0, 2)), np.empty(0))
+    maps = np.array([[[stretch, shear], [0, 1]] for stretch in _STRETCHES for shear in _SHEARS])
+    likeness, which = _likeness(template, search, points, found, maps, size)
+    each = min(each, len(found))
+    columns = np.argsort(-likeness, axis=1)[:, :each].ravel()
+    rows = np.repeat(np.arange(len(points)), each)
+    settings = MatchSettings(size=size, noise=1.5, reach=_REACH)
+    result = match(
+        spline_of(template), spline_of(search), points[rows], found[columns],
+        maps=np.linalg.inv(maps)[which[rows, columns]], settings=settings,
+    )  # fmt: skip
+    good = np.flatnonzero(result.converged & (result.correlation >= alike))
+    return without_twins(Candidates(rows[good], result.pixels[good], result.correlation[good]))
+
+
+def _likeness(
+    template: np.ndarray, search: np.ndarray, points: Floats, corners: Floats, maps: Floats, size: int
+) -> tuple[Floats, Integers]:
+    """Give the best correlation (P, Q) of points and corners over the maps, and which map it is."""
+    there = _patches(search, corners, np.eye(2), size)
+    best, which = np.full((len(points), len(corners)), -1.0), np.zeros((len(points), len(corners)), np.int64)
+    for k, linear in enumerate(maps):
+        here = _patches(template, points, linear, size)
+        for start in range(0, len(points), _AT_ONCE):
+            rows = slice(start, start + _AT_ONCE)
+            alike = here[rows] @ there.T
+            better = alike > best[rows]
+            best[rows] = np.where(better, alike, best[rows])
+            which[rows] = np.where(better, k, which[rows])
+    return best, which
+
+
+def _patches(picture: np.ndarray, points: Floats, linear: Floats, size: int) -> Floats:
+    """Cut out patches (n, size * size), each of mean 0 and length 1; flat ones are 0."""
+    grey = cv2.GaussianBlur(np.asarray(picture, np.float32), (0, 0), _SMOOTH)
+    side = np.arange(size) - size // 2
+    around = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2) @ np.asarray(linear).T
+    places = np.asarray(points[:, None] + around, np.float32)
+    values = [
+        cv2.remap(grey, part[..., 0], part[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        for part in np.array_split(places, max(1, len(places) // 1000))
+    ]
+    patches = np.concatenate(values).astype(float)
+    patches -= patches.mean(axis=1, keepdims=True)
+    return np.asarray(patches / np.maximum(np.linalg.norm(patches, axis=1, keepdims=True), 1e-6))
+
+
+def without_twins(candidates: Candidates) -> Candidates:
+    """Keep one of those candidates of a point that lie in the same place, the most alike."""
+    kept: list[int] = []
+    for i in np.argsort(-candidates.correlation, kind="stable"):
+        beside = [j for j in kept if candidates.points[j] == candidates.points[i]]
+        if all(np.linalg.norm(candidates.pixels[j] - candidates.pixels[i]) >= 1 for j in beside):
+            kept.append(int(i))
+    order = np.sort(np.array(kept, np.int64))
+    return Candidates(candidates.points[order], candidates.pixels[order], candidates.correlation[order])
+
+
+def find_beside(
+    template: np.ndarray,
+    search: np.ndarray,
+    points: Floats,
+    places: Floats,
+    *,
+    size: int = 21,
+    alike: float = 0.85,
+) -> tuple[Floats, Floats]:
+    """Find the points beside those that were found: their neighbours' affine motion says where to begin.
+
+    Args:
+        template: (H, W) grey, with the points.
+        search: (h, w) grey.
+        points: (P, 2) [px].
+        places: (P, 2) where they are in the other picture, NaN where not known yet [px].
+        size: Width and height of the patches [px], odd.
+        alike: Least correlation.
+
+    Returns:
+        The places (P, 2), more of them known, and the correlations (P,) of the new ones; NaN for the others.
+    """
+    places, correlation = np.array(places, float), np.full(len(points), np.nan)
+    here, there, settings = spline_of(template), spline_of(search), MatchSettings(size=size, noise=1.5, reach=_REACH)
+    for _ in range(_ROUNDS):
+        left = np.flatnonzero(~np.isfinite(places).all(axis=1))
+        if not len(left) or len(points) - len(left) < 3:
+            break
+        starts, maps = extrapolated(points, places, points)
+        result: Matches = match(here, there, points[left], starts[left], maps=maps[left], settings=settings)
+        good = result.converged & (result.correlation >= alike)
+        if not good.any():
+            break
+        places[left[good]], correlation[left[good]] = result.pixels[good], result.correlation[good]
+    return places, correlation

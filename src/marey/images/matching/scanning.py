@@ -1,0 +1,229 @@
+"""Scanning by cross-correlation: where in a box a patch fits best, to a pixel, from coarse pictures to fine ones.
+
+What `marey.images.matching.matching` needs to start from where nothing closer is known ([Plaenkers1999] section 2.2).
+"""
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numba
+import numpy as np
+
+from marey.arrays import Floats
+
+_MIDDLE = np.float32(128.0)
+"""Taken from the grey values, so that sums of squares in single precision lose nothing."""
+_FINEST = 8
+"""Half a box that is scanned whole [px]; larger ones are scanned in smaller pictures first."""
+_CLOSER = 2
+"""Half the box that is scanned about a smaller picture's answer [px]."""
+_COARSE = 7
+"""Width and height of a patch in smaller pictures, at most [px]."""
+_LEAST = 12
+"""A picture of the pyramid has at least so many times a patch's half-size in width and height."""
+_FAST = {"reassoc", "contract", "arcp", "nsz"}
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Pyramid:
+    """A picture in several sizes, each half as wide and high as the one before."""
+
+    levels: tuple[Floats, ...]
+    """(h, w) float32 grey values less 128, the whole picture first."""
+
+
+def pyramid_of(image: np.ndarray, *, levels: int = 4) -> Pyramid:
+    """Shrink a grey picture again and again.
+
+    Args:
+        image: (H, W) grey.
+        levels: Sizes at most; fewer where the picture gets too small.
+
+    Returns:
+        The sizes.
+    """
+    sizes: list[Floats] = [np.ascontiguousarray(image, np.float32) - _MIDDLE]
+    while len(sizes) < levels and min(sizes[-1].shape) >= 2 * _LEAST:
+        last = sizes[-1]
+        even = last[: last.shape[0] // 2 * 2, : last.shape[1] // 2 * 2]
+        smaller = cv2.resize(even, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+        sizes.append(np.asarray(smaller, np.float32))
+    return Pyramid(levels=tuple(sizes))
+
+
+def scan(
+    template: Pyramid, search: Pyramid, pixels: Floats, expected: Floats, *, size: int, reach: float
+) -> tuple[Floats, Floats]:
+    """Look for patches of one picture in boxes of another one.
+
+    Args:
+        template: The picture that the patches are taken from.
+        search: The picture that is scanned.
+        pixels: (n, 2) the patches' centres in the template [px].
+        expected: (n, 2) the middles of the boxes in the search picture [px].
+        size: Width and height of a patch, odd.
+        reach: Half the width and height of a box [px].
+
+    Returns:
+        Where each patch fits best (n, 2), to half a pixel [px], and the correlation there (n,); NaN where the patch
+        or every place of the box reaches beyond its picture.
+    """
+    coarsest = 0
+    while reach / 2**coarsest > _FINEST and coarsest + 1 < min(len(template.levels), len(search.levels)):
+        coarsest += 1
+    pixels, found = np.asarray(pixels, float), np.array(expected, float)
+    score, nearer = np.full(len(pixels), np.nan), np.zeros(len(pixels), bool)
+    for level in range(coarsest, -1, -1):
+        side = size if level == 0 else min(size, _COARSE)
+        box = min(math.ceil(reach / 2**level), _FINEST)
+        for known in (False, True):
+            rows = np.flatnonzero(nearer == known)
+            place, score[rows] = _scan_level(
+                template.levels[level], search.levels[level], _at_level(pixels[rows], level),
+                _at_level(found[rows], level), side, _CLOSER if known else box,
+            )  # fmt: skip
+            better = np.isfinite(score[rows])
+            found[rows[better]] = _from_level(place[better], level)
+        # A coarse patch that reaches beyond the border is no reason to give up.
+        nearer |= np.isfinite(score)
+    found[~np.isfinite(score)] = np.nan
+    return found, score
+
+
+def _scan_level(
+    template: Floats, search: Floats, pixels: Floats, expected: Floats, size: int, reach: int
+) -> tuple[Floats, Floats]:
+    whole = np.round(np.nan_to_num(pixels, nan=-9.0))
+    found, score = scan_patches(patches_at(template, whole, size=size), search, expected, reach=reach)
+    return found + (pixels - whole), score
+
+
+def scan_patches(patches: Floats, picture: Floats, expected: Floats, *, reach: int) -> tuple[Floats, Floats]:
+    """Scan boxes of a picture for patches.
+
+    Args:
+        patches: (n, s, s) grey values.
+        picture: (H, W) float32, a level of a `Pyramid`.
+        expected: (n, 2) middles of the boxes [px].
+        reach: Half a box [px].
+
+    Returns:
+        The best pixels (n, 2) for the patches' centres, and the correlation there (n,); NaN where there is none.
+    """
+    found, score = np.full((len(patches), 2), np.nan), np.full(len(patches), np.nan)
+    patches, expected = np.ascontiguousarray(patches, np.float32), np.ascontiguousarray(expected, float)
+    _scan(patches, picture, expected, reach, found, score)
+    return found, score
+
+
+def patches_at(picture: Floats, pixels: Floats, *, size: int) -> Floats:
+    """Cut patches out of a picture.
+
+    Args:
+        picture: (H, W) float32.
+        pixels: (n, 2) their centres, whole [px].
+        size: Their width and height, odd.
+
+    Returns:
+        (n, size, size) float32; NaN where a patch reaches beyond the picture.
+    """
+    half = size // 2
+    inside = (pixels >= half).all(axis=1) & (pixels[:, 0] < picture.shape[1] - half)
+    inside &= pixels[:, 1] < picture.shape[0] - half
+    column, row = np.where(inside[:, None], pixels, half).astype(np.int64).T
+    around = np.arange(-half, half + 1)
+    patches = np.full((len(pixels), size, size), np.nan, np.float32)
+    if inside.any():
+        patches = picture[(row[:, None] + around)[:, :, None], (column[:, None] + around)[:, None, :]]
+        patches[~inside] = np.nan
+    return patches
+
+
+def _at_level(pixels: Floats, level: int) -> Floats:
+    return (pixels + 0.5) / 2**level - 0.5
+
+
+def _from_level(pixels: Floats, level: int) -> Floats:
+    return (pixels + 0.5) * 2**level - 0.5
+
+
+@numba.njit(cache=True, nogil=True)
+def _scan(patches, picture, expected, reach, found, score):
+    """Find the best place of each patch among the whole-pixel places of its box."""
+    size, wide = patches.shape[1], 2 * reach + 1
+    half = size // 2
+    height, width = picture.shape
+    grey = np.empty((size, size), np.float32)
+    cross, total, square = np.empty(wide, np.float32), np.empty(wide, np.float32), np.empty(wide, np.float32)
+    for n in range(patches.shape[0]):
+        x, y = expected[n]
+        if not (abs(x) < 1e8 and abs(y) < 1e8) or not _normalise(patches[n], grey):
+            continue
+        column, row = math.floor(x + 0.5), math.floor(y + 0.5)
+        first = max(column - reach, half)
+        count = min(column + reach, width - 1 - half) - first + 1
+        if count < 1:
+            continue
+        best = np.float32(-2.0)
+        for top in range(max(row - reach, half), min(row + reach, height - 1 - half) + 1):
+            _correlate(grey, picture, top - half, first - half, count, cross, total, square)
+            for k in range(count):
+                power = square[k] - total[k] * total[k] / np.float32(size * size)
+                value = cross[k] / math.sqrt(power) if power > 1e-3 * size * size else np.float32(-2.0)
+                if value > best:
+                    best = value
+                    found[n, 0], found[n, 1] = first + k, top
+        if best > -1.5:
+            score[n] = best
+
+
+@numba.njit(cache=True, nogil=True)
+def _normalise(patch, grey):
+    """Write a patch's grey values less their mean, at length one; false where it is flat or not known."""
+    mean = 0.0
+    for i in range(patch.shape[0]):
+        for j in range(patch.shape[1]):
+            mean += patch[i, j]
+    mean /= patch.size
+    power = 0.0
+    for i in range(patch.shape[0]):
+        for j in range(patch.shape[1]):
+            grey[i, j] = patch[i, j] - mean
+            power += grey[i, j] ** 2
+    if not power > 1e-3 * patch.size:
+        return False
+    scale = np.float32(1 / math.sqrt(power))
+    for i in range(patch.shape[0]):
+        for j in range(patch.shape[1]):
+            grey[i, j] *= scale
+    return True
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+def _correlate(grey, picture, top, left, count, cross, total, square):
+    """Sum products with a patch, grey values, and their squares for a row of places."""
+    size = grey.shape[0]
+    zero = np.float32(0.0)
+    for k in range(count):
+        cross[k] = total[k] = square[k] = zero
+    for i in range(size):
+        line = picture[top + i, left : left + count + size - 1]
+        for j in range(size):
+            factor = grey[i, j]
+            for k in range(count):
+                cross[k] += factor * line[k + j]
+        # The window's sums change by one pixel that comes and one that goes.
+        add, more = zero, zero
+        for j in range(size - 1):
+            add += line[j]
+            more += line[j] * line[j]
+        for k in range(count):
+            new = line[k + size - 1]
+            add += new
+            more += new * new
+            total[k] += add
+            square[k] += more
+            old = line[k]
+            add -= old
+            more -= old * old

@@ -1,0 +1,172 @@
+"""Splines: a grey picture as a smooth function, with values and gradients anywhere between its pixels."""
+
+from dataclasses import dataclass
+
+import cv2
+import numba
+import numpy as np
+
+from marey.arrays import Floats, freeze_fields
+from marey.errors import SettingProblem
+
+POLE = np.sqrt(3.0) - 2.0
+"""How fast a pixel's influence on the coefficients fades from one pixel to the next [Unser1999]."""
+_HORIZON = 16
+"""Pixels after which nothing of it is left: 2e-9."""
+_BLIND = 3
+"""Coefficients so near to a missing pixel are missing, too; beyond, what was put in its place weighs below 2 %."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SplinePicture:
+    """A grey picture as a sum of cubic B-splines, one a pixel [Unser1999]."""
+
+    coefficients: Floats
+    """(H, W) float32 [grey levels]; NaN about missing pixels."""
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, "coefficients", dtype=np.float32)
+
+
+def spline_of(image: np.ndarray) -> SplinePicture:
+    """Lay the cubic spline through a picture's grey values; beyond the border the picture is mirrored.
+
+    Args:
+        image: (H, W) grey, uint8 or float, at least 2 pixels wide and high. NaN where nothing is known, or nothing
+            may be used.
+
+    Returns:
+        The spline, which takes the picture's values at the pixels' centres.
+
+    Raises:
+        SettingProblem: The picture is not a grey one.
+    """
+    if image.ndim != 2 or min(image.shape) < 2 or image.dtype.kind not in "uif":
+        raise SettingProblem(f"A picture of shape {image.shape} and type {image.dtype} is no grey one (height, width).")
+    values = np.array(image, dtype=np.float32, order="C")
+    missing = ~np.isfinite(values)
+    if missing.any():
+        values = _filled(values, missing)
+    _filter_rows(values)
+    _filter_columns(values)
+    if missing.any():
+        size = 2 * _BLIND + 1
+        values[cv2.dilate(missing.view(np.uint8), np.ones((size, size), np.uint8)) > 0] = np.nan
+    return SplinePicture(coefficients=values)
+
+
+def sample(picture: SplinePicture, positions: Floats) -> tuple[Floats, Floats]:
+    """Evaluate a spline and its gradient; the plain meaning of the kernels that do so.
+
+    Args:
+        picture: The spline.
+        positions: (..., 2) x, y [px].
+
+    Returns:
+        Values (...) and gradients (..., 2) in grey levels per pixel; NaN less than a pixel from the picture's border,
+        beyond it, and near missing pixels.
+    """
+    coefficients = picture.coefficients
+    whole = np.floor(positions)
+    column, row = np.moveaxis(np.nan_to_num(whole, nan=-9.0).astype(np.int64), -1, 0)
+    height, width = coefficients.shape
+    inside = (column >= 1) & (row >= 1) & (column <= width - 3) & (row <= height - 3)
+    column, row = np.where(inside, column, 1), np.where(inside, row, 1)
+    x, y = np.moveaxis(positions - whole, -1, 0)
+    taps = np.arange(-1, 3)
+    around = np.full((*row.shape, 4, 4), np.nan)
+    if min(height, width) >= 4:
+        around = coefficients[(row[..., None] + taps)[..., :, None], (column[..., None] + taps)[..., None, :]]
+    around = np.where(inside[..., None, None], around.astype(float), np.nan)
+    value = np.einsum("...i,...ij,...j->...", weights(y), around, weights(x))
+    along = np.einsum("...i,...ij,...j->...", weights(y), around, slopes(x))
+    down = np.einsum("...i,...ij,...j->...", slopes(y), around, weights(x))
+    return value, np.stack([along, down], axis=-1)
+
+
+def weights(t: Floats) -> Floats:
+    """Give the four B-splines' values (..., 4) at a fraction t (...) of a pixel behind the second one."""
+    s = 1 - t
+    return np.stack([s**3, 3 * t**3 - 6 * t**2 + 4, 3 * s**3 - 6 * s**2 + 4, t**3], axis=-1) / 6
+
+
+def slopes(t: Floats) -> Floats:
+    """Give the derivatives (..., 4) of `weights`."""
+    s = 1 - t
+    return np.stack([-(s**2), 3 * t**2 - 4 * t, -3 * s**2 + 4 * s, t**2], axis=-1) / 2
+
+
+def noise_shares(count: int) -> tuple[Floats, Floats, Floats]:
+    """Say how much of the variance of white noise in the pixels is left between them, along one axis.
+
+    Args:
+        count: Fractions of a pixel to say it for, from 0 to 1.
+
+    Returns:
+        Shares (count,) in the spline's values, 1 at the pixels' centres and 0.76 half-way; in its slopes [1/px2]; and
+        how values and slopes go together [1/px], nothing at the centres and half-way.
+    """
+    reach = np.arange(-_HORIZON, _HORIZON + 1)
+    pulse = -6 * POLE / (1 - POLE**2) * POLE ** np.abs(reach)
+    fraction = np.linspace(0, 1, count)
+    values, gradients = (
+        np.stack([np.convolve(pulse, taps) for taps in table]) for table in (weights(fraction), slopes(fraction))
+    )
+    return np.sum(values**2, axis=-1), np.sum(gradients**2, axis=-1), np.sum(values * gradients, axis=-1)
+
+
+def _filled(values: np.ndarray, missing: np.ndarray) -> np.ndarray:
+    """Put the nearest known value in the place of each missing one."""
+    if missing.all():
+        return np.zeros_like(values)
+    kind = cv2.DIST_LABEL_PIXEL
+    _, label = cv2.distanceTransformWithLabels(missing.view(np.uint8), cv2.DIST_L2, 5, labelType=kind)
+    known = np.empty(label.max() + 1, np.float32)
+    known[label[~missing]] = values[~missing]
+    return known[label]
+
+
+@numba.njit(cache=True, nogil=True)
+def _filter_rows(values):
+    """Turn grey values into coefficients along the rows, in place: twice a recursive filter, there and back."""
+    height, width = values.shape
+    pole = np.float32(POLE)
+    for y in range(height):
+        line = values[y]
+        first, power = np.float32(0.0), np.float32(1.0)
+        for k in range(_HORIZON):
+            at = k % (2 * width - 2)
+            first += power * line[min(at, 2 * width - 2 - at)]
+            power *= pole
+        line[0] = np.float32(6.0) * first
+        for x in range(1, width):
+            line[x] = np.float32(6.0) * line[x] + pole * line[x - 1]
+        line[width - 1] = pole / (pole * pole - np.float32(1.0)) * (line[width - 1] + pole * line[width - 2])
+        for x in range(width - 2, -1, -1):
+            line[x] = pole * (line[x + 1] - line[x])
+
+
+@numba.njit(cache=True, nogil=True)
+def _filter_columns(values):
+    """Do the same along the columns; a row at a time, so that the compiler makes vectors of it."""
+    height, width = values.shape
+    pole = np.float32(POLE)
+    first, power = np.zeros(width, np.float32), np.float32(1.0)
+    for k in range(_HORIZON):
+        at = k % (2 * height - 2)
+        line = values[min(at, 2 * height - 2 - at)]
+        for x in range(width):
+            first[x] += power * line[x]
+        power *= pole
+    values[0] = np.float32(6.0) * first
+    for y in range(1, height):
+        line, before = values[y], values[y - 1]
+        for x in range(width):
+            line[x] = np.float32(6.0) * line[x] + pole * before[x]
+    last, before = values[height - 1], values[height - 2]
+    for x in range(width):
+        last[x] = pole / (pole * pole - np.float32(1.0)) * (last[x] + pole * before[x])
+    for y in range(height - 2, -1, -1):
+        line, after = values[y], values[y + 1]
+        for x in range(width):
+            line[x] = pole * (after[x] - line[x])

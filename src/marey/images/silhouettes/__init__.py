@@ -1,0 +1,1 @@
+"""Where a person is in a picture: background models, densities, level sets, outlines."""

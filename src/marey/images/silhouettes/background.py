@@ -1,0 +1,465 @@
+"""The empty picture of a camera: its mean, its steepness and its noise, and how another picture exposes it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numba
+import numpy as np
+
+from marey.arrays import Mask, freeze_fields
+
+LEAST_NOISE = 1.0
+"""Standard deviation in grey levels below which no recording of eight bits a channel is believed."""
+
+BLACK = 24
+"""A bar is darker than this, grey levels."""
+
+GHOST = 3.0
+"""A place is a ghost when the step across its outline is so many times higher in the plate than in the take."""
+
+DOUBT = 3.0
+"""A background that differs by more standard deviations (over 5 x 5 pixels) does not explain a picture."""
+
+_MEDIAN_TO_DEVIATION = 1 / 0.6745
+_SAMPLES = 5000
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Background:
+    """What a camera sees when nobody is there.
+
+    Args:
+        mean: (H, W, C) grey levels, C of 1 or 3.
+        steepness: (H, W) squared grey levels per pixel: how strongly a small shift changes the pixel.
+        trust: (H, W) probability that the mean is right there, from 0 to 1.
+        size: Rows and columns of the whole picture, where this is a part of it.
+    """
+
+    mean: np.ndarray
+    steepness: np.ndarray
+    trust: np.ndarray
+    size: tuple[int, int]
+
+    def __post_init__(self):
+        freeze_fields(self, "mean", "steepness", "trust", dtype=np.float32)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Exposure:
+    """How one picture shows the background: picture = gain * mean + offset, with a standard deviation.
+
+    Args:
+        gain: (C,).
+        offset: (C,) grey levels.
+        noise: (C,) standard deviation in grey levels where the background is even.
+        jitter: Standard deviation in pixels of small shifts (a shaken camera, resampling, compression): an edge
+            differs more.
+    """
+
+    gain: np.ndarray
+    offset: np.ndarray
+    noise: np.ndarray
+    jitter: float
+
+    def __post_init__(self):
+        freeze_fields(self, "gain", "offset", "noise", dtype=np.float32)
+
+
+def part(background: Background, roi: tuple[slice, slice]) -> Background:
+    """Rows and columns of a background."""
+    return Background(
+        mean=background.mean[roi],
+        steepness=background.steepness[roi],
+        trust=background.trust[roi],
+        size=background.size,
+    )
+
+
+def doubted(background: Background, pictures: Sequence[np.ndarray]) -> Background:
+    """The background with less trust where it explains no picture of the take, and mended where it shows a ghost.
+
+    Either the person covers such a place all the time or the plate is wrong there (a ghost of somebody, a thing that
+    was moved). Where all around is explained the outline tells: a person's outline is an edge in the pictures, a
+    ghost's is one in the plate. A ghost gives way to the most frequent colours of the take. Elsewhere half the trust
+    is left, and colours and expectation decide.
+
+    Args:
+        background: From a plate or a clip.
+        pictures: (H, W, C) uint8 each, spread over the take; a dozen are enough.
+
+    Raises:
+        ValueError: A picture is not of the background's size.
+    """
+    least, changed = np.full(background.size, np.inf, np.float32), np.zeros(background.size, np.float32)
+    average = np.zeros(background.mean.shape, np.float32)
+    for picture in pictures:
+        shown = exposure(picture, background)
+        light = exposed(background, shown)
+        misfit = (picture - light) ** 2
+        misfit /= shown.noise**2 + np.float32(shown.jitter**2) * background.steepness[..., None]
+        misfit = cv2.blur(misfit.mean(axis=2), (5, 5))
+        least = np.minimum(least, misfit)
+        changed += (misfit > DOUBT**2) / np.float32(len(pictures))
+        average += picture / np.float32(len(pictures))
+    wrong = cv2.morphologyEx((least > DOUBT**2).astype(np.uint8), cv2.MORPH_OPEN, np.ones((5, 5), np.uint8))
+    trust, ghost = _outlines(wrong, changed, background.mean, average)
+    mean = background.mean
+    if ghost.any():
+        rows, columns = np.flatnonzero(ghost.any(axis=1)), np.flatnonzero(ghost.any(axis=0))
+        box = (slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1))
+        frequent, _ = _most_frequent(np.stack([picture[box] for picture in pictures]), np.float32(6.0))
+        mean = mean.copy()
+        mean[box][ghost[box]] = frequent[ghost[box]]
+    return _background(mean, trust=np.minimum(trust, background.trust))
+
+
+def _outlines(
+    wrong: np.ndarray, changed: np.ndarray, plate: np.ndarray, average: np.ndarray
+) -> tuple[np.ndarray, Mask]:
+    """Trust in the plate and where it has ghosts, from the steps across the outlines of what is wrong in it."""
+    trust, ghost = np.ones(wrong.shape, np.float32), np.zeros(wrong.shape, bool)
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(wrong)
+    square, wide = np.ones((7, 7), np.uint8), np.ones((15, 15), np.uint8)
+    for k in range(1, count):
+        x, y, width, height, area = stats[k]
+        if area < 50:
+            continue
+        box = (slice(max(y - 8, 0), y + height + 8), slice(max(x - 8, 0), x + width + 8))
+        part = (labels[box] == k).astype(np.uint8)
+        place = cv2.dilate(part, square) > 0
+        ratio = _step(plate[box], part) / max(_step(average[box], part), 1e-3)
+        alone = changed[box][(cv2.dilate(part, wide) > 0) & ~place].mean() < 0.5
+        if alone and ratio > GHOST:
+            ghost[box] |= place
+        elif not alone:
+            trust[box][place] = 0.5
+    return trust, ghost
+
+
+def _step(picture: np.ndarray, part: np.ndarray) -> float:
+    """Mean step in grey levels across the outline of a part, between rings within eight pixels inside and outside."""
+    near, far = np.ones((5, 5), np.uint8), np.ones((15, 15), np.uint8)
+    outside = (cv2.dilate(part, far) - cv2.dilate(part, near)).astype(np.float32)
+    # The part was found with a window of 5 x 5 and is two pixels too large.
+    inside = (cv2.erode(part, near) - cv2.erode(part, far)).astype(np.float32)
+    sides = []
+    for ring in (inside, outside):
+        weight = cv2.blur(ring, (17, 17))
+        total = cv2.blur(picture * ring[..., None], (17, 17)).reshape(picture.shape)
+        sides.append((total / np.maximum(weight, 1e-6)[..., None], weight > 0.01))
+    both = (inside > 0) & sides[0][1] & sides[1][1]
+    difference = np.linalg.norm(sides[0][0] - sides[1][0], axis=2)[both]
+    return float(difference.mean()) if difference.size else 0.0
+
+
+def taught(
+    background: Background, picture: np.ndarray, shown: Exposure, person: Mask, *, share: float = 0.5
+) -> Background:
+    """The background after a picture in which it is known where the person is not: there it mends what is doubtful.
+
+    Args:
+        background: As `doubted` gives it; where it is trusted it stays.
+        picture: (H, W, C) uint8.
+        shown: How the picture exposes the background.
+        person: (H, W) where the person may be, generously: a fitted surface grown by what it may be off.
+        share: How far mean and trust move at once.
+    """
+    learn = (background.trust < 1) & ~person
+    if not learn.any():
+        return background
+    mean, trust = background.mean.copy(), background.trust.copy()
+    mean[learn] += share * ((picture[learn] - shown.offset) / shown.gain - mean[learn])
+    trust[learn] += share * (1 - trust[learn])
+    return _background(mean, trust=trust)
+
+
+def exposed(background: Background, shown: Exposure) -> np.ndarray:
+    """Mean of the background as a picture exposes it, at least one grey level: (H, W, C) float32."""
+    return _exposed(background.mean, shown.gain, shown.offset)
+
+
+@numba.njit(cache=True, nogil=True, fastmath=True)
+def _exposed(mean, gain, offset):
+    height, width, channels = mean.shape
+    light = np.empty((height, width, channels), np.float32)
+    # Channels in turn along a row, so that one loop runs over all of it.
+    gains, offsets = np.empty(width * channels, np.float32), np.empty(width * channels, np.float32)
+    for c in range(channels):
+        gains[c::channels], offsets[c::channels] = gain[c], offset[c]
+    for y in range(height):
+        row, out = mean[y].ravel(), light[y].ravel()
+        for e in range(width * channels):
+            out[e] = max(gains[e] * row[e] + offsets[e], np.float32(1.0))
+    return light
+
+
+def grey(image: np.ndarray) -> np.ndarray:
+    """The grey picture (H, W, 1) of a colour picture (H, W, 3) uint8, blue first."""
+    return cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)[..., None]
+
+
+def from_pictures(pictures: Sequence[np.ndarray]) -> Background:
+    """Background from pictures of the empty room: the median of each pixel.
+
+    Args:
+        pictures: (H, W, C) uint8 each, all of one size, as exposed alike; some two dozen of a clip are enough.
+
+    Raises:
+        ValueError: No picture, or sizes that differ.
+    """
+    _check(pictures)
+    mean = pictures[0].astype(np.float32) if len(pictures) == 1 else np.median(np.stack(pictures), axis=0)
+    return _background(mean)
+
+
+def from_take(pictures: Sequence[np.ndarray], *, tolerance: float = 3.0) -> Background:
+    """Background from the take itself, where each pixel is empty at some time.
+
+    It begins with the most frequent colour of each pixel. Where a person stays for most of the take that is the
+    person; if the first picture shows the place without a step across the outline it mends it (see `doubted`). All
+    the trust goes to a colour that at least half of the pictures show, half of it to a rare one.
+
+    Args:
+        pictures: (H, W, C) uint8 each, all of one size: see `worth_seeing`.
+        tolerance: Colours that differ by less in every channel are the same, grey levels.
+
+    Raises:
+        ValueError: No picture, or sizes that differ.
+    """
+    _check(pictures)
+    mean, share = _most_frequent(np.stack(pictures), np.float32(tolerance))
+    if len(pictures) > 1:
+        first, second = (picture.astype(np.float32) for picture in pictures[:2])
+        mean = _without_outlines(mean, first, second, 4 * tolerance)
+    return _background(mean, trust=np.clip(2 * share, 0.5, 1.0))
+
+
+def worth_seeing(count: int, *, ends: int = 10, between: int = 20) -> np.ndarray:
+    """Frames of a take of count frames to look for its background in: many of the beginning, some of all the rest."""
+    return np.unique(np.concatenate([np.arange(min(ends, count)), np.linspace(0, count - 1, between).astype(int)]))
+
+
+def _differs(one: np.ndarray, other: np.ndarray, tolerance: float) -> Mask:
+    return np.abs(cv2.blur(one, (5, 5)) - cv2.blur(other, (5, 5))).reshape(one.shape).max(axis=2) > tolerance
+
+
+def _without_outlines(mean: np.ndarray, picture: np.ndarray, beside: np.ndarray, tolerance: float) -> np.ndarray:
+    """The mean, with the picture's pixels in places where only the mean has a step across the outline.
+
+    What moves between the picture and one beside it is no background.
+    """
+    differs, moves = _differs(mean, picture, tolerance), _differs(picture, beside, tolerance)
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(
+        cv2.morphologyEx(differs.astype(np.uint8), cv2.MORPH_OPEN, np.ones((5, 5), np.uint8))
+    )
+    mended = mean.copy()
+    for k in range(1, count):
+        x, y, width, height, area = stats[k]
+        if area < 50:
+            continue
+        box = (slice(max(y - 8, 0), y + height + 8), slice(max(x - 8, 0), x + width + 8))
+        part = (labels[box] == k).astype(np.uint8)
+        still = moves[box][part > 0].mean() < 0.1
+        if still and _step(mean[box], part) > GHOST * _step(picture[box], part):
+            place = cv2.dilate(part, np.ones((7, 7), np.uint8)) > 0
+            mended[box][place] = picture[box][place]
+    return mended
+
+
+def _check(pictures: Sequence[np.ndarray]) -> None:
+    if len(pictures) == 0:
+        raise ValueError("a background needs at least one picture")
+    if any(picture.ndim != 3 or picture.shape != pictures[0].shape for picture in pictures):
+        raise ValueError("the pictures of a background must be (H, W, C) and of one size")
+
+
+def shrunk(background: Background, size: tuple[int, int]) -> Background:
+    """The background of pictures that are resized to a width and height, smaller ones."""
+    if (background.size[1], background.size[0]) == size:
+        return background
+    mean = cv2.resize(background.mean, size, interpolation=cv2.INTER_AREA)
+    trust = cv2.resize(background.trust, size, interpolation=cv2.INTER_AREA)
+    return _background(mean.reshape(size[1], size[0], -1), trust=trust)
+
+
+def _background(mean: np.ndarray, trust: np.ndarray | None = None) -> Background:
+    mean = mean.astype(np.float32)
+    trust = np.ones(mean.shape[:2]) if trust is None else trust
+    return Background(mean=mean, steepness=_steepness(mean), trust=trust, size=mean.shape[:2])
+
+
+def _steepness(picture: np.ndarray) -> np.ndarray:
+    smooth = cv2.GaussianBlur(picture, (0, 0), 0.7).reshape(picture.shape)
+    across = cv2.Scharr(smooth, cv2.CV_32F, 1, 0).reshape(picture.shape) / 32
+    down = cv2.Scharr(smooth, cv2.CV_32F, 0, 1).reshape(picture.shape) / 32
+    return np.mean(across**2 + down**2, axis=2)
+
+
+@numba.njit(cache=True, nogil=True)
+def _most_frequent(pictures, tolerance):
+    """Mean of the largest group of like colours at each pixel, and the group's share."""
+    count, height, width, channels = pictures.shape
+    mean = np.empty((height, width, channels), np.float32)
+    share = np.empty((height, width), np.float32)
+    for y in range(height):
+        for x in range(width):
+            best, most = 0, 0
+            for i in range(count):
+                alike = 0
+                for j in range(count):
+                    alike += _alike(pictures[i, y, x], pictures[j, y, x], tolerance)
+                if alike > most:
+                    best, most = i, alike
+            for c in range(channels):
+                total = 0.0
+                for j in range(count):
+                    if _alike(pictures[best, y, x], pictures[j, y, x], tolerance):
+                        total += pictures[j, y, x, c]
+                mean[y, x, c] = total / most
+            share[y, x] = most / count
+    return mean, share
+
+
+@numba.njit(cache=True, nogil=True)
+def _alike(one, other, tolerance):
+    for c in range(one.size):  # noqa: SIM110
+        if abs(np.float32(one[c]) - np.float32(other[c])) > tolerance:
+            return False
+    return True
+
+
+def exposure(
+    image: np.ndarray, background: Background, *, person: Mask | None = None, before: Exposure | None = None
+) -> Exposure:
+    """How a picture exposes the background, robust to what stands before it.
+
+    Gain and offset of each channel are fitted to a sample of the pixels by reweighted least squares (Cauchy's
+    weights); the noise is the spread of what remains where the background is even, the jitter what steep places have
+    beyond that.
+
+    Args:
+        image: (H, W, C) uint8, of the background's size.
+        background: The empty picture.
+        person: (H, W) where the person is believed, left out.
+        before: The exposure of an earlier picture of the camera; its noise and jitter are kept.
+
+    Raises:
+        ValueError: The picture is not of the background's size.
+    """
+    if image.shape != background.mean.shape:
+        raise ValueError(f"a picture of {image.shape} and a background of {background.mean.shape}")
+    samples = _SAMPLES if before is None else _SAMPLES // 3
+    step = max(1, int(np.sqrt(image.shape[0] * image.shape[1] / samples)))
+    grid = (slice(step // 2, None, step), slice(step // 2, None, step))
+    keep = background.trust[grid] > 0.5
+    if person is not None:
+        keep &= ~person[grid]
+    if keep.sum() < 20:
+        keep = np.ones_like(keep)
+    seen = image[grid][keep].astype(np.float32)
+    mean, steepness = background.mean[grid][keep], background.steepness[grid][keep]
+    if before is not None:
+        gain, offset = _gain_and_offset(seen, mean, before.gain, before.offset, rounds=2)
+        return Exposure(gain=gain, offset=offset, noise=before.noise, jitter=before.jitter)
+    gain, offset = _gain_and_offset(seen, mean, np.ones(mean.shape[1]), np.median(seen - mean, axis=0), rounds=8)
+    noise, jitter = _noise(seen - gain * mean - offset, steepness)
+    return Exposure(gain=gain, offset=offset, noise=noise, jitter=jitter)
+
+
+def shown_lines(image: np.ndarray, background: Background, exposure: Exposure) -> tuple[slice, slice]:
+    """Rows and columns without the black bars that lie along the borders of the picture or of the background alone.
+
+    A bar begins with a black line, and its lines differ from the other picture nearly from end to end.
+    """
+    limits = []
+    for axis in (0, 1):
+        count = image.shape[axis]
+        first = _bar(image, background, exposure, axis, range(count // 8))
+        last = _bar(image, background, exposure, axis, range(count - 1, count - 1 - count // 8, -1))
+        limits.append(slice(first, count - last))
+    return limits[0], limits[1]
+
+
+def _bar(image: np.ndarray, background: Background, exposure: Exposure, axis: int, lines: range) -> int:
+    """How many lines of a bar there are among these, which begin at a border."""
+    for width, line in enumerate(lines):
+        seen, mean = np.take(image, line, axis), np.take(background.mean, line, axis)
+        if width == 0 and _is_bright(seen, BLACK) and _is_bright(mean, BLACK):
+            return 0
+        rest = np.abs(seen - mean * exposure.gain - exposure.offset) / exposure.noise
+        if np.mean(rest.max(axis=1) > 4) < 0.9:
+            return width
+    return len(lines)
+
+
+@numba.njit(cache=True, nogil=True)
+def _is_bright(line, level):
+    """Tell whether the median over a line (n, C) of the brightest channel lies above a level."""
+    count = 0
+    for x in range(line.shape[0]):
+        above = False
+        for c in range(line.shape[1]):
+            above |= line[x, c] > level
+        count += above
+    return 2 * count > line.shape[0]
+
+
+def _median_size(rest: np.ndarray) -> np.ndarray:
+    """Median of the absolute values in each column; of two in the middle the larger."""
+    middle = len(rest) // 2
+    return np.partition(np.abs(np.ascontiguousarray(rest.T)), middle, axis=1)[:, middle]
+
+
+def _gain_and_offset(
+    seen: np.ndarray, mean: np.ndarray, gain: np.ndarray, offset: np.ndarray, *, rounds: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Fit seen = gain * mean + offset a channel, (n, C) each; where the mean hardly varies the gain stays near one."""
+    gain, offset = np.array(gain, np.float64), np.array(offset, np.float64)
+    for _ in range(rounds):
+        rest = seen - gain.astype(np.float32) * mean - offset.astype(np.float32)
+        spread = np.maximum(_median_size(rest) * _MEDIAN_TO_DEVIATION, LEAST_NOISE)
+        gain, offset = _weighted_line(seen, mean, rest, spread)
+    return gain, offset
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _weighted_line(seen, mean, rest, spread):
+    """One round of `_gain_and_offset`: gain and offset (C,) by least squares with Cauchy's weights."""
+    count, channels = seen.shape
+    total = 0.0
+    sums = np.zeros((4, channels))
+    for i in range(count):
+        far = 1.0
+        for c in range(channels):
+            far += (rest[i, c] / (2 * spread[c])) ** 2
+        weight = 1 / far
+        total += weight
+        for c in range(channels):
+            x, y = np.float64(mean[i, c]), np.float64(seen[i, c])
+            sums[0, c] += weight * x
+            sums[1, c] += weight * y
+            sums[2, c] += weight * x * x
+            sums[3, c] += weight * x * y
+    gain, offset = np.empty(channels), np.empty(channels)
+    for c in range(channels):
+        centre, middle = sums[0, c] / total, sums[1, c] / total
+        # One measurement more: the gain is one, give or take a fifth.
+        prior = spread[c] ** 2 / 0.2**2
+        gain[c] = (sums[3, c] - total * centre * middle + prior) / (sums[2, c] - total * centre**2 + prior)
+        offset[c] = middle - gain[c] * centre
+    return gain, offset
+
+
+def _noise(rest: np.ndarray, steepness: np.ndarray) -> tuple[np.ndarray, float]:
+    # What stands before the background is no noise: twice, what is far out is left out.
+    for _ in range(2):
+        spread = np.maximum(np.median(np.abs(rest), axis=0) * _MEDIAN_TO_DEVIATION, LEAST_NOISE)
+        near = (np.abs(rest) < 4 * spread).all(axis=1)
+        rest, steepness = rest[near], steepness[near]
+    even = steepness <= np.median(steepness)
+    steep = steepness >= np.quantile(steepness, 0.9)
+    noise = np.maximum(np.median(np.abs(rest[even]), axis=0) * _MEDIAN_TO_DEVIATION, LEAST_NOISE)
+    at_edges = np.mean((np.median(np.abs(rest[steep]), axis=0) * _MEDIAN_TO_DEVIATION) ** 2 - noise**2)
+    jitter = np.sqrt(max(float(at_edges), 0.0) / max(float(np.median(steepness[steep])), 1e-6))
+    return noise, float(np.clip(jitter, 0.05, 1.0))

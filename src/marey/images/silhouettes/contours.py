@@ -1,0 +1,73 @@
+"""The outline of a silhouette: its pixels, their normals, and which of them is nearest to a place."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+
+from marey.arrays import Floats, Integers, Mask
+from marey.images.silhouettes.nearest import Cells, sort_into_cells
+
+
+@dataclass(frozen=True, eq=False)
+class Contour:
+    """The innermost ring of a silhouette's pixels: those beside a pixel that is outside."""
+
+    mask: Mask
+    """(height, width) the silhouette."""
+    pixels: Floats
+    """(n, 2) x, y of the ring's pixels."""
+    inward: Floats
+    """(n, 2) unit normals towards the inside."""
+
+    @cached_property
+    def cells(self) -> Cells:
+        """The ring's pixels, sorted so that the nearest one is found quickly."""
+        return sort_into_cells(self.pixels)
+
+
+def trace_contour(mask: Mask, *, border: int = 2, blur: float = 1.5) -> Contour:
+    """Trace the outline of a silhouette.
+
+    Args:
+        mask: (height, width) true inside.
+        border: contour pixels nearer than this to the picture's border are left out: a person cut by
+            the border has no outline there.
+        blur: standard deviation [px] of the smoothing from which normals are taken.
+    """
+    height, width = mask.shape
+    picture = np.ascontiguousarray(mask).view(np.uint8)
+    first_x, first_y, columns, rows = cv2.boundingRect(picture)
+    if rows == 0:
+        return Contour(mask, np.zeros((0, 2)), np.zeros((0, 2)))
+    margin = int(np.ceil(4 * blur)) + 1
+    top, bottom = max(first_y - margin, 0), min(first_y + rows + margin, height)
+    left, right = max(first_x - margin, 0), min(first_x + columns + margin, width)
+    part = picture[top:bottom, left:right]
+    ring = cv2.subtract(part, cv2.erode(part, _CROSS, borderType=cv2.BORDER_REPLICATE))
+    found = cv2.findNonZero(ring)
+    x, y = np.zeros((2, 0), np.int64) if found is None else found.reshape(-1, 2).T.astype(np.int64)
+    inner = (x + left >= border) & (x + left < width - border) & (y + top >= border) & (y + top < height - border)
+    x, y = x[inner], y[inner]
+    normals = _normals(part, x, y, blur)
+    # Where a silhouette is a pixel wide both sides cancel, and no direction is left.
+    directed = np.linalg.norm(normals, axis=1) > 0.5
+    x, y, normals = x[directed], y[directed], normals[directed]
+    if len(x) == 0:
+        return Contour(mask, np.zeros((0, 2)), np.zeros((0, 2)))
+    pixels = np.stack([x + left, y + top], 1).astype(float)
+    return Contour(mask, pixels, normals)
+
+
+_CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+
+
+def _normals(part: np.ndarray, x: Integers, y: Integers, blur: float) -> Floats:
+    smooth = cv2.GaussianBlur(part.astype(np.float32), (0, 0), blur, borderType=cv2.BORDER_REPLICATE)
+    gx = cv2.Sobel(smooth, cv2.CV_32F, 1, 0)[y, x]
+    gy = cv2.Sobel(smooth, cv2.CV_32F, 0, 1)[y, x]
+    normals = np.stack([gx, gy], 1).astype(float)
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    # The faintest true edge is far above this, what rounding leaves of two sides that cancel far below.
+    return np.where(length > 1e-3, normals / np.maximum(length, 1e-3), 0.0)

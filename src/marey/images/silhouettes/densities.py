@@ -1,0 +1,163 @@
+"""Densities of colour: histograms smoothed by a Gaussian, of the person and of what surrounds it.
+
+[Rosenhahn2006] section 2.1 estimates the density of grey values in each region this way; with three channels the
+histogram is a cube. All densities are per grey level of every channel, so that they compare with those of a
+background model.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+
+import numba
+import numpy as np
+
+from marey.arrays import Mask, freeze_fields
+
+COLOUR_SHIFT = 3
+"""Colours are counted in cubes of 8 grey levels a side, the kernel's standard deviation."""
+
+RATIO_BINS = 64
+RATIO_RANGE = (0.2, 1.1)
+"""A cast shadow keeps at least a fifth of the light; a little more than all of it can come back from a person."""
+
+
+SHADOW_DEPTH = 0.1
+"""Before any is seen, shadows are expected to take about this share of the light."""
+
+
+COMMON = {1: 1.0, 3: 16.0}
+"""Colours of things crowd about grey: one of which nothing is known is so much denser there than in the whole cube."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Appearance:
+    """What the person, its surroundings and the shadows look like in one camera.
+
+    Args:
+        person: Smoothed density of the person's colours: (32, 32, 32), or (256,) for grey pictures.
+        surroundings: The same for what lies about it.
+        shadow: (64,) density of the darkening of shadows over RATIO_RANGE, which integrates to one.
+    """
+
+    person: np.ndarray
+    surroundings: np.ndarray
+    shadow: np.ndarray
+
+    def __post_init__(self):
+        freeze_fields(self, "person", "surroundings", "shadow", dtype=np.float32)
+
+
+def unknown(channels: int) -> Appearance:
+    """Nothing known: every colour is equally likely everywhere, weak shadows are likelier than strong ones."""
+    uniform = np.full((256 >> COLOUR_SHIFT,) * 3 if channels == 3 else (256,), 256.0**-channels)
+    return Appearance(person=uniform * COMMON[channels], surroundings=uniform, shadow=_shadow_prior())
+
+
+@cache
+def _shadow_prior() -> np.ndarray:
+    low, high = RATIO_RANGE
+    ratios = low + (np.arange(RATIO_BINS) + 0.5) * (high - low) / RATIO_BINS
+    density = np.exp(-np.abs(ratios - 1) / np.where(ratios < 1, SHADOW_DEPTH, 0.03))
+    return density / density.sum() * RATIO_BINS / (high - low)
+
+
+def colour_density(image: np.ndarray, region: Mask) -> np.ndarray:
+    """Smoothed colour density of a region.
+
+    Args:
+        image: (H, W, C) uint8, C of 1 or 3.
+        region: (H, W).
+
+    Returns:
+        (32, 32, 32) or (256,) float32, per grey level of every channel; uniform where the region is empty.
+    """
+    if image.shape[2] == 3:
+        counts = _colour_counts(np.ascontiguousarray(image), np.ascontiguousarray(region))
+        smooth, volume = _smooth_cube(counts, _kernel(1.0)), float(1 << 3 * COLOUR_SHIFT)
+    else:
+        counts = np.bincount(image[..., 0][region], minlength=256).astype(np.float32)
+        smooth, volume = np.convolve(np.pad(counts, 20, mode="symmetric"), _kernel(8.0), "same")[20:-20], 1.0
+    total = float(counts.sum())
+    if total == 0:
+        return np.full(counts.shape, COMMON[image.shape[2]] * 256.0 ** -image.shape[2], np.float32)
+    return (smooth / (total * volume)).astype(np.float32)
+
+
+@cache
+def _kernel(deviation: float) -> np.ndarray:
+    reach = int(np.ceil(2.5 * deviation))
+    weights = np.exp(-(np.arange(-reach, reach + 1) ** 2) / (2 * deviation**2))
+    return (weights / weights.sum()).astype(np.float32)
+
+
+@numba.njit(cache=True, nogil=True)
+def _colour_counts(image, region):
+    counts = np.zeros((32, 32, 32), np.float32)
+    for y in range(image.shape[0]):
+        for x in range(image.shape[1]):
+            if region[y, x]:
+                counts[image[y, x, 0] >> 3, image[y, x, 1] >> 3, image[y, x, 2] >> 3] += np.float32(1.0)
+    return counts
+
+
+@numba.njit(cache=True, nogil=True, fastmath=True)
+def _smooth_cube(cube, kernel):
+    """Convolve along the three axes; what would fall over an edge stays on it. Empty places cost nothing.
+
+    The last axis comes first, while most places are empty; along the others whole rows are added.
+    """
+    size, reach = cube.shape[0], kernel.size // 2
+    last, middle, result = np.zeros(cube.shape, cube.dtype), np.zeros(cube.shape, cube.dtype), np.zeros_like(cube)
+    used = np.zeros((size, size), np.bool_)
+    for i in range(size):
+        for j in range(size):
+            for k in range(size):
+                value = cube[i, j, k]
+                if value != 0:
+                    used[i, j] = True
+                    for t in range(-reach, reach + 1):
+                        last[i, j, min(max(k + t, 0), size - 1)] += kernel[t + reach] * value
+    for i in range(size):
+        filled = False
+        for j in range(size):
+            if used[i, j]:
+                filled = True
+                row = last[i, j]
+                for t in range(-reach, reach + 1):
+                    weight, out = kernel[t + reach], middle[i, min(max(j + t, 0), size - 1)]
+                    for k in range(size):
+                        out[k] += weight * row[k]
+        if filled:
+            plane = middle[i].ravel()
+            for t in range(-reach, reach + 1):
+                weight, out = kernel[t + reach], result[min(max(i + t, 0), size - 1)].ravel()
+                for k in range(size * size):
+                    out[k] += weight * plane[k]
+    return result
+
+
+def shadow_density(ratios: np.ndarray, *, strength: float = 500.0) -> np.ndarray:
+    """Density of the darkening of shadows, from the ratios of pixels that are shadow, each with a weight.
+
+    Args:
+        ratios: (N,) picture over background of the shadowed pixels.
+        strength: As many pixels the general expectation counts for.
+    """
+    low, high = RATIO_RANGE
+    seen = ratios[(ratios >= low) & (ratios <= high)]
+    places = ((seen - low) * (RATIO_BINS / (high - low))).astype(np.int64)
+    counts = np.bincount(np.minimum(places, RATIO_BINS - 1), minlength=RATIO_BINS).astype(float)
+    mirrored = np.concatenate([counts[7::-1], counts, counts[:-9:-1]])
+    smooth = np.convolve(mirrored, _kernel(3.0), "same")[8:-8]
+    prior = _shadow_prior()
+    scale = RATIO_BINS / (high - low)
+    return ((smooth * scale + strength * prior) / (counts.sum() + strength)).astype(np.float32)
+
+
+def blended(old: Appearance, new: Appearance, share: float) -> Appearance:
+    """An appearance that moves by a share from an old one towards a new one."""
+
+    def mix(name: str) -> np.ndarray:
+        return (1 - share) * getattr(old, name) + share * getattr(new, name)
+
+    return Appearance(person=mix("person"), surroundings=mix("surroundings"), shadow=mix("shadow"))

@@ -1,0 +1,1 @@
+"""Camera calibrations in the formats of other programs."""

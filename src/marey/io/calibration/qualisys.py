@@ -1,0 +1,114 @@
+"""Calibrations of Qualisys Track Manager: .qca.txt, an XML file."""
+
+from pathlib import Path
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from marey.arrays import Floats
+from marey.cameras.camera import Camera
+from marey.cameras.rig import Rig
+from marey.errors import FileProblem
+from marey.io.calibration.parts import Faults, RawCamera, make_rig
+
+_REMEDY = "Export the calibration from Qualisys Track Manager again."
+_FOV = ("left", "top", "right", "bottom")
+_TRANSFORM = ("x", "y", "z", "r11", "r12", "r13", "r21", "r22", "r23", "r31", "r32", "r33")
+_INTRINSIC = (
+    *("sensorMinU", "sensorMaxU", "focalLengthU", "focalLengthV", "centerPointU", "centerPointV", "skew"),
+    *("radialDistortion1", "radialDistortion2", "radialDistortion3", "tangentalDistortion1", "tangentalDistortion2"),
+)
+_CAMERA_FROM_QUALISYS = np.diag([1.0, -1.0, -1.0])
+"""Qualisys' cameras look along their own -z with y up."""
+
+
+def read_qualisys(path: Path) -> Rig:
+    """Read the cameras of a Qualisys calibration, called by their serial numbers.
+
+    The calibration belongs to the picture as the sensor sees it: a video that was turned for viewing has another size.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The cameras that are active.
+
+    Raises:
+        FileProblem: It is not such a file, or a value is missing or wrong; the message lists everything.
+    """
+    try:
+        root = ElementTree.fromstring(path.read_bytes())
+    except ElementTree.ParseError as error:
+        raise FileProblem(path, f"is not XML: {error}", _REMEDY) from error
+    cameras = [camera for camera in root.iter("camera") if camera.get("active", "1") != "0"]
+    if not cameras:
+        raise FileProblem(path, "has no active camera", _REMEDY)
+    faults = Faults(path, _REMEDY)
+    return make_rig(faults, [_camera(faults, camera) for camera in cameras])
+
+
+def _camera(faults: Faults, camera: Element) -> Camera | None:
+    name = camera.get("serial", "without serial")
+    clauses: list[str] = []
+    shown = _values(camera, "fov_video", _FOV, clauses)
+    transform = _values(camera, "transform", _TRANSFORM, clauses)
+    inner = _values(camera, "intrinsic", _INTRINSIC, clauses)
+    unit = None if clauses else _unit(camera, inner, clauses)
+    if unit is None:
+        faults.add(name, clauses)
+        return None
+    # By rows the camera's axes in the world; x, y, z is the camera's centre [mm].
+    rotation = _CAMERA_FROM_QUALISYS @ np.array([transform[key] for key in _TRANSFORM[3:]]).reshape(3, 3)
+    centre = np.array([transform[key] for key in "xyz"]) / 1000
+    radial = [inner[f"radialDistortion{i}"] for i in (1, 2, 3)]
+    tangential = [inner[f"tangentalDistortion{i}"] for i in (1, 2)]
+    raw = RawCamera(
+        name=name,
+        size=(shown["right"] - shown["left"] + 1, shown["bottom"] - shown["top"] + 1),
+        matrix=_matrix(inner, unit, shown),
+        # Without a unit: dividing these as well as the pixels takes the lens away (measured on boards).
+        distortion=[*radial[:2], *tangential, radial[2]],
+        rotation=rotation,
+        translation=-rotation @ centre,
+    )
+    return raw.checked(faults)
+
+
+def _matrix(inner: dict[str, float], unit: float, shown: dict[str, float]) -> Floats:
+    centre_x, centre_y = inner["centerPointU"] / unit - shown["left"], inner["centerPointV"] / unit - shown["top"]
+    return np.array(
+        [
+            [inner["focalLengthU"] / unit, inner["skew"] / unit, centre_x],
+            [0, inner["focalLengthV"] / unit, centre_y],
+            [0, 0, 1],
+        ]
+    )
+
+
+def _unit(camera: Element, inner: dict[str, float], clauses: list[str]) -> float | None:
+    """Find the unit of the intrinsic numbers: 64 to a pixel in files, 1 in what the program sends over the network."""
+    full = _values(camera, "fov_video_max", _FOV, clauses)
+    if clauses:
+        return None
+    ratio = (inner["sensorMaxU"] - inner["sensorMinU"] + 1) / (full["right"] - full["left"] + 1)
+    for unit in (64.0, 1.0):
+        if abs(ratio / unit - 1) < 0.02:
+            return unit
+    clauses.append(f"has a sensor of {ratio:.3g} units a pixel, where 64 or 1 are known")
+    return None
+
+
+def _values(camera: Element, tag: str, keys: tuple[str, ...], clauses: list[str]) -> dict[str, float]:
+    """Read the numbers of one element, or note what is missing."""
+    element = camera.find(tag)
+    if element is None:
+        clauses.append(f"has no <{tag}>")
+        return {}
+    values = {}
+    for key in keys:
+        try:
+            values[key] = float(element.get(key, ""))
+        except ValueError:
+            clauses.append(f"has no number {key} in <{tag}>")
+    return values

@@ -1,0 +1,1 @@
+"""Characters and animations: glTF and BVH."""

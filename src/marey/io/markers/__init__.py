@@ -1,0 +1,1 @@
+"""Marker trajectories and bones: C3D, TRC, CSV and result files."""

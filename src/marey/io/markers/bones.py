@@ -1,0 +1,124 @@
+"""bones.npz: where bones were, by name, beside the results' other files."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from marey.arrays import Floats, Integers
+from marey.errors import FileProblem
+from marey.io.npz import read_arrays, write_arrays
+from marey.markers.data.bone_motion import BoneMotion
+
+_MM = 1e3
+_IN_MM, _IN_M = (np.diag([1.0] * 3 + [unit] * 3) for unit in (_MM, 1 / _MM))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class BoneFile:
+    """What a file of bones tells."""
+
+    motion: BoneMotion
+    time: Floats
+    """(F,) [s]."""
+    side: str | None = None
+    """`left` or `right`, where the file says it and the segments' names do not."""
+    reference_frames: Integers | None = None
+    """(K,) frames in which the bones were known, where the file says so."""
+
+
+def write_bones(path: Path | str, bones: BoneFile) -> None:
+    """Write NAME_rotation, NAME_origin, their standard deviations and NAME_covariance; millimetres, a row a frame.
+
+    `time` [s], `rate` [Hz], `segments` and, where they are known, `side` and `reference_frames` stand beside them.
+
+    Args:
+        path: The file.
+        bones: What to write.
+    """
+    motion, time = bones.motion, bones.time
+    arrays: dict[str, object] = {"segments": np.array(motion.segments, np.str_), "time": time}
+    if len(time) > 1:
+        arrays["rate"] = 1 / float(np.median(np.diff(time)))
+    if bones.side is not None:
+        arrays["side"] = bones.side
+    if bones.reference_frames is not None:
+        arrays["reference_frames"] = bones.reference_frames
+    for s, name in enumerate(motion.segments):
+        arrays[f"{name}_rotation"] = motion.rotation[:, s]
+        arrays[f"{name}_origin"] = motion.origin[:, s] * _MM
+        arrays[f"{name}_rotation_sd"] = motion.rotation_sd[:, s]
+        arrays[f"{name}_origin_sd"] = motion.origin_sd[:, s] * _MM
+        # What turn and place have in common: far from the origin, at the knee of a thigh for one, it counts most.
+        arrays[f"{name}_covariance"] = _IN_MM @ motion.covariance[:, s] @ _IN_MM
+    write_arrays(path, arrays)
+
+
+def read_bones(path: Path | str) -> BoneFile:
+    """Read bones.npz, or a file of true bone poses with the same keys.
+
+    Errors of a bone count as independent of each other where the file has no covariance, but standard deviations.
+
+    Args:
+        path: The file.
+
+    Raises:
+        FileProblem: It has no bones, their arrays do not fit together, or it tells neither time nor rate.
+    """
+    arrays = read_arrays(path)
+    names = [key.removesuffix("_rotation") for key in arrays if key.endswith("_rotation")]
+    if not names:
+        raise FileProblem(path, "has no NAME_rotation", "Give a motion.npz, or a bones.npz.")
+    frames = len(arrays[f"{names[0]}_rotation"])
+    shapes = {"rotation": (frames, 3, 3), "origin": (frames, 3)}
+    for name in names:
+        for what, shape in shapes.items():
+            found = np.shape(arrays.get(f"{name}_{what}", np.nan))
+            if found != shape:
+                raise FileProblem(path, f"has {name}_{what} of the shape {found}", f"It should be {shape}.")
+    covariance = np.stack([_covariance(arrays, name, frames) for name in names], 1)
+    motion = BoneMotion(
+        segments=tuple(names), rotation=np.stack([arrays[f"{n}_rotation"] for n in names], 1),
+        origin=np.stack([arrays[f"{n}_origin"] for n in names], 1) / _MM, covariance=covariance,
+    )  # fmt: skip
+    return BoneFile(
+        motion=motion, time=_time(path, arrays, frames), side=_side(arrays),
+        reference_frames=_reference_frames(path, arrays, frames),
+    )  # fmt: skip
+
+
+def _covariance(arrays: dict[str, np.ndarray], name: str, frames: int) -> Floats:
+    whole = arrays.get(f"{name}_covariance")
+    if whole is not None and whole.shape == (frames, 6, 6):
+        return np.asarray(_IN_M @ whole @ _IN_M)
+    unknown = np.full((frames, 3), np.nan)
+    turn, place = arrays.get(f"{name}_rotation_sd", unknown), arrays.get(f"{name}_origin_sd", unknown) / _MM
+    return np.concatenate([turn, place], 1)[:, :, None] ** 2 * np.eye(6)
+
+
+def _time(path: Path | str, arrays: dict[str, np.ndarray], frames: int) -> Floats:
+    if np.shape(arrays.get("time", np.nan)) == (frames,):
+        return np.asarray(arrays["time"], float)
+    rate = arrays.get("rate")
+    if rate is None or np.size(rate) != 1 or not float(rate) > 0:
+        raise FileProblem(path, "tells neither time nor rate", "Add `rate` in Hz, or `time` in seconds.")
+    return np.arange(frames) / float(rate)
+
+
+def _reference_frames(path: Path | str, arrays: dict[str, np.ndarray], frames: int) -> Integers | None:
+    """Give the frames in which the bones were known.
+
+    Raises:
+        FileProblem: The file has no such frames.
+    """
+    if "reference_frames" not in arrays:
+        return None
+    known = np.atleast_1d(np.asarray(arrays["reference_frames"], np.int64))
+    if not len(known) or known.min() < 0 or known.max() >= frames:
+        raise FileProblem(path, f"has reference_frames outside of its {frames} frames", "Run `marey markers` again.")
+    return known
+
+
+def _side(arrays: dict[str, np.ndarray]) -> str | None:
+    side = str(arrays.get("side", ""))
+    return side if side in ("left", "right") else None

@@ -1,0 +1,167 @@
+"""C3D: points in millimetres and 4x4 ROTATION, as laboratories' programs read them."""
+
+import struct
+import warnings
+from pathlib import Path
+
+import ezc3d
+import numpy as np
+
+from marey.arrays import Floats
+from marey.errors import FileProblem
+from marey.io.atomic import replacing
+from marey.io.opensim.trc import PointPaths
+
+_KEY = 0x50
+_INTEL = 84
+_MOST_FRAMES = 65535
+_BYTES_OF_A_ROTATION = 17 * 4
+METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
+"""Units of length that files may have, in metres."""
+
+
+def write_c3d(
+    path: Path | str,
+    paths: PointPaths,
+    *,
+    segment_names: tuple[str, ...] = (),
+    segment_rotation: Floats | None = None,
+    segment_origin: Floats | None = None,
+) -> None:
+    """Write points and the segments' poses in millimetres and the world's axes (Z up).
+
+    A missing point has the residual -1; a missing pose is NaN. The poses stand as 4x4 matrices, world from segment, in
+    the group ROTATION under the names `<segment>_4X4`.
+
+    Args:
+        path: The file.
+        paths: The points.
+        segment_names: S names.
+        segment_rotation: (F, S, 3, 3) world from segment.
+        segment_origin: (F, S, 3) [m].
+    """
+    frames = len(paths.time)
+    points = np.ones((4, len(paths.names), frames))
+    points[:3] = np.transpose(paths.points, (2, 1, 0)) * 1e3
+    missing = np.isnan(points).any(0)
+    points[:3, missing] = 0
+    c3d = ezc3d.c3d()
+    parameters = c3d["parameters"]
+    parameters["POINT"]["RATE"]["value"] = [paths.rate]
+    parameters["POINT"]["UNITS"]["value"] = ["mm"]
+    parameters["POINT"]["LABELS"]["value"] = list(paths.names)
+    c3d["data"]["points"] = points
+    c3d["data"]["meta_points"]["residuals"] = np.where(missing, -1.0, 0.0)[None]
+    c3d["data"]["meta_points"]["camera_masks"] = np.zeros((7, *missing.shape), bool)
+    c3d.add_parameter("MANUFACTURER", "SOFTWARE", ["marey"])
+    if frames > _MOST_FRAMES:  # the header counts no further; two words here tell the true number
+        low, high = frames % 65536, frames // 65536
+        c3d.add_parameter("TRIAL", "ACTUAL_START_FIELD", [1, 0])
+        c3d.add_parameter("TRIAL", "ACTUAL_END_FIELD", [low - 65536 if low > 32767 else low, high])
+    if segment_rotation is not None and segment_origin is not None:
+        add_rotations(c3d, segment_names, segment_rotation, segment_origin * 1e3)
+    with replacing(path) as beside:
+        c3d.write(str(beside))
+
+
+def add_rotations(c3d: ezc3d.c3d, names: tuple[str, ...], rotation: Floats, origin: Floats) -> None:
+    """Put poses into a C3D as 4x4 matrices, world from segment, in the group ROTATION under `<segment>_4X4`.
+
+    Args:
+        c3d: To be written; poses that it has already are replaced.
+        names: S names.
+        rotation: (F, S, 3, 3).
+        origin: (F, S, 3) in the unit of its points.
+    """
+    matrices = np.zeros((4, 4, len(names), len(rotation)))
+    matrices[:3, :3] = np.transpose(rotation, (2, 3, 1, 0))
+    matrices[:3, 3] = np.transpose(origin, (2, 1, 0))
+    matrices[3, 3] = 1
+    c3d.add_parameter("ROTATION", "USED", [len(names)])
+    c3d.add_parameter("ROTATION", "RATE", [float(c3d["parameters"]["POINT"]["RATE"]["value"][0])])
+    c3d.add_parameter("ROTATION", "RATIO", [1])
+    c3d.add_parameter("ROTATION", "LABELS", [f"{name}_4X4" for name in names])
+    c3d["data"]["rotations"] = matrices
+
+
+def _is_cut_off(path: Path) -> bool:
+    """Tell whether the file is shorter than it says; ezc3d would read zeros, or end the whole program."""
+    data = path.read_bytes()
+    if data[1] != _KEY:
+        raise ValueError("its second byte is not that of a C3D")
+    points, analogs, first, last = struct.unpack_from("<4H", data, 2)
+    scale, start = struct.unpack_from("<fH", data, 12)
+    parameters = (data[0] - 1) * 512
+    if len(data) < parameters + 512 * data[parameters + 2]:
+        return True
+    processor = data[parameters + 3]
+    if processor != _INTEL:
+        return False  # other byte orders are read by ezc3d alone
+    frames = last - first + 1
+    end = (start - 1) * 512 + frames * (4 * points + analogs) * (4 if scale < 0 else 2)
+    if len(data) < end:
+        return True
+    low_level = ezc3d.ezc3d.c3d(str(path))
+    rotation = ezc3d.ezc3d.RotationsInfo(low_level)
+    if rotation.used():
+        begin = low_level.parameters().group("ROTATION").parameter("DATA_START").valuesAsInt()[0]
+        end = max(end, (begin - 1) * 512 + frames * rotation.used() * rotation.ratio() * _BYTES_OF_A_ROTATION)
+    return len(data) < end
+
+
+def open_c3d(path: Path | str) -> ezc3d.c3d:
+    """Open a C3D after looking whether it is whole.
+
+    Args:
+        path: The file.
+
+    Raises:
+        FileProblem: It is missing, no C3D, or ends before its data do.
+    """
+    if not Path(path).is_file():
+        raise FileProblem(path, "is not there", "Give a C3D file.")
+    try:
+        if _is_cut_off(Path(path)):
+            raise FileProblem(path, "ends before its data do", "Copy or export it again.")
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # ezc3d warns of parameters that do not matter for points
+            return ezc3d.c3d(str(path))
+    except (struct.error, IndexError) as error:
+        raise FileProblem(path, "is no C3D: it is too short for one", "Export it again.") from error
+    except (OSError, RuntimeError, ValueError) as error:
+        raise FileProblem(path, f"cannot be read as C3D ({error})", "Export it again.") from error
+
+
+def point_unit(path: Path | str, c3d: ezc3d.c3d) -> str:
+    """Give the unit of a C3D's points: mm, cm or m.
+
+    Raises:
+        FileProblem: It is none of these.
+    """
+    unit = (c3d["parameters"]["POINT"]["UNITS"]["value"] or [""])[0].strip()
+    if unit.lower() not in METRES:
+        raise FileProblem(path, f"has the unit {unit!r}", f"POINT:UNITS should be one of {', '.join(METRES)}.")
+    return str(unit.lower())
+
+
+def point_labels(c3d: ezc3d.c3d) -> tuple[str, ...]:
+    """List the labels of a C3D's points, those beyond the 255th too, in the order of the points."""
+    point = c3d["parameters"]["POINT"]
+    labels = [label for key in point if key.startswith("LABELS") for label in (point[key]["value"] or [])]
+    return tuple(labels[: c3d["data"]["points"].shape[1]])
+
+
+def read_c3d(path: Path | str) -> PointPaths:
+    """Read a C3D's points into metres; its axes are taken as they are.
+
+    Args:
+        path: The file.
+
+    Raises:
+        FileProblem: It is no C3D, or its unit is unknown.
+    """
+    c3d = open_c3d(path)
+    points = np.transpose(c3d["data"]["points"][:3], (2, 1, 0)) * METRES[point_unit(path, c3d)]
+    rate = float(c3d["parameters"]["POINT"]["RATE"]["value"][0])
+    time = (c3d["header"]["points"]["first_frame"] + np.arange(len(points))) / rate
+    return PointPaths(names=point_labels(c3d), time=time, rate=rate, points=points)

@@ -1,0 +1,157 @@
+"""What a C3D holds besides points: events, and force plates with their frames."""
+
+from pathlib import Path
+
+import ezc3d
+import numpy as np
+
+from marey.arrays import Floats
+from marey.errors import FileProblem
+from marey.io.markers.c3d import METRES, open_c3d, point_unit
+from marey.markers.data.force_plates import ForcePlate
+from marey.markers.kinematics.transform_chain import CAPTURE_GLOBAL, NamedTransform
+from marey.motion.gait import OFF, STRIKE, GaitEvent
+
+_KINDS = {"foot strike": STRIKE, "heel strike": STRIKE, "foot off": OFF, "toe off": OFF}
+_CHANNELS = {1: 6, 2: 6, 3: 8, 4: 6}
+
+
+def read_events(path: Path | str) -> tuple[GaitEvent, ...]:
+    """Read the gait events that a C3D gives: Foot Strike and Foot Off of the left and the right foot.
+
+    Args:
+        path: The file.
+
+    Returns:
+        In the order of time; other events are passed over.
+
+    Raises:
+        FileProblem: It is no C3D.
+    """
+    group = open_c3d(path)["parameters"]
+    event = group.get("EVENT", {})
+    if not event or not (_values(event, "USED") or [0])[0]:
+        return ()
+    times = np.asarray(event["TIMES"]["value"], float)
+    times = times.reshape(2, -1, order="F") if times.ndim == 1 else times
+    labels, sides = _values(event, "LABELS"), _values(event, "CONTEXTS")
+    found = []
+    for n, label in enumerate(labels):
+        kind = _KINDS.get(str(label).strip().lower())
+        if kind is not None and n < times.shape[1]:
+            side = str(sides[n]).strip().lower() if n < len(sides) else ""
+            time = float(60 * times[0, n] + times[1, n])
+            known = side if side in ("left", "right") else None
+            found.append(GaitEvent(kind=kind, side=known, time=time, source="given"))
+    return tuple(sorted(found, key=lambda e: e.time))
+
+
+def _values(group: ezc3d.c3d, key: str) -> list:
+    return list(group[key]["value"]) if key in group else []
+
+
+def read_force_plates(path: Path | str) -> tuple[ForcePlate, ...]:
+    """Read the force plates of a C3D: their corners, and their channels as ground reaction and moment.
+
+    Plates of the types 1 to 4 are read. The baseline that FORCE_PLATFORM:ZERO names is taken off. The reaction's sign
+    is the one with which the plate carries.
+
+    Args:
+        path: The file.
+
+    Returns:
+        One a plate; none where the file has none.
+
+    Raises:
+        FileProblem: It is no C3D, a plate is of another type, or names channels that are not there.
+    """
+    c3d = open_c3d(path)
+    groups = c3d["parameters"]
+    group = groups.get("FORCE_PLATFORM", {})
+    used = int((_values(group, "USED") or [0])[0])
+    metres = METRES[point_unit(path, c3d)]
+    return tuple(_plate(Path(path), c3d, n, metres) for n in range(used))
+
+
+def plate_frames(path: Path | str) -> tuple[NamedTransform, ...]:
+    """Give the frames of a C3D's force plates as named transforms: `capture global` from `force_plate_1`, ... [m]."""
+    frames = [(plate.name, plate.laboratory_from_plate) for plate in read_force_plates(path)]
+    return tuple(
+        NamedTransform(to=CAPTURE_GLOBAL, from_=name, rotation=frame.rotation, translation=frame.translation)
+        for name, frame in frames
+    )
+
+
+def _plate(path: Path, c3d: ezc3d.c3d, n: int, metres: float) -> ForcePlate:
+    """Read one plate."""
+    group, name = c3d["parameters"]["FORCE_PLATFORM"], f"force_plate_{n + 1}"
+    kind = int(group["TYPE"]["value"][n])
+    if kind not in _CHANNELS:
+        raise FileProblem(path, f"has {name} of the type {kind}", "Types 1 to 4 are read.")
+    numbers = np.asarray(group["CHANNEL"]["value"], int).reshape(-1, np.shape(group["CHANNEL"]["value"])[-1])
+    numbers = numbers[: _CHANNELS[kind], n]
+    analogs = c3d["data"]["analogs"][0]
+    if numbers.min() < 1 or numbers.max() > len(analogs):
+        raise FileProblem(path, f"gives {name} channels that are not there", "Export it with its analog channels.")
+    signals = analogs[numbers - 1].T.copy()
+    _take_baseline(signals, c3d)
+    if kind == 4:
+        matrix = np.asarray(group["CAL_MATRIX"]["value"], float)[:, :, n]
+        signals = signals @ matrix.T
+    origin = np.asarray(group["ORIGIN"]["value"], float)[:, n] * metres
+    force, moment = _at_surface(kind, signals, origin, _moment_metres(c3d, numbers, metres))
+    corners = np.asarray(group["CORNERS"]["value"], float)[:, :, n].T * metres
+    bare = ForcePlate(name=name, corners=corners, rate=1.0, force=np.zeros((0, 3)), moment=np.zeros((0, 3)))
+    turn = bare.laboratory_from_plate.rotation
+    sign = _sign_of_reaction(force @ turn.T, turn[:, 2])
+    rate = float(c3d["parameters"]["ANALOG"]["RATE"]["value"][0])
+    return ForcePlate(name=name, corners=corners, rate=rate, force=sign * force @ turn.T, moment=sign * moment @ turn.T)
+
+
+def _take_baseline(signals: Floats, c3d: ezc3d.c3d) -> None:
+    """Take off what the channels show in the frames that FORCE_PLATFORM:ZERO names, counted from 1."""
+    zero = [int(v) for v in _values(c3d["parameters"]["FORCE_PLATFORM"], "ZERO")]
+    if len(zero) == 2 and 1 <= zero[0] <= zero[1]:
+        each = max(1, round(len(signals) / max(1, c3d["data"]["points"].shape[2])))
+        stretch = signals[(zero[0] - 1) * each : zero[1] * each]
+        if len(stretch):
+            signals -= stretch.mean(0)
+
+
+def _moment_metres(c3d: ezc3d.c3d, numbers: np.ndarray, metres: float) -> float:
+    """Tell the length in a moment's unit: of the channels (`Nmm`, `Nm`) where they say it, else of the points."""
+    units = _values(c3d["parameters"]["ANALOG"], "UNITS")
+    said = str(units[numbers[-1] - 1]).strip().lower() if numbers[-1] - 1 < len(units) else ""
+    return {"nmm": 1e-3, "ncm": 1e-2, "nm": 1.0}.get(said.replace("*", "").replace(".", ""), metres)
+
+
+def _at_surface(kind: int, signals: Floats, origin: Floats, moment_metres: float) -> tuple[Floats, Floats]:
+    """Turn a plate's channels into force [N] and moment about the middle of its surface [N m], in the plate's axes."""
+    if kind == 1:  # force, centre of pressure, free moment
+        force = signals[:, :3]
+        free = np.stack([0 * signals[:, 5], 0 * signals[:, 5], signals[:, 5] * moment_metres], -1)
+        pressure = np.concatenate([signals[:, 3:5] * moment_metres, np.zeros((len(signals), 1))], 1)
+        return force, free + np.cross(pressure, force)
+    if kind == 3:  # four corners; the origin holds their distances and the depth
+        a, b, depth = origin
+        x12, x34, y14, y23, *z = signals.T
+        force = np.stack([x12 + x34, y14 + y23, z[0] + z[1] + z[2] + z[3]], -1)
+        moment = np.stack([
+            b * (z[0] + z[1] - z[2] - z[3]), a * (z[1] + z[2] - z[0] - z[3]), b * (x34 - x12) + a * (y14 - y23),
+        ], -1)  # fmt: skip
+        to_surface = np.array([0.0, 0.0, -abs(depth)])
+    else:
+        force, moment = signals[:, :3], signals[:, 3:] * moment_metres
+        # From the sensors to the middle of the surface, which lies above: some programs write it the other way round.
+        to_surface = -origin if origin[2] > 0 else origin
+    return force, moment - np.cross(to_surface, force)
+
+
+def _sign_of_reaction(force: Floats, normal: Floats) -> float:
+    """Tell whether forces are the plate's on the person (1) or the person's on the plate (-1).
+
+    A plate's Z points down in most laboratories; what carries a person pushes up, against it.
+    """
+    along = force @ normal
+    heaviest = along[int(np.argmax(np.abs(along)))] if len(along) else 0.0
+    return 1.0 if heaviest <= 0 else -1.0

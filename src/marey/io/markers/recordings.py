@@ -1,0 +1,176 @@
+"""One door for every motion that can be compared: MOT, STO, TRC, C3D, motion.npz, bones.npz, folders of results."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from marey.arrays import Floats
+from marey.errors import FileProblem, MareyError
+from marey.io.markers.bones import BoneFile, read_bones
+from marey.io.markers.c3d import open_c3d, point_labels
+from marey.io.markers.readers import read_markers
+from marey.io.npz import read_arrays, read_motion
+from marey.io.opensim.mot_sto import is_of_quaternions, read_orientations, read_table
+from marey.io.opensim.trc import read_trc
+from marey.markers.kinematics.joint_angles import joint_kinematics, joint_of, usual_joints
+from marey.motion.recording import Recording
+
+_NO_ANGLES = ("_tx", "_ty", "_tz", "_mm")
+_IN_FOLDERS = ("motion.npz", "bones.npz", "marey/motion.npz", "marey/bones.npz")
+_PLUG_IN_GAIT = {
+    "HipAngles": ("hip_flexion", "hip_adduction", "hip_rotation"),
+    "KneeAngles": ("knee_flexion", "knee_adduction", "knee_rotation"),
+    "AnkleAngles": ("ankle_dorsiflexion", None, None),
+}
+"""Angles that Plug-in Gait writes as points of a C3D (x, y, z in degrees), as far as they mean the same as ours."""
+
+
+def read_recording(path: Path | str) -> Recording:
+    """Read a motion from a file, or from a folder of results.
+
+    Args:
+        path: MOT or STO (angles, or orientations), TRC (OpenSim's axes), C3D (its own axes; Plug-in Gait's angles,
+            too), a motion.npz, a bones.npz (or any NPZ with NAME_rotation, NAME_origin and `rate`); a folder that
+            holds a motion.npz or bones.npz.
+
+    Raises:
+        FileProblem: It is none of these, is damaged, or holds nothing to compare.
+    """
+    path = motion_in(Path(path))
+    readers: dict[str, Callable[[Path], Recording]] = {
+        ".mot": _from_table, ".sto": _from_sto, ".trc": _from_trc, ".c3d": _from_c3d, ".npz": _from_npz,
+    }  # fmt: skip
+    if path.suffix.lower() not in readers:
+        raise FileProblem(path, "is no motion that is read here", "Give a MOT, STO, TRC, C3D or NPZ, or a folder.")
+    try:
+        recording = readers[path.suffix.lower()](path)
+    except FileProblem:
+        raise
+    except MareyError as error:
+        raise FileProblem(path, str(error).rstrip(".")) from error
+    held = np.isfinite(recording.angles).any() or np.isfinite(recording.points).any()
+    if not held and not np.isfinite(recording.rotation).any():
+        raise FileProblem(path, "has no frame with an answer", "Give a motion in which something was measured.")
+    return recording
+
+
+def motion_in(path: Path) -> Path:
+    """Find the file that is meant by a file or folder.
+
+    Raises:
+        FileProblem: There is none, or more than one kind.
+    """
+    if path.is_file():
+        return path
+    if not path.is_dir():
+        raise FileProblem(path, "does not exist", "Give a file of a motion, or a folder of results.")
+    found = [path / name for name in _IN_FOLDERS if (path / name).is_file()]
+    if not found:
+        raise FileProblem(path, "holds neither motion.npz nor bones.npz", "Give a folder of results, or a file.")
+    if len({file.name for file in found}) > 1:
+        raise FileProblem(path, "holds both motion.npz and bones.npz", f"Say which: {found[0]} or {found[1]}.")
+    return found[0]
+
+
+def _from_table(path: Path) -> Recording:
+    """Read angles and, as `NAME_sd`, their deviations; what ends in _tx, _ty, _tz or _mm is a place and is left out."""
+    table = read_table(path)
+    values = np.radians(table.values) if table.in_degrees else table.values
+    spread = {name.removesuffix("_sd"): k for k, name in enumerate(table.columns) if name.endswith("_sd")}
+    names = [name for name in table.columns if not name.endswith((*_NO_ANGLES, "_sd"))]
+    unknown = np.full(len(values), np.nan)
+    sds = [values[:, spread[name]] if name in spread else unknown for name in names]
+    return Recording(
+        time=table.time, angle_names=tuple(names), angles=values[:, [table.columns.index(name) for name in names]],
+        angles_sd=np.stack(sds, 1) if sds else np.zeros((len(values), 0)),
+    )  # fmt: skip
+
+
+def _from_sto(path: Path) -> Recording:
+    if not is_of_quaternions(path):
+        return _from_table(path)
+    read = read_orientations(path)
+    return Recording(time=read.time, segment_names=read.names, rotation=read.world_from_body)
+
+
+def _from_trc(path: Path) -> Recording:
+    paths = read_trc(path)
+    return Recording(time=paths.time, point_names=paths.names, points=paths.points)
+
+
+def _from_c3d(path: Path) -> Recording:
+    """Read points, poses in ROTATION, and Plug-in Gait's angles."""
+    c3d = open_c3d(path)
+    names, angles = _plug_in_gait(c3d)
+    rotation_names, rotation = _rotations(c3d)
+    frames = c3d["data"]["points"].shape[2]
+    rate = float((c3d["parameters"]["POINT"]["RATE"]["value"] or [0])[0])
+    if not rate > 0 or not frames:
+        raise FileProblem(path, f"has {frames} frames at {rate:g} Hz", "Export the trial again.")
+    common: dict[str, Any] = dict(
+        time=(c3d["header"]["points"]["first_frame"] + np.arange(frames)) / rate, angle_names=names, angles=angles
+    )
+    if rotation.shape[0] == frames:
+        common |= dict(segment_names=rotation_names, rotation=rotation)
+    try:
+        markers = read_markers(path)
+    except FileProblem:
+        if not names and not rotation_names:
+            raise
+        return Recording(**common)
+    return Recording(**common, point_names=markers.labels, points=markers.points)
+
+
+def _plug_in_gait(c3d: Any) -> tuple[tuple[str, ...], Floats]:
+    """Read the angles (F, A) that Plug-in Gait writes beside the markers [rad]."""
+    names, columns = [], []
+    points = c3d["data"]["points"][:3]
+    for index, label in enumerate(point_labels(c3d)):
+        bare = label.rpartition(":")[2]
+        side = {"L": "left_", "R": "right_"}.get(bare[:1])
+        for axis, own in enumerate(_PLUG_IN_GAIT.get(bare[1:], ())):
+            if side and own:
+                names.append(f"{side}{own}")
+                columns.append(np.radians(points[axis, index]))
+    return tuple(names), np.stack(columns, -1) if columns else np.zeros((points.shape[2], 0))
+
+
+def _rotations(c3d: Any) -> tuple[tuple[str, ...], Floats]:
+    parameters = c3d["parameters"]
+    if "ROTATION" not in parameters or "LABELS" not in parameters["ROTATION"]:
+        return (), np.zeros((0, 0, 3, 3))
+    labels = [label.strip().removesuffix("_4X4") for label in parameters["ROTATION"]["LABELS"]["value"] or []]
+    matrices = np.transpose(c3d["data"]["rotations"], (3, 2, 0, 1))[..., :3, :3]
+    return tuple(labels[: matrices.shape[1]]), np.asarray(matrices)
+
+
+def _from_npz(path: Path) -> Recording:
+    arrays = read_arrays(path)
+    if "segment_rotation" in arrays:
+        motion = read_motion(path)
+        return Recording(
+            time=motion.time, angle_names=motion.angle_names, angles=np.radians(motion.angles_deg),
+            angles_sd=np.radians(motion.angles_deg_sd), point_names=motion.joint_names, points=motion.joint_centres,
+            segment_names=motion.segment_names, rotation=motion.segment_rotation,
+        )  # fmt: skip
+    bones = read_bones(path)
+    names, angles, angles_sd = _angles_of_bones(path, bones)
+    return Recording(
+        time=bones.time, angle_names=names, angles=angles, angles_sd=angles_sd,
+        point_names=tuple(f"{name}_origin" for name in bones.motion.segments), points=bones.motion.origin,
+        segment_names=bones.motion.segments, rotation=bones.motion.rotation,
+    )  # fmt: skip
+
+
+def _angles_of_bones(path: Path, bones: BoneFile) -> tuple[tuple[str, ...], Floats, Floats]:
+    """Give the joint angles of bones: those that the run left beside them, else those of joints that names tell."""
+    beside = path.with_name("angles.mot")
+    if path.name == "bones.npz" and beside.is_file():
+        table = _from_table(beside)
+        if len(table) == len(bones.time) and np.allclose(table.time, bones.time, atol=1e-5):
+            return table.angle_names, table.angles, table.angles_sd
+    joints = [joint_of(*pair, side=bones.side) for pair in usual_joints(bones.motion.segments)]
+    found = joint_kinematics(bones.motion, joints)
+    return found.angle_names, found.angles, found.angles_sd

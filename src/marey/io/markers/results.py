@@ -1,0 +1,230 @@
+"""The tables and the C3D of bones that were found from markers."""
+
+import csv
+import json
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from marey.arrays import Floats
+from marey.geometry.rigid import RigidTransform
+from marey.io.atomic import replacing
+from marey.io.axes import OPENSIM_FROM_WORLD
+from marey.io.markers.c3d import METRES, add_rotations, open_c3d, point_labels, point_unit, write_c3d
+from marey.io.opensim.mot_sto import Orientations, Table, write_orientations, write_table
+from marey.io.opensim.trc import PointPaths
+from marey.markers.data.bone_motion import BoneMotion
+from marey.markers.data.marker_motion import MarkerMotion
+from marey.markers.data.trajectories import MarkerTrajectories
+from marey.markers.kinematics.joint_angles import JointKinematics
+from marey.markers.preprocessing.gaps import FROM_CLUSTER, SPLINE, STILL_MISSING, FilledGaps
+from marey.motion.gait import GaitEvent
+
+_MM = 1e3
+
+
+def write_joint_table(path: Path | str, time: Floats, joints: JointKinematics) -> None:
+    """Write `angles.mot`: degrees, translations in mm as `..._mm`, each beside its standard deviation `..._sd`.
+
+    Args:
+        path: The file.
+        time: (F,) [s].
+        joints: What to write.
+    """
+    columns, values = [], []
+    for name, value, sd in joint_columns(joints, ("", "_mm"), "_sd"):
+        columns += [name, sd[0]]
+        values += [value, sd[1]]
+    table = np.stack(values, -1) if values else np.zeros((len(time), 0))
+    write_table(path, Table(name="angles", columns=tuple(columns), time=time, values=table))
+
+
+def write_joint_csv(path: Path | str, time: Floats, joints: JointKinematics) -> None:
+    """Write `angles.csv`: a row a frame, angles in degrees and translations in mm, each beside its standard deviation.
+
+    Args:
+        path: The file.
+        time: (F,) [s].
+        joints: What to write; where there is no answer the cells are empty.
+    """
+    head, columns = ["time_s"], []
+    for name, value, sd in joint_columns(joints, ("_deg", "_mm"), "_sd"):
+        head += [name, sd[0]]
+        columns += [value, sd[1]]
+    _write_rows(path, head, time, np.stack(columns, -1) if columns else np.zeros((len(time), 0)))
+
+
+def joint_columns(
+    joints: JointKinematics, units: tuple[str, str], spread: str
+) -> list[tuple[str, Floats, tuple[str, Floats]]]:
+    """List columns with their standard deviations: angles in degrees, translations in mm.
+
+    Args:
+        joints: Of F frames.
+        units: What is added to the names of angles and of translations.
+        spread: What is added before the unit, or at the end where there is none, to name a standard deviation.
+    """
+    kinds = (
+        (joints.angle_names, np.degrees(joints.angles), np.degrees(joints.angles_sd), units[0]),
+        (joints.translation_names, joints.translations * _MM, joints.translations_sd * _MM, units[1]),
+    )
+    return [
+        (f"{name}{unit}", values[:, k], (f"{name}{spread}{unit}", sd[:, k]))
+        for names, values, sd, unit in kinds
+        for k, name in enumerate(names)
+    ]
+
+
+def write_marker_motion(path: Path | str, time: Floats, motion: MarkerMotion) -> None:
+    """Write `marker_motion.csv`: where each marker lies in its bone's frame [mm], a row a frame.
+
+    Args:
+        path: The file.
+        time: (F,) [s].
+        motion: Columns are `SEGMENT:LABEL_x_mm` and so on.
+    """
+    head = ["time_s"] + [
+        f"{segment}:{label}_{axis}_mm"
+        for segment, label in zip(motion.segments, motion.labels, strict=True)
+        for axis in "xyz"
+    ]
+    _write_rows(path, head, time, motion.places.reshape(len(time), -1) * _MM)
+
+
+def write_filled(path: Path | str, filling: FilledGaps) -> None:
+    """Write `filled.csv`: a row a gap with its marker, first and last frame, how it was filled, and how well.
+
+    Args:
+        path: The file.
+        filling: What was filled and what was not.
+    """
+    words = {SPLINE: "spline", FROM_CLUSTER: "cluster", STILL_MISSING: "empty"}
+    with replacing(path) as beside, beside.open("w", newline="") as file:
+        rows = csv.writer(file, lineterminator="\n")
+        rows.writerow(["marker", "first_frame", "last_frame", "filled_by", "sd_mm"])
+        for m, label in enumerate(filling.trajectories.labels):
+            way = filling.way[:, m]
+            edges = np.flatnonzero(np.diff(way)) + 1
+            for start, end in pairwise([0, *map(int, edges), len(way)]):
+                if int(way[start]) in words:
+                    sd = filling.sd[start:end, m]
+                    spread = f"{_MM * float(np.nanmax(sd)):.3f}" if np.isfinite(sd).any() else ""
+                    rows.writerow([label, start, end - 1, words[int(way[start])], spread])
+
+
+def write_cycle_csv(path: Path | str, names: Sequence[str], mean: Floats, spread: Floats) -> None:
+    """Write `cycles.csv`: a row a percent of the cycle, mean and standard deviation over the cycles.
+
+    Args:
+        path: The file.
+        names: N names with their units.
+        mean: (101, N).
+        spread: (101, N); NaN of a single cycle is an empty cell.
+    """
+    head = ["cycle_percent", *(part for name in names for part in (f"{name}_mean", f"{name}_between_cycles_sd"))]
+    values = np.stack([mean, spread], -1).reshape(len(mean), -1)
+    _write_rows(path, head, np.linspace(0, 100, len(mean)), values)
+
+
+def write_events(path: Path | str, events: Sequence[GaitEvent]) -> None:
+    """Write `events.csv`: a row a foot strike or foot off, with its side, time and where it was found.
+
+    Args:
+        path: The file.
+        events: In the order of time.
+    """
+    with replacing(path) as beside, beside.open("w", newline="") as file:
+        rows = csv.writer(file, lineterminator="\n")
+        rows.writerow(["event", "side", "time_s", "source"])
+        for event in events:
+            rows.writerow([event.kind, event.side or "", f"{event.time:.6f}", event.source])
+
+
+def write_frames(path: Path | str, frames: Mapping[str, RigidTransform]) -> None:
+    """Write `frames.json`: the force plates' frames as 4x4, laboratory from plate, in millimetres.
+
+    Args:
+        path: The file.
+        frames: By name, [m].
+    """
+    rows = {name: RigidTransform(f.rotation, f.translation * _MM).matrix.tolist() for name, f in frames.items()}
+    with replacing(path) as beside:
+        beside.write_text(json.dumps({"unit": "mm", "laboratory_from": rows}, indent=2) + "\n", encoding="utf-8")
+
+
+def _write_rows(path: Path | str, head: Sequence[str], first: Floats, values: Floats) -> None:
+    """Write a column of times and columns of values; NaN is an empty cell."""
+    with replacing(path) as beside, beside.open("w", newline="") as file:
+        rows = csv.writer(file, lineterminator="\n")
+        rows.writerow(head)
+        for at, cells in zip(first, values, strict=True):
+            rows.writerow([f"{at:.6f}", *("" if v != v else f"{v:.5f}" for v in cells)])
+
+
+def write_bone_orientations(path: Path | str, time: Floats, rate: float, motion: BoneMotion, *, y_up: bool) -> None:
+    """Write `orientations.sto`: each bone's anatomical axes in OpenSim's ground.
+
+    Args:
+        path: The file.
+        time: (F,) [s].
+        rate: [Hz].
+        motion: In the trial's own axes.
+        y_up: whether these are OpenSim's already (Y up), as in a TRC; otherwise Z is up.
+    """
+    # The bones' own axes are OpenSim's (X anterior, Y up, Z right) already: only the laboratory is turned.
+    to_world = OPENSIM_FROM_WORLD.T if y_up else np.eye(3)
+    orientations = Orientations(
+        names=motion.segments, time=time, rate=rate,
+        world_from_body=to_world @ motion.rotation @ OPENSIM_FROM_WORLD,
+    )  # fmt: skip
+    write_orientations(path, orientations)
+
+
+def write_motion_c3d(
+    path: Path | str, source: Path, trajectories: MarkerTrajectories, motion: BoneMotion
+) -> None:  # fmt: skip
+    """Write `motion.c3d`: the trial's points and the bones' poses as 4x4 ROTATION.
+
+    From a C3D everything else passes through as it was: force and analog channels, events, what other programs
+    computed. Points that were filled take the places of the gaps; what was measured stays, also in frames that were
+    not asked for.
+
+    Args:
+        path: The file.
+        source: The trial.
+        trajectories: Its markers as they were used, with what was filled.
+        motion: Of the bones, in the same axes.
+    """
+    if source.suffix.lower() != ".c3d":
+        paths = PointPaths(
+            names=trajectories.labels, time=trajectories.time, rate=trajectories.rate, points=trajectories.points
+        )
+        write_c3d(
+            path, paths, segment_names=motion.segments, segment_rotation=motion.rotation, segment_origin=motion.origin
+        )
+        return
+    c3d = open_c3d(source)
+    unit = METRES[point_unit(source, c3d)]
+    labels = [label.rpartition(":")[2] for label in point_labels(c3d)]
+    points = c3d["data"]["points"]
+    residuals = c3d["data"]["meta_points"]["residuals"]
+    for index, label in enumerate(trajectories.labels):
+        filled = trajectories.filled[:, index]
+        if filled.any() and labels.count(label) == 1:
+            at = labels.index(label)
+            points[:3, at, filled] = trajectories.points[filled, index].T / unit
+            residuals[0, at, filled] = 0.0
+    add_rotations(c3d, motion.segments, motion.rotation, motion.origin / unit)
+    with replacing(path) as beside:
+        c3d.write(str(beside))
+
+
+def is_y_up(path: Path) -> bool:
+    """Tell whether a trial's file has Y up: a TRC, or a C3D that says so."""
+    if path.suffix.lower() != ".c3d":
+        return path.suffix.lower() == ".trc"
+    point = open_c3d(path)["parameters"]["POINT"]
+    says = [str((point[key]["value"] or [""])[0]).strip() for key in ("Y_SCREEN",) if key in point]
+    return says == ["+Y"]

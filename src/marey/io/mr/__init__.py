@@ -1,0 +1,1 @@
+"""MR volumes, meshes, and the files of a knee."""

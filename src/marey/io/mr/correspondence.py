@@ -1,0 +1,105 @@
+"""`correspondence.json`: where each bone of the scanner lies in its frame in the laboratory, and how well."""
+
+import json
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from marey.arrays import Floats
+from marey.errors import FileProblem
+from marey.io.atomic import replacing
+from marey.knee.markers.correspondence import BoneCorrespondence, KneeCorrespondence
+from marey.markers.kinematics.transform_chain import CAPTURE_ANATOMIC, MR_ANATOMIC, MR_GLOBAL, NamedTransform
+
+_ROWS = re.compile(r"\[\s+([-+.\deE,\s]+?)\s+\]")
+"""A list of numbers, which is read more easily in one line."""
+
+
+def write_correspondence(path: Path | str, found: KneeCorrespondence) -> None:
+    """Write the transforms as 4x4 matrices [mm], their standard deviations [deg, mm] and residuals by marker.
+
+    Args:
+        path: The file.
+        found: What joins the scanned knee to the activity.
+    """
+    naming = found.naming
+    table = {
+        "unit": "mm",
+        "bones": {bone: _bone(each) for bone, each in found.bones.items()},
+        "without_correspondence": dict(found.missing),
+        "marker_names": list(naming.labels),
+        "marker_segment": list(naming.bones),
+        "notes": list(found.notes),
+    }
+    with replacing(path) as beside:
+        beside.write_text(_ROWS.sub(_in_one_line, json.dumps(table, indent=1)) + "\n", encoding="utf-8")
+
+
+def _in_one_line(numbers: re.Match[str]) -> str:
+    return "[" + ", ".join(numbers[1].split()).replace(",,", ",") + "]"
+
+
+def _bone(found: BoneCorrespondence) -> dict[str, object]:
+    sd = np.sqrt(np.diag(found.fit.covariance))
+    markers = {
+        name: {
+            "number": ball, "residual_mm": found.fit.residuals_mm[m].round(4).tolist(), "used": bool(found.fit.used[m])
+        }
+        for m, (name, ball) in enumerate(zip(found.fit.names, found.balls, strict=True))
+    }  # fmt: skip
+    return {
+        "segment": found.segment,
+        "mr_anatomic_from_mr_global": found.mr_anatomic_from_mr_global.matrix().tolist(),
+        "capture_anatomic_from_mr_anatomic": found.capture_anatomic_from_mr_anatomic.matrix().tolist(),
+        "rotation_sd_deg": np.degrees(sd[:3]).tolist(),
+        "translation_sd_mm": sd[3:].tolist(),
+        "covariance_rad_mm": found.fit.covariance.tolist(),
+        "residual_mm": found.fit.residual_mm,
+        "reference_posture_residual_mm": found.posture_residual_mm,
+        "markers": markers,
+        "mr_anatomic_from": found.frame_source,
+        "notes": list(found.notes),
+    }
+
+
+def read_correspondence(path: Path | str) -> dict[str, NamedTransform]:
+    """Read where each bone of the scanner lies in its frame in the laboratory.
+
+    Args:
+        path: The file.
+
+    Returns:
+        Bone to the transform to `capture anatomic` from `MR global` [mm], with its covariance.
+
+    Raises:
+        FileProblem: The file is missing or damaged, or a matrix is none.
+    """
+    try:
+        bones = json.loads(Path(path).read_text(encoding="utf-8"))["bones"]
+        return {bone: _transform(each) for bone, each in bones.items()}
+    except FileNotFoundError as error:
+        raise FileProblem(path, "is not there", "`marey knee animate` writes it.") from error
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise FileProblem(path, "is no correspondence of bones", "`marey knee animate` writes it.") from error
+
+
+def _transform(table: Mapping[str, object]) -> NamedTransform:
+    direct, optimised = (
+        _array(table[key], (4, 4)) for key in ("mr_anatomic_from_mr_global", "capture_anatomic_from_mr_anatomic")
+    )
+    covariance = _array(table["covariance_rad_mm"], (6, 6))
+    first = NamedTransform(to=MR_ANATOMIC, from_=MR_GLOBAL, rotation=direct[:3, :3], translation=direct[:3, 3])
+    second = NamedTransform(
+        to=CAPTURE_ANATOMIC, from_=MR_ANATOMIC, rotation=optimised[:3, :3], translation=optimised[:3, 3],
+        covariance=covariance,
+    )  # fmt: skip
+    return second @ first
+
+
+def _array(values: object, shape: tuple[int, int]) -> Floats:
+    array = np.array(values, float)
+    if array.shape != shape or not np.isfinite(array).all():
+        raise ValueError("no such matrix")
+    return array

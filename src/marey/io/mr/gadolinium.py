@@ -1,0 +1,107 @@
+"""`markers.json`: where the scanner saw the gadolinium markers, and what a person adds by hand, names and bones."""
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from marey.arrays import Floats, freeze_fields
+from marey.errors import FileProblem
+from marey.io.atomic import replacing
+from marey.knee.markers.gadolinium import Gadolinium
+from marey.knee.space.structures import BONES
+
+FILE = "markers.json"
+_SAME_MM = 2.0
+_ADDED = {"marker_names": "names", "marker_segment": "bones"}
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MarkersInScanner:
+    """The M markers of `markers.json`."""
+
+    centres_mm: Floats
+    """(M, 3) LPS."""
+    sd_mm: Floats
+    """(M, 3)."""
+    diameter_mm: Floats | None = None
+    """(M,) None in a file that does not say."""
+    names: tuple[str | None, ...] = ()
+    """(M,) the laboratory's label of each, None where it is not said; empty where none is."""
+    bones: tuple[str | None, ...] = ()
+    """(M,) femur, tibia or patella, on which each rides, None where it is not said; empty where none is."""
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, "centres_mm", "sd_mm")
+
+    @staticmethod
+    def of(found: Gadolinium) -> "MarkersInScanner":
+        """Take over what was found in a volume."""
+        return MarkersInScanner(
+            centres_mm=found.centres_mm, sd_mm=found.centres_sd_mm, diameter_mm=found.diameter_mm
+        )  # fmt: skip
+
+    def named_as(self, earlier: "MarkersInScanner") -> "MarkersInScanner":
+        """Take over names and bones that were added by hand to markers in the same places, to 2 mm."""
+        apart = np.linalg.norm(self.centres_mm[:, None] - earlier.centres_mm[None], axis=2)
+        nearest = [int(row.argmin()) if row.size and row.min() < _SAME_MM else None for row in apart]
+
+        def kept(values: tuple[str | None, ...]) -> tuple[str | None, ...]:
+            return tuple(None if n is None else values[n] for n in nearest) if values else ()
+
+        return replace(self, names=kept(earlier.names), bones=kept(earlier.bones))
+
+
+def write_markers(path: Path | str, markers: MarkersInScanner) -> None:
+    """Write the markers; names and bones only where there are some."""
+    table: dict[str, object] = {
+        "unit": "mm",
+        "marker_centres_lps_mm": np.round(markers.centres_mm, 4).tolist(),
+        "marker_centres_sd_mm": np.round(markers.sd_mm, 4).tolist(),
+    }
+    if markers.diameter_mm is not None:
+        table["marker_diameter_mm"] = np.round(markers.diameter_mm, 3).tolist()
+    table |= {key: list(getattr(markers, field)) for key, field in _ADDED.items() if getattr(markers, field)}
+    with replacing(path) as beside:
+        beside.write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
+
+
+def read_markers(path: Path | str) -> MarkersInScanner:
+    """Read the markers with what was added by hand.
+
+    Raises:
+        FileProblem: The file is missing or damaged, or its lists are not of one length.
+    """
+    try:
+        table = json.loads(Path(path).read_text(encoding="utf-8"))
+        centres = np.array(table["marker_centres_lps_mm"], float).reshape(-1, 3)
+        sds = np.array(table["marker_centres_sd_mm"], float).reshape(-1, 3)
+        diameters = np.array(table["marker_diameter_mm"], float) if "marker_diameter_mm" in table else None
+    except FileNotFoundError as error:
+        raise FileProblem(path, "is not there", "`marey knee segment` writes it where it finds markers.") from error
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        wrong = f"holds no marker_centres_lps_mm and marker_centres_sd_mm, lists of three numbers ({error})"
+        raise FileProblem(path, wrong, "Mend it, or let `marey knee segment` write it again.") from error
+    if sds.shape != centres.shape or not np.isfinite(centres).all() or not (sds > 0).all():
+        raise FileProblem(path, "needs three numbers, and three deviations above 0, for each marker", "Mend it.")
+    return MarkersInScanner(
+        centres_mm=centres,
+        sd_mm=sds,
+        diameter_mm=diameters,
+        names=_added(path, table, "marker_names", len(centres)),
+        bones=_added(path, table, "marker_segment", len(centres)),
+    )
+
+
+def _added(path: Path | str, table: dict[str, Any], key: str, count: int) -> tuple[str | None, ...]:
+    values = table.get(key) or []
+    if not isinstance(values, list) or len(values) not in (0, count):
+        raise FileProblem(path, f"needs as many {key} as markers, {count}", "Write null for one that has none.")
+    if not all(value is None or isinstance(value, str) for value in values):
+        raise FileProblem(path, f"has {key} that are no texts", 'Write them as "name", or null.')
+    strange = sorted({value for value in values if value is not None} - set(BONES))
+    if key == "marker_segment" and strange:
+        raise FileProblem(path, f"has a marker on {', '.join(strange)}", f"The bones are {', '.join(BONES)}.")
+    return tuple(values)

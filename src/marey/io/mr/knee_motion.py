@@ -1,0 +1,134 @@
+"""`knee_motion.npz` and `proximity.csv`: how a knee's bones moved, and how near their cartilages came."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+
+from marey.io.atomic import replacing
+from marey.io.npz import write_arrays
+from marey.knee.motion.joint_motion import BASE, JointMotion, KneeMotion
+from marey.knee.motion.proximity import NEAR_MM, Proximity
+from marey.markers.kinematics.joint_angles import JointKinematics
+
+_BESIDE = "compared_"
+
+
+def write_knee_motion(path: Path | str, found: KneeMotion, compared: KneeMotion | None = None) -> None:
+    """Write all numbers under plain names; those of a second correction begin with `compared_`.
+
+    `time` s, `rate` Hz, `side`, `method`; `bones` (B,), `laboratory_from_scanner` and `tibia_from_bone` (F, B, 4, 4)
+    mm, with `..._covariance` (F, B, 6, 6) of the turn to the right of the rotation [rad] and of the translation [mm];
+    `angle_names`, `angles_deg`, `angles_deg_sd`, `translation_names`, `translations_mm`, `translations_mm_sd`; of each
+    joint, `tibiofemoral_gap_mm` for one, what `marey.knee.motion.proximity.Proximity` holds; `..._vertices` say which
+    vertices of the structure's mesh the maps are of.
+
+    Args:
+        path: The file.
+        found: What was found.
+        compared: The same by another correction of the skin's motion.
+    """
+    arrays = _arrays(found)
+    if compared is not None:
+        once = ("time", "rate", "side")
+        arrays |= {_BESIDE + name: value for name, value in _arrays(compared).items() if name not in once}
+    write_arrays(path, arrays)
+
+
+def _arrays(found: KneeMotion) -> dict[str, object]:
+    motion = found.motion
+    arrays: dict[str, object] = {
+        "time": motion.time, "side": {None: "unknown", True: "left", False: "right"}[motion.left],
+        "method": found.method, "bones": np.array(motion.bones, np.str_),
+    }  # fmt: skip
+    if len(motion) > 1:
+        arrays["rate"] = 1 / float(np.median(np.diff(motion.time)))
+    arrays |= _poses(motion)
+    if found.angles is not None:
+        arrays |= _angles(found.angles)
+    for joint in found.joints:
+        arrays |= _joint(joint)
+    return arrays
+
+
+def _poses(motion: JointMotion) -> dict[str, object]:
+    """Give the bones' poses in the room, and in the tibia's frame where that moves."""
+    kinds = {"laboratory_from_scanner": dict(motion.poses)}
+    if BASE in motion.poses:
+        kinds["tibia_from_bone"] = {bone: motion.held(bone) for bone in motion.bones}
+    arrays: dict[str, object] = {}
+    unknown = np.full((len(motion), 6, 6), np.nan)
+    for name, poses in kinds.items():
+        arrays[name] = np.stack([pose.matrix() for pose in poses.values()], 1)
+        spread = [unknown if pose.covariance is None else pose.covariance for pose in poses.values()]
+        arrays[f"{name}_covariance"] = np.stack(spread, 1)
+    return arrays
+
+
+def _angles(angles: JointKinematics) -> dict[str, object]:
+    return {
+        "angle_names": np.array(angles.angle_names, np.str_), "angles_deg": np.degrees(angles.angles),
+        "angles_deg_sd": np.degrees(angles.angles_sd),
+        "translation_names": np.array(angles.translation_names, np.str_),
+        "translations_mm": 1e3 * angles.translations, "translations_mm_sd": 1e3 * angles.translations_sd,
+    }  # fmt: skip
+
+
+def _joint(joint: Proximity) -> dict[str, object]:
+    arrays: dict[str, object] = {
+        "compartments": np.array(joint.compartments, np.str_), "limit_mm": joint.limit_mm, "gap_mm": joint.gap_mm,
+        "gap_sd_mm": joint.gap_sd_mm, "overlap_mm2": joint.overlap_mm2, f"below_{NEAR_MM:g}_mm2": joint.close_mm2,
+        "near_mm2": joint.near_mm2,
+    }  # fmt: skip
+    sides = (
+        (joint.base, joint.base_distance_mm, joint.centre_mm, joint.centre_sd_mm),
+        (joint.moving, joint.moving_distance_mm, joint.moving_centre_mm, joint.moving_centre_sd_mm),
+    )
+    for side, distance, centre, spread in sides:
+        arrays[f"{side.name}_vertices"] = side.sources
+        # To a micrometre: what lies behind that is chance, and does not pack.
+        arrays[f"{side.name}_distance_mm"] = np.round(distance, 3)
+        arrays[f"{side.name}_centre_mm"], arrays[f"{side.name}_centre_sd_mm"] = centre, spread
+    return {f"{joint.name}_{name}": value for name, value in arrays.items()}
+
+
+def write_proximity(path: Path | str, found: KneeMotion, compared: KneeMotion | None = None) -> None:
+    """Write `proximity.csv`: a row a frame, joint, compartment and correction; what is not known is an empty cell.
+
+    Args:
+        path: The file.
+        found: What was found.
+        compared: The same by another correction.
+    """
+    limits = {joint.limit_mm for joint in found.joints}
+    near = f"area_below_{next(iter(limits)):g}mm_mm2" if limits else "area_near_mm2"
+    head = ["frame", "time_s", "method", "joint", "compartment", "gap_mm", "gap_sd_mm", "gap_within_its_sd"]
+    head += ["area_overlap_mm2", f"area_below_{NEAR_MM:g}mm_mm2", near]
+    places = [f"{on}_{axis}_mm" for on in ("centre", "moving_centre") for axis in "xyz"]
+    with replacing(path) as beside, beside.open("w", newline="", encoding="utf-8") as file:
+        rows = csv.writer(file, lineterminator="\n")
+        rows.writerow([*head, *places])
+        for each in (found, *(() if compared is None else (compared,))):
+            for joint in each.joints:
+                rows.writerows(_rows(each, joint))
+
+
+def _rows(found: KneeMotion, joint: Proximity) -> list[list[str]]:
+    rows = []
+    for frame, time in enumerate(found.motion.time):
+        for c, compartment in enumerate(joint.compartments):
+            numbers = [joint.gap_mm[frame, c], joint.gap_sd_mm[frame, c]]
+            known = np.isfinite(numbers).all()
+            areas = [joint.overlap_mm2[frame, c], joint.close_mm2[frame, c], joint.near_mm2[frame, c]]
+            places = [*joint.centre_mm[frame, c], *joint.moving_centre_mm[frame, c]]
+            rows.append(
+                [
+                    str(frame), f"{time:.6f}", found.method, joint.name, compartment, *map(_cell, numbers),
+                    str(int(joint.unsure[frame, c])) if known else "", *map(_cell, [*areas, *places]),
+                ]
+            )  # fmt: skip
+    return rows
+
+
+def _cell(value: float) -> str:
+    return "" if value != value else f"{value:.4f}"

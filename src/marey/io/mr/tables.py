@@ -1,0 +1,56 @@
+"""Small result files of a knee: `cartilage.csv`, one row per region, and `rigid.json`, a bone's registration."""
+
+import csv
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from marey.arrays import Floats
+from marey.errors import FileProblem
+from marey.io.atomic import replacing
+from marey.knee.cartilage.subregions import Subregion
+
+
+def write_rigid(path: Path | str, subject_from_template: Floats, about: Mapping[str, object]) -> None:
+    """Write a homogeneous matrix (4, 4) [mm] and what else is known of it, under plain names."""
+    table = {"subject_from_template": np.asarray(subject_from_template).tolist(), **about}
+    with replacing(path) as beside:
+        beside.write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
+
+
+def read_rigid(path: Path | str) -> Floats:
+    """Read the matrix (4, 4) [mm], subject from template.
+
+    Raises:
+        FileProblem: The file is missing or damaged, or holds no such matrix.
+    """
+    try:
+        matrix = np.array(json.loads(Path(path).read_text(encoding="utf-8"))["subject_from_template"], float)
+    except FileNotFoundError as error:
+        raise FileProblem(path, "is not there") from error
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise FileProblem(path, "holds no subject_from_template", "`marey knee register` writes it.") from error
+    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
+        raise FileProblem(path, "has a subject_from_template that is no matrix of 4 x 4", "")
+    return matrix
+
+
+_HEAD = ("cartilage", "part", "area_mm2", "volume_mm3", "mean_mm", "thickest_mm", "covered_percent")
+
+
+def write_parts(path: Path | str, parts: Mapping[str, Sequence[Subregion]]) -> None:
+    """Write a row for each part of each cartilage.
+
+    Args:
+        path: The file.
+        parts: By the cartilage's name.
+    """
+    with replacing(path) as beside, beside.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(_HEAD)
+        for cartilage, found in parts.items():
+            for part in found:
+                numbers = (part.area_mm2, part.volume_mm3, part.mean_mm, part.thickest_mm, 100 * part.covered)
+                writer.writerow([cartilage, part.name, *(f"{number:.3f}" for number in numbers)])

@@ -1,0 +1,413 @@
+"""MR volumes and volumes of labels: DICOM series, NIfTI, NRRD and MetaImage, with their place in the scanner."""
+
+import gzip
+import json
+import locale
+import sys
+import zlib
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from marey.arrays import Floats
+from marey.errors import FileProblem, MareyError
+from marey.io.atomic import replacing
+from marey.knee.space.structures import LABELS, structure_named
+from marey.knee.space.volume import Grid, Labels, Volume
+
+_KEPT: list[ModuleType] = []
+"""Tables of types that SimpleITK uses on; they go when nobody holds them."""
+
+FORMATS = (".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd", ".dcm")
+_NAME_FILES = ("labels.json", "names.json")
+_UNEVEN = 0.05
+"""Share of a slice distance by which it may differ from the usual one; a missing slice differs by 1."""
+_FEWEST = 4
+_MOST_OTHERS = 200
+"""So many values of other structures a volume of labels may hold, and no more."""
+_GZIP = b"\x1f\x8b"
+_NIFTI_2 = 540
+"""Length of its header; 348 in the first version."""
+_NIFTI_FLOATS = {16: "f4", 64: "f8"}
+_BELOW_ZERO = 0.05
+"""Share of the image's upper end by which resampling leaves an MR image's air below zero at most."""
+
+
+def read_volume(path: Path | str) -> Volume:
+    """Read an MR image.
+
+    Args:
+        path: A file of `FORMATS`, or a folder with one DICOM series.
+
+    Raises:
+        FileProblem: It is missing or of an unknown format, has colours or four dimensions, is another modality than
+            MR, holds one value throughout or values far below zero, or its slices lie at uneven distances.
+        MareyError: SimpleITK is not installed.
+    """
+    path = Path(path)
+    image = _read_series(path) if path.is_dir() else _read_file(path)
+    intensity = simple_itk().GetArrayFromImage(image).astype(np.float32)
+    if lost := max(int((~np.isfinite(intensity)).sum()), _no_numbers_in_nifti(path)):
+        share = f"holds {lost} voxels of {intensity.size} whose values are no numbers, NaN or infinite"
+        raise FileProblem(path, share, "Replace them, by 0 for instance.")
+    if not np.ptp(intensity):
+        raise FileProblem(path, f"holds one value throughout, {intensity.flat[0]:g}", "Is it the image itself?")
+    low, high = np.percentile(intensity, [1, 99])
+    if low < -_BELOW_ZERO * abs(high):
+        raise FileProblem(path, f"holds values down to {intensity.min():g}, as CT does", "Give an MR image.")
+    return Volume(intensity=intensity, grid=_grid(image))
+
+
+def _no_numbers_in_nifti(path: Path) -> int:
+    """Count the values of a NIfTI file that are no numbers: ITK puts 0 in their place without a word."""
+    if path.is_dir() or not path.name.lower().endswith((".nii", ".nii.gz")):
+        return 0
+    content = _unpacked(path)
+    order = "<" if content[:2] in (b"\x5c\x01", b"\x1c\x02") else ">"
+    second = int(np.frombuffer(content, f"{order}i4", 1)[0]) == _NIFTI_2
+    kind = int(np.frombuffer(content, f"{order}i2", 1, 12 if second else 70)[0])
+    if kind not in _NIFTI_FLOATS:
+        return 0
+    sizes = np.frombuffer(content, f"{order}{'i8' if second else 'i2'}", 8, 16 if second else 40)
+    start = int(np.frombuffer(content, f"{order}{'i8' if second else 'f4'}", 1, 168 if second else 108)[0])
+    count = int(np.prod(sizes[1 : 1 + int(sizes[0])], dtype=np.int64))
+    values = np.frombuffer(content, f"{order}{_NIFTI_FLOATS[kind]}", count, start)
+    return int((~np.isfinite(values)).sum())
+
+
+def _unpacked(path: Path) -> bytes:
+    """Give a file's content; one that was cut off is an error, which ITK fills up with 0 without a word."""
+    content = path.read_bytes()
+    if content[:2] != _GZIP:
+        return content
+    try:
+        return gzip.decompress(content)
+    except (EOFError, OSError, zlib.error) as error:
+        raise FileProblem(path, "is cut off or damaged: it cannot be unpacked to its end", "Copy it again.") from error
+
+
+def read_labels(path: Path | str) -> Labels:
+    """Read a volume of labels with the names of its values; structures are found by name, medial and lateral are one.
+
+    Args:
+        path: A file with `<its name>.json`, `labels.json` or `names.json` beside it, or a folder in which such a file
+            is named `labels.nii.gz`: a template, or what `marey knee segment` leaves.
+
+    Raises:
+        FileProblem: The volume or the names are missing or damaged, or none of the names is a structure of the knee.
+    """
+    path = Path(path)
+    path = path / "labels.nii.gz" if path.is_dir() else path
+    image = _read_file(path)
+    values = simple_itk().GetArrayFromImage(image)
+    number_of = _numbers_by_value(_names_beside(path))
+    if (other := len(set(np.unique(values).tolist()) - {0, *number_of})) > _MOST_OTHERS:
+        raise FileProblem(
+            path, f"holds {other} values without a name: it seems to be an image", "Give labels, whole numbers."
+        )
+    labels = np.zeros(values.shape, dtype=np.uint8)
+    for value, number in number_of.items():
+        labels[values == value] = number
+    if not labels.any():
+        raise FileProblem(path, "holds no voxel of any bone or cartilage", f"Known are {', '.join(LABELS)}.")
+    return Labels(labels=labels, grid=_grid(image))
+
+
+def read_template(folder: Path | str) -> Labels:
+    """Read a template: a folder with `labels.nii.gz` and the names of its values in `names.json` or `labels.json`.
+
+    Raises:
+        FileProblem: As `read_labels`, or the path is no folder.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise FileProblem(folder, "is no folder", "A template is a folder with labels.nii.gz and names.json.")
+    return read_labels(folder)
+
+
+def write_labels(folder: Path | str, labels: Labels, *, missing: Mapping[str, str] | None = None) -> None:
+    """Write `labels.nii.gz` and, with the names of its values, `labels.json`.
+
+    Args:
+        folder: Made where it is missing.
+        labels: On the image's own grid.
+        missing: Structure that was asked for and is not among them, to the reason: written as `missing`.
+    """
+    image = _image(labels.labels, labels.grid)
+    folder = Path(folder)
+    # An ending that SimpleITK knows: `replacing` keeps the last one only.
+    with replacing(folder / "labels.nii.gz") as beside:
+        whole = beside.with_name(f"{beside.name}.nii.gz")
+        try:
+            simple_itk().WriteImage(image, str(whole), useCompression=True)
+            whole.replace(beside)
+        finally:
+            whole.unlink(missing_ok=True)
+    names: dict[str, Mapping[str, str]] = {
+        "labels": {"0": "background"} | {str(number): name for name, number in LABELS.items()}
+    }
+    if missing:
+        names["missing"] = dict(missing)
+    with replacing(folder / "labels.json") as beside:
+        beside.write_text(json.dumps(names, indent=1) + "\n", encoding="utf-8")
+
+
+def write_volume(path: Path | str, volume: Volume) -> None:
+    """Write an image to a file of one of the formats that its ending names."""
+    with _quiet():
+        simple_itk().WriteImage(_image(volume.intensity, volume.grid), str(path))
+
+
+@cache
+def simple_itk() -> Any:
+    """Import SimpleITK so that C3D files can still be written.
+
+    ezc3d and SimpleITK enter their types in one table, which SWIG keeps in a module, and take each other's vectors of
+    strings for their own: ezc3d crashes. Here the table of ezc3d is hidden while SimpleITK makes one of its own.
+
+    Raises:
+        MareyError: It is not installed.
+    """
+    import ezc3d  # noqa: F401
+
+    tables = _tables()
+    for name in tables:
+        del sys.modules[name]
+    try:
+        import SimpleITK
+    except ModuleNotFoundError as error:
+        raise MareyError('Volumes are read by SimpleITK, which is missing: pip install "marey[knee]".') from error
+    finally:
+        _KEPT.extend(_tables().values())
+        sys.modules.update(tables)
+    return SimpleITK
+
+
+def _tables() -> dict[str, ModuleType]:
+    return {name: module for name, module in sys.modules.items() if name.startswith("swig_runtime_data")}
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep ITK's warnings off the terminal: what they say is checked here, and said in words.
+
+    What reads DICOM leaves the process in the C locale, in which texts that follow are no longer UTF-8: it is put back.
+    """
+    process = simple_itk().ProcessObject
+    before, spoken = process.GetGlobalWarningDisplay(), locale.setlocale(locale.LC_ALL)
+    process.SetGlobalWarningDisplay(False)
+    try:
+        yield
+    finally:
+        process.SetGlobalWarningDisplay(before)
+        locale.setlocale(locale.LC_ALL, spoken)
+
+
+def _grid(image: Any) -> Grid:
+    lps_from_voxel = np.eye(4)
+    lps_from_voxel[:3, :3] = np.reshape(image.GetDirection(), (3, 3)) * image.GetSpacing()
+    lps_from_voxel[:3, 3] = image.GetOrigin()
+    i, j, k = image.GetSize()
+    return Grid(shape=(k, j, i), lps_from_voxel=lps_from_voxel)
+
+
+def _image(array: np.ndarray, grid: Grid) -> Any:
+    image = simple_itk().GetImageFromArray(array)
+    image.SetSpacing(grid.spacing_mm.tolist())
+    image.SetDirection((grid.lps_from_voxel[:3, :3] / grid.spacing_mm).ravel().tolist())
+    image.SetOrigin(grid.lps_from_voxel[:3, 3].tolist())
+    return image
+
+
+def _read_file(path: Path) -> Any:
+    if not path.exists():
+        raise FileProblem(path, "is not there")
+    if not path.name.lower().endswith(FORMATS):
+        raise FileProblem(path, "is of no known format", f"Known are {', '.join(FORMATS)} and folders of DICOM slices.")
+    if not path.stat().st_size:
+        raise FileProblem(path, "is empty", "Copy it again.")
+    with _quiet():
+        try:
+            image = simple_itk().ReadImage(str(path))
+        except RuntimeError as error:
+            if "Unable to determine ImageIO" in str(error):
+                raise FileProblem(path, "does not hold what its ending says", "Copy or write it again.") from error
+            raise FileProblem(path, f"cannot be read ({_last_line(error)})", "Copy or write it again.") from error
+    return _checked(path, image)
+
+
+def _last_line(error: Exception) -> str:
+    return str(error).strip().splitlines()[-1].removeprefix("ITK ERROR: ").rstrip(". ")
+
+
+def _checked(path: Path, image: Any) -> Any:
+    """Give the image as three-dimensional and grey; anything else is an error."""
+    if image.GetDimension() == 4 and image.GetSize()[3] == 1:
+        image = image[:, :, :, 0]
+    if image.GetDimension() != 3:
+        raise FileProblem(path, f"has {image.GetDimension()} dimensions", "Give one volume of three dimensions.")
+    if image.GetNumberOfComponentsPerPixel() != 1:
+        raise FileProblem(path, "has colours or several values a voxel", "Give the grey volume.")
+    if image.HasMetaDataKey("0008|0060"):
+        _check_modality(path, image.GetMetaData("0008|0060"))
+    size = image.GetSize()
+    if size[2] == 1 and path.suffix.lower() == ".dcm":
+        raise FileProblem(path, "is a single slice", "Give the folder that holds the whole series.")
+    if min(size) < _FEWEST:
+        raise FileProblem(path, f"has only {' x '.join(map(str, size))} voxels", "Give the whole volume.")
+    return image
+
+
+def _check_modality(path: Path, modality: str) -> None:
+    if modality.strip() not in ("", "MR"):
+        raise FileProblem(path, f"is of the modality {modality.strip()}", "Give an MR image.")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Slice:
+    file: str
+    size: tuple[int, ...]
+    """Columns and rows."""
+    orientation: Floats
+    """(6,) direction of rows, then of columns."""
+    position: Floats
+    """(3,) mm."""
+
+    @property
+    def normal(self) -> Floats:
+        return np.cross(self.orientation[:3], self.orientation[3:])
+
+
+def _read_series(folder: Path) -> Any:
+    itk = simple_itk()
+    with _quiet():
+        series = itk.ImageSeriesReader.GetGDCMSeriesIDs(str(folder))
+    if not series:
+        raise FileProblem(folder, "holds no DICOM series", f"Give a folder of slices, or a file: {', '.join(FORMATS)}.")
+    if len(series) > 1:
+        raise FileProblem(
+            folder, f"holds {len(series)} DICOM series: {_series_said(folder, series)}",
+            "Put each into a folder of its own.",
+        )  # fmt: skip
+    with _quiet():
+        files = itk.ImageSeriesReader.GetGDCMSeriesFileNames(str(folder), series[0])
+        if len(files) == 1 and itk.ReadImage(files[0]).GetDepth() <= 1:
+            raise FileProblem(folder, "holds a single DICOM slice", "Give the folder that holds the whole series.")
+        if len(files) == 1:
+            return _checked(folder, itk.ReadImage(files[0]))
+        slices = _in_order(folder, _of_one_size(folder, [_slice(folder, file) for file in files]))
+        reader = itk.ImageSeriesReader()
+        reader.SetFileNames([each.file for each in slices])
+        try:
+            image = reader.Execute()
+        except RuntimeError as error:
+            raise FileProblem(folder, f"cannot be read as a series ({_last_line(error)})") from error
+    return _checked(folder, image)
+
+
+def _slice(folder: Path, file: str) -> _Slice:
+    reader = simple_itk().ImageFileReader()
+    reader.SetFileName(file)
+    try:
+        reader.ReadImageInformation()
+        values = [float(value) for key in ("0020|0037", "0020|0032") for value in reader.GetMetaData(key).split("\\")]
+    except (RuntimeError, ValueError) as error:
+        raise FileProblem(Path(file), "does not say where its slice lies", "Export the series again.") from error
+    if reader.HasMetaDataKey("0008|0060"):
+        _check_modality(folder, reader.GetMetaData("0008|0060"))
+    return _Slice(
+        file=file, size=tuple(reader.GetSize()[:2]), orientation=np.array(values[:6]), position=np.array(values[6:9])
+    )
+
+
+def _series_said(folder: Path, series: Sequence[str]) -> str:
+    """Name series by their descriptions, numbers of slices and first files."""
+    reader, said = simple_itk().ImageFileReader(), []
+    for each in series:
+        with _quiet():
+            files = simple_itk().ImageSeriesReader.GetGDCMSeriesFileNames(str(folder), each)
+            reader.SetFileName(files[0])
+            reader.ReadImageInformation()
+            name = reader.GetMetaData("0008|103e").strip() if reader.HasMetaDataKey("0008|103e") else ""
+        said.append(f"{name or 'without a name'} ({len(files)} files, {Path(files[0]).name} the first)")
+    return "; ".join(said)
+
+
+def _of_one_size(folder: Path, slices: list[_Slice]) -> list[_Slice]:
+    """Give the slices as they are; some of another size than the most are an error."""
+    usual = Counter(each.size for each in slices).most_common(1)[0][0]
+    others = [each for each in slices if each.size != usual]
+    if others:
+        sizes = [" x ".join(map(str, size)) for size in (others[0].size, usual)]
+        raise FileProblem(
+            folder, f"holds slices of several sizes: {Path(others[0].file).name} of {sizes[0]}, most of {sizes[1]}",
+            "Put each stack into a folder of its own.",
+        )  # fmt: skip
+    return slices
+
+
+def _unread(folder: Path, slices: list[_Slice]) -> str:
+    """Name a file of the same ending as the slices that is none of them, if there is one."""
+    read = {Path(each.file).name for each in slices}
+    ending = Path(slices[0].file).suffix
+    left = sorted(file.name for file in folder.iterdir() if file.suffix == ending and file.name not in read)
+    return f" {left[0]} there cannot be read." if left and ending else ""
+
+
+def _in_order(folder: Path, slices: list[_Slice]) -> list[_Slice]:
+    """Sort slices along their normal, with even distances."""
+    first = slices[0]
+    if max(float(np.abs(each.orientation - first.orientation).max()) for each in slices) > 1e-3:
+        raise FileProblem(folder, "holds slices of several orientations", "Put each stack into a folder of its own.")
+    places = np.array([each.position @ first.normal for each in slices])
+    order = np.argsort(places, kind="stable")
+    gaps = np.diff(places[order])
+    usual = float(np.median(gaps))
+    if usual <= 0 or float(gaps.min()) < _UNEVEN * usual:
+        same = int(np.argmin(gaps)) if usual > 0 else 0
+        pair = " and ".join(sorted(Path(slices[order[same + each]].file).name for each in (0, 1)))
+        raise FileProblem(
+            folder, f"holds several images of one slice, {pair} for one",
+            "Keep one echo or time of the series, and no copies.",
+        )  # fmt: skip
+    worst = int(np.argmax(np.abs(gaps - usual)))
+    if abs(gaps[worst] - usual) > _UNEVEN * usual:
+        pair = f"slices {worst + 1} and {worst + 2}"
+        raise FileProblem(
+            folder,
+            f"lacks slices: {pair} lie {gaps[worst]:.2f} mm apart, the others {usual:.2f} mm",
+            f"Export the whole series.{_unread(folder, slices)}",
+        )
+    return [slices[index] for index in order]
+
+
+def _names_beside(path: Path) -> dict[str, str]:
+    stem = path.name.removesuffix(".gz").rsplit(".", 1)[0]
+    names = (f"{stem}.json", *_NAME_FILES)
+    file = next((path.with_name(name) for name in names if path.with_name(name).exists()), None)
+    if file is None:
+        raise FileProblem(path, "has no names of its values beside it", f"Add names.json: {_EXAMPLE}.")
+    try:
+        table = json.loads(file.read_text(encoding="utf-8"))
+        table = table.get("labels", table)
+        return {str(int(value)): str(name) for value, name in table.items()}
+    except (OSError, ValueError, AttributeError) as error:
+        raise FileProblem(
+            file, f"is no table of values and names ({error})", f"It should read like {_EXAMPLE}."
+        ) from error
+
+
+_EXAMPLE = '{"1": "femur", "2": "femoral cartilage", "3": "tibia"}'
+
+
+def _numbers_by_value(names: dict[str, str]) -> dict[int, int]:
+    """Map values of a label volume to our numbers, by the structures' names."""
+    found = {int(value): structure_named(name) for value, name in names.items()}
+    return {value: LABELS[structure] for value, structure in found.items() if structure is not None}

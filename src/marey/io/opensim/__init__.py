@@ -1,0 +1,1 @@
+"""OpenSim's files: TRC, MOT, STO, models and tasks."""

@@ -1,0 +1,171 @@
+"""MOT and STO: OpenSim's tables over time, of numbers or of orientations."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from marey.arrays import Floats, freeze_fields
+from marey.errors import FileProblem
+from marey.geometry import rotations
+from marey.io.atomic import replacing
+from marey.io.axes import OPENSIM_FROM_WORLD, turned_rotations
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Table:
+    """Columns over time."""
+
+    name: str
+    columns: tuple[str, ...]
+    """K names, without the time."""
+    time: Floats
+    """(F,) [s]."""
+    values: Floats
+    """(F, K); NaN where missing. Angles are in degrees where `in_degrees` is true."""
+    in_degrees: bool = True
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, "time", "values")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Orientations:
+    """Rotations of named bodies over time."""
+
+    names: tuple[str, ...]
+    """S names."""
+    time: Floats
+    """(F,) [s]."""
+    rate: float
+    """[Hz]."""
+    world_from_body: Floats
+    """(F, S, 3, 3), in the world's axes (Z up); NaN where missing."""
+
+
+def write_table(path: Path | str, table: Table) -> None:
+    """Write a MOT or STO; a missing number is `nan`, every frame has its row.
+
+    Args:
+        path: The file.
+        table: What to write.
+    """
+    head = [
+        table.name,
+        "version=1",
+        f"nRows={len(table.time)}",
+        f"nColumns={1 + len(table.columns)}",
+        f"inDegrees={'yes' if table.in_degrees else 'no'}",
+        "endheader",
+        "\t".join(["time", *table.columns]),
+    ]
+    numbers = np.column_stack([table.time, table.values])
+    rows = ["\t".join([f"{row[0]:.6f}", *(f"{v:.8f}" for v in row[1:])]) for row in numbers]
+    with replacing(path) as beside:
+        beside.write_text("\n".join(head + rows) + "\n", encoding="utf-8")
+
+
+def read_table(path: Path | str) -> Table:
+    """Read a MOT or STO of numbers.
+
+    Args:
+        path: The file.
+
+    Raises:
+        FileProblem: It has no `endheader`, no column `time`, or a damaged row.
+    """
+    head, columns, rows = _split(path)
+    settings = dict(line.split("=", 1) for line in head if "=" in line)
+    try:
+        numbers = [[float(c) if c.strip() else np.nan for c in row] for row in rows]
+        data = np.array(numbers).reshape(-1, len(columns) + 1)
+    except ValueError as error:
+        raise FileProblem(path, f"has a damaged row ({error})", "Export it again.") from error
+    degrees = settings.get("inDegrees", "no").strip().lower() == "yes"
+    return Table(name=head[0], columns=columns, time=data[:, 0], values=data[:, 1:], in_degrees=degrees)
+
+
+def write_orientations(path: Path | str, orientations: Orientations) -> None:
+    """Write quaternions w,x,y,z in OpenSim's axes; a missing one is `nan,nan,nan,nan`.
+
+    Args:
+        path: The file.
+        orientations: What to write.
+    """
+    quaternions = rotations.to_quaternion(turned_rotations(OPENSIM_FROM_WORLD, orientations.world_from_body))
+    head = [
+        f"DataRate={orientations.rate:.6f}",
+        "DataType=Quaternion",
+        "version=3",
+        "OpenSimVersion=4.6",
+        "endheader",
+        "\t".join(["time", *orientations.names]),
+    ]
+    rows = [
+        "\t".join([f"{t:.6f}", *(",".join(f"{v:.9f}" for v in q) for q in row)])
+        for t, row in zip(orientations.time, _continuous(quaternions), strict=True)
+    ]
+    with replacing(path) as beside:
+        beside.write_text("\n".join(head + rows) + "\n", encoding="utf-8")
+
+
+def _continuous(quaternions: Floats) -> Floats:
+    """Choose each quaternion's sign so that it lies near the last known one before it (F, S, 4)."""
+    result = np.array(quaternions)
+    last = result[0]
+    for f in range(1, len(result)):
+        flip = (result[f] * last).sum(-1) < 0
+        result[f, flip] *= -1
+        known = np.isfinite(result[f]).all(-1)
+        last = np.where(known[:, None], result[f], last)
+    return result
+
+
+def is_of_quaternions(path: Path | str) -> bool:
+    """Tell whether a STO holds orientations, by what its header says.
+
+    Raises:
+        FileProblem: It is no such table.
+    """
+    head, _, _ = _split(path)
+    return any(line.replace(" ", "").lower() == "datatype=quaternion" for line in head)
+
+
+def read_orientations(path: Path | str) -> Orientations:
+    """Read a quaternion table in OpenSim's axes.
+
+    Args:
+        path: The file.
+
+    Raises:
+        FileProblem: It has no `endheader`, no column `time`, or a damaged row.
+    """
+    head, columns, rows = _split(path)
+    settings = dict(line.split("=", 1) for line in head if "=" in line)
+    try:
+        time = np.array([float(row[0]) for row in rows])
+        cells = [[[float(v) for v in c.split(",")] if c.strip() else [np.nan] * 4 for c in row[1:]] for row in rows]
+        quaternions = np.array(cells).reshape(len(rows), len(columns), 4)
+    except ValueError as error:
+        raise FileProblem(path, f"has a damaged row ({error})", "Export it again.") from error
+    rate = float(settings["DataRate"]) if "DataRate" in settings else 1 / float(np.median(np.diff(time)))
+    turn = turned_rotations(OPENSIM_FROM_WORLD.T, rotations.from_quaternion(quaternions))
+    return Orientations(names=columns, time=time, rate=rate, world_from_body=turn)
+
+
+def _split(path: Path | str) -> tuple[list[str], tuple[str, ...], list[list[str]]]:
+    """Take the header's lines, the columns after the time, and the rows' cells."""
+    try:
+        lines = Path(path).read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise FileProblem(path, f"cannot be read ({error})", "Give a MOT or STO file.") from error
+    ends = [i for i, line in enumerate(lines) if line.strip().lower() == "endheader"]
+    if not ends or len(lines) < ends[0] + 2:
+        raise FileProblem(path, "has no line 'endheader' with columns after it", "Give a MOT or STO file.")
+    columns = lines[ends[0] + 1].split()
+    if columns[0] != "time":
+        raise FileProblem(path, f"begins with the column {columns[0]!r}", "Its first column should be 'time'.")
+    rows = [line.rstrip("\n").split("\t") for line in lines[ends[0] + 2 :] if line.strip()]
+    if any("\t" not in line for line in lines[ends[0] + 2 :] if line.strip()):
+        rows = [line.split() for line in lines[ends[0] + 2 :] if line.strip()]
+    return lines[: ends[0]] or [""], tuple(columns[1:]), rows

@@ -1,0 +1,247 @@
+"""Reading an OpenSim model (.osim): bodies, joints, coordinates, couplings and markers."""
+
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from marey.body.articulation.coordinate_functions import linear, scaled
+from marey.body.articulation.jointed_body import Coupling, JointedBody, ModelBody, ModelMarker
+from marey.errors import FileProblem, MareyError
+from marey.geometry.rigid import RigidTransform
+from marey.geometry.rotations import about
+from marey.io.opensim.osim_functions import function_in, numbers, read_xml, text, truth
+from marey.io.opensim.osim_joints import Joint, read_joint
+
+_FIRST_WITH_FRAMES = 30500
+"""The version of the file format in which joints hang on frames and stand in a set of their own."""
+_ZERO = np.zeros(3)
+
+
+def read_osim_model(path: Path | str) -> JointedBody:
+    """Read what inverse kinematics needs of an OpenSim model, in its own axes and units (metres, radians).
+
+    Files before 4.0 (joints inside of bodies) and from 4.0 on (joints in a set, offset frames) are read. Muscles,
+    contacts, masses and drawings are passed over.
+
+    Args:
+        path: The `.osim`.
+
+    Raises:
+        FileProblem: It is no OpenSim model, or has a joint, a function or a constraint that is not read.
+    """
+    root = read_xml(path, "an OpenSim model")
+    model = root if root.tag == "Model" else root.find("Model")
+    if model is None:
+        raise FileProblem(path, f"is no OpenSim model: it holds <{root.tag}> and no <Model>", "Give an .osim file.")
+    version = root.get("Version", "40000")
+    new = version.isdigit() and int(version) >= _FIRST_WITH_FRAMES
+    frames = _Frames(path)
+    bodies = _listed(model, "BodySet", "Body")
+    names = [b.get("name", "") for b in bodies if b.get("name") != "ground"]
+    if not names:
+        raise FileProblem(path, "has no bodies", "Give a model with a BodySet.")
+    frames.add_bodies(bodies, names)
+    if new:
+        joints = _joints_of_set(path, model, frames)
+    else:
+        joints = [joint for b in bodies if (joint := _joint_of_body(path, b, frames)) is not None]
+    coordinates = tuple(c for joint in joints for c in joint.coordinates)
+    try:
+        return JointedBody(
+            name=model.get("name", ""), bodies=_tree(path, names, joints), coordinates=coordinates,
+            couplings=_couplings(path, model), markers=_markers(path, model, frames),
+        )  # fmt: skip
+    except FileProblem:
+        raise
+    except MareyError as error:
+        raise FileProblem(path, f"does not fit together ({error})", "Mend the model.") from error
+
+
+def _listed(model: Element, holder: str, *kinds: str) -> list[Element]:
+    """Give the elements of a set, of all kinds where none is named."""
+    objects = model.find(f"{holder}/objects")
+    return [] if objects is None else [e for e in objects if not kinds or e.tag in kinds]
+
+
+def _transform(path: Path | str, element: Element, place: str, turn: str, where: str) -> RigidTransform:
+    """Read a translation [m] and an orientation: turns about X, then the moved Y, then the moved Z [rad]."""
+    angles = numbers(path, element, turn, where, _ZERO)
+    rotation = np.linalg.multi_dot([about(axis, angle) for axis, angle in zip(np.eye(3), angles, strict=True)])
+    return RigidTransform(rotation, numbers(path, element, place, where, _ZERO))
+
+
+@dataclass
+class _Frames:
+    """All frames by their path in the model: the body each is fixed to, and its place there."""
+
+    path: Path | str
+    known: dict[str, tuple[str | None, RigidTransform]] = field(default_factory=dict)
+
+    def add_bodies(self, bodies: list[Element], names: list[str]) -> None:
+        self.known["/ground"] = (None, RigidTransform.identity())
+        for name in names:
+            self.known[f"/bodyset/{name}"] = (name, RigidTransform.identity())
+        for body in bodies:
+            held = body.find("components")
+            self.add_offsets([] if held is None else list(held), f"/bodyset/{body.get('name')}")
+
+    def add_offsets(self, elements: list[Element], owner: str) -> None:
+        """Add the offset frames among the elements that an owner holds; one may hang on another of them."""
+        waiting = [e for e in elements if e.tag == "PhysicalOffsetFrame"]
+        while waiting:
+            left = []
+            for frame in waiting:
+                own = f"{owner}/{frame.get('name')}"
+                parent = self.find(_socket(frame, "parent"), own)
+                if parent is None:
+                    left.append(frame)
+                    continue
+                body, place = parent
+                inside = _transform(self.path, frame, "translation", "orientation", f"the frame {own}")
+                self.known[own] = (body, place @ inside)
+            if len(left) == len(waiting):
+                bad = left[0]
+                raise FileProblem(
+                    self.path, f"has a frame {bad.get('name')!r} on {_socket(bad, 'parent')!r}, which is not in it",
+                    "Name a body, the ground or a frame of the model.",
+                )  # fmt: skip
+            waiting = left
+
+    def find(self, wanted: str, owner: str) -> tuple[str | None, RigidTransform] | None:
+        """Find a frame by the path that a socket of an owner names: absolute, relative, or its last part alone."""
+        for base in (owner, str(PurePosixPath(owner).parent), "", "/bodyset"):
+            candidate = _normal(wanted if wanted.startswith("/") else f"{base}/{wanted}")
+            if candidate in self.known:
+                return self.known[candidate]
+        last = PurePosixPath(wanted).name
+        same = [place for key, place in self.known.items() if PurePosixPath(key).name == last]
+        return same[0] if last not in ("", "..") and len(same) == 1 else None
+
+    def get(self, wanted: str, owner: str) -> tuple[str | None, RigidTransform]:
+        """Find a frame, or say that it is missing."""
+        found = self.find(wanted, owner)
+        if found is None:
+            raise FileProblem(
+                self.path, f"has no frame {wanted!r} for {owner}", "Name a body, the ground or a frame of the model."
+            )
+        return found
+
+
+def _normal(path: str) -> str:
+    parts: list[str] = []
+    for part in path.split("/"):
+        if part == "..":
+            parts = parts[:-1]
+        elif part not in ("", "."):
+            parts.append(part)
+    return "/" + "/".join(parts)
+
+
+def _socket(element: Element, name: str) -> str:
+    """Give the path that a socket of an element names."""
+    for tag in (f"socket_{name}", f"socket_{name}_connectee_name"):
+        if text(element, tag):
+            return text(element, tag)
+    return ""
+
+
+def _joints_of_set(path: Path | str, model: Element, frames: _Frames) -> list[Joint]:
+    """Read the joints of a file from 4.0 on."""
+    joints = []
+    for element in _listed(model, "JointSet"):
+        owner = f"/jointset/{element.get('name')}"
+        held = element.find("frames")
+        frames.add_offsets([] if held is None else list(held), owner)
+        parent, before = frames.get(_socket(element, "parent_frame"), owner)
+        child, after = frames.get(_socket(element, "child_frame"), owner)
+        coordinates = element.findall("coordinates/Coordinate")
+        joints.append(read_joint(path, element, coordinates, parent, before, child, after))
+    return joints
+
+
+def _joint_of_body(path: Path | str, body: Element, frames: _Frames) -> Joint | None:
+    """Read the joint that a body of a file before 4.0 holds; None where it holds none."""
+    name = body.get("name", "")
+    held = body.find("Joint")
+    if held is None or not len(held):
+        if name != "ground":
+            raise FileProblem(path, f"has a body {name!r} without a joint", "Every body needs a joint to its parent.")
+        return None
+    element = held[0]
+    where = f"the joint {element.get('name')!r}"
+    if truth(element, "reverse"):
+        raise FileProblem(path, f"has {where} reversed, which is not read", "Swap its parent and its child.")
+    parent, _ = frames.get(text(element, "parent_body", "ground"), f"/bodyset/{name}")
+    before = _transform(path, element, "location_in_parent", "orientation_in_parent", where)
+    after = _transform(path, element, "location", "orientation", where)
+    coordinates = element.findall("CoordinateSet/objects/Coordinate")
+    return read_joint(path, element, coordinates, parent, before, name, after)
+
+
+def _tree(path: Path | str, names: list[str], joints: list[Joint]) -> tuple[ModelBody, ...]:
+    """Hang the bodies on the ground, each by one joint; a joint whose child stands nearer the ground is reversed."""
+    reached: dict[str | None, None] = {None: None}
+    bodies: list[ModelBody] = []
+    waiting = list(joints)
+    while waiting:
+        ready = [joint for joint in waiting if (joint.parent in reached) or (joint.child in reached)]
+        if not ready:
+            break
+        joint = ready[0]
+        waiting.remove(joint)
+        if joint.parent in reached and joint.child in reached:
+            raise FileProblem(
+                path, f"closes a loop of bodies with the joint {joint.name!r}, which is not read",
+                "Take one joint of the loop out.",
+            )  # fmt: skip
+        body = joint.as_body() if joint.parent in reached else joint.reversed().as_body()
+        bodies.append(body)
+        reached[body.name] = None
+    lost = [name for name in names if name not in reached]
+    if lost:
+        raise FileProblem(path, f"has bodies that hang on nothing: {', '.join(lost)}", "Give each a joint.")
+    return tuple(bodies)
+
+
+def _couplings(path: Path | str, model: Element) -> tuple[Coupling, ...]:
+    """Read the constraints that couple coordinates."""
+    couplings = []
+    for element in _listed(model, "ConstraintSet"):
+        name = element.get("name", "")
+        if truth(element, "isDisabled") or not truth(element, "isEnforced", True):
+            continue
+        if element.tag != "CoordinateCouplerConstraint":
+            raise FileProblem(
+                path, f"has the constraint {name!r}, a {element.tag}, which is not read",
+                "Take it out or disable it; read are CoordinateCouplerConstraints.",
+            )  # fmt: skip
+        where = f"the constraint {name!r}"
+        independent = text(element, "independent_coordinate_names").split()
+        function = function_in(path, element, where, "coupled_coordinates_function") or linear(1.0)
+        function = scaled(function, float(numbers(path, element, "scale_factor", where, np.ones(1))[0]))
+        if len(independent) != 1:
+            raise FileProblem(
+                path,
+                f"couples {len(independent)} coordinates in {where}, which is not read",
+                "Couple to one coordinate.",
+            )
+        couplings.append(
+            Coupling(
+                dependent=text(element, "dependent_coordinate_name"), independent=independent[0], function=function
+            )
+        )
+    return tuple(couplings)
+
+
+def _markers(path: Path | str, model: Element, frames: _Frames) -> tuple[ModelMarker, ...]:
+    """Read the markers: label, body, place."""
+    markers = []
+    for element in _listed(model, "MarkerSet", "Marker"):
+        label = element.get("name", "")
+        on = _socket(element, "parent_frame") or text(element, "body")
+        body, place = frames.get(on, f"/markerset/{label}")
+        location = numbers(path, element, "location", f"the marker {label!r}", _ZERO)
+        markers.append(ModelMarker(label=label, body=body, place=place.apply(location)))
+    return tuple(markers)

@@ -1,0 +1,89 @@
+"""TRC: paths of named points, as OpenSim and motion-capture programs read them."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from marey.arrays import Floats, freeze_fields
+from marey.errors import FileProblem
+from marey.io.atomic import replacing
+from marey.io.axes import OPENSIM_FROM_WORLD, turned_points
+
+_METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+_KEYS = "DataRate CameraRate NumFrames NumMarkers Units OrigDataRate OrigDataStartFrame OrigNumFrames"
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PointPaths:
+    """Paths of named points."""
+
+    names: tuple[str, ...]
+    """N names."""
+    time: Floats
+    """(F,) [s]."""
+    rate: float
+    """[Hz]."""
+    points: Floats
+    """(F, N, 3) in the world (Z up) [m]; NaN where missing."""
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, "time", "points")
+
+
+def write_trc(path: Path | str, paths: PointPaths) -> None:
+    """Write paths in metres and OpenSim's axes; a missing number is `nan`.
+
+    (Empty cells would do for most readers, but OpenSim refuses a row that ends in one.)
+
+    Args:
+        path: The file.
+        paths: What to write.
+    """
+    points = turned_points(OPENSIM_FROM_WORLD, paths.points)
+    frames, count = points.shape[:2]
+    values = (f"{paths.rate:.6f}", f"{paths.rate:.6f}", frames, count, "m", f"{paths.rate:.6f}", 1, frames)
+    lines = [
+        f"PathFileType\t4\t(X/Y/Z)\t{Path(path).name}",
+        _KEYS.replace(" ", "\t"),
+        "\t".join(map(str, values)),
+        "Frame#\tTime\t" + "\t\t\t".join(paths.names) + "\t\t",
+        "\t\t" + "\t".join(f"{axis}{n}" for n in range(1, count + 1) for axis in "XYZ"),
+        "",
+    ]
+    for f in range(frames):
+        lines.append("\t".join([str(f + 1), f"{paths.time[f]:.6f}", *(f"{v:.7f}" for v in points[f].ravel())]))
+    with replacing(path) as beside:
+        beside.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def read_trc(path: Path | str, *, file_from_world: Floats = OPENSIM_FROM_WORLD) -> PointPaths:
+    """Read paths in OpenSim's axes (Y up) into the world's.
+
+    Args:
+        path: The file.
+        file_from_world: (3, 3) what the file calls x, y and z; the identity leaves its axes as they are.
+
+    Raises:
+        FileProblem: The file is no TRC, or damaged.
+    """
+    try:
+        lines = Path(path).read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise FileProblem(path, f"cannot be read ({error})", "Give a TRC file.") from error
+    if len(lines) < 5 or not lines[0].startswith("PathFileType"):
+        raise FileProblem(path, "is no TRC file: its first line does not begin with PathFileType", "Give a TRC file.")
+    head = dict(zip(lines[1].split(), lines[2].split(), strict=False))
+    unit = head.get("Units", "").strip().lower()
+    if unit not in _METRES:
+        raise FileProblem(path, f"has the unit {unit!r}", f"Write one of {', '.join(_METRES)} under Units.")
+    names = tuple(n.strip() for n in lines[3].split("\t")[2:] if n.strip())
+    width = 2 + 3 * len(names)
+    rows = [(line.split("\t") + [""] * width)[:width] for line in lines[5:] if line.strip()]
+    try:
+        data = np.array([[float(c) if c.strip() else np.nan for c in row] for row in rows]).reshape(-1, width)
+        rate = float(head["DataRate"])
+    except (ValueError, KeyError) as error:
+        raise FileProblem(path, f"holds something that is no number ({error})", "Mend or export it again.") from error
+    points = data[:, 2:].reshape(len(data), len(names), 3) * _METRES[unit]
+    return PointPaths(names=names, time=data[:, 1], rate=rate, points=points @ file_from_world)

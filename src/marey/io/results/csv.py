@@ -1,0 +1,66 @@
+"""CSV: the anatomical angles, and what segments measure, as a spreadsheet reads them."""
+
+import csv
+from pathlib import Path
+
+from marey.arrays import Floats
+from marey.body.metaballs.segment_measures import SegmentMeasures
+from marey.io.atomic import replacing
+from marey.motion.motion import Motion
+
+
+def write_angles(path: Path | str, motion: Motion) -> None:
+    """Write `angles.csv`: a row a frame with time, state, and every angle beside its standard deviation.
+
+    The header carries the units; where there is no answer the cells are empty.
+
+    Args:
+        path: The file.
+        motion: What to write.
+    """
+    head = ["time_s", "state"] + [f"{name}{end}" for name in motion.angle_names for end in ("_deg", "_sd_deg")]
+    with replacing(path) as beside, beside.open("w", newline="") as file:
+        rows = csv.writer(file, lineterminator="\n")
+        rows.writerow(head)
+        for time, state, angles, sds in zip(
+            motion.time, motion.state, motion.angles_deg, motion.angles_deg_sd, strict=True
+        ):
+            cells = [value for pair in zip(angles, sds, strict=True) for value in pair]
+            rows.writerow([f"{time:.6f}", int(state), *("" if v != v else f"{v:.5f}" for v in cells)])
+
+
+def write_segments(path: Path | str, measures: SegmentMeasures, length: Floats, length_sd: Floats) -> None:
+    """Write `segments.csv`: a row a segment, every measure beside its standard deviation.
+
+    Metres, litres, kilogrammes, kg m2. Centres of mass lie from the joint about which the segment turns, along the axes
+    of the rest posture (X to the person's left, Y backward, Z up); cells without an answer are empty.
+
+    Args:
+        path: The file.
+        measures: Of n segments.
+        length: (n,) [m].
+        length_sd: (n,) [m].
+    """
+    girths = ("girth_proximal_m", "girth_middle_m", "girth_distal_m")
+    columns = {"length_m": (length, length_sd)}
+    columns |= {name: (measures.girth[:, i], measures.girth_sd[:, i]) for i, name in enumerate(girths)}
+    columns |= {
+        "volume_l": (1e3 * measures.volume, 1e3 * measures.volume_sd),
+        "mass_kg": (measures.mass, measures.mass_sd),
+    }
+    for i, axis in enumerate("xyz"):
+        columns[f"centre_{axis}_m"] = (measures.centre[:, i], measures.centre_sd[:, i])
+    for i, axes in enumerate(("xx", "yy", "zz", "xy", "xz", "yz")):
+        columns[f"inertia_{axes}_kgm2"] = (measures.inertia[:, i], measures.inertia_sd[:, i])
+    with replacing(path) as beside, beside.open("w", newline="") as file:
+        rows = csv.writer(file, lineterminator="\n")
+        rows.writerow(["segment", *(part for name in columns for part in (name, _sd_of(name)))])
+        for i, segment in enumerate(measures.names):
+            cells = [float(values[i]) for pair in columns.values() for values in pair]
+            rows.writerow([segment, *("" if cell != cell else f"{cell:.6g}" for cell in cells)])
+
+
+def _sd_of(column: str) -> str:
+    """Name the column of a standard deviation: length_m, length_sd_m."""
+    name, _, unit = column.rpartition("_")
+    return f"{name}_sd_{unit}"

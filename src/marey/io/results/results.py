@@ -1,0 +1,116 @@
+"""The one door through which a capture's results leave: every file of design.md that holds motion or body."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from marey.arrays import Floats, Integers, Mask
+from marey.body.articulation.surface import Body
+from marey.errors import FileProblem
+from marey.io import npz
+from marey.io.gltf.bvh import write_bvh
+from marey.io.gltf.glb import write_glb
+from marey.io.markers.c3d import read_c3d, write_c3d
+from marey.io.opensim.mot_sto import Orientations, Table, write_orientations, write_table
+from marey.io.opensim.osim import write_osim
+from marey.io.opensim.trc import PointPaths, read_trc, write_trc
+from marey.io.results import body as body_file
+from marey.io.results.csv import write_angles
+from marey.io.results.netcdf import write_netcdf
+from marey.motion.motion import Motion
+
+
+def write_results(
+    folder: Path | str,
+    motion: Motion,
+    body: Body,
+    *,
+    preset: str,
+    mass_kg: float | None = None,
+    skin: Iterable[Floats] | None = None,
+    skin_faces: Integers | None = None,
+    seen: Iterable[Mask] | None = None,
+) -> None:
+    """Write all files of a captured motion; each is there whole or not at all.
+
+    Args:
+        folder: Where; made when it is missing.
+        motion: What was measured.
+        body: Of whom, at rest.
+        preset: Name of the body's preset.
+        mass_kg: The person's mass for the OpenSim model, where it is known.
+        skin: For each frame the posed skin (V, 3) in the world [m], NaN without an answer, an array (F, V, 3) or one by
+            one; `skin.npz` is written with it.
+        skin_faces: (T, 3) of the skin, the body's own when None; all its vertices belong to some of them.
+        seen: For each frame (V,) what of it was measured by some observation.
+    """
+    folder = Path(folder)
+    npz.write_motion(folder / "motion.npz", motion)
+    write_netcdf(folder / "motion.nc", motion)
+    write_motion_tables(folder, motion)
+    write_osim(folder / "body.osim", body, mass_kg=mass_kg)
+    body_file.write_body(folder / "body.npz", body, preset=preset)
+    write_glb(folder / "body.glb", body, motion)
+    if motion.answered.any():
+        write_bvh(folder / "motion.bvh", body, motion)
+    if skin is not None:
+        faces, count = body.faces, len(body.vertices)
+        if skin_faces is not None and skin_faces is not faces:
+            faces, count = skin_faces, int(skin_faces.max()) + 1
+        npz.write_skin(folder / "skin.npz", skin, faces, seen, frames=len(motion), count=count)
+
+
+def write_motion_tables(folder: Path | str, motion: Motion) -> None:
+    """Write what needs no body: `joint_centres.trc`, `angles.mot`, `orientations.sto`, `motion.c3d`, `angles.csv`.
+
+    Args:
+        folder: Where.
+        motion: What was measured.
+    """
+    folder = Path(folder)
+    paths = PointPaths(names=motion.joint_names, time=motion.time, rate=motion.rate, points=motion.joint_centres)
+    write_trc(folder / "joint_centres.trc", paths)
+    values = np.array(motion.coordinates)
+    values[:, 3:] = np.degrees(values[:, 3:])
+    write_table(
+        folder / "angles.mot",
+        Table(name="angles", columns=motion.coordinate_names, time=motion.time, values=values),
+    )
+    write_orientations(
+        folder / "orientations.sto",
+        Orientations(
+            names=motion.segment_names, time=motion.time, rate=motion.rate, world_from_body=motion.segment_rotation
+        ),
+    )
+    write_c3d(
+        folder / "motion.c3d",
+        paths,
+        segment_names=motion.segment_names,
+        segment_rotation=motion.segment_rotation,
+        segment_origin=motion.segment_origin,
+    )
+    write_angles(folder / "angles.csv", motion)
+
+
+def read_points(path: Path | str) -> PointPaths:
+    """Read paths of points from a TRC, a C3D, a motion.npz, or a folder of results.
+
+    Args:
+        path: The file or folder.
+
+    Raises:
+        FileProblem: It is none of these, or damaged.
+    """
+    path = Path(path)
+    if path.is_dir():
+        path = path / "motion.npz"
+    readers = {".trc": read_trc, ".c3d": read_c3d, ".npz": _points_of_motion}
+    if path.suffix.lower() not in readers:
+        raise FileProblem(path, "is no file of points that is read here", "Give a TRC, C3D or motion.npz.")
+    return readers[path.suffix.lower()](path)
+
+
+def _points_of_motion(path: Path | str) -> PointPaths:
+    motion = npz.read_motion(path)
+    return PointPaths(names=motion.joint_names, time=motion.time, rate=motion.rate, points=motion.joint_centres)

@@ -1,0 +1,1 @@
+"""Measured surfaces, tracks, trajectories and recovered shapes."""

@@ -1,0 +1,177 @@
+"""Deforming points that a user has already: tracks in pictures, or points in space, from NPZ and C3D."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from pathlib import Path
+
+import numpy as np
+
+from marey.arrays import Floats, Integers, Mask
+from marey.errors import FileProblem, SettingProblem
+from marey.io.markers.readers import read_markers
+from marey.io.markers.results import is_y_up
+from marey.io.npz import read_arrays
+from marey.nonrigid.recovered import UNSAID
+
+_REMEDY = "An NPZ holds `tracks` (frames, 2, points) or (cameras, frames, 2, points), or `points` (frames, 3, points)."
+_SHAPES = {
+    "tracks": "(frames, 2, points), or (cameras, frames, 2, points) of several cameras",
+    "points": "(frames, 3, points)",
+}
+_USED = ("tracks", "points", "predicted", "edges", "rate", "labels")
+_OF_MARKERS = (".c3d", ".trc", ".csv", ".tsv")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class DeformingPoints:
+    """What a file says of points that move and deform; one of `tracks` and `points` is there."""
+
+    tracks: Floats | None = None
+    """(C, F, 2, P) in pictures; NaN where missing."""
+    points: Floats | None = None
+    """(F, P, 3) in space; NaN where missing."""
+    unit: str
+    """m, or "unit of the input"."""
+    labels: tuple[str, ...]
+    """P names; numbers where the file has none."""
+    edges: Integers
+    """(E, 2) points that a line joins when they are drawn."""
+    rate: float | None = None
+    """[Hz]; None where the file does not say."""
+    y_up: bool = False
+    """Whether Y is up in space, not Z."""
+    notes: tuple[str, ...] = ()
+    """What was passed over or decided."""
+
+
+def read_deforming(path: Path) -> DeformingPoints:
+    """Read tracks or points.
+
+    Args:
+        path: An NPZ with `tracks` or `points`, and if there are any `edges` (E, 2), `rate` (Hz), `labels` (P,) and
+            `predicted` (F, P), which marks places that were not seen; or a C3D, TRC or CSV with markers.
+
+    Raises:
+        FileProblem: It is none of these, or what it holds cannot be used.
+    """
+    if path.suffix.lower() in _OF_MARKERS:
+        return _from_markers(path)
+    if path.suffix.lower() != ".npz":
+        raise FileProblem(path, "is no file that is read here", f"Give videos, an NPZ or a C3D. {_REMEDY}")
+    arrays = read_arrays(path)
+    held = [name for name in ("tracks", "points") if name in arrays]
+    if len(held) != 1:
+        wrong = "holds both tracks and points" if held else f"holds neither tracks nor points, but {_listed(arrays)}"
+        raise FileProblem(path, wrong, _REMEDY)
+    values = _numbers(path, held[0], arrays[held[0]])
+    if held[0] == "points":
+        notes, points, tracks = _half_known(values, 1), np.moveaxis(values, 1, 2), None
+    else:
+        whole = values if values.ndim == 4 else values[None]
+        notes, points, tracks = _half_known(whole, 2), None, _only_seen(path, whole, arrays)
+        if "predicted" in arrays:
+            notes.append("Places that are marked as predicted count as not seen.")
+    count = values.shape[-1]
+    unused = [name for name in arrays if name not in _USED and not name.endswith("_sd") and name != "visible"]
+    if unused:
+        notes.append(f"Passed over in {path.name}: {', '.join(unused)}.")
+    return DeformingPoints(
+        tracks=tracks, points=points, unit=UNSAID, labels=_labels(path, arrays, count),
+        edges=_edges(path, arrays, count), rate=_rate(path, arrays), notes=tuple(notes),
+    )  # fmt: skip
+
+
+def only(data: DeformingPoints, patterns: Sequence[str]) -> DeformingPoints:
+    """Keep the points whose labels are among some, or fit a pattern with * and ?; edges to others go.
+
+    Raises:
+        SettingProblem: A pattern fits none.
+    """
+    fits = {pattern: [fnmatchcase(label, pattern) for label in data.labels] for pattern in patterns}
+    lost = [pattern for pattern, found in fits.items() if not any(found)]
+    if lost:
+        known = ", ".join(data.labels[:12]) + (" ..." if len(data.labels) > 12 else "")
+        raise SettingProblem(f"--only names {', '.join(lost)}, which no point is called. The points are {known}.")
+    kept = np.any(list(fits.values()), axis=0)
+    number = np.cumsum(kept) - 1
+    return replace(
+        data, tracks=None if data.tracks is None else data.tracks[..., kept],
+        points=None if data.points is None else data.points[:, kept],
+        labels=tuple(label for label, wanted in zip(data.labels, kept, strict=True) if wanted),
+        edges=number[data.edges[kept[data.edges].all(1)]],
+    )  # fmt: skip
+
+
+def _from_markers(path: Path) -> DeformingPoints:
+    read = read_markers(path)
+    return DeformingPoints(
+        points=read.points, unit="m", labels=read.labels, edges=np.zeros((0, 2), np.int64), rate=read.rate,
+        y_up=is_y_up(path), notes=read.notes,
+    )  # fmt: skip
+
+
+def _numbers(path: Path, name: str, values: np.ndarray) -> Floats:
+    """Check an array's kind and shape, and give it as float64."""
+    rows, dims = ("23"[name == "points"], (3,) if name == "points" else (3, 4))
+    fits = values.ndim in dims and values.shape[-2] == int(rows) and values.shape[-1] > 0 and values.shape[-3] > 0
+    if values.dtype.kind not in "iuf" or not fits:
+        turned = " Its last two axes look exchanged." if values.ndim in dims and values.shape[-1] == int(rows) else ""
+        wrong = f"has {name} of shape {values.shape} and type {values.dtype}"
+        raise FileProblem(path, wrong, f"They should be numbers of shape {_SHAPES[name]}.{turned}")
+    values = values.astype(float)
+    if np.isinf(values).any():
+        raise FileProblem(path, f"has infinite {name}", "Write NaN where a point is missing.")
+    if not np.isfinite(values).any():
+        raise FileProblem(path, f"has no {name}: every entry is NaN", "Give a file in which something was seen.")
+    return values
+
+
+def _half_known(values: Floats, axis: int) -> list[str]:
+    """Say where a point has one coordinate and lacks another; such points count as missing."""
+    known = np.isfinite(values)
+    half = int((known.any(axis) & ~known.all(axis)).sum())
+    return [f"{half} places lack one coordinate and count as missing."] if half else []
+
+
+def _only_seen(path: Path, tracks: Floats, arrays: dict[str, np.ndarray]) -> Floats:
+    """Take out what was not seen."""
+    seen: Mask = np.asarray(np.isfinite(tracks).all(2))
+    if "predicted" in arrays:
+        predicted = np.asarray(arrays["predicted"])
+        if predicted.size != seen.size or predicted.dtype.kind not in "biu":
+            raise FileProblem(path, f"has predicted of shape {predicted.shape}", f"It should be {seen.shape[1:]}.")
+        seen &= ~predicted.astype(bool).reshape(seen.shape)
+    return np.where(seen[:, :, None], tracks, np.nan)
+
+
+def _labels(path: Path, arrays: dict[str, np.ndarray], count: int) -> tuple[str, ...]:
+    if "labels" not in arrays:
+        return tuple(map(str, range(count)))
+    labels = tuple(map(str, np.ravel(arrays["labels"])))
+    if len(labels) != count or len(set(labels)) != count:
+        raise FileProblem(path, f"has {len(set(labels))} different labels for {count} points", "Give each point one.")
+    return labels
+
+
+def _edges(path: Path, arrays: dict[str, np.ndarray], count: int) -> Integers:
+    edges = np.asarray(arrays.get("edges", np.zeros((0, 2), np.int64)))
+    if edges.ndim != 2 or edges.shape[1] != 2 or edges.dtype.kind not in "iuf":
+        raise FileProblem(path, f"has edges of shape {edges.shape}", "They should be whole numbers (edges, 2).")
+    whole = edges.astype(np.int64)
+    if (whole != edges).any() or (whole < 0).any() or (whole >= count).any():
+        raise FileProblem(path, "has edges to points that are not there", f"Points count from 0 to {count - 1}.")
+    return whole
+
+
+def _rate(path: Path, arrays: dict[str, np.ndarray]) -> float | None:
+    if "rate" not in arrays:
+        return None
+    rate = np.asarray(arrays["rate"])
+    if rate.size != 1 or rate.dtype.kind not in "iuf" or not (np.isfinite(rate).all() and float(rate.item()) > 0):
+        raise FileProblem(path, f"has the rate {rate.tolist()}", "It should be one number of frames a second.")
+    return float(rate.item())
+
+
+def _listed(arrays: dict[str, np.ndarray]) -> str:
+    return ", ".join(arrays) or "nothing"

@@ -1,0 +1,75 @@
+"""Measured surfaces on disk: surface.npz, and a coloured PLY that any viewer of point clouds opens."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from marey.errors import FileProblem, MareyError
+from marey.io.atomic import replacing
+from marey.io.npz import ArrayRows, read_arrays, write_rows
+from marey.surface.points.measured import MeasuredPoints, shapes
+
+_KINDS = {"frame": "<i8", "colour": "|u1"}
+"""All else is written in single precision, whose step is a tenth of a micrometre at a metre, and a ten-thousandth of a
+pixel."""
+
+
+def write_surface(path: Path | str, parts: Sequence[MeasuredPoints], camera_names: Sequence[str]) -> None:
+    """Write `surface.npz`; only one part at a time need be in memory.
+
+    Args:
+        path: The file.
+        parts: The points, best a frame a part; read several times.
+        camera_names: The cameras, also where there is no part.
+    """
+    count = sum(len(part) for part in parts)
+    rows: list[ArrayRows] = [
+        (name, _pieces(parts, name), np.dtype(_KINDS.get(name, "<f4")), (count, *shape))
+        for name, shape in shapes(len(camera_names)).items()
+    ]
+    names = np.array(camera_names, str)
+    write_rows(path, [*rows, ("camera_names", [names], names.dtype, names.shape)])
+
+
+def _pieces(parts: Sequence[MeasuredPoints], name: str) -> Iterator[np.ndarray]:
+    return (getattr(part, name) for part in parts)
+
+
+def read_surface(path: Path | str) -> MeasuredPoints:
+    """Read `surface.npz`.
+
+    Args:
+        path: The file.
+
+    Raises:
+        FileProblem: It is missing, lacks a key, or its arrays do not fit together.
+    """
+    names = (*shapes(0), "camera_names")
+    arrays: dict[str, Any] = read_arrays(path, names)
+    try:
+        return MeasuredPoints(**{name: arrays[name] for name in names})
+    except (MareyError, ValueError, TypeError) as error:
+        raise FileProblem(path, f"holds no surface ({str(error).rstrip('.')})", "Write it again.") from error
+
+
+def write_ply(path: Path | str, points: MeasuredPoints) -> None:
+    """Write points with their colours as binary PLY [m].
+
+    Args:
+        path: The file.
+        points: What to write; those that are NaN are left out.
+    """
+    known = np.isfinite(points.points).all(axis=1)
+    kind = [(axis, "<f4") for axis in "xyz"] + [(name, "u1") for name in ("red", "green", "blue")]
+    rows = np.empty(int(known.sum()), kind)
+    for values, names in ((points.points, "xyz"), (points.colour, ("red", "green", "blue"))):
+        for column, name in zip(values[known].T, names, strict=True):
+            rows[name] = column
+    words = {"<f4": "float", "u1": "uchar"}
+    head = ["ply", "format binary_little_endian 1.0", "comment metres, world axes", f"element vertex {len(rows)}"]
+    head += [f"property {words[code]} {name}" for name, code in kind]
+    with replacing(path) as beside, beside.open("wb") as file:
+        file.write("\n".join([*head, "end_header", ""]).encode("ascii"))
+        file.write(rows.tobytes())

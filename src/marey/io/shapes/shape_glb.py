@@ -1,0 +1,93 @@
+"""GLB: deforming points that move, for Blender, game engines and the web: basis shapes as morph targets."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from marey.arrays import Floats, Integers, Mask
+from marey.geometry import rotations
+from marey.io.atomic import replacing
+from marey.io.axes import GLTF_FROM_WORLD
+from marey.io.gltf.glb import GlbBuffer
+from marey.io.gltf.gltf import binary_chunk, pack_glb
+from marey.io.shapes.shapes import upright
+from marey.nonrigid.recovered import RecoveredShapes
+
+_POINTS, _LINES = 0, 1
+_VERTICES, _INDICES = 34962, 34963
+
+
+def write_shape_glb(
+    path: Path | str, found: RecoveredShapes, edges: Integers, *, rate: float, scale: float, unit: str, y_up: bool
+) -> None:
+    """Write the mean shape with a morph target for each further basis shape, and the motion; Y up.
+
+    The weights of the targets are the coefficients, so that every frame is the recovered shape itself. Frames without
+    an answer have no key. Points that never have an answer are left out.
+
+    Args:
+        path: The file.
+        found: What was found.
+        edges: (E, 2) lines between points.
+        rate: [Hz].
+        scale: Metres a unit, or what makes an object of unknown size about a metre large.
+        unit: Of the shapes, for the file's own notes.
+        y_up: Whether the laboratory has Y up.
+    """
+    buffer = GlbBuffer()
+    known: Mask = np.asarray(np.isfinite(found.basis).all((0, 1)))
+    lines = _lines_between(edges, known)
+    targets = [{"POSITION": _places(buffer, shape[:, known])} for shape in scale * found.basis[1:]]
+    position = {"POSITION": _places(buffer, scale * found.basis[0][:, known])}
+    parts: list[dict[str, Any]] = [{"attributes": position, "mode": _POINTS, "material": 0}]
+    if len(lines):
+        index = buffer.add(lines.reshape(-1, 1), "<u4", "SCALAR", target=_INDICES)
+        parts.append({"attributes": position, "mode": _LINES, "indices": index, "material": 0})
+    mesh: dict[str, Any] = {"name": "points", "primitives": parts}
+    if targets:
+        mesh |= {"weights": [0.0] * len(targets)}
+        for part in parts:
+            part["targets"] = targets
+    document: dict[str, Any] = {
+        "asset": {"version": "2.0", "generator": "marey", "extras": {"unit": unit, "metres_per_unit": scale}},
+        "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"name": "object", "mesh": 0}], "meshes": [mesh],
+        "materials": [{"pbrMetallicRoughness": {"baseColorFactor": [0.03, 0.15, 0.46, 1.0], "metallicFactor": 0.0}}],
+        "animations": [_animation(buffer, found, rate, scale, y_up=y_up)],
+    }  # fmt: skip
+    document |= {
+        "bufferViews": buffer.views, "accessors": buffer.accessors, "buffers": [{"byteLength": len(buffer.bytes)}],
+    }  # fmt: skip
+    with replacing(path) as beside:
+        beside.write_bytes(pack_glb(document, [binary_chunk(bytes(buffer.bytes))]))
+
+
+def _places(buffer: GlbBuffer, shape: Floats) -> int:
+    return buffer.add(shape.T, "<f4", "VEC3", target=_VERTICES, bounds=True)
+
+
+def _lines_between(edges: Integers, known: Mask) -> Integers:
+    """Number the edges by the points that are kept."""
+    number = np.cumsum(known) - 1
+    return np.asarray(number[edges[known[edges].all(1)]]) if len(edges) else np.zeros((0, 2), np.int64)
+
+
+def _animation(buffer: GlbBuffer, found: RecoveredShapes, rate: float, scale: float, *, y_up: bool) -> dict[str, Any]:
+    """Move the node as the object moves, and its targets by the coefficients."""
+    # A camera that sees nothing of a frame does not tell where the object is there.
+    answered = np.flatnonzero(found.answered & np.isfinite(found.translation).all(1))
+    time = buffer.add(answered[:, None] / rate, "<f4", "SCALAR", bounds=True)
+    turn = GLTF_FROM_WORLD @ upright(found, y_up=y_up)
+    where = found.origin[answered]
+    # Where a picture has its zero says nothing about space: the object begins at the origin.
+    where = scale * (where - where.mean(0)) @ turn.T
+    turns = rotations.continuous(rotations.to_quaternion(turn @ found.rotation[answered]))[:, [1, 2, 3, 0]]
+    tracks = [("translation", where, "VEC3"), ("rotation", turns, "VEC4")]
+    if found.basis_shapes > 1:
+        tracks.append(("weights", found.coefficients[answered, 1:].reshape(-1, 1), "SCALAR"))
+    samplers = [
+        {"input": time, "output": buffer.add(values, "<f4", kind), "interpolation": "LINEAR"}
+        for _, values, kind in tracks
+    ]
+    channels = [{"sampler": n, "target": {"node": 0, "path": name}} for n, (name, _, _) in enumerate(tracks)]
+    return {"name": "motion", "samplers": samplers, "channels": channels}

@@ -1,0 +1,218 @@
+"""Recovered shapes on disk: shapes.npz, residuals point by point, point clouds a frame, and C3D."""
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from marey.arrays import Floats, Integers, Mask
+from marey.errors import FileProblem, MareyError
+from marey.io.atomic import replacing
+from marey.io.markers.c3d import write_c3d
+from marey.io.npz import read_arrays, write_arrays
+from marey.io.opensim.trc import PointPaths
+from marey.nonrigid.recovered import IN_LABORATORY, CameraRelations, RankCurve, RecoveredShapes
+
+_FIELDS = (
+    "kind", "shape", "shape_sd", "rotation", "rotation_sd", "translation", "basis", "coefficients", "residuals",
+    "predicted", "modelled", "noise_sd", "metres_per_unit", "metres_per_unit_sd",
+    "unit", "residual_unit",
+)  # fmt: skip
+_WORDS = ("kind", "unit", "residual_unit")
+_NUMBERS = ("metres_per_unit", "metres_per_unit_sd")
+_RELATIONS = {
+    "camera_from_first": "camera_from_first", "camera_sd": "camera_sd", "camera_scale": "scale",
+    "camera_translation": "translation", "camera_magnification": "magnification",
+}  # fmt: skip
+"""Of several uncalibrated cameras: names in the file, and in `CameraRelations`."""
+_TEXTS = ("gauge", "notes")
+_SEEN, _PREDICTED = (47, 109, 181), (220, 111, 74)
+"""Red, green, blue of points that were seen, and of others."""
+WORLD_FROM_CAMERA = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])
+"""A camera's axes (x right, y down, z ahead) turned so that Z is up."""
+WORLD_FROM_Y_UP = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])
+
+
+def shape_arrays(found: RecoveredShapes) -> dict[str, np.ndarray]:
+    """Give all that was found as arrays, for a file."""
+    arrays = {name: np.asarray(getattr(found, name)) for name in _FIELDS}
+    arrays |= {name: np.array(getattr(found, name), np.str_) for name in _TEXTS}
+    arrays |= {"rank": np.array(found.rank), "answered": found.answered}
+    if found.path_doubt is not None:
+        arrays["path_doubt"] = found.path_doubt
+    if found.cameras is not None:
+        arrays |= {name: getattr(found.cameras, own) for name, own in _RELATIONS.items()}
+    if found.curve is not None:
+        arrays |= {
+            "curve_basis_shapes": found.curve.ranks, "curve_errors": found.curve.errors,
+            "curve_errors_sd": found.curve.errors_sd, "curve_measure": np.array(found.curve.measure),
+        }  # fmt: skip
+    return arrays
+
+
+def shapes_from(arrays: dict[str, np.ndarray]) -> RecoveredShapes:
+    """Take back what `shape_arrays` gave."""
+    curve = None
+    if "curve_errors" in arrays:
+        curve = RankCurve(
+            ranks=arrays["curve_basis_shapes"], errors=arrays["curve_errors"], errors_sd=arrays["curve_errors_sd"],
+            measure=str(arrays["curve_measure"]),
+        )  # fmt: skip
+    cameras = None
+    if "camera_from_first" in arrays:
+        cameras = CameraRelations(**{own: arrays[name] for name, own in _RELATIONS.items()})
+    parts: dict[str, Any] = {name: arrays[name] for name in _FIELDS}
+    parts |= {name: float(arrays[name]) for name in _NUMBERS} | {name: str(arrays[name]) for name in _WORDS}
+    parts |= {name: tuple(map(str, arrays[name])) for name in _TEXTS}
+    return RecoveredShapes(curve=curve, cameras=cameras, path_doubt=arrays.get("path_doubt"), **parts)
+
+
+def write_shapes(
+    path: Path | str,
+    found: RecoveredShapes,
+    *,
+    labels: Sequence[str],
+    camera_points: Integers | None = None,
+    probability: Floats | None = None,
+) -> None:
+    """Write `shapes.npz`; docs/nonrigid.md lists its keys.
+
+    Args:
+        path: The file.
+        found: What was found.
+        labels: The points' names.
+        camera_points: (C, P) which track of each camera a point is, -1 where none, where that was found.
+        probability: (C, P) that it is that one.
+    """
+    arrays = shape_arrays(found) | {"labels": np.array(labels, np.str_)}
+    if camera_points is not None:
+        arrays["camera_points"] = camera_points
+    if probability is not None:
+        arrays["camera_points_probability"] = probability
+    write_arrays(path, arrays)
+
+
+def read_shapes(path: Path | str) -> RecoveredShapes:
+    """Read `shapes.npz` as `write_shapes` leaves it.
+
+    Args:
+        path: The file.
+
+    Raises:
+        FileProblem: It lacks an array, or an array has another kind.
+    """
+    arrays = read_arrays(path, (*_FIELDS, *_TEXTS))
+    try:
+        return shapes_from(arrays)
+    except (MareyError, ValueError, TypeError, KeyError) as error:
+        raise FileProblem(path, f"holds no shapes ({error})", "Write it again.") from error
+
+
+def write_residuals(path: Path | str, found: RecoveredShapes, labels: Sequence[str]) -> None:
+    """Write `residuals.csv`: a row a point, in the unit of the input; cells without an answer are empty.
+
+    Args:
+        path: The file.
+        found: What was found.
+        labels: The points' names.
+    """
+    residuals = found.residuals
+    seen = np.isfinite(residuals)
+    largest = np.where(seen, residuals, -1).max(0)
+    with replacing(path) as beside, beside.open("w", newline="") as file:
+        rows = csv.writer(file, lineterminator="\n")
+        rows.writerow(
+            ["point", "label", "frames_seen", "frames_predicted", "rms", "largest", "largest_in_frame", "median_sd"]
+        )
+        for p, label in enumerate(labels):
+            sd = np.linalg.norm(found.shape_sd[:, :, p], axis=1)
+            sd = sd[np.isfinite(sd)]
+            frame = int(largest[:, p].argmax())
+            known = bool(seen[:, :, p].any())
+            cells = [found.point_rms[p], largest[frame, p] if known else np.nan]
+            rows.writerow(
+                [p, label, int(seen[:, :, p].any(0).sum()), int(found.predicted[:, p].sum())]
+                + [_cell(value) for value in cells]
+                + [frame if known else "", _cell(float(np.median(sd)) if len(sd) else np.nan)]
+            )
+
+
+def _cell(value: float) -> str:
+    return "" if value != value else f"{value:.6g}"
+
+
+def write_point_clouds(folder: Path, found: RecoveredShapes, edges: Integers, *, scale: float, unit: str) -> None:
+    """Write a PLY a frame with an answer, in the object's frame: `frame_00000.ply`, ...
+
+    Seen points are blue, others orange; points without an answer stand at none and are left out, with their edges.
+
+    Args:
+        folder: Where.
+        found: What was found.
+        edges: (E, 2) lines between points.
+        scale: By which lengths are multiplied.
+        unit: What they are then.
+    """
+    for frame in np.flatnonzero(found.answered):
+        colours = np.where(found.predicted[frame][:, None], _PREDICTED, _SEEN)
+        _write_cloud(folder / f"frame_{frame:05d}.ply", scale * found.shape[frame].T, colours, edges, unit)
+
+
+def _write_cloud(path: Path, points: Floats, colours: np.ndarray, edges: Integers, unit: str) -> None:
+    known: Mask = np.asarray(np.isfinite(points).all(1))
+    number = np.cumsum(known) - 1
+    kept = number[edges[known[edges].all(1)]] if len(edges) else np.zeros((0, 2), np.int64)
+    rows = np.empty(int(known.sum()), [(axis, "<f4") for axis in "xyz"] + [(c, "u1") for c in ("red", "green", "blue")])
+    for values, names in ((points, "xyz"), (colours, ("red", "green", "blue"))):
+        for column, name in zip(values[known].T, names, strict=True):
+            rows[name] = column
+    head = [
+        "ply",
+        "format binary_little_endian 1.0",
+        f"comment {unit}, the object's axes",
+        f"element vertex {len(rows)}",
+    ]
+    head += [f"property float {axis}" for axis in "xyz"] + [f"property uchar {c}" for c in ("red", "green", "blue")]
+    head += [f"element edge {len(kept)}", "property int vertex1", "property int vertex2"] if len(kept) else []
+    with replacing(path) as beside, beside.open("wb") as file:
+        file.write("\n".join([*head, "end_header", ""]).encode("ascii"))
+        file.write(rows.tobytes() + kept.astype("<i4").tobytes())
+
+
+def upright(found: RecoveredShapes, *, y_up: bool = False) -> Floats:
+    """Give the turn (3, 3) of the camera's or the laboratory's axes after which Z is up.
+
+    Args:
+        found: What was found.
+        y_up: Whether the laboratory has Y up; a camera's picture is taken to stand upright.
+    """
+    if found.kind not in IN_LABORATORY:
+        return WORLD_FROM_CAMERA
+    return WORLD_FROM_Y_UP if y_up else np.eye(3)
+
+
+def write_shape_c3d(
+    path: Path | str, found: RecoveredShapes, labels: Sequence[str], *, rate: float, scale: float
+) -> None:
+    """Write the points where they are, and the object's pose as ROTATION `object_4X4`.
+
+    The axes are the laboratory's own; of uncalibrated cameras x right, y ahead, z up.
+
+    Args:
+        path: The file.
+        found: What was found.
+        labels: The points' names.
+        rate: [Hz].
+        scale: Metres a unit; where no length is known 0.001, so that a unit is called a millimetre.
+    """
+    turn = upright(found)
+    paths = PointPaths(
+        names=tuple(labels), time=np.arange(len(found)) / rate, rate=rate,
+        points=scale * np.moveaxis(turn @ found.placed, 1, 2),
+    )  # fmt: skip
+    write_c3d(
+        path, paths, segment_names=("object",), segment_rotation=(turn @ found.rotation)[:, None],
+        segment_origin=scale * (found.origin @ turn.T)[:, None],
+    )  # fmt: skip

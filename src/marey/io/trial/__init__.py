@@ -1,0 +1,1 @@
+"""The trial folder: settings, masks, seeds, and start joints."""

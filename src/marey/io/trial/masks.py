@@ -1,0 +1,206 @@
+"""Silhouettes on disk: masks/<camera>.npz of our own, and the ones that a user already has."""
+
+import zipfile
+import zlib
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+from numpy.lib import format as npy
+from numpy.typing import NDArray
+
+from marey.arrays import Mask
+from marey.errors import FileProblem
+from marey.io.atomic import replacing
+from marey.io.video.video import PICTURE_SUFFIXES, read_picture
+
+_LAYOUT = "It holds shape = (frames, height, width) and bits = numpy.packbits of the silhouettes."
+_ERRORS = (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error)
+
+
+def pack_mask(mask: Mask) -> NDArray[np.uint8]:
+    """Compress one silhouette for keeping while a work goes on: some hundred bytes instead of one a pixel.
+
+    Args:
+        mask: (height, width).
+
+    Returns:
+        Bytes for `unpack_mask`.
+    """
+    return np.frombuffer(zlib.compress(np.packbits(mask).tobytes(), level=1), np.uint8)
+
+
+def unpack_mask(packed: NDArray[np.uint8], shape: tuple[int, int]) -> Mask:
+    """Undo `pack_mask`.
+
+    Args:
+        packed: What it gave.
+        shape: Height and width.
+
+    Returns:
+        (height, width).
+    """
+    bits = np.unpackbits(np.frombuffer(zlib.decompress(packed.tobytes()), np.uint8), count=shape[0] * shape[1])
+    return bits.reshape(shape).astype(bool)
+
+
+def write_masks(path: Path, masks: Iterable[Mask | None], *, shape: tuple[int, int, int]) -> None:
+    """Write the silhouettes of one camera; one frame at a time is in memory.
+
+    Args:
+        path: The file; it is there whole or not at all.
+        masks: One a frame, (height, width); None where nobody is seen. Frames at the end may be missing: nobody.
+        shape: Frames, height, width.
+
+    Raises:
+        FileProblem: The folder cannot be written to.
+        ValueError: A silhouette has another shape, or there are more than frames.
+    """
+    with replacing(path) as beside, zipfile.ZipFile(beside, "w", zipfile.ZIP_DEFLATED, compresslevel=4) as archive:
+        with archive.open("shape.npy", "w") as stream:
+            npy.write_array(stream, np.array(shape, np.int64), allow_pickle=False)
+        with archive.open("bits.npy", "w", force_zip64=True) as stream:
+            _write_bits(stream, masks, shape)
+
+
+def _write_bits(stream: IO[bytes], masks: Iterable[Mask | None], shape: tuple[int, int, int]) -> None:
+    """Write numpy.packbits of all frames as one array; a frame may end in the middle of a byte."""
+    frames, height, width = shape
+    total = (frames * height * width + 7) // 8
+    npy.write_array_header_1_0(stream, {"descr": "|u1", "fortran_order": False, "shape": (total,)})
+    rest, written = np.zeros(0, bool), 0
+    empty = np.zeros((height, width), bool)
+    for frame, mask in enumerate(masks):
+        picture = empty if mask is None else np.asarray(mask, bool)
+        if picture.shape != (height, width) or frame >= frames:
+            raise ValueError(f"Silhouette {frame} of shape {picture.shape} does not belong to {shape}.")
+        bits = np.concatenate([rest, picture.ravel()]) if len(rest) else picture.ravel()
+        whole = len(bits) // 8 * 8
+        stream.write(np.packbits(bits[:whole]).tobytes())
+        rest, written = bits[whole:], written + whole // 8
+    if len(rest):
+        stream.write(np.packbits(rest).tobytes())
+        written += 1
+    while written < total:
+        block = min(total - written, 1 << 20)
+        stream.write(bytes(block))
+        written += block
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MaskFile:
+    """Silhouettes of one camera in a file."""
+
+    path: Path
+    shape: tuple[int, int, int]
+    """Frames, height, width."""
+
+    def masks(self, frames: Iterable[int] | None = None) -> Iterator[Mask]:
+        """Go through silhouettes; one at a time is in memory.
+
+        Args:
+            frames: Which, best in rising order; all when not given.
+
+        Yields:
+            (height, width).
+
+        Raises:
+            FileProblem: The file is damaged.
+        """
+        frames = range(self.shape[0]) if frames is None else frames
+        if self.path.suffix.lower() in PICTURE_SUFFIXES:
+            picture = _picture_mask(self.path)
+            yield from (picture for _ in frames)
+            return
+        reader = _BitReader(self.path, self.shape)
+        try:
+            for frame in frames:
+                yield reader.mask(frame)
+        except _ERRORS as error:
+            raise FileProblem(self.path, f"is damaged ({error})", _LAYOUT) from error
+        finally:
+            reader.close()
+
+
+def open_masks(path: Path, *, shape: tuple[int, int, int] | None = None) -> MaskFile:
+    """Open silhouettes: an NPZ, or a PNG for the only frame there is.
+
+    Args:
+        path: The file.
+        shape: Frames, height and width that it must have.
+
+    Returns:
+        The file, opened for reading frame by frame.
+
+    Raises:
+        FileProblem: It is missing, of another kind, or of another shape.
+    """
+    found = (1, *_picture_mask(path).shape) if path.suffix.lower() in PICTURE_SUFFIXES else _stated_shape(path)
+    if shape is not None and found != tuple(shape):
+        wrong = f"has {found[0]} frames of {found[2]} x {found[1]}, the video {shape[0]} of {shape[2]} x {shape[1]}"
+        raise FileProblem(path, wrong, "Silhouettes need a frame for each of the video's, and its size.")
+    return MaskFile(path=path, shape=found)
+
+
+def _picture_mask(path: Path) -> Mask:
+    """Take what is brighter than half of the brightest as the person: masks of 0 and 1, and of 0 and 255."""
+    grey = read_picture(path).max(axis=2)
+    return grey > grey.max() / 2
+
+
+def _stated_shape(path: Path) -> tuple[int, int, int]:
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            missing = {"shape", "bits"} - set(file.files)
+            shape = () if missing else tuple(int(n) for n in file["shape"])
+    except _ERRORS as error:
+        raise FileProblem(path, f"cannot be read as silhouettes ({error})", _LAYOUT) from error
+    if missing:
+        raise FileProblem(path, f"has no {' and no '.join(sorted(missing))}", _LAYOUT)
+    if len(shape) != 3 or min(shape) < 1:
+        raise FileProblem(path, f"has the shape {shape}, which is not (frames, height, width)", _LAYOUT)
+    return shape
+
+
+class _BitReader:
+    """Reads frames of packed bits from a compressed stream, going forward as long as it can."""
+
+    def __init__(self, path: Path, shape: tuple[int, int, int]):
+        self._archive = zipfile.ZipFile(path)
+        self._shape = shape
+        self._open()
+
+    def _open(self) -> None:
+        self._stream = self._archive.open("bits.npy")
+        version = npy.read_magic(self._stream)
+        read = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
+        read(self._stream)
+        self._next, self._last = 0, b""
+
+    def close(self) -> None:
+        self._archive.close()
+
+    def mask(self, frame: int) -> Mask:
+        frames, height, width = self._shape
+        if not 0 <= frame < frames:
+            raise IndexError(f"There are silhouettes of the frames 0 to {frames - 1}, not {frame}.")
+        first, last = frame * height * width, (frame + 1) * height * width
+        begin, end = first // 8, (last + 7) // 8
+        if begin < self._next - len(self._last):
+            self._open()
+        while self._next < begin:
+            self._read(min(begin - self._next, 1 << 20))
+        # A frame may begin in the byte in which the one before ended.
+        content = self._last[: self._next - begin] + self._read(end - self._next)
+        bits = np.unpackbits(np.frombuffer(content, np.uint8))[first - 8 * begin : last - 8 * begin]
+        return bits.reshape(height, width).astype(bool)
+
+    def _read(self, count: int) -> bytes:
+        content = self._stream.read(count)
+        if len(content) < count:
+            raise EOFError("it ends before its last frame")
+        self._next += count
+        self._last = content[-1:] or self._last
+        return content

@@ -1,0 +1,264 @@
+"""A trial: the folder that a user has in hand, with what trial.toml says about it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from marey.cameras.rig import Rig
+from marey.errors import FileProblem, MareyError, SettingProblem
+from marey.geometry.rigid import RigidTransform
+from marey.io.calibration.readers import calibration_file, read_rig
+from marey.io.calibration.toml import read_tables
+from marey.io.trial.masks import MaskFile, open_masks
+from marey.io.video.take import Take, open_take, require_size
+from marey.io.video.video import PICTURE_SUFFIXES, VIDEO_SUFFIXES, Clip, open_clip
+
+Preset = Literal["full", "upper", "left_arm", "right_arm", "left_leg", "right_leg"]
+Up = Literal["z", "-z", "y", "-y", "x", "-x"]
+
+_Z_UP_FROM: dict[str, list[list[int]]] = {
+    "z": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+    "-z": [[1, 0, 0], [0, -1, 0], [0, 0, -1]],
+    "y": [[1, 0, 0], [0, 0, -1], [0, 1, 0]],
+    "-y": [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
+    "x": [[0, 0, -1], [0, 1, 0], [1, 0, 0]],
+    "-x": [[0, 0, 1], [0, 1, 0], [-1, 0, 0]],
+}
+"""The quarter or half turn that carries the given axis to Z and leaves as much as possible in place."""
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class StartTable(_Table):
+    """What `[start]` holds."""
+
+    file: str
+    """2-D joints of one frame: JSON, or a folder of OpenPose's; relative to the trial."""
+
+
+class BackgroundTable(_Table):
+    """What `[background]` holds."""
+
+    folder: str
+    """Pictures or clips of the empty room; relative to the trial."""
+
+
+class WorldTable(_Table):
+    """What `[world]` holds."""
+
+    up: Up
+    """Which axis of the calibration points up."""
+
+
+class TrialSettings(_Table):
+    """What trial.toml may say; everything may be left out."""
+
+    stature_m: Annotated[float, Field(gt=0.3, lt=2.8)] | None = None
+    mass_kg: Annotated[float, Field(gt=1, lt=400)] | None = None
+    preset: Preset | None = None
+    cameras: Annotated[tuple[str, ...], Field(min_length=1)] | None = None
+    """Names to keep."""
+    frames: tuple[Annotated[int, Field(ge=0)], int | None] | None = None
+    """First frame and the one after the last (None for all that follow)."""
+    rate: Annotated[float, Field(gt=0, lt=100000)] | None = None
+    """Frames a second [Hz]."""
+    person: int | str | None = None
+    start: StartTable | None = None
+    background: BackgroundTable | None = None
+    world: WorldTable | None = None
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Trial:
+    """A folder with everything in it opened, checked, and expressed in a world whose Z points up.
+
+    With `[world] up` given, the calibration is turned so that this axis becomes Z; all results are in that turned
+    world, whose origin is the calibration's. `world_from_file` carries points of the calibration's own axes to it.
+    """
+
+    folder: Path
+    calibration: Path
+    """The file that the cameras were read from."""
+    rig: Rig
+    """The cameras that are kept, in the world with Z up."""
+    take: Take
+    """Their clips, in the same order."""
+    background: Mapping[str, Clip]
+    """Pictures of the empty room, by camera; cameras without one are missing."""
+    masks: Mapping[str, MaskFile]
+    """Silhouettes that are known already, by camera: those of all cameras, or none."""
+    start: Path | None
+    """2-D joints to start from."""
+    settings: TrialSettings
+    world_from_file: RigidTransform
+    """Identity unless `[world] up` turns the calibration."""
+    up_given: bool
+    """Whether the user said which way is up: then a lying person is a lying person."""
+
+    @property
+    def input_files(self) -> tuple[Path, ...]:
+        """Every file that the results depend on."""
+        named = [self.calibration, self.folder / "trial.toml", *(file.path for file in self.masks.values())]
+        named += [path for clip in (*self.take.clips, *self.background.values()) for path in clip.paths]
+        named += [] if self.start is None else [self.start]
+        return tuple(path for path in named if path.is_file())
+
+
+def read_settings(folder: Path, **changes: object) -> TrialSettings:
+    """Read trial.toml, where there is one, and replace what was said elsewhere.
+
+    Args:
+        folder: The trial.
+        **changes: Settings by name that replace those of the file; None leaves the file's.
+
+    Returns:
+        The settings.
+
+    Raises:
+        FileProblem: A key is not known or a value impossible; the message lists everything.
+        SettingProblem: A replacement is impossible.
+    """
+    path = folder / "trial.toml"
+    said = read_tables(path) if path.exists() else {}
+    try:
+        settings = TrialSettings.model_validate(said)
+    except ValidationError as error:
+        known = "Known are stature_m, mass_kg, preset, cameras, frames, rate, person, [start] file, [background] folder"
+        raise FileProblem(path, _faults(error), f"{known} and [world] up.") from error
+    given = {name: value for name, value in changes.items() if value is not None}
+    try:
+        return TrialSettings.model_validate(settings.model_dump() | given)
+    except ValidationError as error:
+        raise SettingProblem(f"What was asked for {_faults(error)}.") from error
+
+
+def read_trial(folder: Path | str, **changes: object) -> Trial:
+    """Open a trial: its settings, cameras, clips, background and known silhouettes.
+
+    Args:
+        folder: The trial.
+        **changes: Settings by name that replace those of trial.toml; None leaves the file's.
+
+    Returns:
+        The trial.
+
+    Raises:
+        FileProblem: Something in it cannot be used; the message names the file and the remedy.
+        SettingProblem: A replacement is impossible.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        wrong = "is no folder" if folder.exists() else "does not exist"
+        raise FileProblem(folder, wrong, "Give a folder with cameras.toml and one video a camera.")
+    settings = read_settings(folder, **changes)
+    calibration = calibration_file(folder)
+    rig = read_rig(calibration)
+    if settings.cameras is not None:
+        rig = _kept(rig, settings.cameras, calibration)
+    rate, frames = settings.rate, settings.frames
+    take = open_take(folder, rig, rate=rate, frames=frames, others=settings.cameras is not None)
+    world_from_file = z_up_from(settings.world.up if settings.world else "z")
+    return Trial(
+        folder=folder,
+        calibration=calibration,
+        rig=rig.moved(world_from_file) if settings.world else rig,
+        take=take,
+        background=_background(folder, rig, settings.background),
+        masks=_known_masks(folder, rig, take.count),
+        start=_start(folder, settings.start),
+        settings=settings,
+        world_from_file=world_from_file,
+        up_given=settings.world is not None,
+    )
+
+
+def z_up_from(up: Up) -> RigidTransform:
+    """Give the turn that makes an axis of the calibration the Z axis.
+
+    Args:
+        up: The axis that points up.
+
+    Returns:
+        The turn about the origin.
+    """
+    return RigidTransform(np.array(_Z_UP_FROM[up], float), np.zeros(3))
+
+
+def _faults(error: ValidationError) -> str:
+    """Say in one line what pydantic found."""
+    clauses: dict[str, None] = {}
+    for fault in error.errors():
+        key = ".".join(part for part in fault["loc"] if isinstance(part, str))
+        why = fault["msg"][0].lower() + fault["msg"][1:]
+        if fault["type"] == "extra_forbidden":
+            clauses[f"has the unknown key '{key}'"] = None
+        elif fault["type"] == "model_type":
+            clauses[f"has {key} = {fault['input']!r}, where a table [{key}] belongs"] = None
+        else:
+            clauses[f"has {key} = {fault['input']!r}, which cannot be used ({why})"] = None
+    return "; ".join(clauses)
+
+
+def _kept(rig: Rig, names: tuple[str, ...], calibration: Path) -> Rig:
+    try:
+        return rig.subset(names)
+    except MareyError as error:
+        unknown = ", ".join(f"'{name}'" for name in names if name not in rig.names)
+        raise FileProblem(calibration, f"has no camera {unknown}", f"It has {', '.join(rig.names)}.") from error
+
+
+def _background(folder: Path, rig: Rig, table: BackgroundTable | None) -> Mapping[str, Clip]:
+    """Open the pictures or clips of the empty room and check their sizes."""
+    room = folder / (table.folder if table else "background")
+    if not room.is_dir():
+        if table:
+            raise FileProblem(room, "does not exist", "Mend [background] folder in trial.toml.")
+        return MappingProxyType({})
+    clips = {}
+    for camera in rig:
+        found = _files_of(room, camera.name, (*PICTURE_SUFFIXES, *VIDEO_SUFFIXES))
+        if len(found) > 1:
+            names = ", ".join(path.name for path in found)
+            raise FileProblem(room, f"has several pictures of '{camera.name}': {names}", "Keep one of them.")
+        for path in found:
+            clips[camera.name] = open_clip(path)
+            require_size(clips[camera.name], camera.name, camera.size)
+    if not clips:
+        wrong = f"holds no picture of {', '.join(rig.names)}"
+        raise FileProblem(room, wrong, f"Call them {rig.names[0]}.png and so on, or take the folder away.")
+    return MappingProxyType(clips)
+
+
+def _known_masks(folder: Path, rig: Rig, count: int) -> Mapping[str, MaskFile]:
+    """Open silhouettes that are known: all cameras have them, or none."""
+    found = {}
+    for camera in rig:
+        for path in _files_of(folder / "masks", camera.name, (".npz", ".png"))[:1]:
+            found[camera.name] = open_masks(path, shape=(count, camera.height, camera.width))
+    missing = [name for name in rig.names if name not in found]
+    if found and missing:
+        wrong = f"has no silhouettes of {', '.join(missing)}"
+        raise FileProblem(folder / "masks", wrong, "Give those of all cameras, or take the folder away.")
+    return MappingProxyType(found)
+
+
+def _start(folder: Path, table: StartTable | None) -> Path | None:
+    if table is None:
+        return None
+    path = folder / table.file
+    if not path.exists():
+        raise FileProblem(path, "does not exist", "Mend [start] file in trial.toml.")
+    return path
+
+
+def _files_of(folder: Path, name: str, suffixes: tuple[str, ...]) -> list[Path]:
+    if not folder.is_dir():
+        return []
+    return sorted(path for path in folder.iterdir() if path.stem == name and path.suffix.lower() in suffixes)

@@ -1,0 +1,306 @@
+"""A take: the synchronised clips of several cameras, found in a folder and checked against each other."""
+
+import queue
+import re
+import threading
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from marey.arrays import Image
+from marey.cameras.rig import Rig
+from marey.errors import FileProblem
+from marey.io.video.video import PICTURE_SUFFIXES, VIDEO_SUFFIXES, Clip, open_clip, open_stills
+
+_END_SLACK = 3
+"""Frames by which clips of one take may differ at their ends: cameras stop and containers round one by one."""
+_RATE_SLACK = 0.005
+"""Relative difference of rates that is only rounding: 29.97 and 30 are the same, 25 and 30 are not."""
+_AHEAD = 3
+"""Pictures a camera that may wait decoded: enough to keep the decoder busy, never a clip in memory."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Take:
+    """Several cameras that filmed the same time; frame i is the same instant in all of them."""
+
+    names: tuple[str, ...]
+    """The cameras, in the rig's order."""
+    clips: tuple[Clip, ...]
+    """One a camera."""
+    rate: float
+    """Frames a second [Hz]."""
+    count: int
+    """Frames of the video: every result has a row for each."""
+    first: int
+    """The first frame to work on."""
+    end: int
+    """The frame after the last one to work on."""
+    notes: tuple[str, ...] = ()
+    """What a reader of the report should know: frames left out, rates that were replaced."""
+
+    def frames(self, first: int | None = None, end: int | None = None) -> Iterator[tuple[int, tuple[Image, ...]]]:
+        """Go through the take; each camera is decoded in a thread of its own, a few frames ahead.
+
+        Args:
+            first: Where to begin; the take's own first frame when not given.
+            end: Where to stop (not included); the take's own end when not given.
+
+        Yields:
+            The frame's number and one picture a camera, (height, width, 3) uint8 in blue, green, red.
+
+        Raises:
+            FileProblem: A clip is damaged; the message names the frame.
+        """
+        return self.at(range(self.first if first is None else first, self.end if end is None else end))
+
+    def at(self, frames: Sequence[int]) -> Iterator[tuple[int, tuple[Image, ...]]]:
+        """Fetch some frames only, best in rising order; otherwise like `frames`.
+
+        Args:
+            frames: Their numbers, between 0 and `count`.
+
+        Yields:
+            The frame's number and one picture a camera.
+
+        Raises:
+            FileProblem: A clip is damaged; the message names the frame.
+        """
+        feeders = [_Feeder(clip, frames) for clip in self.clips]
+        try:
+            for frame in frames:
+                yield frame, tuple(feeder.next() for feeder in feeders)
+        finally:
+            for feeder in feeders:
+                feeder.stop()
+
+    def images(self, frame: int) -> tuple[Image, ...]:
+        """Fetch one frame.
+
+        Args:
+            frame: Its number.
+
+        Returns:
+            One picture a camera.
+        """
+        return next(iter(self.at([frame])))[1]
+
+
+class _Feeder:
+    """Decodes one clip in a thread, a few pictures ahead of who takes them."""
+
+    def __init__(self, clip: Clip, frames: Iterable[int]):
+        self._ready: queue.Queue[Image | BaseException] = queue.Queue(maxsize=_AHEAD)
+        self._stopped = threading.Event()
+        self._thread = threading.Thread(target=self._run, args=(clip, frames), daemon=True)
+        self._thread.start()
+
+    def next(self) -> Image:
+        image = self._ready.get()
+        if isinstance(image, BaseException):
+            raise image
+        return image
+
+    def stop(self) -> None:
+        self._stopped.set()
+        while self._thread.is_alive():
+            # A full queue would hold the thread back from seeing that it shall stop.
+            try:
+                self._ready.get(timeout=0.01)
+            except queue.Empty:
+                continue
+        self._thread.join()
+
+    def _run(self, clip: Clip, frames: Iterable[int]) -> None:
+        try:
+            for image in clip.images(frames):
+                self._ready.put(image)
+                if self._stopped.is_set():
+                    return
+        except BaseException as error:  # it is raised again where the picture is asked for
+            self._ready.put(error)
+
+
+def open_take(
+    folder: Path,
+    rig: Rig,
+    *,
+    rate: float | None = None,
+    frames: tuple[int, int | None] | None = None,
+    others: bool = False,
+) -> Take:
+    """Find the clips of a rig's cameras and check them against the calibration and each other.
+
+    Args:
+        folder: Holds `<camera>.mp4` or another container, stills `<camera>_<number>.jpg`, or `images/<camera>.jpg`.
+        rig: The cameras.
+        rate: Frames a second [Hz], where the containers are wrong or silent.
+        frames: First frame to work on and the one after the last (None for all that follow).
+        others: Whether videos of cameras that are not in the rig may lie there.
+
+    Returns:
+        The take.
+
+    Raises:
+        FileProblem: A clip is missing, damaged, too short, or of another size or rate than the others.
+    """
+    clips = find_clips(folder, rig.names, others=others)
+    for camera, clip in zip(rig, clips, strict=True):
+        require_size(clip, camera.name, camera.size)
+    first, end = frames if frames is not None else (0, None)
+    count, notes = _common_count(rig.names, clips, end)
+    common_rate, more = _common_rate(folder, rig.names, clips, rate)
+    end = count if end is None else end
+    if not 0 <= first < end <= count:
+        wrong = f"has {count} frames, so the frames from {first} to {end} (not included) cannot be kept"
+        raise FileProblem(folder, wrong, f"Give frames between 0 and {count}, the first before the end.")
+    return Take(
+        names=rig.names,
+        clips=clips,
+        rate=common_rate,
+        count=count,
+        first=first,
+        end=end,
+        notes=(*notes, *more),
+    )
+
+
+def find_clips(folder: Path, names: Sequence[str], *, others: bool = False) -> tuple[Clip, ...]:
+    """Find and open one clip a camera.
+
+    Args:
+        folder: The trial.
+        names: The cameras.
+        others: Whether videos of other cameras may lie there.
+
+    Returns:
+        The clips, in the order of the names.
+
+    Raises:
+        FileProblem: A camera has no clip or several, or a video has no camera.
+    """
+    videos = sorted(path for path in folder.iterdir() if path.is_file() and path.suffix.lower() in VIDEO_SUFFIXES)
+    found = [pictures_of(folder, name) for name in names]
+    missing = [name for name, paths in zip(names, found, strict=True) if not paths]
+    strange = [path.name for path in videos if path.stem not in names]
+    if missing:
+        hint = f" Videos without a camera are {', '.join(strange)}: rename them or the cameras." if strange else ""
+        where = "<camera>.mp4, stills <camera>_<number>.jpg, or images/<camera>.jpg"
+        wrong = f"has no video of {_listed(missing)}"
+        raise FileProblem(folder, wrong, f"Put {where} there, or keep the other cameras with --cameras.{hint}")
+    if strange and not others:
+        wrong = f"has videos of cameras that the calibration does not know: {', '.join(strange)}"
+        remedy = f"Calibrate them, or keep {_listed(names)} with --cameras, or move the files away."
+        raise FileProblem(folder, wrong, remedy)
+    return _open_all(found)
+
+
+def _open_all(found: Sequence[tuple[Path, ...]]) -> tuple[Clip, ...]:
+    stills = [paths for paths in found if paths[0].suffix.lower() in PICTURE_SUFFIXES]
+    least, most = min(stills, key=len, default=()), max(stills, key=len, default=())
+    if len(least) < len(most):
+        wrong = f"belongs to {len(least)} stills, {most[0].name} to {len(most)}"
+        raise FileProblem(least[0], wrong, "Every camera needs a still of every instant.")
+    pictures = [paths[0].suffix.lower() in PICTURE_SUFFIXES for paths in found]
+    return tuple(
+        open_stills(paths) if still else open_clip(paths[0]) for paths, still in zip(found, pictures, strict=True)
+    )
+
+
+def pictures_of(folder: Path, name: str) -> tuple[Path, ...]:
+    """Find one camera's video, or its stills in the order of their numbers.
+
+    Args:
+        folder: The trial.
+        name: The camera.
+
+    Returns:
+        The video, or the stills, or nothing.
+
+    Raises:
+        FileProblem: There are several videos, or several stills of one number.
+    """
+    files = sorted(path for path in folder.iterdir() if path.is_file() and path.stem.startswith(name))
+    videos = [path for path in files if path.suffix.lower() in VIDEO_SUFFIXES and path.stem == name]
+    if len(videos) > 1:
+        wrong = f"has several videos of '{name}': {', '.join(path.name for path in videos)}"
+        raise FileProblem(folder, wrong, "Keep one of them.")
+    if videos:
+        return (videos[0],)
+    numbered = re.compile(re.escape(name) + r"_(\d+)")
+    stills = [
+        (int(match[1]), path)
+        for path in files
+        if path.suffix.lower() in PICTURE_SUFFIXES and (match := numbered.fullmatch(path.stem))
+    ]
+    if stills:
+        _require_one_each(folder, name, [number for number, _ in stills])
+        return tuple(path for _, path in sorted(stills))
+    single = [folder / "images" / f"{name}{suffix}" for suffix in PICTURE_SUFFIXES]
+    return tuple(path for path in single if path.is_file())[:1]
+
+
+def _require_one_each(folder: Path, name: str, numbers: Sequence[int]) -> None:
+    twice = sorted({number for number in numbers if numbers.count(number) > 1})
+    if twice:
+        raise FileProblem(folder, f"has several stills of '{name}' with the number {twice[0]}", "Keep one of them.")
+
+
+def require_size(clip: Clip, name: str, size: tuple[int, int]) -> None:
+    """Check that a clip has the size for which its camera was calibrated.
+
+    Args:
+        clip: The clip.
+        name: The camera.
+        size: Width and height of the calibration [px].
+
+    Raises:
+        FileProblem: It has another size.
+    """
+    if clip.size == size:
+        return
+    wrong = f"is {clip.size[0]} x {clip.size[1]}, but camera '{name}' was calibrated at {size[0]} x {size[1]}"
+    remedy = "Use the calibration of this recording."
+    if clip.size == size[::-1]:
+        remedy = "The one seems to be turned on its side: turn the video, or calibrate it as it is."
+    raise FileProblem(clip.path, wrong, remedy)
+
+
+def _common_count(names: Sequence[str], clips: Sequence[Clip], end: int | None) -> tuple[int, tuple[str, ...]]:
+    """Agree on the number of frames: what all cameras have, where the others' ends are not needed."""
+    counts = [clip.count for clip in clips]
+    least, most = min(counts), max(counts)
+    if least == most:
+        return least, ()
+    if most - least > _END_SLACK and (end is None or end > least):
+        shortest = clips[counts.index(least)].path
+        each = ", ".join(f"'{name}' {count}" for name, count in zip(names, counts, strict=True))
+        wrong = f"has {least} frames and is shorter than the others ({each})"
+        remedy = f"Copy it again, or keep what all cameras have with frames = [0, {least}] in trial.toml."
+        raise FileProblem(shortest, wrong, remedy)
+    return least, (f"The clips have {least} to {most} frames; what not all of them have is left out.",)
+
+
+def _common_rate(
+    folder: Path, names: Sequence[str], clips: Sequence[Clip], rate: float | None
+) -> tuple[float, tuple[str, ...]]:
+    """Agree on the rate: the given one, or the one that all containers name."""
+    rates = [clip.rate for clip in clips]
+    known = [value for value in rates if value is not None]
+    if rate is not None:
+        differ = sorted({f"{value:g}" for value in known if abs(value - rate) > _RATE_SLACK * rate})
+        note = f"The rate is {rate:g} Hz as given; the containers say {', '.join(differ)}."
+        return rate, ((note,) if differ else ())
+    if not known:
+        several = max(clip.count for clip in clips) > 1
+        return 1.0, (("Stills tell no rate: the time counts pictures. Give rate in trial.toml.",) if several else ())
+    if max(known) - min(known) > _RATE_SLACK * max(known):
+        each = ", ".join(f"'{name}' {value:g}" for name, value in zip(names, rates, strict=True) if value is not None)
+        wrong = f"has cameras with different rates ({each} frames a second)"
+        remedy = "Cameras are measured together at one rate; if a container is wrong, give rate in trial.toml."
+        raise FileProblem(folder, wrong, remedy)
+    return known[0], ()
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(f"'{name}'" for name in names)

@@ -1,0 +1,1 @@
+"""Bones segmented in MR volumes."""

@@ -1,0 +1,1 @@
+"""Cartilage on the bones, its thickness and its regions."""

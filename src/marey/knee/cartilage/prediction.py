@@ -1,0 +1,62 @@
+"""What a template foretells of the subject's cartilage: its normals and thickness carried along by the deformation."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from marey.arrays import Floats, freeze_fields
+from marey.knee.registration.deformation import Deformation
+from marey.knee.space.mesh_graph import MeshGraph
+from marey.knee.space.surface import Surface
+from marey.knee.space.triangle_tree import TriangleTree, corner_weights
+
+TOLD_SHARE = 1 / 3
+"""Standard deviation of the foretold thickness, as a share of it ([Alexander2003])."""
+RIM_MM = 3.0
+"""How well the place of the cartilage's rim is foretold, as a standard deviation."""
+FARTHEST_RIM_MM = 12.0
+"""Cartilage is not looked for so far beyond the foretold rim."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CartilagePrediction:
+    """At each vertex of the subject's bone."""
+
+    thickness_mm: Floats
+    """(V,) of the cartilage if it is there; beyond the rim that of the cartilage nearby; NaN far from all cartilage."""
+    presence: Floats
+    """(V,) how probable it is that cartilage is there, from 0 to 1."""
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, "thickness_mm", "presence")
+
+
+def predict_cartilage(
+    bone: Surface, template: Surface, thickness_mm: Floats, deformation: Deformation | None = None
+) -> CartilagePrediction:
+    """Carry a template's cartilage to the subject's bone ([Alexander2003] section 2.1).
+
+    Unlike the paper, the template's normals are not carried along: thickness is measured along the subject's own.
+
+    Args:
+        bone: The subject's.
+        template: The template's bone, laid on the subject's rigidly.
+        thickness_mm: (N,) at the template's vertices, 0 where it is bare.
+        deformation: From the elastic registration; None where the template is the subject's own shape.
+    """
+    vertices = bone.vertices_mm
+    places = vertices if deformation is None else deformation.template_points(vertices)
+    near = TriangleTree.of(template).nearest(places)
+    corners = template.faces[near.face]
+    weights = corner_weights(template.corners_mm[near.face], near.points_mm)
+    covered = np.einsum("vk,vk->v", weights, (thickness_mm > 0)[corners].astype(float))
+    thickness = np.einsum("vk,vk->v", weights, thickness_mm[corners])
+    graph = MeshGraph.of(bone)
+    presence = graph.smoothed((covered > 0.5).astype(float), RIM_MM)
+    about = graph.filled(thickness, (covered > 0.99).astype(float), RIM_MM)
+    reach = graph.smoothed((covered > 0.5).astype(float), FARTHEST_RIM_MM / 2)
+    expected = np.where(covered > 0.99, thickness, about)
+    return CartilagePrediction(
+        thickness_mm=np.where(reach > 0.02, expected, np.nan),
+        presence=np.where(reach > 0.02, presence, 0.0),
+    )

@@ -1,0 +1,50 @@
+"""How thick the cartilage is over each vertex of its bone."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from marey.arrays import Floats
+from marey.errors import MareyError
+from marey.knee.space.surface import Surface
+from marey.knee.space.triangle_tree import TriangleTree
+
+REACH_MM = 10.0
+"""Cartilage is followed so far out from the bone."""
+NEAR_MM = 2.5
+"""Cartilage lies on the bone where it begins at most so far from it, above or, by the meshes' errors, below."""
+
+
+def cartilage_thickness(bone: Surface, cartilages: Sequence[Surface]) -> Floats:
+    """Measure the thickness of cartilage along the bone's normals.
+
+    From each vertex of the bone a line goes along its outward normal, from `NEAR_MM` below the bone to `REACH_MM`
+    above. Where it enters a cartilage within `NEAR_MM` of the bone, the thickness is the length from there to where it
+    next comes out; of several cartilages the thickest counts. A line that enters none, or does not come out of it
+    within reach, gives 0: the bone is bare there.
+
+    Args:
+        bone: N vertices.
+        cartilages: Closed surfaces, such as the medial and the lateral one of a tibia.
+
+    Returns:
+        (N,) [mm].
+
+    Raises:
+        MareyError: No cartilage lies on the bone.
+    """
+    normals = bone.vertex_normals
+    starts = bone.vertices_mm - NEAR_MM * normals
+    thickness = np.zeros(len(starts))
+    for cartilage in cartilages:
+        crossed = TriangleTree.of(cartilage).crossings(starts, normals, NEAR_MM + REACH_MM)
+        rows = np.arange(len(starts))
+        first = np.argmax(crossed.leaving == -1, axis=1)
+        begins = crossed.distance_mm[rows, first]
+        after = np.minimum(first + 1, crossed.leaving.shape[1] - 1)
+        entered = (crossed.leaving[rows, first] == -1) & (begins <= 2 * NEAR_MM) & (crossed.leaving[rows, after] == 1)
+        through = np.where(entered, crossed.distance_mm[rows, after] - begins, 0.0)
+        thickness = np.maximum(thickness, through)
+    if not thickness.any():
+        raise MareyError("The cartilage does not lie on the bone: no line along the bone's normals goes through it.")
+    return thickness

@@ -1,0 +1,1 @@
+"""Gadolinium markers, and the correspondence between scanner and laboratory."""

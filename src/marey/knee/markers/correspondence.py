@@ -1,0 +1,292 @@
+"""The scanner's markers and the laboratory's: the transforms that carry bones from MR into the motion of an activity.
+
+Millimetres throughout, also in the chain that is made here.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import gammaincinv
+
+from marey.arrays import Floats, Mask, freeze_fields
+from marey.errors import MareyError
+from marey.geometry import rotations
+from marey.knee.markers.anatomical_frames import BoneFrame, Landmarks, bone_frame
+from marey.knee.markers.marker_bones import in_order
+from marey.knee.markers.marker_fit import FEWEST, CommonMarkers, MarkerFit, fit_markers
+from marey.knee.markers.marker_naming import NamedBalls, ScannerMarkers, named_balls, segment_of_bone
+from marey.knee.markers.reference_posture import BonePlaces, ReferencePosture
+from marey.knee.space.surface import Surface
+from marey.markers.data.bone_motion import BoneMotion
+from marey.markers.kinematics.transform_chain import (
+    CAPTURE_ANATOMIC,
+    MR_ANATOMIC,
+    NamedTransform,
+    TransformChain,
+    bone_steps,
+)
+
+_MM = 1e3
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class BoneCorrespondence:
+    """One bone: its frame in the scanner, and how that lies in the bone's frame in the laboratory."""
+
+    bone: str
+    """`femur`, `tibia` or `patella`."""
+    segment: str
+    """What the laboratory calls it: `thigh`, `left_shank`, ..."""
+    mr_anatomic_from_mr_global: NamedTransform
+    """Direct [mm]."""
+    capture_anatomic_from_mr_anatomic: NamedTransform
+    """Optimised [mm], with covariance [rad, mm]."""
+    fit: MarkerFit
+    """Of the common markers; its residuals and which of them were used, by label."""
+    balls: tuple[int, ...]
+    """Which of the scanner's markers they are, in the order of `fit.names`."""
+    frame_source: str
+    """What the bone's frame in the scanner was made of."""
+    posture_residual_mm: float | None
+    """How far the activity's cluster lies from rigid between the reference posture and the standing trial (RMS)."""
+    notes: tuple[str, ...] = ()
+
+    @property
+    def capture_anatomic_from_mr_global(self) -> NamedTransform:
+        """From the scanner to the bone's frame in the laboratory [mm]."""
+        return self.capture_anatomic_from_mr_anatomic @ self.mr_anatomic_from_mr_global
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class KneeCorrespondence:
+    """What joins a scanned knee to an activity."""
+
+    bones: Mapping[str, BoneCorrespondence]
+    """By bone; those that carry three common markers or more."""
+    missing: Mapping[str, str]
+    """Bones that have no correspondence, and why."""
+    naming: NamedBalls
+    """Which ball is which marker of the laboratory and rides on which bone."""
+    notes: tuple[str, ...] = ()
+
+
+def correspond(
+    scanner: ScannerMarkers, posture: ReferencePosture, bones: Mapping[str, Surface], *,
+    segment_of_label: Mapping[str, str], left: bool | None = None, landmarks: Landmarks | None = None,
+) -> KneeCorrespondence:  # fmt: skip
+    """Find the transform of each bone from its frame in the scanner to its frame in the laboratory.
+
+    [Alexander2003] section 2.2 and the second row of table 1. Each bone has its own: the knee may be bent otherwise in
+    the scanner than in the reference posture.
+
+    Args:
+        scanner: The balls that were found in the volume.
+        posture: Where the laboratory's markers lie on the bones.
+        bones: Their surfaces in the scanner, by name.
+        segment_of_label: On which segment the activity's markers ride.
+        left: Which knee it is; None where it is not known.
+        landmarks: Picked in the scanner's images, where there are any.
+
+    Raises:
+        MareyError: No bone has a correspondence, or which marker is which cannot be told.
+    """
+    naming = named_balls(scanner, posture, bones, segment_of_label=segment_of_label, left=left)
+    found: dict[str, BoneCorrespondence] = {}
+    missing: dict[str, str] = {}
+    for bone in in_order(dict.fromkeys([*bones, *naming.bones])):
+        segment = segment_of_bone(bone, posture.bones, left=left)
+        if segment is None:
+            missing[bone] = f"no segment of the activity is this bone (it has {', '.join(posture.bones) or 'none'})"
+            continue
+        try:
+            balls = _seen(naming, bone, posture, posture.bones[segment])
+            markers = scanner.centres_mm[list(balls)]
+            frame = bone_frame(bone, bones.get(bone), markers, left=left, landmarks=landmarks)
+            found[bone] = _bone(bone, scanner, balls, posture, posture.bones[segment], naming, frame)
+        except MareyError as problem:
+            missing[bone] = str(problem).rstrip(".")
+    if not found:
+        raise MareyError(_nothing(missing, naming))
+    return KneeCorrespondence(bones=found, missing=missing, naming=naming, notes=(*posture.notes, *naming.notes))
+
+
+def _nothing(missing: Mapping[str, str], naming: NamedBalls) -> str:
+    """Say why no bone has a correspondence."""
+    if all(label is None for label in naming.labels):
+        return (
+            "No three of the scanner's markers lie as far from each other as markers of the reference do. Are they in "
+            "it? Give the trial that shows them as reference, or write marker_names into markers.json."
+        )
+    why = "; ".join(f"{bone}: {reason}" for bone, reason in missing.items())
+    said = " ".join(naming.notes)
+    return f"No bone can be carried from the scanner into the laboratory ({why}). {said}".rstrip()
+
+
+def _seen(naming: NamedBalls, bone: str, posture: ReferencePosture, places: BonePlaces) -> tuple[int, ...]:
+    """Give a bone's balls whose markers the reference shows.
+
+    Raises:
+        MareyError: They are too few; it names those that are in no frame.
+    """
+    balls = naming.of(bone)
+    there: Mask = np.asarray(np.isfinite(places.places_mm).all(1))
+    seen = tuple(ball for ball in balls if there[posture.labels.index(naming.labels[ball])])
+    if len(seen) >= FEWEST:
+        return seen
+    unseen = ", ".join(str(naming.labels[ball]) for ball in balls if ball not in seen)
+    why = f" ({unseen} in no frame of the reference)" if unseen else ""
+    raise MareyError(f"{len(seen)} markers in common{why}, and a bone needs {FEWEST}")
+
+
+def _bone(
+    bone: str, scanner: ScannerMarkers, balls: Sequence[int], posture: ReferencePosture, places: BonePlaces,
+    naming: NamedBalls, frame: BoneFrame,
+) -> BoneCorrespondence:  # fmt: skip
+    """Fit one bone's common markers, and carry on what is not known of the bone in the reference posture."""
+    chosen = [posture.labels.index(naming.labels[ball]) for ball in balls]
+    inverse = frame.scanner_from_bone.inverse()
+    # The detector's deviations belong to the scanner's axes; a turned axis takes its share of each.
+    sd = np.sqrt(scanner.sd_mm[list(balls)] ** 2 @ (inverse.rotation.T**2))
+    common = CommonMarkers(
+        names=tuple(posture.labels[m] for m in chosen), from_mm=inverse.apply(scanner.centres_mm[list(balls)]),
+        from_sd_mm=sd, to_mm=places.places_mm[chosen], to_sd_mm=places.sd_mm[chosen],
+    )  # fmt: skip
+    unseen = [naming.labels[ball] for ball in naming.of(bone) if ball not in balls]
+    said = (f"in no frame of the reference, and not used: {', '.join(map(str, unseen))}",) if unseen else ()
+    fit = fit_markers(common)
+    fit = replace(fit, covariance=_with_posture(fit, chosen, places))
+    return BoneCorrespondence(
+        bone=bone, segment=places.segment, mr_anatomic_from_mr_global=frame.step, balls=tuple(balls), fit=fit,
+        capture_anatomic_from_mr_anatomic=NamedTransform(
+            to=CAPTURE_ANATOMIC, from_=MR_ANATOMIC, rotation=fit.rotation, translation=fit.translation_mm,
+            covariance=fit.covariance,
+        ),
+        frame_source=frame.source, posture_residual_mm=places.residual_mm,
+        notes=(*frame.notes, *said, *fit.notes),
+    )  # fmt: skip
+
+
+def _with_posture(fit: MarkerFit, chosen: Sequence[int], places: BonePlaces) -> Floats:
+    """Add to the fit's covariance that of the bone in the reference posture, which its cluster's markers tell.
+
+    A marker that is at the same time one of the fit's and one of the cluster's is off by the same in both. What is off
+    in the cluster's form itself is off in the activity, too, and cancels: it belongs to the activity's motion.
+    """
+    if not places.cluster:
+        return fit.covariance
+    posture = _turned_by_posture(fit)
+    of_cluster = np.einsum("ab,bmi->ami", posture, places.cluster_gain)
+    both = np.zeros((6, 6))
+    for row, marker in enumerate(chosen):
+        if marker in places.cluster:
+            other = of_cluster[:, places.cluster.index(marker)] * places.cluster_sd_mm
+            own = fit.gain[:, row] * np.sqrt(fit.raised) * places.sd_mm[marker]
+            both += own @ other.T + other @ own.T
+    spread = np.einsum("ami,bmi->ab", of_cluster, of_cluster) * places.cluster_sd_mm**2
+    return np.asarray(fit.covariance + spread + both)
+
+
+def _turned_by_posture(fit: MarkerFit) -> Floats:
+    """Give what turn and translation (6, 6) take from a turn and shift of the bone along its own axes."""
+    matrix = np.zeros((6, 6))
+    matrix[:3, :3] = -fit.rotation.T
+    matrix[3:, :3] = rotations.hat(fit.translation_mm)
+    matrix[3:, 3:] = -np.eye(3)
+    return matrix
+
+
+def bone_chain(
+    found: BoneCorrespondence, corrected: BoneMotion, cluster: BoneMotion | None = None
+) -> TransformChain:  # fmt: skip
+    """Make the five steps of [Alexander2003] table 1 for one bone, in millimetres.
+
+    `chain.between(CAPTURE_GLOBAL, MR_GLOBAL).apply(surface.vertices_mm)` is the bone in the laboratory in every frame.
+
+    Args:
+        found: The bone's correspondence.
+        corrected: The activity's bones as the method estimates them [m].
+        cluster: As their clusters move them, without a correction [m]; without it the fourth step is the identity and
+            carries the covariance alone.
+
+    Raises:
+        MareyError: The motion does not have the bone's segment.
+    """
+    moved = _in_mm(corrected)
+    rigid = moved if cluster is None or found.segment not in cluster.segments else _in_mm(cluster)
+    deformed, bone, motion = bone_steps(rigid, moved, found.segment)
+    return TransformChain(
+        mr_anatomic_from_mr_global=found.mr_anatomic_from_mr_global,
+        capture_anatomic_from_mr_anatomic=found.capture_anatomic_from_mr_anatomic,
+        deformed_from_capture_anatomic=deformed, bone_from_deformed=bone, capture_global_from_bone=motion,
+    )  # fmt: skip
+
+
+def _in_mm(motion: BoneMotion) -> BoneMotion:
+    scale = np.diag([1.0, 1.0, 1.0, _MM, _MM, _MM])
+    return replace(motion, origin=motion.origin * _MM, covariance=scale @ motion.covariance @ scale)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SurfaceDoubt:
+    """How well the places of a surface's vertices are known after a transform."""
+
+    covariance_mm2: Floats
+    """(V, 3, 3), or (F, V, 3, 3) of a transform a frame, along the axes of the frame that it leads to."""
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, "covariance_mm2")
+
+    @property
+    def sd_mm(self) -> Floats:
+        """(..., V) root mean square distance from the true place."""
+        return np.asarray(np.sqrt(np.trace(self.covariance_mm2, axis1=-2, axis2=-1)))
+
+    @property
+    def within_mm(self) -> Floats:
+        """(..., V) distance from the true place that is not exceeded in 95 of 100 cases.
+
+        The squared distance counts as a gamma variable of its mean and variance ([Box1954]).
+        """
+        mean = np.trace(self.covariance_mm2, axis1=-2, axis2=-1)
+        square = (self.covariance_mm2**2).sum((-2, -1))  # the trace of the covariance squared, which is symmetric
+        shape = np.divide(mean**2, 2 * square, out=np.ones_like(mean), where=square > 0)
+        return np.asarray(np.sqrt(gammaincinv(shape, 0.95) * mean / shape))
+
+
+def surface_doubt(transform: NamedTransform, vertices_mm: Floats) -> SurfaceDoubt:
+    """Carry a transform's covariance to points; zero for a transform that is known exactly.
+
+    Args:
+        transform: Of millimetres.
+        vertices_mm: (V, 3) in the frame that it comes from.
+    """
+    if transform.covariance is None:
+        return SurfaceDoubt(covariance_mm2=np.zeros((*transform.rotation.shape[:-2], len(vertices_mm), 3, 3)))
+    turn = -transform.rotation[..., None, :, :] @ rotations.hat(vertices_mm)
+    jacobian = np.concatenate([turn, np.broadcast_to(np.eye(3), turn.shape)], -1)
+    return SurfaceDoubt(
+        covariance_mm2=jacobian @ transform.covariance[..., None, :, :] @ np.swapaxes(jacobian, -1, -2)
+    )  # fmt: skip
+
+
+def mean_error_quantile(
+    transform: NamedTransform, vertices_mm: Floats, *, share: float = 0.95, draws: int = 1000
+) -> float:
+    """Give the limit below which the mean distance of a surface from its true place stays, in a share of cases [mm].
+
+    Found from draws of the transform's covariance, always the same ones.
+
+    Args:
+        transform: Of millimetres, constant.
+        vertices_mm: (V, 3) in the frame that it comes from; some hundred are enough.
+        share: Of the cases.
+        draws: How many.
+    """
+    if transform.covariance is None:
+        return 0.0
+    normal = np.random.default_rng(0).normal(size=(draws, 6))
+    values, vectors = np.linalg.eigh(transform.covariance)
+    off = normal @ (vectors * np.sqrt(np.maximum(values, 0.0))).T
+    shifts = np.cross(off[:, None, :3], vertices_mm) @ transform.rotation.T + off[:, None, 3:]
+    return float(np.quantile(np.linalg.norm(shifts, axis=-1).mean(1), share))

@@ -1,0 +1,202 @@
+"""Where the laboratory's markers lie on the bones: in the activity's own reference posture, or a standing trial."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.special import gammaincc
+
+from marey.arrays import Floats, Integers, freeze_fields
+from marey.errors import MareyError
+from marey.geometry import rotations
+from marey.geometry.rigid import RigidTransform
+from marey.knee.markers.marker_bones import BONE_OF_SEGMENT, bone_of_segment
+from marey.markers.data.bone_motion import BoneMotion
+from marey.markers.data.rigid_fit import FEWEST, RigidFit, fit_rigid
+from marey.markers.data.trajectories import MarkerTrajectories
+
+NOISE_MM = 0.5
+"""Standard deviation of a marker's coordinate, where nothing else is said."""
+_MM = 1e3
+_NO_CHANCE = 0.05
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Activity:
+    """What `marey markers` found of a trial, as far as the knee needs it."""
+
+    motion: BoneMotion
+    """The bones as the method estimates them [m]."""
+    cluster: BoneMotion | None = None
+    """The bones as their clusters move them, without the correction of the skin's motion; None where not computed."""
+    markers: MarkerTrajectories
+    """All markers of the trial [m]."""
+    segment_of_label: Mapping[str, str]
+    """On which bone each marker rides."""
+    reference_frames: Integers | None
+    """(K,) frames of the trial in which the bones were known; None where it is not told (a model's bones)."""
+    time: Floats
+    """(F,) [s]."""
+    side: str | None = None
+    """`left` or `right`, where it is known and the segments' names do not tell."""
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, "time")
+        if self.reference_frames is not None:
+            freeze_fields(self, "reference_frames", dtype=np.int64)
+
+    def places(self, segment: str, labels: tuple[str, ...]) -> Floats:
+        """Give the places (M, 3) of markers in a bone's frame in the reference posture [m]; NaN where not seen.
+
+        Of several postures, or where none is told of all frames, the mean.
+        """
+        rotation, origin = self.motion.bone(segment)
+        points = self.markers.select(labels).points
+        if self.reference_frames is not None:
+            rotation, origin, points = (each[self.reference_frames] for each in (rotation, origin, points))
+        return _mean(np.einsum("fba,fmb->fma", rotation, points - origin[:, None]))[0]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class BonePlaces:
+    """Where N markers lie in one bone's frame in the reference posture."""
+
+    segment: str
+    places_mm: Floats
+    """(N, 3) capture anatomic; NaN of a marker that is never seen."""
+    sd_mm: Floats
+    """(N, 3)."""
+    laboratory_from_bone: RigidTransform
+    """In one frame of the posture [mm]."""
+    cluster: tuple[int, ...] = ()
+    """Which of the markers the bone was found by; none where it is known otherwise."""
+    cluster_gain: Floats = field(default_factory=lambda: np.zeros((6, 0, 3)))
+    """(6, cluster, 3) what the bone's turn [rad] and shift [mm], both along its own axes, take from a shift of each
+    marker of the cluster [mm], along the same axes."""
+    cluster_sd_mm: float = 0.0
+    """Standard deviation of a coordinate of the cluster's markers."""
+    residual_mm: float | None = None
+    """How far the cluster lies from its form in the activity's reference posture (RMS); None where it is the same."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ReferencePosture:
+    """The posture that joins the scanner's markers and the activity's."""
+
+    labels: tuple[str, ...]
+    """N markers."""
+    bones: Mapping[str, BonePlaces]
+    """By segment."""
+    notes: tuple[str, ...] = ()
+
+
+def reference_posture(
+    activity: Activity, standing: MarkerTrajectories | None = None, *, noise_mm: float = NOISE_MM
+) -> ReferencePosture:
+    """Find where the markers lie on the bones.
+
+    Without a standing trial the activity's own reference posture is taken, which then shows the scanner's markers,
+    too. With one, each bone's cluster is laid over itself in every frame of it, and the markers' places in the bone's
+    frame are averaged: swaying does no harm. It may be the trial that told `marey markers` where the bones are.
+
+    Args:
+        activity: What `marey markers` found.
+        standing: A trial with the markers of the activity and those of the scanner.
+        noise_mm: Standard deviation of a marker's coordinate, which no averaging takes away: how well it came back to
+            its place, and what the laboratory's calibration leaves.
+
+    Raises:
+        MareyError: The activity has no segment of a knee, or no bone can be found in the standing trial.
+    """
+    segments = [segment for segment in activity.motion.segments if bone_of_segment(segment) is not None]
+    if not segments:
+        there = ", ".join(activity.motion.segments)
+        raise MareyError(f"The activity has no segment of a knee ({', '.join(BONE_OF_SEGMENT)}); it has {there}.")
+    if standing is None:
+        return _own_posture(activity, segments, noise_mm)
+    bones, notes = {}, []
+    for segment in segments:
+        try:
+            bones[segment], said = _standing_bone(activity, segment, standing, noise_mm)
+            notes += said
+        except MareyError as problem:
+            notes.append(f"{segment}: {problem}")
+    if not bones:
+        raise MareyError(" ".join(notes))
+    return ReferencePosture(labels=standing.labels, bones=bones, notes=tuple(notes))
+
+
+def _own_posture(activity: Activity, segments: Sequence[str], noise_mm: float) -> ReferencePosture:
+    labels = activity.markers.labels
+    frames = np.arange(len(activity.motion)) if activity.reference_frames is None else activity.reference_frames
+    bones, notes = {}, []
+    for segment in segments:
+        rotation, origin = (each[frames] for each in activity.motion.bone(segment))
+        answered = np.flatnonzero(np.isfinite(rotation).all((1, 2)))
+        if not len(answered):
+            notes.append(f"{segment}: no pose in the reference posture")
+            continue
+        at = RigidTransform(rotation[answered[0]], origin[answered[0]] * _MM)
+        places = activity.places(segment, labels) * _MM
+        bones[segment] = BonePlaces(
+            segment=segment, places_mm=places, sd_mm=np.full_like(places, noise_mm), laboratory_from_bone=at
+        )
+    return ReferencePosture(labels=labels, bones=bones, notes=tuple(notes))
+
+
+def _standing_bone(
+    activity: Activity, segment: str, standing: MarkerTrajectories, noise_mm: float
+) -> tuple[BonePlaces, list[str]]:
+    """Lay one bone's cluster over itself in the standing trial."""
+    riding = [label for label, name in activity.segment_of_label.items() if name == segment]
+    shared = tuple(label for label in riding if label in standing.labels)
+    if len(shared) < FEWEST:
+        raise MareyError(
+            f"the standing trial has {len(shared)} of the activity's markers ({', '.join(riding)}), and needs {FEWEST}."
+        )
+    shape = activity.places(segment, shared)
+    fit = fit_rigid(shape, standing.select(shared).points, noise_mm / _MM)
+    answered = np.flatnonzero(np.isfinite(fit.rotation).all((1, 2)))
+    if not len(answered):
+        raise MareyError(f"no frame of the standing trial shows three of {', '.join(shared)} that are not in a line.")
+    inside = np.einsum("fba,fmb->fma", fit.rotation, standing.points - fit.translation[:, None])[answered] * _MM
+    places, spread = _mean(inside)
+    residual = _MM * float(np.sqrt(np.nanmean((fit.residuals[answered] ** 2).sum(-1))))
+    gain, raised = _cluster_gain(fit, shape * _MM, answered)
+    middle = answered[len(answered) // 2]
+    found = BonePlaces(
+        segment=segment, places_mm=places, sd_mm=np.sqrt(noise_mm**2 + spread**2),
+        laboratory_from_bone=RigidTransform(fit.rotation[middle], fit.translation[middle] * _MM),
+        cluster=tuple(standing.labels.index(label) for label in shared), cluster_gain=gain,
+        cluster_sd_mm=noise_mm * np.sqrt(raised), residual_mm=residual,
+    )  # fmt: skip
+    said = f"{segment}: its markers in the standing trial lie {residual:.1f} mm (RMS) from their form in the activity."
+    lacking = [label for label in riding if label not in shared]
+    more = [f"{segment}: the standing trial lacks {', '.join(lacking)}."] if lacking else []
+    return found, [said, *more]
+
+
+def _cluster_gain(fit: RigidFit, shape_mm: Floats, answered: Integers) -> tuple[Floats, float]:
+    """Give what a bone's turn and shift along its own axes take from its markers, and how far these are from rigid.
+
+    Only the markers that are there in at least half of the frames count. What they are off counts as of all frames
+    alike, as skin that lies elsewhere is.
+    """
+    there = np.isfinite(fit.residuals[answered]).all(-1).mean(0) >= 0.5
+    weight = np.where(there, 1.0, 0.0)
+    held = np.where(there[:, None], shape_mm, 0.0)
+    jacobian = np.concatenate([-rotations.hat(held), np.broadcast_to(np.eye(3), (len(held), 3, 3))], -1)
+    information = np.einsum("m,mia,mib->ab", weight, jacobian, jacobian)
+    gain = np.einsum("ab,m,mib->ami", np.linalg.inv(information), weight, jacobian)
+    ratio, freedom = float(np.median(fit.variance_ratio[answered])), 3 * int(there.sum()) - 6
+    no_chance = freedom > 0 and gammaincc(freedom / 2, ratio * freedom / 2) < _NO_CHANCE
+    return gain, ratio if no_chance else 1.0
+
+
+def _mean(values: Floats) -> tuple[Floats, Floats]:
+    """Give mean (M, 3) over the frames that have a place (F, M, 3), and the standard deviation of the mean."""
+    known = np.isfinite(values)
+    count = known.sum(0)
+    mean = np.where(count > 0, np.where(known, values, 0.0).sum(0) / np.maximum(count, 1), np.nan)
+    squares = np.where(known, (values - mean) ** 2, 0.0).sum(0)
+    return mean, np.sqrt(squares / np.maximum(count - 1, 1) / np.maximum(count, 1))

@@ -1,0 +1,1 @@
+"""The knee in motion: joint angles and the proximity of its cartilages."""

@@ -1,0 +1,1 @@
+"""Outlines drawn by hand with the live wire."""

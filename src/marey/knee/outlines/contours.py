@@ -1,0 +1,178 @@
+"""Outlines of bones and cartilage in the slices of a volume, and the structures that lie between them."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+
+from marey.arrays import Floats, Mask, freeze_fields
+from marey.errors import MareyError
+from marey.knee.bones.region_growing import signed_distance
+from marey.knee.outlines.outlines import filled
+from marey.knee.space.structures import LABELS
+from marey.knee.space.volume import Grid, Labels
+
+AXES = ("i", "j", "k")
+"""Along which axis of the voxels slices follow each other. Slices across k have rows along j and columns along i, those
+across j rows along k and columns along i, those across i rows along k and columns along j."""
+_FAR_MM = 1e3
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Contour:
+    """One closed outline in one slice."""
+
+    structure: str
+    """Of `LABELS`."""
+    axis: str
+    """Of `AXES`."""
+    index: int
+    """Of the slice along its axis."""
+    anchors: Floats
+    """(A, 2) x and y [px] that were set by hand; x counts columns, whole numbers are centres of pixels."""
+    outline: Floats
+    """(N, 2) x and y [px]."""
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, "anchors", "outline")
+
+
+def slice_of(array: np.ndarray, axis: str, index: int) -> np.ndarray:
+    """Take a slice (rows, columns) out of a volume (k, j, i)."""
+    part: np.ndarray = np.take(array, index, axis=_array_axis(axis))
+    return part
+
+
+def slice_shape(grid: Grid, axis: str) -> tuple[int, int]:
+    """Rows and columns of the slices along an axis."""
+    rows, columns = (count for each, count in enumerate(grid.shape) if each != _array_axis(axis))
+    return rows, columns
+
+
+def slice_spacing_mm(grid: Grid, axis: str) -> tuple[float, float]:
+    """Distances of rows, and of columns, of the slices along an axis."""
+    rows, columns = (mm for each, mm in enumerate(grid.array_spacing_mm) if each != _array_axis(axis))
+    return rows, columns
+
+
+def slice_count(grid: Grid, axis: str) -> int:
+    """How many slices follow each other along an axis."""
+    return grid.shape[_array_axis(axis)]
+
+
+def outline_mm(contour: Contour, grid: Grid) -> Floats:
+    """(N, 3) LPS [mm] of an outline's points."""
+    along = AXES.index(contour.axis)
+    voxels = np.insert(contour.outline, along, contour.index, axis=1)
+    return grid.lps(voxels)
+
+
+def outlined_mask(contours: Iterable[Contour], shape: tuple[int, int]) -> Mask:
+    """(rows, columns) true of what any of some outlines of one slice encloses."""
+    mask = np.zeros(shape, bool)
+    for contour in contours:
+        mask |= filled(contour.outline, shape)
+    return mask
+
+
+def slice_distance(contours: Sequence[Contour], grid: Grid, structure: str, index: int) -> Floats | None:
+    """Signed distance of a structure in one slice, from its outlines there or from those before and behind.
+
+    Between outlined slices the distances are interpolated as [Raya1990] do: the edge is where that is 0. Unlike the
+    paper, which goes linearly from outline to outline, by monotone cubics, which round a bone off as bones are.
+
+    Args:
+        contours: Of any structures.
+        grid: Of the volume.
+        structure: Which.
+        index: The slice along the axis of the structure's outlines.
+
+    Returns:
+        (rows, columns) mm, positive inside; None where outlines are not to be found on both sides.
+
+    Raises:
+        MareyError: The structure's outlines lie across several axes.
+    """
+    axis, by_slice = _by_slice(contours, structure)
+    indices = sorted(by_slice)
+    if not indices or not indices[0] <= index <= indices[-1]:
+        return None
+    if index in by_slice:
+        return _distance_to(by_slice[index], grid, axis)
+    # Between two slices a monotone cubic knows these and the next ones on either side, no others.
+    after = next(place for place, each in enumerate(indices) if each > index)
+    about = indices[max(after - 2, 0) : after + 2]
+    between: Floats = _interpolated({each: _distance_to(by_slice[each], grid, axis) for each in about})(index)
+    return between
+
+
+def structure_distance(contours: Sequence[Contour], grid: Grid, structure: str) -> Floats:
+    """(k, j, i) the same for all slices [mm]; -1000 before the first outlined slice, and behind the last.
+
+    Raises:
+        MareyError: As `slice_distance`, or there is no outline of the structure.
+    """
+    axis, by_slice = _by_slice(contours, structure)
+    if not by_slice:
+        raise MareyError(f"There is no outline of the {structure.replace('_', ' ')}.")
+    distance = np.full(grid.shape, -_FAR_MM, np.float32)
+    slices = np.moveaxis(distance, _array_axis(axis), 0)
+    at = _interpolated({index: _distance_to(each, grid, axis) for index, each in sorted(by_slice.items())})
+    for index in range(min(by_slice), max(by_slice) + 1):
+        slices[index] = at(index)
+    return distance
+
+
+def labels_of_contours(contours: Sequence[Contour], grid: Grid) -> Labels:
+    """Fill all outlines and what lies between them; a voxel of two structures goes to the one it lies deeper in.
+
+    Raises:
+        MareyError: There are no outlines, or those of a structure lie across several axes.
+    """
+    if not contours:
+        raise MareyError("There are no outlines to fill.")
+    labels = np.zeros(grid.shape, np.uint8)
+    deepest = np.zeros(grid.shape, np.float32)
+    for structure in dict.fromkeys(contour.structure for contour in contours):
+        distance = structure_distance(contours, grid, structure)
+        deeper = distance > deepest
+        labels[deeper] = LABELS[structure]
+        deepest[deeper] = distance[deeper]
+    return Labels(labels=labels, grid=grid)
+
+
+def _by_slice(contours: Sequence[Contour], structure: str) -> tuple[str, dict[int, tuple[Contour, ...]]]:
+    """Sort a structure's outlines by their slices, and give the one axis they have."""
+    own = [contour for contour in contours if contour.structure == structure]
+    axes = sorted({contour.axis for contour in own})
+    if len(axes) > 1:
+        name = structure.replace("_", " ")
+        raise MareyError(
+            f"The {name} is outlined in slices across {' and '.join(axes)}: keep those across one of them."
+        )
+    found: dict[int, tuple[Contour, ...]] = {}
+    for contour in own:
+        found[contour.index] = (*found.get(contour.index, ()), contour)
+    return (axes[0] if axes else AXES[2]), found
+
+
+@lru_cache(maxsize=16)
+def _distance_to(contours: tuple[Contour, ...], grid: Grid, axis: str) -> Floats:
+    rows_mm, columns_mm = slice_spacing_mm(grid, axis)
+    mask = outlined_mask(contours, slice_shape(grid, axis))
+    return np.asarray(signed_distance(mask, (rows_mm, columns_mm)))
+
+
+def _interpolated(distances: Mapping[int, Floats]) -> Callable[[int], Floats]:
+    if len(distances) == 1:
+        alone = next(iter(distances.values()))
+        return lambda index: alone
+    far = np.maximum(np.array(list(distances.values())), -_FAR_MM)
+    between = PchipInterpolator(list(distances), far, axis=0)
+    return lambda index: np.asarray(between(index))
+
+
+def _array_axis(axis: str) -> int:
+    return len(AXES) - 1 - AXES.index(axis)

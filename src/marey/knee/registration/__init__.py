@@ -1,0 +1,1 @@
+"""Registration of one bone's surface to another's, rigid and elastic."""

@@ -1,0 +1,129 @@
+"""Whether a template is of the subject's side: it is laid on as it is and mirrored, and the better fit tells."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from marey.arrays import Floats, Mask
+from marey.errors import MareyError
+from marey.geometry import rotations
+from marey.knee.registration.rigid import Points, RigidRegistration, Supports, register_rigidly, spread_points
+from marey.knee.space.cut_ends import cut_planes
+from marey.knee.space.sides import mirrored
+from marey.knee.space.surface import Surface
+
+CLEAR = 1.35
+"""Where the worse side's distance is less than so many times the better one's, the side is told as unsure."""
+_POINTS = 1500
+_ROUNDS = 15
+_MOST_SCALED = 0.1
+_FINEST_MM = 0.15
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SidedRegistration:
+    """A template laid on a subject, and of which side it is."""
+
+    rigid: RigidRegistration
+    """Of the template, mirrored first where it is of the other side."""
+    mirrored: bool
+    same_side_mm: float
+    """Mean distance of the surfaces when the template, as it is, is laid on and scaled; NaN where it was not tried."""
+    other_side_mm: float
+    """The same when it is mirrored first."""
+
+    @property
+    def clear(self) -> bool:
+        """Whether one side fits much better than the other, or was asked for."""
+        best, worst = sorted((self.same_side_mm, self.other_side_mm))
+        return not np.isfinite([best, worst]).all() or worst > CLEAR * best
+
+
+def register_on_either_side(
+    template: Surface, subject: Surface, *, mirror: bool | None = None,
+    done: Callable[[float], None] = lambda share: None,
+) -> SidedRegistration:  # fmt: skip
+    """Lay a template on a subject by a rigid motion, mirrored first where it is of the other side.
+
+    People differ in size more than a bone does from its mirror image, so the two fits are compared after each was
+    also scaled to the subject's size; the registration itself is the rigid one.
+
+    Args:
+        template: A bone of either side.
+        subject: The same bone of anybody.
+        mirror: Whether to mirror the template; None finds it out.
+        done: Told of the share of the work that is done.
+
+    Raises:
+        MareyError: It fits on neither side.
+    """
+    if mirror is not None:
+        rigid = register_rigidly(mirrored(template) if mirror else template, subject, done=done)
+        return SidedRegistration(rigid=rigid, mirrored=mirror, same_side_mm=np.nan, other_side_mm=np.nan)
+    found: dict[bool, RigidRegistration] = {}
+    distance = {False: np.inf, True: np.inf}
+    problems = []
+    for flipped in (False, True):
+        side = mirrored(template) if flipped else template
+        try:
+            found[flipped] = register_rigidly(side, subject, done=partial(_told, done, flipped))
+            distance[flipped] = _scaled_distance(side, subject, found[flipped])
+        except MareyError as error:
+            problems.append(error)
+    if not found:
+        raise problems[0]
+    better = distance[True] < distance[False]
+    return SidedRegistration(
+        rigid=found[better], mirrored=better, same_side_mm=distance[False], other_side_mm=distance[True]
+    )
+
+
+def _told(done: Callable[[float], None], second: bool, share: float) -> None:
+    done((second + share) / 2)
+
+
+def _scaled_distance(template: Surface, subject: Surface, start: RigidRegistration) -> float:
+    """Let a laid template grow or shrink, and give the mean distance [mm] of both surfaces' points from the other."""
+    pairs = [(spread_points(a, cut_planes(a), _POINTS), Supports.of(b, cut_planes(b))) for a, b in
+             ((template, subject), (subject, template))]  # fmt: skip
+    motion = start.subject_from_template
+    matrix, shift = motion.rotation.copy(), motion.translation.copy()
+    middle = pairs[0][0].places.mean(0)
+    for _ in range(_ROUNDS):
+        places, normals, off, matched = _deviations(pairs, matrix, shift)
+        scale = max(3 * 1.4826 * float(np.median(np.abs(off[matched]))), _FINEST_MM) if matched.any() else 1.0
+        weight = np.where(matched, 1 / (1 + (off / scale) ** 2) ** 2, 0.0)
+        away = places - (about := matrix @ middle + shift)
+        slopes = np.column_stack([np.cross(away, normals), normals, (away * normals).sum(1)])
+        stiffness = slopes.T @ (weight[:, None] * slopes)
+        step = -np.linalg.lstsq(stiffness, slopes.T @ (weight * off), rcond=1e-9)[0]
+        change = np.exp(np.clip(step[6], -_MOST_SCALED, _MOST_SCALED)) * rotations.exp(step[:3])
+        matrix, shift = change @ matrix, about + step[3:6] + change @ (shift - about)
+    _, _, off, matched = _deviations(pairs, matrix, shift)
+    return float(np.abs(off[matched]).mean()) / max(float(matched.mean()), 1e-3) if matched.any() else np.inf
+
+
+def _deviations(
+    pairs: list[tuple[Points, Supports]], matrix: Floats, shift: Floats
+) -> tuple[Floats, Floats, Floats, Mask]:
+    """Give places and normals in the subject, deviations along them, and which places have a counterpart."""
+    (own, subject), (other, template) = pairs
+    back = np.linalg.inv(matrix)
+    moved, facing = own.places @ matrix.T + shift, _unit(own.normals @ back)
+    near = subject.tree.nearest(moved)
+    planes = subject.face_normals[near.face]
+    ahead = subject.known[near.face] & ((planes * facing).sum(1) > 0.5)
+    carried = template.tree.nearest((other.places - shift) @ back.T)
+    turned = _unit(template.face_normals[carried.face] @ back)
+    behind = template.known[carried.face] & ((turned * other.normals).sum(1) > 0.5)
+    there = carried.points_mm @ matrix.T + shift
+    off = np.concatenate([((moved - near.points_mm) * planes).sum(1), ((there - other.places) * other.normals).sum(1)])
+    return (
+        np.concatenate([moved, there]), np.concatenate([planes, other.normals]), off, np.concatenate([ahead, behind]),
+    )  # fmt: skip
+
+
+def _unit(vectors: Floats) -> Floats:
+    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12))

@@ -1,0 +1,1 @@
+"""Volumes, surfaces and the geometry on them."""

@@ -1,0 +1,114 @@
+"""The slow brightening towards the coil, found from the image alone and taken out."""
+
+from dataclasses import dataclass
+from itertools import product
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.polynomial import legendre
+
+from marey.arrays import Floats
+from marey.knee.space.resampling import on_grid, reach, resampled, upright_grid
+from marey.knee.space.volume import Grid, Volume
+
+_WORK_MM = 3.0
+_ORDER = 3
+_ROUNDS = 50
+_BINS = 200
+_BLUR = 0.15
+"""Full width at half maximum [natural logarithm] of the Gaussian by which the bias is taken to blur the histogram."""
+_WIENER_NOISE = 0.01
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class BiasField:
+    """A factor by which each place of the image is too bright; its median within the body is 1."""
+
+    factor: Floats
+    """(k, j, i) on its own, coarse grid."""
+    grid: Grid
+
+    def on(self, grid: Grid) -> np.ndarray:
+        """(k, j, i) the factor on another grid; 1 where it was not found."""
+        return resampled(self.factor.astype(np.float32), self.grid, grid, outside=1.0)
+
+
+_FOUND: WeakKeyDictionary[Volume, BiasField] = WeakKeyDictionary()
+
+
+def bias_field(volume: Volume) -> BiasField:
+    """Find the field whose removal sharpens the histogram of the logarithmic intensities most, as N3 and N4 do.
+
+    As [Tustison2010], with Legendre polynomials of the third order instead of B-splines: that takes a tenth of the
+    time of N4 of SimpleITK, or less. Of each volume it is found once.
+
+    Args:
+        volume: The image as it came from the scanner.
+    """
+    if volume not in _FOUND:
+        _FOUND[volume] = _bias_field(volume)
+    return _FOUND[volume]
+
+
+def _bias_field(volume: Volume) -> BiasField:
+    grid = upright_grid(volume.grid, _WORK_MM)
+    values = np.maximum(on_grid(volume, grid, _WORK_MM / 2), 1e-3)
+    within_image = reach(volume.grid, grid)
+    tissue = within_image & (values > 0.25 * between_two_classes(values[within_image]))
+    logarithm = np.log(values[tissue])
+    basis = _polynomials(grid.shape)
+    within = basis[tissue]
+    solve = np.linalg.solve(within.T @ within, within.T)
+    coefficients = np.zeros(within.shape[1])
+    for _ in range(_ROUNDS):
+        corrected = logarithm - within @ coefficients
+        step = solve @ (corrected - _sharpened(corrected))
+        coefficients += step
+        if np.abs(within @ step).max() < 1e-3:
+            break
+    field = basis @ coefficients
+    low, middle, high = np.percentile(field[tissue], [1, 50, 99])
+    return BiasField(factor=np.exp(np.clip(field, low, high) - middle), grid=grid)
+
+
+def between_two_classes(values: np.ndarray) -> float:
+    """Give the value that parts a histogram best in two, after Otsu: least variance within the parts."""
+    counts, edges = np.histogram(values, bins=256)
+    centres = (edges[:-1] + edges[1:]) / 2
+    below = np.cumsum(counts)[:-1]
+    above = counts.sum() - below
+    sums = np.cumsum(counts * centres)[:-1]
+    total = float((counts * centres).sum())
+    with np.errstate(divide="ignore", invalid="ignore"):
+        between = below * above * (sums / below - (total - sums) / above) ** 2
+    return float(edges[1:-1][int(np.nanargmax(between))])
+
+
+def _polynomials(shape: tuple[int, ...]) -> Floats:
+    """(k, j, i, terms) products of Legendre polynomials up to the order, without the constant."""
+    axes = [[legendre.legval(np.linspace(-1, 1, n), np.eye(_ORDER + 1)[d]) for d in range(_ORDER + 1)] for n in shape]
+    terms = [degrees for degrees in product(range(_ORDER + 1), repeat=3) if 0 < sum(degrees) <= _ORDER]
+    return np.stack([np.einsum("k,j,i->kji", axes[0][a], axes[1][b], axes[2][c]) for a, b, c in terms], axis=-1)
+
+
+def _sharpened(values: Floats) -> Floats:
+    """(n,) what each value would be without the blur: its expectation under the deconvolved histogram."""
+    low, width = values.min(), np.ptp(values) / (_BINS - 1) + 1e-12
+    place = (values - low) / width
+    bins = np.minimum(place.astype(int), _BINS - 2)
+    share = place - bins
+    size = 1 << int(np.ceil(np.log2(2 * _BINS)))
+    pad = (size - _BINS) // 2
+    histogram = np.zeros(size)
+    histogram[pad : pad + _BINS] = np.bincount(bins, 1 - share, _BINS) + np.bincount(bins + 1, share, _BINS)
+    offsets = np.fft.fftfreq(size) * size
+    gaussian = np.exp(-0.5 * (offsets * width * 2.3548 / _BLUR) ** 2)
+    blur = np.fft.fft(gaussian / gaussian.sum())
+    wiener = np.conj(blur) / (np.abs(blur) ** 2 + _WIENER_NOISE)
+    sharp = np.maximum(np.real(np.fft.ifft(np.fft.fft(histogram) * wiener)), 0)
+    centres = low + (np.arange(size) - pad) * width
+    weight = np.real(np.fft.ifft(np.fft.fft(sharp) * blur))
+    first = np.real(np.fft.ifft(np.fft.fft(sharp * centres) * blur))
+    known = weight > 1e-10 * weight.max()
+    expected = np.where(known, first / np.where(known, weight, 1), centres)
+    return np.interp(values, centres, expected)

@@ -1,0 +1,104 @@
+"""Where a bone's surface is not the bone's: the flat ends at which the image was cut off, and open rims."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import ConvexHull
+
+from marey.arrays import Floats, Mask, freeze_fields
+from marey.knee.space.surface import Surface
+
+LEAST_CUT_MM2 = 200.0
+"""A flat end is at least so large."""
+FLAT_MM = 0.6
+"""It lies so near a plane: labels often end by a step of half a voxel, not all at one height."""
+ALIGNED = 0.99
+"""Cosine of the angle by which its faces may lean, 8 degrees."""
+EVEN = np.radians(4.4)
+"""The root mean square of that angle is less: it is 5.7 degrees in a cap of a ball, and 1 to 4.4 in cut shafts."""
+LEANING = 0.94
+"""The same, 20 degrees, before the plane's own slant is known."""
+_CANDIDATES = 300
+SAME_END = 0.9
+"""Planes of normals nearer than that are one."""
+SAME = 0.995
+"""Cosine of the angle, 6 degrees, within which no second plane is tried."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CutPlane:
+    """A plane at which the image ended: what lies beyond is not known."""
+
+    point_mm: Floats
+    """(3,)."""
+    normal: Floats
+    """(3,) unit, out of the bone."""
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, "point_mm", "normal")
+
+    def depth_mm(self, points_mm: Floats) -> Floats:
+        """Tell how far points (..., 3) lie within the plane; negative beyond."""
+        return np.asarray((self.point_mm - points_mm) @ self.normal)
+
+
+def cut_planes(surface: Surface) -> tuple[CutPlane, ...]:
+    """Find the flat ends of a bone: planes that touch it from outside and that much of its surface lies in."""
+    hull = ConvexHull(surface.vertices_mm)
+    normals, offsets = hull.equations[:, :3], hull.equations[:, 3]
+    # The hull of a rounded bone has little of its own in any direction; one that spans a hollow has no bone in it.
+    size = _areas(surface.vertices_mm[hull.simplices])
+    large = np.argsort(-size)[:_CANDIDATES]
+    spread = (normals[large] @ normals.T > ALIGNED) @ size
+    planes: list[CutPlane] = []
+    round_ends: list[Floats] = []
+    for simplex in large[np.argsort(-spread)[: np.count_nonzero(spread > LEAST_CUT_MM2 / 2)]]:
+        normal = normals[simplex]
+        if any(plane.normal @ normal > SAME_END for plane in planes) or any(end @ normal > SAME for end in round_ends):
+            continue
+        plane = _flat_end(surface, normal, offsets[simplex])
+        if plane is None:
+            round_ends.append(normal)
+        elif not any(known.normal @ plane.normal > SAME_END for known in planes):
+            planes.append(plane)
+    return tuple(planes)
+
+
+def _flat_end(surface: Surface, normal: Floats, offset: float) -> CutPlane | None:
+    """Lay a plane through the faces about one that touches a bone; none where they are too few or round."""
+    near = np.flatnonzero(surface.face_normals @ normal > LEANING)
+    area, facing, middle = surface.face_areas_mm2[near], surface.face_normals[near], surface.corners_mm[near].mean(1)
+    point = -offset * normal
+    for _ in range(3):
+        within = (facing @ normal > ALIGNED) & (np.abs((middle - point) @ normal) < FLAT_MM)
+        if area[within].sum() < LEAST_CUT_MM2 / 2:
+            return None
+        point = np.average(middle[within], axis=0, weights=area[within])
+        mean = area[within] @ facing[within]
+        normal = mean / np.linalg.norm(mean)
+    leaning = np.arccos(np.clip(facing[within] @ normal, -1, 1))
+    even = np.sqrt(np.average(leaning**2, weights=area[within])) < EVEN
+    return CutPlane(point_mm=point, normal=normal) if even and area[within].sum() > LEAST_CUT_MM2 else None
+
+
+def known_faces(surface: Surface, planes: tuple[CutPlane, ...], margin_mm: float) -> Mask:
+    """Tell which faces (T,) are the bone's own: not within a margin of a cut, nor at an open rim."""
+    edges = np.sort(surface.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    _, place, count = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
+    closed = (count[place.reshape(-1)].reshape(-1, 3) > 1).all(1)
+    return np.asarray(closed & known_points(surface.corners_mm.mean(1), planes, margin_mm))
+
+
+def known_points(points_mm: Floats, planes: tuple[CutPlane, ...], margin_mm: float) -> Mask:
+    """Tell which points (..., 3) lie within all planes by more than a margin."""
+    known = np.ones(np.shape(points_mm)[:-1], bool)
+    for plane in planes:
+        known &= plane.depth_mm(points_mm) > margin_mm
+    return known
+
+
+def _areas(corners: Floats) -> Floats:
+    """Give the areas (n,) of triangles (n, 3, 3)."""
+    return np.asarray(
+        np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    )

@@ -1,0 +1,1 @@
+"""Trajectories, clusters and calibrations: what every marker method works on."""

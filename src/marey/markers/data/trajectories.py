@@ -1,0 +1,86 @@
+"""Marker trajectories: the paths of labelled skin markers in the laboratory, gaps and fillings marked."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from marey.arrays import Floats, Mask, freeze_fields
+from marey.errors import MareyError
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MarkerTrajectories:
+    """The paths of M markers over F frames, in the laboratory's frame as the file has it."""
+
+    labels: tuple[str, ...]
+    """M labels, no two alike."""
+    points: Floats
+    """(F, M, 3) [m]; NaN where a marker is missing."""
+    rate: float
+    """Frames a second [Hz]."""
+    start_s: float = 0.0
+    """Time of the first frame [s]."""
+    filled: Mask
+    """(F, M) true where a point was not measured but filled."""
+    residuals: Floats
+    """(F, M) the measuring system's own residual [m]; NaN where it tells none."""
+    notes: tuple[str, ...] = ()
+    """What the reading passed over or had to decide, a plain sentence each."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "labels", tuple(str(label) for label in self.labels))
+        freeze_fields(self, "points", "residuals")
+        freeze_fields(self, "filled", dtype=bool)
+        shape = (len(self.points), len(self.labels))
+        if self.points.shape != (*shape, 3) or self.filled.shape != shape or self.residuals.shape != shape:
+            raise MareyError(f"Marker trajectories of {shape[1]} labels do not fit together.")
+        twice = sorted({label for label in self.labels if self.labels.count(label) > 1})
+        if twice:
+            raise MareyError(f"Two markers have the label {', '.join(twice)}.")
+        if not (np.isfinite(self.rate) and self.rate > 0):
+            raise MareyError(f"The rate is {self.rate} and should be above 0.")
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    @property
+    def time(self) -> Floats:
+        """(F,) [s]."""
+        return np.asarray(self.start_s + np.arange(len(self)) / self.rate)
+
+    @property
+    def present(self) -> Mask:
+        """(F, M) true where a marker has a place, measured or filled."""
+        return np.asarray(np.isfinite(self.points).all(-1))
+
+    def select(self, labels: Sequence[str]) -> "MarkerTrajectories":
+        """Give the trajectories of some markers, in the order asked for.
+
+        Raises:
+            MareyError: A label is not there.
+        """
+        unknown = [label for label in labels if label not in self.labels]
+        if unknown:
+            raise MareyError(f"There is no marker {', '.join(unknown)}. There are: {', '.join(self.labels)}.")
+        index = [self.labels.index(label) for label in labels]
+        return replace(
+            self, labels=tuple(labels), points=self.points[:, index], filled=self.filled[:, index],
+            residuals=self.residuals[:, index],
+        )  # fmt: skip
+
+
+def trajectories(labels: Sequence[str], points: Floats, rate: float, *, start_s: float = 0.0) -> MarkerTrajectories:
+    """Make trajectories of which nothing was filled and no residual is known.
+
+    Args:
+        labels: M labels.
+        points: (F, M, 3) [m]; NaN where missing.
+        rate: [Hz].
+        start_s: Time of the first frame [s].
+    """
+    shape = np.asarray(points).shape[:2]
+    return MarkerTrajectories(
+        labels=tuple(labels), points=points, rate=rate, start_s=start_s, filled=np.zeros(shape, bool),
+        residuals=np.full(shape, np.nan),
+    )  # fmt: skip

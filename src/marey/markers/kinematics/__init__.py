@@ -1,0 +1,1 @@
+"""Joint angles, inverse kinematics, and the chain of named transforms."""

@@ -1,0 +1,229 @@
+"""Joint angles and translations between two bones, after Grood and Suntay, with standard deviations."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+
+from marey.arrays import Floats, freeze_fields
+from marey.geometry import rotations
+from marey.markers.data.bone_motion import BoneMotion
+from marey.motion.anatomical import JOINTS, euler_angles
+
+TRANSLATIONS = ("lateral", "anterior", "distraction")
+_SEQUENCE = "ZXY"
+_PLAIN = (("flexion", 1.0), ("adduction", 1.0), ("rotation", 1.0))
+_STEP = 1e-6
+"""Of the differences that stand for derivatives [rad or m]."""
+_SAYS_NOTHING = np.pi
+"""A larger standard deviation, as beside a singularity, means no more than this [rad]."""
+_SIDES = ("left_", "right_")
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoneJoint:
+    """Two bones that meet, and what their angles are called."""
+
+    parent: str
+    child: str
+    name: str
+    """`left_knee`, or `child_on_parent` where the joint has no name of its own."""
+    angles: tuple[tuple[str, float], ...]
+    """Name and sign of the turn about the parent's Z, the floating X, the child's Y."""
+    left: bool = False
+    """Whether it is mirrored, so that the signs mean the same on both sides."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class JointKinematics:
+    """Angles and translations of joints over F frames; NaN where one of the bones has no pose."""
+
+    angle_names: tuple[str, ...]
+    """A names."""
+    angles: Floats
+    """(F, A) [rad]."""
+    angles_sd: Floats
+    """(F, A) [rad]; NaN where not known."""
+    translation_names: tuple[str, ...] = ()
+    """T names."""
+    translations: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+    """(F, T) [m]."""
+    translations_sd: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+    """(F, T) [m]; NaN where not known."""
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, "angles", "angles_sd", "translations", "translations_sd")
+
+
+def joint_of(parent: str, child: str, side: str | None = None) -> BoneJoint:
+    """Name the joint between two bones.
+
+    Args:
+        parent: The bone in whose frame the angles are read, such as `left_thigh`, `thigh`, `pelvis`.
+        child: The bone that moves, such as `left_shank`.
+        side: `left` or `right` where the names do not tell; without either the signs are a right side's.
+    """
+    own = next((s for s in _SIDES if child.startswith(s)), "")
+    at_left = own == "left_" or (not own and side == "left")
+    for row in JOINTS:
+        if row.sequence == _SEQUENCE and row.child == child.removeprefix(own):
+            wanted = {row.parent, f"{own}{row.parent}"}
+            if parent in wanted:
+                joint = row.angles[0][1].partition("_")[0]
+                named = {place: (f"{own}{name}", sign) for place, name, sign in row.angles}
+                angles = tuple(named.get(k, (f"{own}{joint}_{word}", sign)) for k, (word, sign) in enumerate(_PLAIN))
+                return BoneJoint(parent=parent, child=child, name=f"{own}{joint}", left=at_left, angles=angles)
+    name = f"{child}_on_{parent}"
+    angles = tuple((f"{name}_{word}", sign) for word, sign in _PLAIN)
+    return BoneJoint(parent=parent, child=child, name=name, left=at_left, angles=angles)
+
+
+def usual_joints(segments: Sequence[str]) -> tuple[tuple[str, str], ...]:
+    """List the pairs (parent, child) of bones that meet in a person's joints, by their names."""
+    found = []
+    for child in segments:
+        side = next((s for s in _SIDES if child.startswith(s)), "")
+        for row in JOINTS:
+            if row.sequence == _SEQUENCE and row.parent is not None and row.child == child.removeprefix(side):
+                parent = next((p for p in (f"{side}{row.parent}", row.parent) if p in segments), None)
+                if parent is not None and (parent, child) not in found:
+                    found.append((parent, child))
+    return tuple(found)
+
+
+def joint_kinematics(motion: BoneMotion, joints: Sequence[BoneJoint]) -> JointKinematics:
+    """Give the angles and translations of joints, with standard deviations to first order.
+
+    The joint coordinate system of [Grood1983]: flexion about the parent's Z (to the right), rotation about the child's
+    Y (upwards), adduction about the floating axis across both; equal to the Cardan angles Z-X-Y of the child in the
+    parent ([Wu2002]). The vector from the parent's to the child's origin is seen along the same three axes: lateral,
+    anterior, and distraction (the parts of it along them, not its skew components). The two bones' errors count as
+    independent, also where one estimate made both.
+
+    Args:
+        motion: Bones whose frames are anatomical: X anterior, Y proximal, Z to the right.
+        joints: Between bones of this motion.
+
+    Returns:
+        Angles that run on through half turns, and translations.
+    """
+    values, spreads = [], []
+    for joint in joints:
+        six, sd = _with_sd(motion, joint, partial(clinical, joint))
+        values.append(six)
+        spreads.append(sd)
+    names = [name for joint in joints for name, _ in joint.angles]
+    shape = (len(motion), 0, 6)
+    all_values = np.stack(values, 1) if values else np.zeros(shape)
+    all_sd = np.stack(spreads, 1) if spreads else np.zeros(shape)
+    angles = _continuous(all_values[..., :3].reshape(len(motion), -1))
+    return JointKinematics(
+        angle_names=tuple(names), angles=angles,
+        angles_sd=np.minimum(all_sd[..., :3].reshape(len(motion), -1), _SAYS_NOTHING),
+        translation_names=tuple(f"{j.name}_{name}" for j in joints for name in TRANSLATIONS),
+        translations=all_values[..., 3:].reshape(len(motion), -1),
+        translations_sd=all_sd[..., 3:].reshape(len(motion), -1),
+    )  # fmt: skip
+
+
+def clinical(
+    joint: BoneJoint, parent_rotation: Floats, parent_origin: Floats, child_rotation: Floats, child_origin: Floats
+) -> Floats:
+    """Give a joint's three angles [rad] and three translations [m] ([Grood1983]).
+
+    Args:
+        joint: Signs and side.
+        parent_rotation: (..., 3, 3) laboratory from parent.
+        parent_origin: (..., 3) [m].
+        child_rotation: (..., 3, 3) laboratory from child.
+        child_origin: (..., 3) [m].
+
+    Returns:
+        (..., 6).
+    """
+    inverse = np.swapaxes(parent_rotation, -1, -2)
+    relative = inverse @ child_rotation
+    reach = (inverse @ (child_origin - parent_origin)[..., None])[..., 0]
+    if joint.left:
+        mirror = np.array([1.0, 1.0, -1.0])
+        relative = mirror[:, None] * relative * mirror
+        reach = reach * mirror
+    angles = euler_angles(relative, _SEQUENCE) * np.array([sign for _, sign in joint.angles])
+    # The floating axis is the parent's X turned by the flexion: across the parent's Z and the child's Y.
+    long_axis = relative[..., :, 1]
+    floating = np.stack([long_axis[..., 1], -long_axis[..., 0], np.zeros_like(long_axis[..., 0])], -1)
+    floating = floating / np.linalg.norm(floating, axis=-1, keepdims=True)
+    along = [reach[..., 2], (reach * floating).sum(-1), -(reach * long_axis).sum(-1)]
+    return np.concatenate([angles, np.stack(along, -1)], -1)
+
+
+def turns_since(motion: BoneMotion, pairs: Sequence[tuple[str, str]], frame: int) -> JointKinematics:
+    """Give by how much each child has turned in its parent since a frame: what needs no anatomical axes.
+
+    Args:
+        motion: Bones with any frames.
+        pairs: (parent, child).
+        frame: In which the turn is zero.
+
+    Returns:
+        One angle a joint, `knee_turn`, from 0 to pi, without translations.
+    """
+    columns, spreads = [], []
+    for parent, child in pairs:
+        joint = joint_of(parent, child)
+        start = motion.bone(parent)[0][frame].T @ motion.bone(child)[0][frame]
+
+        def turned(r: Floats, _p: Floats, s: Floats, _q: Floats, start: Floats = start) -> Floats:
+            between = np.swapaxes(r, -1, -2) @ s
+            return np.asarray(np.linalg.norm(rotations.log(between @ start.T), axis=-1)[..., None])
+
+        value, sd = _with_sd(motion, joint, turned)
+        columns.append(value[:, 0])
+        spreads.append(np.minimum(sd[:, 0], _SAYS_NOTHING))
+    empty = np.zeros((len(motion), 0))
+    return JointKinematics(
+        angle_names=tuple(f"{joint_of(*pair).name}_turn" for pair in pairs),
+        angles=np.stack(columns, -1) if columns else empty,
+        angles_sd=np.stack(spreads, -1) if spreads else empty,
+        translations=empty, translations_sd=empty,
+    )  # fmt: skip
+
+
+def _with_sd(motion: BoneMotion, joint: BoneJoint, function: Callable[..., Floats]) -> tuple[Floats, Floats]:
+    """Give a function (F, n) of two bones' poses and its standard deviation (F, n), by differences of their errors."""
+    p, c = motion.segments.index(joint.parent), motion.segments.index(joint.child)
+    bones = [motion.rotation[:, p], motion.origin[:, p], motion.rotation[:, c], motion.origin[:, c]]
+    value = function(*bones)
+    variance = np.zeros_like(value)
+    for place, segment in ((0, p), (2, c)):
+        wrt = np.stack([_difference(function, bones, place, axis) for axis in range(6)], -1)
+        variance = variance + np.einsum("fnk,fkl,fnl->fn", wrt, motion.covariance[:, segment], wrt)
+    return value, np.sqrt(np.maximum(variance, 0.0))
+
+
+def _difference(function: Callable[..., Floats], bones: list[Floats], place: int, axis: int) -> Floats:
+    """Differentiate by one of six errors of a bone: its turn about its own axes, its place in the laboratory."""
+    ends = []
+    for sign in (1.0, -1.0):
+        moved = list(bones)
+        if axis < 3:
+            moved[place] = bones[place] @ rotations.exp(sign * _STEP * np.eye(3)[axis])
+        else:
+            moved[place + 1] = bones[place + 1] + sign * _STEP * np.eye(3)[axis - 3]
+        ends.append(function(*moved))
+    change = ends[0] - ends[1]
+    # An angle may jump by a whole turn between the two.
+    change = np.where(np.abs(change) > np.pi, change - np.sign(change) * 2 * np.pi, change)
+    return change / (2 * _STEP)
+
+
+def _continuous(angles: Floats) -> Floats:
+    """Undo jumps by whole turns over the known frames, and put each angle's middle within half a turn of zero."""
+    result = np.array(angles)
+    for column in range(result.shape[1]):
+        known = np.isfinite(result[:, column])
+        if known.any():
+            run = np.unwrap(result[known, column])
+            result[known, column] = run - 2 * np.pi * np.round(np.median(run) / (2 * np.pi))
+    return result

@@ -1,0 +1,1 @@
+"""The methods that estimate bones from skin markers."""

@@ -1,0 +1,122 @@
+"""Completing a cluster's shape over time: what a missing marker does follows from what the others do."""
+
+import numpy as np
+
+from marey.arrays import Floats
+from marey.geometry import rotations
+from marey.markers.data.rigid_fit import fit_rigid
+
+_SD = 1e-3  # m; all markers count alike, so it only says what is too near to a line to tell a turn
+_ALIGNMENTS = 4
+_ALTERNATIONS = 12
+_REALIGNMENTS = 2
+
+
+def in_cluster(points: Floats, shape: Floats | None = None) -> tuple[Floats, Floats, Floats]:
+    """Take the rigid motion away from a cluster's markers.
+
+    Each frame is fitted to the markers' mean shape, which is the mean of the frames so fitted.
+
+    Args:
+        points: (F, M, 3) in the laboratory [m]; NaN where missing.
+        shape: (M, 3) the mean shape where it is nearly known.
+
+    Returns:
+        The markers in the cluster's frame (F, M, 3), and laboratory from cluster: rotation (F, 3, 3) and translation
+        (F, 3). NaN in frames with fewer than three markers, or markers in a line.
+    """
+    rounds = _ALIGNMENTS if shape is None else 1
+    shape = points[np.argmax(np.isfinite(points).all(-1).sum(1))] if shape is None else shape
+    for _ in range(rounds):
+        fit = fit_rigid(shape, points, _SD)
+        local = np.einsum("fji,fmj->fmi", fit.rotation, points - fit.translation[:, None])
+        shape = _mean(local)
+    return local, fit.rotation, fit.translation
+
+
+def _mean(local: Floats) -> Floats:
+    """Average over the frames that are known; NaN for what never is."""
+    known = np.isfinite(local)
+    count = known.sum(0)
+    return np.where(count > 0, np.where(known, local, 0).sum(0) / np.maximum(count, 1), np.nan)
+
+
+def complete(values: Floats, rank: int, free: Floats | None = None) -> Floats:
+    """Describe rows with gaps by their mean and a few modes, found from what is known.
+
+    Alternating least squares over the modes and each row's part of them; a part is held to the spread that the parts
+    have, in the measure of what the modes leave, as in probabilistic principal components.
+
+    Args:
+        values: (F, C); NaN where missing. A column that is never known stays NaN.
+        rank: How many modes; 0 leaves the mean.
+        free: (C, G) further directions of which every row may have as much as it likes.
+
+    Returns:
+        (F, C) the description, of every entry.
+    """
+    known = np.isfinite(values)
+    held = np.where(known, values, 0.0)
+    mean = np.where(known.any(0), held.sum(0) / np.maximum(known.sum(0), 1), np.nan)
+    free = np.zeros((values.shape[1], 0)) if free is None else np.nan_to_num(free)
+    start = np.where(known, values - mean, 0.0)
+    _, size, modes = np.linalg.svd(np.nan_to_num(start), full_matrices=False)
+    modes = (modes[:rank] * size[:rank, None] / np.sqrt(len(values))).T
+    noise = float(((start**2).sum() - (size[:rank] ** 2).sum()) / max(known.sum(), 1))
+    centre = np.nan_to_num(mean)
+    for _ in range(_ALTERNATIONS if rank else 1):
+        parts = _parts(held - centre, known, np.column_stack([modes, free]), rank, max(noise, 1e-14))
+        freed = parts[:, rank:] @ free.T
+        if rank:
+            modes, centre = _modes(np.where(known, held - freed, 0.0), known, parts[:, :rank])
+        described = parts[:, :rank] @ modes.T + centre + freed
+        noise = float(((held - described)[known] ** 2).mean()) if known.any() else 0.0
+    return np.where(known.any(0), described, np.nan)
+
+
+def _parts(off: Floats, known: np.ndarray, directions: Floats, rank: int, noise: float) -> Floats:
+    """Find each row's part (F, K + G) of the modes, which are held to variance one, and of the free directions."""
+    width = directions.shape[1]
+    if not width:
+        return np.zeros((len(off), 0))
+    ridge = np.where(np.arange(width) < rank, noise, 1e-9 * noise + 1e-15)
+    normal = (known @ (directions[:, :, None] * directions[:, None]).reshape(len(directions), -1)).reshape(
+        -1, width, width
+    ) + np.diag(ridge)
+    return np.asarray(np.linalg.solve(normal, (np.where(known, off, 0.0) @ directions)[..., None])[..., 0])
+
+
+def _modes(held: Floats, known: np.ndarray, parts: Floats) -> tuple[Floats, Floats]:
+    """Find the modes (C, K), scaled so that their parts have variance one, and the mean (C,), from the rows' parts."""
+    parts = np.column_stack([parts, np.ones(len(held))])
+    width = parts.shape[1]
+    normal = (known.T @ (parts[:, :, None] * parts[:, None]).reshape(len(parts), -1)).reshape(-1, width, width)
+    normal += 1e-9 * max(len(parts), 1) * np.eye(width)
+    modes = np.linalg.solve(normal, (held.T @ parts)[..., None])[..., 0]
+    return modes[:, :-1] * np.sqrt((parts[:, :-1] ** 2).mean(0)), modes[:, -1]
+
+
+def predict(points: Floats, rank: int) -> Floats:
+    """Say where the markers of a cluster should be, by its mean shape, a few modes of its change, and its pose.
+
+    The pose of a frame is estimated together with its parts of the modes, from the markers that it has: a pose fitted
+    to fewer markers would lie elsewhere, and the missing marker with it.
+
+    Args:
+        points: (F, M, 3) in the laboratory [m]; NaN where missing.
+        rank: Modes.
+
+    Returns:
+        (F, M, 3) in the laboratory [m], for the markers that are there, too; NaN in frames without a pose.
+    """
+    frames, count = points.shape[:2]
+    whole, shape = points, None
+    for _ in range(_REALIGNMENTS):
+        local, rotation, translation = in_cluster(whole, shape)
+        local = np.where(np.isfinite(points), local, np.nan)
+        shape = _mean(local)
+        moved = np.concatenate([-rotations.hat(shape), np.broadcast_to(np.eye(3), (count, 3, 3))], -1).reshape(-1, 6)
+        described = complete(local.reshape(frames, -1), rank, moved).reshape(frames, count, 3)
+        predicted = np.einsum("fij,fmj->fmi", rotation, described) + translation[:, None]
+        whole = np.where(np.isfinite(points), points, predicted)
+    return np.asarray(predicted)

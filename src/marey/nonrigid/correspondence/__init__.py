@@ -1,0 +1,1 @@
+"""Which point of one camera is which point of another."""

@@ -1,0 +1,132 @@
+"""From the videos of several calibrated, synchronised cameras to tracks of the same points in all of them."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from marey.arrays import Floats, Mask
+from marey.cameras.camera import Camera
+from marey.cameras.rig import Rig
+from marey.errors import MareyError, SettingProblem
+from marey.images.matching.epipolar_search import find_on_lines
+from marey.images.matching.feature_tracks import DEFAULT, FollowSettings, Pictures
+from marey.nonrigid.correspondence.calibrated_correspondence import match_calibrated
+from marey.nonrigid.correspondence.uncalibrated_videos import (
+    LEAST_PAIRS,
+    PROBABLE,
+    Told,
+    ViewTracks,
+    evidence_of_likeness,
+    followed,
+    in_first_video,
+    quiet,
+    require_videos,
+)
+from marey.nonrigid.tracking.stray_places import without_strays
+
+UNTIED = "Camera '{camera}' shares no points with '{first}' that can be found: it is left out."
+
+
+def track_calibrated_views(
+    videos: Sequence[Pictures],
+    rig: Rig,
+    *,
+    frame: int = 0,
+    count: int = 100,
+    within: Mask | None = None,
+    points: Floats | None = None,
+    patches: FollowSettings = DEFAULT,
+    told: Told = quiet,
+) -> ViewTracks:
+    """Choose points in the first camera, and track them in all cameras.
+
+    Places on a point's epipolar line that look like it are candidates; all are followed, and the one that stays on the
+    line of the point's track is the point (`match_calibrated`).
+
+    Args:
+        videos: The cameras' grey pictures, the same instants in each.
+        rig: The cameras, in the order of the videos.
+        frame: The frame in which points are chosen and compared.
+        count: How many points at most.
+        within: (H, W) where points may lie in the first camera's picture; everywhere when None.
+        points: (P, 2) the points themselves in the first camera's picture, instead of chosen ones [px].
+        patches: How points are followed.
+        told: Is told of the progress.
+
+    Returns:
+        The tracks of the points that at least two cameras share, without places that strayed off their points
+        (`without_strays`). Points that do not move are left out where points
+        were chosen.
+
+    Raises:
+        SettingProblem: The videos do not fit the cameras or each other, or a number is impossible.
+        MareyError: There is nothing to follow, or no camera shares enough points with the first.
+    """
+    require_videos(videos, frame)
+    if len(videos) != len(rig):
+        raise SettingProblem(f"There are {len(videos)} videos, and the calibration has {len(rig)} cameras.")
+    points, first, first_sd = in_first_video(videos[0], frame, points, within, count, patches, told)
+    tracks, spread, probability = [first], [first_sd], [np.ones(len(points), float)]
+    for number in range(1, len(videos)):
+        what = f"Following points in camera {number + 1}"
+        pair = (rig.cameras[0], rig.cameras[number])
+        found = _in_camera((videos[0][frame], videos[number]), pair, (points, first), frame, patches, told, what)
+        tracks.append(found[0])
+        spread.append(found[1])
+        probability.append(found[2])
+    return _shared(np.stack(tracks), np.stack(spread), np.stack(probability), rig, frame)
+
+
+def _in_camera(
+    pictures: tuple[np.ndarray, Pictures],
+    cameras: tuple[Camera, Camera],
+    given: tuple[Floats, Floats],
+    frame: int,
+    patches: FollowSettings,
+    told: Told,
+    what: str,
+) -> tuple[Floats, Floats, Floats]:
+    """Find and follow points in one more camera; give tracks and deviations (F, 2, P), and probabilities (P,).
+
+    Args:
+        pictures: The first camera's picture in which points were chosen, and the other's video.
+        cameras: Both.
+        given: The points (P, 2) and their tracks (F, 2, P) in the first camera.
+        frame: In which points were chosen.
+        patches: How points are followed.
+        told: Is told of the progress.
+        what: With these words.
+    """
+    (template, video), (points, first) = pictures, given
+    tracks, spread = np.full((2, *first.shape), np.nan)
+    probability = np.full(len(points), np.nan)
+    candidates = find_on_lines(template, video[frame], points, cameras)
+    if len(candidates.points) < LEAST_PAIRS:
+        return tracks, spread, probability
+    own, own_sd = followed(video, candidates.pixels, frame, patches, told, what)
+    looks = np.full((len(points), len(candidates.points)), -np.inf)
+    looks[candidates.points, np.arange(len(candidates.points))] = evidence_of_likeness(candidates.correlation)
+    found = match_calibrated(first, own, cameras, looks)
+    pairs = found.pairs[found.probability >= PROBABLE]
+    tracks[:, :, pairs[:, 0]], spread[:, :, pairs[:, 0]] = own[:, :, pairs[:, 1]], own_sd[:, :, pairs[:, 1]]
+    probability[pairs[:, 0]] = found.probability[found.probability >= PROBABLE]
+    return tracks, spread, probability
+
+
+def _shared(tracks: Floats, spread: Floats, probability: Floats, rig: Rig, frame: int) -> ViewTracks:
+    """Give the points that at least two cameras share, without places that strayed."""
+    tied = np.isfinite(probability).sum(1) >= LEAST_PAIRS
+    if tied.sum() < 2:
+        raise MareyError(
+            "No other camera shares points with the first: the calibration or the order of the cameras may be wrong, "
+            "the videos not of the same instants, or the views too far apart for the surface to look alike."
+        )
+    notes = tuple(
+        UNTIED.format(camera=name, first=rig.names[0]) for name, good in zip(rig.names, tied, strict=True) if not good
+    )
+    kept = np.isfinite(probability).sum(0) >= 2
+    tracks[tied] = without_strays(tracks[tied], spread[tied])
+    return ViewTracks(
+        tracks=tracks[..., kept], tracks_sd=np.where(np.isfinite(tracks), spread, np.nan)[..., kept],
+        probability=probability[:, kept], start=frame, notes=notes,
+    )  # fmt: skip

@@ -1,0 +1,1 @@
+"""Factorisation of points in space, and of points in calibrated cameras."""

@@ -1,0 +1,1 @@
+"""Factorisation of the tracks of several uncalibrated cameras."""

@@ -1,0 +1,1 @@
+"""Factorisation of the tracks of one camera, orthographic and in perspective."""

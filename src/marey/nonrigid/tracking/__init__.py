@@ -1,0 +1,1 @@
+"""Tracks of all points solved together under a low rank."""

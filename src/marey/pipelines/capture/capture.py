@@ -1,0 +1,346 @@
+"""`marey capture`: from the videos of a trial to the motion of the person in it."""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from marey.arrays import Mask
+from marey.body.articulation.pose import Pose
+from marey.body.articulation.surface import Body
+from marey.body.metaballs.metaball_person import reshaped
+from marey.errors import FileProblem
+from marey.fit.recipes.person import (
+    Memory,
+    Take,
+    bridged,
+    mend_person,
+    refine_person,
+    shape_frames,
+    start_person,
+    track_person,
+    unseen,
+    with_shape,
+)
+from marey.fit.recipes.sequence import RefineMemory
+from marey.fit.recipes.start_joints import start_from_joints
+from marey.fit.search.search import Candidate
+from marey.io.results.results import write_results
+from marey.io.stages import Arrays
+from marey.io.trial.start_joints import read_start_joints
+from marey.motion.from_fit import Measured, measured, motion_of
+from marey.pipelines.capture import stages
+from marey.pipelines.capture.kept_candidates import KeptArrays, KeptCandidates
+from marey.pipelines.capture.mask_store import MaskStore
+from marey.pipelines.capture.report import draw_overlays, report_capture
+from marey.pipelines.capture.run import Bodies, Logs, Run, opened
+from marey.pipelines.capture.settings import CaptureSettings
+from marey.pipelines.progress import Progress
+from marey.pipelines.run_record import finished_together, write_record
+
+SHAPE_ROUNDS = 4
+FINE_ROUNDS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Tracked:
+    """A person followed through a take: the body, and a pose a frame."""
+
+    body: Body
+    poses: Mapping[int, Pose]
+    scores: Mapping[int, float]
+
+
+def capture(folder: Path, settings: CaptureSettings, progress: Progress) -> Path:
+    """Capture the joint motion of the person in a trial.
+
+    Args:
+        folder: The trial.
+        settings: What is asked for; what it leaves open, trial.toml may say.
+        progress: Is shown, and keeps timings and warnings.
+
+    Returns:
+        The folder with the results.
+
+    Raises:
+        FileProblem: Something in the trial cannot be used.
+    """
+    with opened(folder, settings, progress) as (run, bodies, logs):
+        _capture(run, bodies, logs)
+    return run.out
+
+
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """A person followed through the take, and the silhouettes about the person."""
+
+    tracked: Tracked
+    filled: Mapping[int, Pose]
+    """Frames without an answer between others that have one."""
+    outlines: MaskStore
+    frames: Sequence[int]
+    """Those that show somebody."""
+
+    def take(self, run: "Run") -> Take:
+        """Give the take as the refinement sees it."""
+        poses, store = self.tracked.poses, self.outlines
+        return Take(tuple(run.trial.rig), store, tuple(poses), run.trial.take.rate, store.edges)
+
+
+def _capture(run: Run, bodies: Bodies, logs: Logs) -> None:
+    """Go from pictures to results: silhouettes, person, silhouettes about the person, and the person again."""
+    followed = follow_person(run, bodies, logs)
+    refined = refined_person(run, followed, bodies)
+    write_capture(run, refined, followed.outlines, followed.frames)
+
+
+def follow_person(run: Run, bodies: Bodies, logs: Logs) -> Followed:
+    """Go from pictures to a person's poses in every frame: silhouettes, person, and silhouettes about the person."""
+    trial, progress = run.trial, run.progress
+    cameras, first = list(trial.rig), trial.take.first
+    outlines, small = MaskStore(logs.outlines, first, cameras), cameras
+    if trial.masks:
+        stages.known_silhouettes(trial, outlines, progress)
+        store = outlines
+    else:
+        models, small = stages.backgrounds(trial, progress)
+        store = MaskStore(logs.first, first, small)
+        views = [stages.Watched(stages.shrunk(m, c.size)) for m, c in zip(models, small, strict=True)]
+        stages.find_silhouettes(trial, views, small, store, progress, name="Silhouettes")
+    frames = stages.frames_with_somebody(store)
+    stages.require_somebody(trial, frames)
+    if not trial.masks and stages.cluttered(store, small, frames, progress):
+        store = stages.common_silhouettes(store, small, MaskStore(logs.common, first, small), progress)
+        frames = stages.frames_with_somebody(store)
+        stages.require_somebody(trial, frames)
+    tracked = _tracked(run, Take(tuple(small), store, frames, trial.take.rate), bodies)
+    filled = bridged(tracked.poses, longest=run.person.bridge * trial.take.rate)
+    known = dict(sorted({**tracked.poses, **filled}.items()))
+    stages.warn_of_lost(progress, frames, known, count=trial.take.count)
+    if not trial.masks:
+        views = [stages.Watched(model) for model in models]
+        predicted = stages.expectations(tracked.body, known, cameras, small)
+        stages.find_silhouettes(trial, views, cameras, outlines, progress, name="Outlines", predicted=predicted)
+    return Followed(replace(tracked, poses=known), filled, outlines, frames)
+
+
+def _tracked(run: Run, take: Take, bodies: Bodies) -> Tracked:
+    """Find the start, follow the person, and learn the shape."""
+    person, progress, cache = run.person, run.progress, run.cache
+    free = bodies.held() if run.settings.fixed_sizes else bodies
+
+    def start() -> Arrays:
+        count = min(person.start_frames, len(take.frames))
+        with (
+            cache.frames("start_frames", depends=run.scope) as log,
+            progress.stage("Start", count) as step,
+        ):
+            kept = KeptCandidates(log, free.fine)
+            frame, found = begin(run, take, free, kept, done=lambda frame: step())
+        return _packed({frame: found}, bodies.fine if run.settings.fixed_sizes else found.posed.body)
+
+    def follow() -> Arrays:
+        begun = _unpacked(cache.arrays("start", start, depends=run.scope), bodies.fine)
+        frame = next(iter(begun.poses))
+        with (
+            cache.frames("tracked_frames", depends=run.scope) as tracked,
+            cache.frames("picked_up_frames", depends=run.scope) as picked,
+            cache.frames("repaired_frames", depends=run.scope) as repaired,
+            progress.stage("Tracking", len(take.frames)) as step,
+        ):
+            memory = Memory(
+                KeptCandidates(tracked, begun.body),
+                KeptCandidates(picked, begun.body),
+                KeptCandidates(repaired, begun.body),
+            )
+            found = track_person(
+                take, begun.body, with_shape(begun.body, bodies.coarse), (frame, begun.poses[frame]), person,
+                done=lambda frame: step(), memory=memory,
+            )  # fmt: skip
+        return _packed(found, begun.body)
+
+    def shape() -> Arrays:
+        followed = _unpacked(cache.arrays("tracked", follow, depends=run.scope), bodies.fine)
+        poses: dict[int, Pose] = {}
+        with (
+            rounds_of(run, "shape") as memory,
+            progress.stage("Shape and motion", SHAPE_ROUNDS * len(followed.poses)) as step,
+        ):
+            for fit in refine_person(
+                take, followed.body, followed.poses, frames_for_sizes(run, followed.scores), person,
+                height=person.track_height, rounds=SHAPE_ROUNDS, done=lambda frame: step(), memory=memory,
+            ):  # fmt: skip
+                poses |= fit.by_frame
+            # Room on the disk: a round is soon done again, should the run end just here.
+            memory.parts.clear()
+        return _pack(poses, fit.body, followed.scores)
+
+    found = _unpacked(cache.arrays("shape", shape, depends=run.scope), bodies.fine)
+    take.forget()
+    return found
+
+
+def frames_for_sizes(run: Run, scores: Mapping[int, float]) -> list[int]:
+    """Choose the frames that tell of the body's sizes, none where these are to stay."""
+    return [] if run.settings.fixed_sizes else shape_frames(scores, run.person.shape_frames)
+
+
+def begin(
+    run: Run, take: Take, bodies: Bodies, kept: KeptCandidates, *, done: Callable[[int], None]
+) -> tuple[int, Candidate]:
+    """Find the start: from the joints that the user gave, or without any.
+
+    Raises:
+        FileProblem: The silhouettes have nothing in common, or the person lies or hangs in a world nobody said is so.
+    """
+    trial = run.trial
+    if trial.start is not None:
+        joints = read_start_joints(trial.start, trial.rig, count=trial.take.count)
+        found: tuple[int, Candidate] | None = start_from_joints(
+            take,
+            joints.frame,
+            joints.joint_names,
+            stages.in_small_pictures(joints.pixels, list(trial.rig), take.cameras),
+            bodies.fine,
+            run.person,
+        )
+        done(joints.frame)
+    else:
+        found = start_person(take, bodies.coarse, bodies.fine, run.person, done=done, memory=kept)
+    if found is None:
+        remedy = "Look whether the cameras are calibrated in one world, and whether the silhouettes show the person."
+        raise FileProblem(trial.folder, "has silhouettes that have no point of space in common", remedy)
+    stages.require_upright(trial, found[1].posed)
+    return found
+
+
+@contextmanager
+def rounds_of(run: Run, name: str) -> Iterator[RefineMemory]:
+    """Open what a refinement remembers of its rounds, and of the windows of the round in work."""
+    with (
+        run.cache.frames(f"{name}_rounds", depends=run.scope) as rounds,
+        run.cache.frames(f"{name}_windows", depends=run.scope) as windows,
+    ):
+        yield RefineMemory(KeptArrays(rounds), KeptArrays(windows))
+
+
+@dataclass(frozen=True, eq=False)
+class Refined:
+    """The motion and the body as they are written."""
+
+    body: Body
+    poses: Mapping[int, Pose]
+    pieces: Sequence[Measured]
+    filled: frozenset[int]
+    """Frames of which only their neighbours speak."""
+
+
+def refined_person(run: Run, followed: Followed, bodies: Bodies) -> Refined:
+    """Mend single frames and refine the whole, now that body and silhouettes are better known.
+
+    Frames that were filled count as measured where the better silhouettes bear them out.
+    """
+    person, take, tracked = run.person, followed.take(run), followed.tracked
+    with run.cache.frames("mended_frames", depends=run.scope) as log, run.progress.stage("Mending"):
+        poses = mend_person(
+            take, tracked.body, with_shape(tracked.body, bodies.coarse), tracked.poses, person,
+            memory=KeptCandidates(log, tracked.body),
+        )  # fmt: skip
+    usual = float(np.median(list(tracked.scores.values())))
+    blind = unseen(take, tracked.body, poses, followed.filled, person, usual=usual)
+    take.forget()
+    found: dict[int, Pose] = {}
+    pieces = []
+    with (
+        rounds_of(run, "refined") as memory,
+        run.progress.stage("Refinement", FINE_ROUNDS * len(poses)) as step,
+    ):
+        for fit in refine_person(
+            take, tracked.body, poses, frames_for_sizes(run, tracked.scores), person,
+            height=person.fine_height, rounds=FINE_ROUNDS, blind=blind, done=lambda frame: step(), memory=memory,
+        ):  # fmt: skip
+            found |= fit.by_frame
+            pieces.append(measured(fit))
+    return Refined(fit.body, found, pieces, frozenset(blind))
+
+
+def _packed(found: Mapping[int, Candidate], body: Body) -> Arrays:
+    return _pack({f: c.posed.pose for f, c in found.items()}, body, {f: c.score for f, c in found.items()})
+
+
+def _pack(poses: Mapping[int, Pose], body: Body, scores: Mapping[int, float]) -> Arrays:
+    return {
+        "frames": np.array(list(poses)),
+        "translation": np.array([pose.translation for pose in poses.values()]),
+        "rotation": np.array([pose.rotation for pose in poses.values()]),
+        "angles": np.array([pose.angles for pose in poses.values()]),
+        "score": np.array([scores[frame] for frame in poses]),
+        "numbers": np.array(body.numbers),
+    }
+
+
+def _unpacked(arrays: Arrays, body: Body) -> Tracked:
+    frames = [int(frame) for frame in arrays["frames"]]
+    poses = [Pose(*parts) for parts in zip(arrays["translation"], arrays["rotation"], arrays["angles"], strict=True)]
+    return Tracked(
+        reshaped(body, arrays["numbers"]),
+        dict(zip(frames, poses, strict=True)),
+        dict(zip(frames, map(float, arrays["score"]), strict=True)),
+    )
+
+
+def write_capture(
+    run: Run, refined: Refined, store: MaskStore, frames: Sequence[int], *, command: str = "capture",
+    skin: stages.PosedSkin | None = None, seen: Iterable[Mask] | None = None,
+    more: Callable[[Path], None] = lambda folder: None,
+) -> None:  # fmt: skip
+    """Write all results at once.
+
+    Args:
+        run: What was run.
+        refined: The motion and the body.
+        store: The silhouettes.
+        frames: Those that show somebody.
+        command: What the record names.
+        skin: Another skin than the body's own.
+        seen: For each frame of the video what of the skin was measured; else what lies on the rim of the surface.
+        more: Writes further files into the folder it is given.
+    """
+    trial, progress, take = run.trial, run.progress, run.trial.take
+    cameras, body, poses = list(trial.rig), refined.body, refined.poses
+    lost = np.zeros(take.count, bool)
+    lost[[frame for frame in frames if frame not in poses]] = True
+    known, skin = sorted(poses), skin or stages.PosedSkin.of(body, poses)
+    drawn = stages.surface_masks(skin, known, cameras)
+    with finished_together(run.out) as folder:
+        with progress.stage("Comparison", len(poses)) as step:
+            agreement = stages.agreements(drawn, poses, store, done=step)
+        motion = motion_of(
+            refined.pieces, body, count=take.count, rate=take.rate, lost=lost, camera_names=trial.rig.names,
+            agreement=agreement, filled=refined.filled,
+        )  # fmt: skip
+        with progress.stage("Results"):
+            stages.write_all_masks(folder, trial, store, drawn)
+            write_results(
+                folder, motion, body, preset=trial.settings.preset or "full", mass_kg=trial.settings.mass_kg,
+                skin=stages.skins(skin, known, take.count), skin_faces=skin.faces,
+                seen=seen or stages.seen_vertices(skin, known, cameras, take.count),
+            )  # fmt: skip
+            more(folder)
+        asked = {"preset": "full"} | trial.settings.model_dump(mode="json", exclude_none=True)
+        asked |= {"body": str(run.settings.body)} if run.settings.body else {}
+        asked |= {"fixed_sizes": True} if run.settings.fixed_sizes else {}
+        show = store.known
+        stills = (
+            draw_overlays(trial, body, poses, motion, show, folder=folder, progress=progress)
+            if run.settings.overlay
+            else []
+        )
+        report_capture(
+            trial, motion, body, show, stills=stills, settings=asked, folder=folder, progress=progress
+        )  # fmt: skip
+        write_record(
+            folder, command=command, settings=asked, inputs=trial.input_files, root=trial.folder, progress=progress
+        )

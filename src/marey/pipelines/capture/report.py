@@ -1,0 +1,162 @@
+"""The pictures and the page of a capture: overlay videos, stills, and the report."""
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+
+from marey.arrays import Image, Mask
+from marey.body.articulation.pose import Pose, PosedBody
+from marey.body.articulation.surface import Body
+from marey.body.people.person import stature
+from marey.io.results.body import segment_lengths
+from marey.io.trial.trial import Trial
+from marey.motion.motion import MEASURED, Motion
+from marey.pipelines.progress import Progress
+from marey.view.pages.capture_report import ReportContent, Size, write_report
+from marey.view.pages.html import Still
+from marey.view.pages.problems import find_problems, readable, touches_border
+from marey.view.pictures.overlay import Looks, OverlayVideo, Scene
+
+Silhouettes = Callable[[int], Sequence[Mask] | None]
+"""Gives the silhouettes (height, width) of a frame, one a camera; None where there are none."""
+
+FILES = {
+    "joint_centres.trc": "joint centres over time, for OpenSim and others",
+    "angles.mot, body.osim": "the coordinates of the skeleton, and the OpenSim model whose coordinates they are",
+    "orientations.sto": "orientations of the segments, for OpenSense",
+    "motion.c3d": "joint centres and segments' 4x4 rotations",
+    "motion.bvh, body.glb": "the motion and the skinned, animated body, for animation programs",
+    "motion.npz, motion.nc": "everything, with standard deviations and flags",
+    "angles.csv": "anatomical angles as a table",
+    "body.npz, skin.npz": "the person's body at rest, and its skin over time",
+    "masks/, surface_masks/": "the silhouettes, and the fitted surface's",
+    "overlay_<camera>.mp4": "the fitted surface over the videos",
+    "run.json": "version, settings, inputs, timings",
+}
+
+
+def draw_overlays(
+    trial: Trial, body: Body, poses: Mapping[int, Pose], motion: Motion, masks_of: Silhouettes, *, folder: Path,
+    progress: Progress,
+) -> list[Still]:  # fmt: skip
+    """Write `overlay_<camera>.mp4` for every camera, and keep some pictures for the report.
+
+    Args:
+        trial: Its take is gone through once; one frame at a time is in memory.
+        body: As it was found.
+        poses: By frame; frames without one are shown without a body.
+        motion: What was measured.
+        masks_of: The silhouettes.
+        folder: Where the videos go.
+        progress: Is told.
+
+    Returns:
+        A frame from the middle in every camera, and the worst one.
+    """
+    wanted = _worth_a_look(motion)
+    stills: list[tuple[tuple[int, int], Still]] = []
+    looks = Looks(
+        faces=body.faces, face_segment=body.face_segment, segment_names=motion.segment_names,
+        joint_names=motion.joint_names,
+    )  # fmt: skip
+    take = trial.take
+    with (
+        ExitStack() as stack,
+        progress.stage("Overlays", take.end - take.first) as step,
+        ThreadPoolExecutor(max_workers=2) as pool,
+    ):
+        videos = [
+            stack.enter_context(OverlayVideo(folder / f"overlay_{c.name}.mp4", c, looks, rate=take.rate))
+            for c in trial.rig
+        ]
+        for frame, images in take.frames():
+            scene = _scene(frame, motion, body, poses)
+            masks: Sequence[Mask | None] = masks_of(frame) or [None] * len(videos)
+
+            def add(
+                c: int, video: OverlayVideo, image: Image, mask: Mask | None, scene: Scene = scene, frame: int = frame
+            ) -> Image:
+                return video.add(image, scene, mask=mask, agreement=float(motion.agreement[frame, c]))
+
+            drawn = list(pool.map(add, range(len(videos)), videos, images, masks))
+            for c, name in enumerate(trial.rig.names):
+                if (frame, c) in wanted:
+                    still = Still(caption=f"{name}, frame {frame}: {wanted[frame, c]}", image=drawn[c])
+                    stills.append(((frame, c), still))
+            step()
+    order = list(wanted)
+    return [still for _, still in sorted(stills, key=lambda pair: order.index(pair[0]))]
+
+
+def _scene(frame: int, motion: Motion, body: Body, poses: Mapping[int, Pose]) -> Scene:
+    state = int(motion.state[frame])
+    if frame not in poses:
+        return Scene(frame=frame, state=state)
+    vertices = PosedBody(body, poses[frame]).vertices
+    return Scene(frame=frame, vertices=vertices, joints=motion.joint_centres[frame], state=state)
+
+
+def _worth_a_look(motion: Motion) -> dict[tuple[int, int], str]:
+    """Choose pictures (frame, camera), each with what it shows."""
+    measured = np.flatnonzero(motion.state == MEASURED)
+    if not len(measured):
+        return {}
+    middle = int(measured[len(measured) // 2])
+    chosen = {(middle, c): "the middle of the take" for c in range(len(motion.camera_names))}
+    known = np.where(np.isfinite(motion.agreement), motion.agreement, np.inf)
+    frame, camera = np.unravel_index(int(np.argmin(known)), known.shape)
+    chosen[int(frame), int(camera)] = "where surface and silhouette agree least"
+    return chosen
+
+
+def cut_by_border(motion: Motion, masks_of: Silhouettes) -> Mask:
+    """Tell in which frames and cameras (F, C) the picture's border cuts the person."""
+    cut = np.zeros(motion.agreement.shape, bool)
+    for frame in np.flatnonzero(motion.state > 0):
+        masks = masks_of(int(frame))
+        if masks is not None:
+            cut[frame] = [touches_border(mask) for mask in masks]
+    return cut
+
+
+def person_sizes(body: Body) -> list[Size]:
+    """List the person's stature and the lengths of the segments, each with its standard deviation."""
+    height, height_sd = stature(body)
+    lengths, sds = segment_lengths(body)
+    sizes = [Size(name="stature", value_m=height, sd_m=height_sd)]
+    for name, length, sd in zip(body.skeleton.segment_names, lengths, sds, strict=True):
+        sizes.append(Size(name=readable(name), value_m=float(length), sd_m=float(sd)))
+    return sizes
+
+
+def report_capture(
+    trial: Trial, motion: Motion, body: Body, masks_of: Silhouettes, *, stills: Sequence[Still],
+    settings: Mapping[str, object], folder: Path, progress: Progress,
+) -> None:  # fmt: skip
+    """Write report.html.
+
+    Args:
+        trial: What was captured.
+        motion: What was measured.
+        body: As it was found.
+        masks_of: The silhouettes.
+        stills: From `draw_overlays`.
+        settings: As run.json holds them.
+        folder: Where it goes.
+        progress: Knows timings and warnings.
+    """
+    asked = np.zeros(len(motion), bool)
+    asked[trial.take.first : trial.take.end] = True
+    problems = find_problems(
+        motion, cut=cut_by_border(motion, masks_of), warnings=progress.warnings, usable=asked
+    )  # fmt: skip
+    person = trial.settings.person
+    title = trial.folder.resolve().name + (f" · {person}" if person is not None else "")
+    content = ReportContent(
+        title=title, motion=motion, body=body, rig=trial.rig, asked=asked, sizes=person_sizes(body), problems=problems,
+        stills=stills, timings=progress.timings, settings=settings, files=FILES,
+    )  # fmt: skip
+    write_report(folder / "report.html", content)

@@ -1,0 +1,492 @@
+"""The stages of a capture that go through the videos, frame by frame, and remember what is done."""
+
+import ctypes
+import sys
+from collections import deque
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from marey.arrays import Floats, Image, Integers, Mask
+from marey.body.articulation.pose import Pose, PosedBody
+from marey.body.articulation.surface import Body
+from marey.cameras import lens
+from marey.cameras.camera import Camera
+from marey.cameras.visibility import View, see
+from marey.errors import FileProblem
+from marey.fit.search.hull import common_parts
+from marey.images.silhouettes.background import (
+    Background,
+    doubted,
+    from_pictures,
+    from_take,
+    shrunk,
+    taught,
+    worth_seeing,
+)
+from marey.images.silhouettes.interior import InteriorEdges, find_edges
+from marey.images.silhouettes.silhouettes import Silhouette, segment, shape_term
+from marey.io.trial.masks import write_masks
+from marey.io.trial.trial import Trial
+from marey.observations.correspondence import view_of
+from marey.pipelines.capture.mask_store import MaskStore
+from marey.pipelines.progress import Progress
+from marey.view.pages.problems import frames_text
+
+PLATES = 25
+"""Pictures of a clip of the empty room that are looked at."""
+DOUBTS = 12
+"""Pictures of a take with which plates are compared."""
+LESSONS = 10
+"""Every so many pictures a doubtful background learns where the followed body is not."""
+PULL, PULL_REACH = 0.5, 8.0
+"""How strongly the followed body pulls its silhouette: evidence a pixel of distance, up to so many pixels."""
+CLUTTER_FRAMES, LEAST_COMMON = 8, 0.85
+"""Frames that are looked at for clutter, and what the cameras have in common of the silhouettes without it."""
+PEEK, PEEKS = 0.25, 6
+"""How much pictures are shrunken, and how many are looked at, to see how tall the person appears."""
+TRACKED_PX = 300.0
+"""Height of the person in pictures that are large enough for a start and for tracking [px]."""
+
+
+def backgrounds(trial: Trial, progress: Progress) -> tuple[list[Background], list[Camera]]:
+    """Model every camera's empty picture: from plates, from a clip, or from the take itself.
+
+    Plates are compared with pictures of the take, and doubted where they explain none.
+
+    Returns:
+        The models, and cameras of pictures that are just large enough for tracking, see `enough_for_tracking`.
+    """
+    take = trial.take
+    with progress.stage("Empty room"):
+        models: dict[str, Background] = {}
+        for name, clip in trial.background.items():
+            index = np.unique(np.linspace(0, clip.count - 1, min(PLATES, clip.count)).astype(int))
+            models[name] = from_pictures(list(clip.images([int(i) for i in index])))
+        wanting = [name for name in trial.rig.names if name not in models]
+        if wanting:
+            progress.warn(
+                f"No picture of the empty room for {', '.join(wanting)}: it is put together from the take itself."
+            )
+        spread = [int(i) for i in np.unique(np.linspace(0, take.count - 1, min(DOUBTS, take.count)).astype(int))]
+        whole = [int(i) for i in worth_seeing(take.count)]
+        peeks = [int(i) for i in np.unique(np.linspace(take.first, take.end - 1, PEEKS).astype(int))]
+        # One way through the videos for all: decoding is what costs.
+        samples = dict(take.at(sorted({*spread, *peeks, *(whole if wanting else ())})))
+
+        def model(c: int, name: str) -> Background:
+            if name in wanting:
+                return from_take([samples[i][c] for i in whole])
+            return doubted(models[name], [samples[i][c] for i in spread])
+
+        with ThreadPoolExecutor(max_workers=2) as pool:
+            made = list(pool.map(model, range(len(trial.rig.names)), trial.rig.names))
+        return made, enough_for_tracking(list(trial.rig), made, [samples[i] for i in peeks])
+
+
+def enough_for_tracking(
+    cameras: Sequence[Camera], models: Sequence[Background], pictures: Sequence[Sequence[Image]]
+) -> list[Camera]:
+    """Give the cameras of pictures that are just large enough for the first silhouettes and for tracking.
+
+    Some pictures of the take, much shrunken, tell how tall the person appears.
+    """
+    small = [camera.scaled(PEEK) for camera in cameras]
+    peeks = [shrunk(model, camera.size) for model, camera in zip(models, small, strict=True)]
+
+    def tallest_in(camera: Camera, model: Background, images: Sequence[Image]) -> float:
+        seen = (segment(resized(image, camera), model).mask for image in images)
+        return max(np.count_nonzero(mask.any(1)) / PEEK for mask in seen)
+
+    with ThreadPoolExecutor(max_workers=2) as pool:
+        tallest = max(pool.map(tallest_in, small, peeks, zip(*pictures, strict=True)))
+    factor = min(1.0, float(2.0 ** np.ceil(np.log2(TRACKED_PX / tallest)))) if tallest > 0 else 1.0
+    return [camera.scaled(factor) for camera in cameras]
+
+
+def resized(image: Image, camera: Camera) -> Image:
+    """Give a picture the size of a camera."""
+    if (image.shape[1], image.shape[0]) == camera.size:
+        return image
+    return np.asarray(cv2.resize(image, camera.size, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def in_small_pictures(pixels: Floats, cameras: Sequence[Camera], small: Sequence[Camera]) -> Floats:
+    """Carry pixels (C, n, 2) of whole pictures to shrunken ones, whose pixel centres lie at whole numbers too."""
+    factors = np.array([after.width / before.width for before, after in zip(cameras, small, strict=True)])
+    return (pixels + 0.5) * factors[:, None, None] - 0.5
+
+
+def find_silhouettes(
+    trial: Trial,
+    views: "Sequence[Watched]",
+    cameras: Sequence[Camera],
+    store: MaskStore,
+    progress: Progress,
+    *,
+    name: str,
+    predicted: "Callable[[int], Sequence[Expected] | None]" = lambda frame: None,
+) -> None:
+    """Find the silhouettes of all frames that are not in the store yet, and edges inside where rims are expected.
+
+    Args:
+        trial: Its take is gone through once, in order.
+        views: What is known of each camera's empty picture.
+        cameras: Of the pictures' size that is wanted.
+        store: Takes the silhouettes.
+        progress: Is told.
+        name: Of the stage.
+        predicted: Gives for a frame where the body is believed, for each camera; None where nobody knows.
+    """
+    take = trial.take
+    done = len(store.frames)
+    last = [_known(view) for view in views]
+    waiting: deque[list[Future[Watched]]] = deque()
+
+    def finish(step: Callable[[], None]) -> None:
+        seen = [future.result() for future in waiting.popleft()]
+        store.append([view.mask for view in seen], [view.edges for view in seen if view.edges is not None])
+        step()
+
+    with (
+        progress.stage(name, take.end - take.first, done=done) as step,
+        ThreadPoolExecutor(max_workers=2) as pool,
+    ):
+        for frame, images in take.frames(first=take.first + done):
+            starts: Sequence[Expected | None] = predicted(frame) or [None] * len(last)
+            # A camera's next picture waits for its last one only, not for the other cameras.
+            last = [pool.submit(_watch_next, *each) for each in zip(last, images, cameras, starts, strict=True)]
+            waiting.append(last)
+            if len(waiting) > 2:
+                finish(step)
+        while waiting:
+            finish(step)
+
+
+def _known(view: "Watched") -> "Future[Watched]":
+    future: Future[Watched] = Future()
+    future.set_result(view)
+    return future
+
+
+def _watch_next(last: "Future[Watched]", image: Image, camera: Camera, expected: "Expected | None") -> "Watched":
+    return watch(last.result(), resized(image, camera), expected)
+
+
+@dataclass(frozen=True, eq=False)
+class Expected:
+    """Where one camera should see the body."""
+
+    mask: Mask
+    """(height, width) of the whole picture."""
+    rims: InteriorEdges
+    """Where limbs hide others, in a picture of `camera`."""
+    camera: Camera
+    """Of a picture that is large enough to look for the rims."""
+
+
+@dataclass(frozen=True, eq=False)
+class Watched:
+    """What one camera's silhouettes of a take know so far."""
+
+    background: Background
+    before: Silhouette | None = None
+    """The last silhouette that showed somebody."""
+    mask: Mask = field(default_factory=lambda: np.zeros((0, 0), bool))
+    """The silhouette of the last picture."""
+    edges: InteriorEdges | None = None
+    """The edges inside of it, where it was known where to look for them."""
+    pictures: int = 0
+    """Pictures seen."""
+
+
+def watch(view: Watched, image: Image, expected: Expected | None) -> Watched:
+    """Find the silhouette in the next picture of a camera; where the body is known, it pulls at its silhouette."""
+    start = None if expected is None or not expected.mask.any() else expected.mask
+    prior = None if start is None else pull_of(start)
+    found = segment(image, view.background, start=start, before=view.before, prior=prior)
+    background = view.background
+    if start is not None and view.pictures % LESSONS == 0:
+        reach = max(image.shape[:2]) // 16
+        near = cv2.dilate((start | found.mask).astype(np.uint8), np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)) > 0
+        background = taught(background, image, found.exposure, near)
+    before = found if found.mask.any() else view.before
+    edges = None if expected is None else look_inside(image, found, expected)
+    return Watched(background, before, found.mask, edges, view.pictures + 1)
+
+
+def look_inside(image: Image, found: Silhouette, expected: Expected) -> InteriorEdges:
+    """Look for the edges of limbs inside of a silhouette, where the body expects them [px of the whole picture]."""
+    camera, mask = expected.camera, found.mask
+    if (mask.shape[1], mask.shape[0]) != camera.size:
+        mask = cv2.resize(mask.view(np.uint8), camera.size, interpolation=cv2.INTER_NEAREST).view(bool)
+    edges = find_edges(resized(image, camera), mask, expected.rims, found.exposure.noise)
+    return edges.scaled(image.shape[1] / camera.width)
+
+
+def pull_of(start: Mask) -> Floats:
+    """Give the pull of the followed body's silhouette, [Rosenhahn2006] eq. (4); computed about the body only."""
+    margin = int(PULL_REACH) + 2
+    rows, columns = np.flatnonzero(start.any(1)), np.flatnonzero(start.any(0))
+    part = (
+        slice(max(rows[0] - margin, 0), rows[-1] + margin + 1),
+        slice(max(columns[0] - margin, 0), columns[-1] + margin + 1),
+    )
+    pull = np.full(start.shape, -PULL * PULL_REACH, np.float32)
+    pull[part] = shape_term(start[part], PULL, PULL_REACH)
+    return pull
+
+
+def known_silhouettes(trial: Trial, store: MaskStore, progress: Progress) -> None:
+    """Take the silhouettes that the user gave.
+
+    Raises:
+        FileProblem: A camera has none.
+    """
+    take = trial.take
+    missing = [name for name in trial.rig.names if name not in trial.masks]
+    if missing:
+        wrong = f"has silhouettes of some cameras but none of {', '.join(missing)}"
+        raise FileProblem(trial.folder / "masks", wrong, "Give them for all cameras that are kept, or for none.")
+    files = [trial.masks[name] for name in trial.rig.names]
+    wanted = range(take.first + len(store.frames), take.end)
+    with progress.stage("Silhouettes", take.end - take.first, done=len(store.frames)) as step:
+        for masks in zip(*(file.masks(wanted) for file in files), strict=True):
+            store.append(masks)
+            step()
+
+
+def frames_with_somebody(store: MaskStore) -> tuple[int, ...]:
+    """Give the frames in which at least two cameras see somebody."""
+    return tuple(frame for frame in store.frames if sum(bool(mask.any()) for mask in store(frame)) >= 2)
+
+
+def cluttered(store: MaskStore, cameras: Sequence[Camera], frames: Sequence[int], progress: Progress) -> bool:
+    """Tell whether much of the silhouettes stands in no common place, and warn of the cameras that show it."""
+    sample = [
+        frames[i] for i in np.unique(np.linspace(0, len(frames) - 1, min(CLUTTER_FRAMES, len(frames))).astype(int))
+    ]
+    shares = np.full((len(sample), len(cameras)), np.nan)
+    for f, frame in enumerate(sample):
+        masks = store(frame)
+        for c, (kept, mask) in enumerate(zip(common_parts(cameras, masks), masks, strict=True)):
+            if mask.any():
+                shares[f, c] = np.count_nonzero(kept) / np.count_nonzero(mask)
+    if np.median(np.nanmean(shares, 1)) >= LEAST_COMMON:
+        return False
+    usual = np.nanmean(shares, 0)
+    bad = [camera.name for camera, share in zip(cameras, usual, strict=True) if share < LEAST_COMMON]
+    progress.warn(
+        f"What differs from the empty room in {', '.join(bad)} is to a large part no person seen by the other cameras: "
+        "only what they have in common is followed. Is the background of this very room and day?"
+    )
+    return True
+
+
+def common_silhouettes(store: MaskStore, cameras: Sequence[Camera], common: MaskStore, progress: Progress) -> MaskStore:
+    """Fill a store with what the cameras' silhouettes have in common, and give it."""
+    with progress.stage("In common", len(store.frames), done=len(common.frames)) as step:
+        for frame in store.frames[len(common.frames) :]:
+            common.append(common_parts(cameras, store(frame)))
+            step()
+    return common
+
+
+def require_somebody(trial: Trial, frames: Sequence[int]) -> None:
+    """Check that somebody is there.
+
+    Raises:
+        FileProblem: Nobody is.
+    """
+    if not frames:
+        wrong = "shows nobody whom at least two cameras see at the same time"
+        remedy = "Check that the background pictures belong to this take, and that a person moves in the videos."
+        raise FileProblem(trial.folder, wrong, remedy)
+
+
+def warn_of_lost(progress: Progress, frames: Sequence[int], found: Container[int], *, count: int) -> None:
+    """Warn of frames that show somebody whose pose was not found."""
+    lost = np.zeros(count, bool)
+    lost[[frame for frame in frames if frame not in found]] = True
+    if lost.any():
+        progress.warn(f"The person was seen but lost in {frames_text(lost)}: there is no answer.")
+
+
+@dataclass(frozen=True, eq=False)
+class PosedSkin:
+    """A skin in every frame whose pose is known."""
+
+    faces: Integers
+    """(T, 3)."""
+    vertices_of: Callable[[int], Floats]
+    """Gives the posed vertices (V, 3) of a frame [m, world]."""
+
+    @staticmethod
+    def of(body: Body, poses: Mapping[int, Pose]) -> "PosedSkin":
+        """Give a body's own skin."""
+        return PosedSkin(body.faces, lambda frame: PosedBody(body, poses[frame]).vertices)
+
+    def seen_by(self, camera: Camera, frame: int) -> View:
+        """Draw it as a camera sees it."""
+        vertices = np.ascontiguousarray(self.vertices_of(frame))
+        projected = np.empty_like(vertices)
+        lens.project_points(camera.packed, vertices, projected)
+        return see(projected, self.faces, camera.size)
+
+
+def surface_masks(
+    skin: PosedSkin, frames: Container[int], cameras: Sequence[Camera]
+) -> Callable[[int], Sequence[Mask] | None]:
+    """Give a function that draws the skin's silhouette in every camera, for frames whose pose is known."""
+
+    def drawn(frame: int) -> Sequence[Mask] | None:
+        return [skin.seen_by(camera, frame).mask() for camera in cameras] if frame in frames else None
+
+    return drawn
+
+
+def expectations(
+    body: Body, poses: Mapping[int, Pose], cameras: Sequence[Camera], small: Sequence[Camera]
+) -> Callable[[int], Sequence[Expected] | None]:
+    """Give a function that tells where every camera should see the body, for frames whose pose is known.
+
+    Args:
+        body: The person.
+        poses: By frame.
+        cameras: Of the whole pictures.
+        small: Of pictures that are just large enough to look for the limbs' rims.
+    """
+
+    def expected(frame: int) -> Sequence[Expected] | None:
+        if frame not in poses:
+            return None
+        posed = PosedBody(body, poses[frame])
+        return [_expected(posed, camera, less) for camera, less in zip(cameras, small, strict=True)]
+
+    return expected
+
+
+def _expected(posed: PosedBody, camera: Camera, small: Camera) -> Expected:
+    view = view_of(posed, camera)
+    inner = view if small.size == camera.size else view_of(posed, small)
+    rim = inner.interior_rim(posed.body.faces, posed.body.face_limb)
+    rims = InteriorEdges(pixels=rim.pixels, inward=rim.inward, limb=posed.body.face_limb[rim.face])
+    return Expected(view.mask(), rims, small)
+
+
+def agreements(
+    drawn: Callable[[int], Sequence[Mask] | None], frames: Iterable[int], store: MaskStore, *, done: Callable[[], None]
+) -> dict[int, Floats]:
+    """Compare surface and silhouettes in each frame: intersection over union (C,), NaN where both are empty."""
+    found = {}
+    for frame in frames:
+        found[frame] = np.array([_overlap(a, b) for a, b in zip(drawn(frame) or [], store(frame), strict=True)])
+        done()
+    return found
+
+
+def _overlap(a: Mask, b: Mask) -> float:
+    union = int(np.count_nonzero(a | b))
+    return int(np.count_nonzero(a & b)) / union if union else float("nan")
+
+
+def write_all_masks(
+    folder: Path, trial: Trial, store: MaskStore, drawn: Callable[[int], Sequence[Mask] | None]
+) -> None:
+    """Write the silhouettes and the fitted surface's, one file a camera."""
+    count = trial.take.count
+    for kind, masks_of in (("masks", store.known), ("surface_masks", drawn)):
+        (folder / kind).mkdir()
+        for c, camera in enumerate(trial.rig):
+            every = (masks_of(frame) for frame in range(count))
+            own = (None if masks is None else masks[c] for masks in every)
+            write_masks(folder / kind / f"{camera.name}.npz", own, shape=(count, camera.height, camera.width))
+
+
+def skins(skin: PosedSkin, frames: Sequence[int], count: int) -> Iterator[Floats]:
+    """Pose the skin (V, 3) of every frame; NaN where there is no answer."""
+    nowhere = np.full((vertices_in(skin, frames), 3), np.nan)
+    for frame in range(count):
+        yield skin.vertices_of(frame) if frame in frames else nowhere
+
+
+def vertices_in(skin: PosedSkin, frames: Iterable[int]) -> int:
+    """Count the skin's vertices."""
+    return len(skin.vertices_of(next(iter(frames))))
+
+
+def seen_vertices(skin: PosedSkin, frames: Sequence[int], cameras: Sequence[Camera], count: int) -> Iterator[Mask]:
+    """Tell for every frame which vertices (V,) lie on the rim of the surface in some camera, where outlines speak."""
+    nothing = np.zeros(vertices_in(skin, frames), bool)
+    for frame in range(count):
+        yield on_rim(skin, frame, cameras) if frame in frames else nothing
+
+
+def on_rim(skin: PosedSkin, frame: int, cameras: Sequence[Camera]) -> Mask:
+    """Tell which vertices (V,) lie on the rim of the surface in some camera."""
+    seen = np.zeros(len(skin.vertices_of(frame)), bool)
+    for camera in cameras:
+        rim = skin.seen_by(camera, frame).rim(skin.faces)
+        seen[skin.faces[rim.face]] = True
+    return seen
+
+
+LEAST_UPRIGHT = 0.5
+"""Cosine of the angle between trunk and Z below which a person lies; bending forward and sitting stay above."""
+
+
+def require_upright(trial: Trial, posed: PosedBody) -> None:
+    """Check that Z points up, unless the user said which axis does.
+
+    Raises:
+        FileProblem: The person lies or hangs.
+    """
+    names = posed.body.skeleton.segment_names
+    at = {name: posed.segment_origin[k] for k, name in enumerate(names)}
+    trunk = at["neck"] - 0.5 * (at["left_thigh"] + at["right_thigh"])
+    trunk = trunk / np.linalg.norm(trunk)
+    if trial.up_given or trunk[2] >= LEAST_UPRIGHT:
+        return
+    axis = int(np.argmax(np.abs(trunk)))
+    guess = ("" if trunk[axis] > 0 else "-") + "xyz"[axis]
+    how = "hangs head down" if trunk[2] < -LEAST_UPRIGHT else "lies"
+    wrong = f"has a world in which the person {how}: Z should point up"
+    remedy = (
+        f'Write [world] up = "{guess}" into trial.toml if that axis points up, or up = "z" if the person really does.'
+    )
+    raise FileProblem(trial.calibration, wrong, remedy)
+
+
+SWITCH_S = 3e-4
+"""How long a thread may keep Python's lock when another one waits for it [s]."""
+
+
+def quiet_threads() -> None:
+    """Leave the parallel work to the cameras: OpenCV's own threads would only wait for each other."""
+    cv2.setNumThreads(1)
+    # Kernels finish within less than the usual 5 ms: who waits for Python's lock shall have it soon.
+    sys.setswitchinterval(SWITCH_S)
+
+
+KEPT_FREE, LARGE = 1 << 28, 1 << 25
+"""Bytes of freed memory that a process keeps, and from which on a piece of memory goes back at once."""
+
+
+def keep_memory() -> None:
+    """Let the C library keep what is freed: memory that is new to a process costs as much as what is done in it.
+
+    Every picture needs some megabytes for a moment. Says so to glibc; another C library is left as it is.
+    """
+    with suppress(OSError, AttributeError, TypeError):
+        tell = ctypes.CDLL(None).mallopt
+        tell(_MMAP_THRESHOLD, LARGE)
+        tell(_TRIM_THRESHOLD, KEPT_FREE)
+
+
+_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
+"""Of malloc.h."""

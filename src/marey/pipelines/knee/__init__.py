@@ -1,0 +1,1 @@
+"""From MR volumes to bones, cartilage and their motion."""

@@ -1,0 +1,160 @@
+"""Cartilage in `marey knee segment`: found by a template's, and written with its thickness."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from marey.arrays import Image
+from marey.errors import MareyError
+from marey.geometry import rotations
+from marey.geometry.rigid import RigidTransform
+from marey.io.mr.meshes import write_mesh
+from marey.io.mr.tables import write_parts
+from marey.io.npz import write_arrays
+from marey.io.video.pictures import write_picture
+from marey.knee.bones.bones import BoneSegmentation
+from marey.knee.bones.surfacing import surface_of_labels
+from marey.knee.cartilage.knee_cartilage import KneeCartilage, find_knee_cartilage, knee_template
+from marey.knee.cartilage.labels import with_cartilage
+from marey.knee.cartilage.subregions import Subregion, flat_map, subregion_names, subregions, whole
+from marey.knee.space.sides import MIRROR, is_left
+from marey.knee.space.structures import BONES, CARTILAGE_OF_BONE, LABELS
+from marey.knee.space.surface import Surface
+from marey.knee.space.volume import Labels, Volume
+from marey.pipelines.progress import Progress
+from marey.view.pictures.flat_cartilage import flat_picture
+from marey.view.pictures.knee_maps import thickness_colours
+
+_LEFT_OUT = "The template was left out: its bone does not lie well on the only long bone in view."
+
+
+def cartilage_by_template(
+    volumes: Sequence[Volume], bones: BoneSegmentation, surfaces: Mapping[str, Surface], template: Labels | None,
+    progress: Progress,
+) -> tuple[KneeCartilage | None, dict[str, str]]:  # fmt: skip
+    """Find the cartilage where the template has some; otherwise, or where it cannot be found, say so.
+
+    Bones that were found are not thrown away because cartilage was not: what is missing is said instead.
+
+    Args:
+        volumes: The images.
+        bones: As they were found.
+        surfaces: Theirs.
+        template: Labels, of either side.
+        progress: Is told.
+
+    Returns:
+        The cartilage, and which of those that the template has are missing, with the reason.
+    """
+    fit = bones.template_fit
+    if template is None:
+        return None, {}
+    held = [name for name in LABELS if template.mask(name).any()]
+    if not any(CARTILAGE_OF_BONE[bone] in held for bone in BONES):
+        progress.warn("The template has no cartilage: only bones were segmented.")
+        return None, {}
+    asked = [CARTILAGE_OF_BONE[bone] for bone in BONES if CARTILAGE_OF_BONE[bone] in held]
+    if fit is None:
+        return None, dict.fromkeys(asked, _LEFT_OUT)
+    try:
+        with progress.stage("Template", len(held)) as step:
+            parts = {}
+            for name in held:
+                parts[name] = surface_of_labels(template, name, edge_mm=1.0)
+                step()
+            model = knee_template(parts, mirror=fit.mirrored)
+        with progress.stage_of_shares("Cartilage") as done:
+            found = find_knee_cartilage(volumes, surfaces, model, _starts(bones, model.bones), done)
+    except MareyError as problem:
+        progress.warn(f"Cartilage was not found, only bones were segmented. {problem}")
+        return None, dict.fromkeys(asked, str(problem))
+    for note in found.notes:
+        progress.warn(note)
+    missing = {CARTILAGE_OF_BONE[bone]: found.missing[bone] for bone in BONES if bone in found.missing}
+    for name, reason in missing.items():
+        progress.warn(f"The {name.replace('_', ' ')} was not found. {reason}")
+    return (found if found.sheets else None), missing
+
+
+def labels_with(bones: BoneSegmentation, cartilage: KneeCartilage | None) -> Labels:
+    """Give the labels of bones, and of cartilage where there is some."""
+    return bones.labels if cartilage is None else with_cartilage(bones.labels, cartilage.sheets)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CartilageMaps:
+    """What was measured and drawn of cartilages, by their names; empty where nobody knows the knee's side."""
+
+    parts: Mapping[str, Sequence[Subregion]] = field(default_factory=dict)
+    pictures: Mapping[str, Image] = field(default_factory=dict)
+
+
+def known_side(surfaces: Mapping[str, Surface], side: str | None) -> bool | None:
+    """Say whether it is a left knee: as was told, or else by the patella's place; None where nobody knows."""
+    return is_left(surfaces) if side is None else side == "left"
+
+
+def write_cartilage(
+    folder: Path, cartilage: KneeCartilage, surfaces: Mapping[str, Surface], side: str | None, progress: Progress
+) -> CartilageMaps:
+    """Write each cartilage's surface, thickness and flat picture, and the table of their parts.
+
+    Args:
+        folder: Where to.
+        cartilage: What was found.
+        surfaces: Of the bones.
+        side: "left" or "right" where it was told; otherwise the patella's place tells.
+        progress: Is told.
+
+    Returns:
+        What the report shows of it.
+    """
+    left = known_side(surfaces, side)
+    if left is None:
+        progress.warn("The knee's side is not known: give --side to have medial and lateral parts measured.")
+    elif side is None:
+        progress.say(f"Taken for a {'left' if left else 'right'} knee, by its patella.")
+    parts: dict[str, list[Subregion]] = {}
+    pictures: dict[str, Image] = {}
+    for bone, sheet in cartilage.sheets.items():
+        name = CARTILAGE_OF_BONE[bone]
+        arrays: dict[str, object] = {
+            "thickness_mm": sheet.thickness_mm,
+            "thickness_sd_mm": sheet.thickness_sd_mm,
+            "confidence": sheet.confidence,
+        }
+        colours = thickness_colours(sheet.thickness_mm)
+        write_mesh(folder / f"{name}.ply", sheet.outer)
+        write_mesh(
+            folder / f"{bone}_thickness.ply", sheet.bone, colours=colours,
+            values={"thickness_mm": sheet.thickness_mm, "confidence": sheet.confidence},
+        )  # fmt: skip
+        write_mesh(folder / f"{bone}_thickness.glb", sheet.bone, colours=colours)
+        if left is not None:
+            arrays["subregion"] = np.array(subregion_names(bone, sheet, left=left))
+            flat = flat_map(bone, sheet, left=left)
+            pictures[name] = flat_picture(flat.across, flat.along, sheet.thickness_mm)
+            write_picture(folder / f"{name}_flat.png", pictures[name])
+            parts[name] = subregions(bone, sheet, left=left)
+        write_arrays(folder / f"{bone}_thickness.npz", arrays)
+        progress.say(f"{name}: {sheet.outer.volume_mm3 / 1000:.1f} cm3, mean {whole(sheet).mean_mm:.2f} mm")
+    if parts:
+        write_parts(folder / "cartilage.csv", parts)
+    return CartilageMaps(parts=parts, pictures=pictures)
+
+
+def _starts(bones: BoneSegmentation, model: Mapping[str, Surface]) -> dict[str, RigidTransform]:
+    """Give the rigid motions nearest to where the template was laid to find the bones."""
+    starts = {}
+    fit = bones.template_fit
+    for bone, surface in model.items():
+        if fit is None or bone not in fit.placements:
+            continue
+        placement = fit.placements[bone]
+        matrix = placement.matrix @ (MIRROR[:3, :3] if fit.mirrored else np.eye(3))
+        middle = surface.vertices_mm.mean(0)
+        turn = rotations.nearest(matrix)
+        starts[bone] = RigidTransform(turn, matrix @ middle + placement.shift - turn @ middle)
+    return starts

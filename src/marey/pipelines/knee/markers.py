@@ -1,0 +1,54 @@
+"""Gadolinium markers in `marey knee segment`: found in each volume, joined, and told."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from marey.io.mr import gadolinium
+from marey.io.mr.gadolinium import MarkersInScanner
+from marey.knee.markers.gadolinium import find_gadolinium, joined
+from marey.knee.space.surface import Surface
+from marey.knee.space.volume import Volume
+from marey.pipelines.progress import Progress
+
+
+def earlier_markers(out: Path) -> MarkersInScanner | None:
+    """Read the markers of an earlier run, to which a person may have added names; None where there are none.
+
+    Raises:
+        FileProblem: The file is damaged: what was added by hand would be lost.
+    """
+    path = out / gadolinium.FILE
+    return gadolinium.read_markers(path) if path.exists() else None
+
+
+def markers_in(
+    volumes: Sequence[Volume], surfaces: Mapping[str, Surface], earlier: MarkersInScanner | None, progress: Progress
+) -> MarkersInScanner | None:
+    """Find the markers and say how many there are.
+
+    Args:
+        volumes: The images.
+        surfaces: The bones.
+        earlier: Of an earlier run: names and bones of markers in the same places are kept.
+        progress: Is told.
+
+    Returns:
+        The markers; None where there are none.
+    """
+    with progress.stage("Markers", len(volumes)) as step:
+        each = []
+        for volume in volumes:
+            each.append(find_gadolinium(volume, surfaces))
+            step()
+    found = each[0] if len(each) == 1 else joined(*each)
+    for note in found.notes:
+        progress.warn(note)
+    if not len(found):
+        progress.say("No gadolinium markers are on the skin.")
+        return None
+    size = f"{np.median(found.diameter_mm):.1f} mm wide"
+    progress.say(f"{len(found)} gadolinium marker{'s' if len(found) > 1 else ''} on the skin, {size}.")
+    markers = MarkersInScanner.of(found)
+    return markers if earlier is None else markers.named_as(earlier)

@@ -1,0 +1,1 @@
+"""From skin markers to the motion of bones."""

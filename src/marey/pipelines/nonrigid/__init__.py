@@ -1,0 +1,1 @@
+"""From videos, tracks or points to the shapes of a deforming surface."""

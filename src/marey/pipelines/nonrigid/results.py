@@ -1,0 +1,152 @@
+"""The files of a run on a deforming surface."""
+
+from pathlib import Path
+
+import numpy as np
+
+from marey.arrays import Floats
+from marey.io.shapes.shape_glb import write_shape_glb
+from marey.io.shapes.shapes import upright, write_point_clouds, write_residuals, write_shape_c3d, write_shapes
+from marey.io.shapes.tracks import write_tracks
+from marey.io.video.video_writer import VideoWriter
+from marey.nonrigid.recovered import RecoveredShapes
+from marey.pipelines.nonrigid.input import NonRigidInput
+from marey.pipelines.nonrigid.measure import MeasuredPoints
+from marey.pipelines.nonrigid.settings import NonRigidOptions
+from marey.pipelines.progress import Progress
+from marey.pipelines.run_record import finished_together, write_record
+from marey.view.pages.html import Still
+from marey.view.pages.shape_report import ShapeReport, write_shape_report
+from marey.view.pictures.shape_overlay import ShapeOverlay, ShapeScene, near_lines
+
+_STILLS = 4
+_UNKNOWN_AS = 1e-3
+"""Metres that a unit of unknown length becomes in C3D: files in millimetres then hold the shapes' own numbers."""
+_ABOUT_A_METRE = 1.0
+
+
+def write_results(
+    given: NonRigidInput,
+    measured: MeasuredPoints,
+    found: RecoveredShapes,
+    options: NonRigidOptions,
+    out: Path,
+    progress: Progress,
+) -> None:
+    """Write all results at once.
+
+    Args:
+        given: The input.
+        measured: What the shapes were recovered from.
+        found: The shapes.
+        options: As asked.
+        out: Where.
+        progress: Knows timings and warnings.
+    """
+    asked = {**{k: v for k, v in vars(options).items() if v not in (None, ())}, "method": found.kind}
+    with finished_together(out) as folder:
+        with progress.stage("Results"):
+            write_shapes(
+                folder / "shapes.npz", found, labels=measured.labels,
+                camera_points=measured.camera_points, probability=measured.probability,
+            )  # fmt: skip
+            write_residuals(folder / "residuals.csv", found, measured.labels)
+            _write_exports(folder, given, measured, found)
+            for name, video in zip(given.names, measured.videos, strict=False):
+                several = len(measured.videos) > 1
+                write_tracks(folder / (f"tracks_{name}.npz" if several else "tracks.npz"), video.found)
+        stills = _write_overlays(folder, given, measured, found, options, progress)
+        with progress.stage("Report"):
+            _write_report(folder, given, measured, found, stills, asked, progress)
+        write_record(
+            folder, command="nonrigid", settings=asked, inputs=[*given.paths, *options.files],
+            root=given.paths[0].parent, progress=progress,
+        )  # fmt: skip
+
+
+def _write_exports(folder: Path, given: NonRigidInput, measured: MeasuredPoints, found: RecoveredShapes) -> None:
+    """Write what other programs open, in metres where a length is known."""
+    known = bool(np.isfinite(found.metres_per_unit))
+    unit = "m" if known else found.unit
+    y_up = bool(given.data) and given.data[0].y_up
+    size = 2 * float(np.sqrt(np.nanmean((found.basis[0] ** 2).sum(0))))
+    write_point_clouds(
+        folder / "shapes", found, measured.edges, scale=found.metres_per_unit if known else 1.0, unit=unit
+    )  # fmt: skip
+    write_shape_glb(
+        folder / "shapes.glb", found, measured.edges, rate=given.rate, y_up=y_up, unit=found.unit,
+        scale=found.metres_per_unit if known else _ABOUT_A_METRE / max(size, 1e-12),
+    )  # fmt: skip
+    write_shape_c3d(
+        folder / "shapes.c3d", found, measured.labels, rate=given.rate,
+        scale=found.metres_per_unit if known else _UNKNOWN_AS,
+    )  # fmt: skip
+
+
+def _write_overlays(
+    folder: Path,
+    given: NonRigidInput,
+    measured: MeasuredPoints,
+    found: RecoveredShapes,
+    options: NonRigidOptions,
+    progress: Progress,
+) -> list[Still]:
+    """Draw a video a camera, and give some of its pictures; without videos there is nothing to draw on."""
+    if not given.clips or not options.overlay:
+        return []
+    assert measured.tracks is not None
+    stills = []
+    for number, clip in enumerate(given.clips):
+        scene = ShapeScene(
+            name=given.names[number], measured=measured.tracks[number], modelled=found.modelled[number],
+            placed=_before(given, found, number), lines=_lines(measured, found),
+        )  # fmt: skip
+        overlay = ShapeOverlay(scene, clip.size)
+        answered = np.flatnonzero(found.answered)
+        shown = set(answered[np.linspace(0, len(answered) - 1, _STILLS).astype(int)].tolist())
+        frames = range(given.first, given.end)
+        with (
+            progress.stage(f"Overlay {scene.name}", len(frames)) as step,
+            VideoWriter(folder / f"overlay_{scene.name}.mp4", overlay.size, rate=given.rate) as video,
+        ):
+            for frame, image in zip(frames, clip.images(frames), strict=True):
+                drawn = overlay.draw(image, frame)
+                video.add(drawn)
+                if frame in shown:
+                    stills.append(Still(caption=f"{scene.name}, frame {frame}", image=drawn))
+                step()
+    return stills
+
+
+def _before(given: NonRigidInput, found: RecoveredShapes, camera: int) -> Floats:
+    """Give the shapes (F, 3, P) in the axes of one of the cameras."""
+    if given.rig is not None:
+        to_camera = given.rig.cameras[camera].camera_from_world
+        return np.moveaxis(to_camera.apply(np.moveaxis(found.placed, 1, 2)), 2, 1)
+    if found.cameras is None:
+        return found.placed
+    return np.asarray(found.cameras.camera_from_first[camera] @ found.rotation @ found.shape)
+
+
+def _lines(measured: MeasuredPoints, found: RecoveredShapes) -> np.ndarray:
+    return measured.edges if len(measured.edges) else near_lines(found.basis[0])
+
+
+def _write_report(
+    folder: Path,
+    given: NonRigidInput,
+    measured: MeasuredPoints,
+    found: RecoveredShapes,
+    stills: list[Still],
+    asked: dict[str, object],
+    progress: Progress,
+) -> None:
+    y_up = bool(given.data) and given.data[0].y_up
+    names = [path.name + ("/" if path.is_dir() else "") for path in folder.iterdir()]
+    report = ShapeReport(
+        title=given.paths[0].stem, found=found, rate=given.rate, labels=measured.labels,
+        lines=_lines(measured, found), own_lines=bool(len(measured.edges)), upright=upright(found, y_up=y_up),
+        views=given.names, notes=progress.warnings, stills=stills, timings=progress.timings, settings=asked,
+        files=names, track_curves=[video.curve for video in measured.videos],
+    )  # fmt: skip
+    write_shape_report(folder / "report.html", report)

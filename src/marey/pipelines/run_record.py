@@ -1,0 +1,221 @@
+"""What was run on what, and how an interrupted run goes on: run.json, stages kept on disk, results all at once."""
+
+import hashlib
+import json
+import os
+import platform
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import fields, is_dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import marey
+from marey.errors import FileProblem, MareyError
+from marey.io.stages import Arrays, FrameLog, file_fingerprint, load_arrays, save_arrays
+from marey.pipelines.progress import Progress
+
+WORK = ".work"
+RECORD = "run.json"
+
+
+def fingerprint(*parts: object) -> str:
+    """Give 32 hexadecimal digits that change with any of the parts: numbers, texts, arrays, records, collections."""
+    digest = hashlib.blake2b(digest_size=16)
+    for part in parts:
+        _add(digest, part)
+    return digest.hexdigest()
+
+
+def _add(digest: "hashlib.blake2b", part: object) -> None:
+    digest.update(type(part).__name__.encode() + b"\0")
+    if isinstance(part, np.ndarray):
+        digest.update(f"{part.dtype}{part.shape}".encode())
+        digest.update(np.ascontiguousarray(part).tobytes())
+    elif is_dataclass(part) and not isinstance(part, type):
+        for field in fields(part):
+            _add(digest, (field.name, getattr(part, field.name)))
+    elif isinstance(part, Mapping):
+        for key in part:
+            _add(digest, (str(key), part[key]))
+    elif isinstance(part, list | tuple):
+        for item in part:
+            _add(digest, item)
+    elif part is None or isinstance(part, str | bytes | int | float | Path | np.generic):
+        digest.update(repr(part).encode() + b"\0")
+    else:
+        raise TypeError(f"no fingerprint of a {type(part).__name__}")
+
+
+class StageCache:
+    """Results of the stages of a run, kept in the folder of its results while the run lasts.
+
+    A stage's result is found again only for the same version, the same inputs and the same settings. Used as a
+    context, it forgets everything when the run has ended, or when the user must mend something first; what an
+    interruption or a fault of the program leaves is there for the next run.
+
+    Args:
+        out: Where the run's results go.
+        inputs: Fingerprints of the input files, and everything else that all stages depend on.
+    """
+
+    def __init__(self, out: Path, inputs: object):
+        self.folder = out / WORK
+        self._key = (marey.__version__, fingerprint(inputs))
+        _make_folder(self.folder)
+
+    def arrays(self, name: str, compute: Callable[[], Mapping[str, np.ndarray]], *, depends: object = None) -> Arrays:
+        """Find a stage's result, or compute and keep it.
+
+        Args:
+            name: The stage, as part of a file's name.
+            compute: Gives the result: arrays by name, none of them of Python objects.
+            depends: Settings on which this stage depends.
+        """
+        path = self._path(name, depends, ".npz")
+        if not path.exists():
+            save_arrays(path, compute())
+        return load_arrays(path)
+
+    def frames(self, name: str, *, depends: object = None) -> FrameLog:
+        """Open the log of a stage that goes frame by frame; its length says how many frames are done."""
+        return FrameLog(self._path(name, depends, ".log"))
+
+    def clear(self) -> None:
+        """Forget everything, and leave no empty folder behind."""
+        shutil.rmtree(self.folder, ignore_errors=True)
+        with suppress(OSError):
+            self.folder.parent.rmdir()
+
+    def __enter__(self) -> "StageCache":
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is None or issubclass(kind, MareyError):
+            self.clear()
+
+    def _path(self, name: str, depends: object, ending: str) -> Path:
+        path = self.folder / f"{name}-{fingerprint(self._key, name, depends)}{ending}"
+        for other in self.folder.glob("*" + ending):
+            # Another version's, or of other settings: nobody will ask for it again.
+            if other.stem[:-33] == name and other != path:
+                other.unlink()
+        return path
+
+
+@contextmanager
+def finished_together(out: Path) -> Iterator[Path]:
+    """Let the results of a run appear all at once at its end, or not at all.
+
+    Args:
+        out: Where the results go.
+
+    Yields:
+        A folder in which to write them. When the block ends well, they move to `out`, and what the last run
+        left there by other names goes; when it ends with an error, `out` stays as it was.
+    """
+    staging = out / WORK / "results"
+    shutil.rmtree(staging, ignore_errors=True)
+    _make_folder(staging)
+    try:
+        yield staging
+        _move_in(staging, out)
+    finally:
+        shutil.rmtree(staging, ignore_errors=True)
+
+
+def _move_in(staging: Path, out: Path) -> None:
+    files = sorted(path.relative_to(staging) for path in staging.rglob("*") if path.is_file())
+    # The record goes last: a folder whose run.json names this run holds all of its results.
+    files.sort(key=lambda name: str(name) == RECORD)
+    old = _carry_over(staging, out)
+    for name in files:
+        _make_folder((out / name).parent)
+        os.replace(staging / name, out / name)
+    for name in old - set(files):
+        (out / name).unlink(missing_ok=True)
+
+
+def _carry_over(staging: Path, out: Path) -> set[Path]:
+    """Keep in the new record what other commands left in the folder; give the files of the same command's last run."""
+    now, before = _record_in(staging), _record_in(out)
+    earlier = before.pop("earlier", {})
+    earlier[before.get("command")] = before
+    last = earlier.pop(now.get("command"), {})
+    earlier = {command: record for command, record in earlier.items() if command}
+    if earlier:
+        _write_json(staging / RECORD, now | {"earlier": earlier})
+    # What two commands write, the last one owns; the others' files stay.
+    kept = {name for record in earlier.values() for name in record.get("files", [])}
+    names = {Path(name) for name in last.get("files", []) if name not in kept}
+    return {name for name in names if not name.is_absolute() and ".." not in name.parts}
+
+
+def _record_in(folder: Path) -> dict[str, Any]:
+    try:
+        record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    sound = isinstance(record, dict) and all(isinstance(record.get(key, []), list) for key in ("files",))
+    return record if sound else {}
+
+
+def _write_json(path: Path, record: Mapping[str, object]) -> None:
+    path.write_text(json.dumps(record, indent=2, ensure_ascii=False, default=str) + "\n", encoding="utf-8")
+
+
+def write_record(
+    folder: Path,
+    *,
+    command: str,
+    settings: Mapping[str, object],
+    inputs: Sequence[Path],
+    root: Path,
+    progress: Progress,
+) -> None:
+    """Write run.json: version, settings, inputs with their fingerprints, timings, and the results beside it.
+
+    Args:
+        folder: Where all other results of the run stand already.
+        command: What was run, for example `capture`.
+        settings: By name; what JSON cannot hold is written as text.
+        inputs: The files that were read.
+        root: The folder to which the inputs' names refer.
+        progress: Keeps the timings and warnings.
+    """
+    record = {
+        "program": "marey",
+        "version": marey.__version__,
+        "command": command,
+        "finished": datetime.now(UTC).isoformat(timespec="seconds"),
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "system": f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores",
+        "settings": dict(settings),
+        "inputs": {_name(path, root): file_fingerprint(path) for path in inputs},
+        "timings_s": _rounded(progress.timings),
+        **({"steps_s": {name: _rounded(each) for name, each in progress.steps.items()}} if progress.steps else {}),
+        "warnings": list(progress.warnings),
+        "files": [*sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()), RECORD],
+    }
+    _write_json(folder / RECORD, record)
+
+
+def _rounded(seconds: Mapping[str, float]) -> dict[str, float]:
+    return {name: round(each, 3) for name, each in seconds.items()}
+
+
+def _name(path: Path, root: Path) -> str:
+    return path.relative_to(root).as_posix() if path.is_relative_to(root) else str(path)
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as problem:
+        wrong = f"cannot be made ({problem.strerror})"
+        raise FileProblem(folder, wrong, "Give a folder that can be written to with --out.") from problem

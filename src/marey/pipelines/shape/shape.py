@@ -1,0 +1,369 @@
+"""`marey shape`: from the measured surface of a trial to the person's own body of metaballs, and its motion."""
+
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from marey.arrays import Floats, Mask
+from marey.body.articulation.pose import Pose
+from marey.body.articulation.surface import Body
+from marey.body.metaballs.metaball_person import required_metaballs, reshaped
+from marey.body.metaballs.metaball_skin import MetaballSkin
+from marey.body.metaballs.segment_measures import segment_measures
+from marey.body.metaballs.spline_skin import spline_body
+from marey.errors import FileProblem, MareyError
+from marey.fit.points.lost_points import expected_by_skin
+from marey.fit.points.person_tracks import PersonTracks
+from marey.fit.points.shape import (
+    DETAILS_IN_TURN,
+    OnSurface,
+    Shaped,
+    ShapeSettings,
+    evenly,
+    measured_segments,
+    more_detailed,
+    refine_shape,
+    simplified,
+    stated,
+)
+from marey.fit.points.shape_start import begun_from_clicks, begun_from_person, carried_on
+from marey.fit.points.surface_points import FramePoints, PersonPoints, spread_over
+from marey.fit.recipes.person import Take
+from marey.fit.recipes.sequence import refine_in_pieces
+from marey.fit.recipes.start_joints import clicked_joints, start_from_joints
+from marey.io.gltf.glb import write_glb
+from marey.io.npz import read_motion
+from marey.io.results.body import segment_lengths
+from marey.io.results.csv import write_segments
+from marey.io.shapes.measured_surface import read_surface
+from marey.io.shapes.trajectories import read_trajectories
+from marey.io.stages import Arrays
+from marey.io.trial.start_joints import read_start_joints
+from marey.motion.from_fit import Measured, measured
+from marey.observations.observation import Observation
+from marey.pipelines.capture import stages
+from marey.pipelines.capture.capture import Followed, Refined, Tracked, follow_person, refined_person, rounds_of
+from marey.pipelines.capture.capture import write_capture as write_results_of
+from marey.pipelines.capture.mask_store import MaskStore
+from marey.pipelines.capture.run import Bodies, Logs, Run, opened
+from marey.pipelines.capture.settings import CaptureSettings
+from marey.pipelines.progress import Progress
+from marey.pipelines.surface.settings import SurfaceOptions
+from marey.pipelines.surface.surface import surface as measure_surface
+from marey.pipelines.surface.tracks import follow_measured, told, write_tracks
+from marey.surface.tracks.filters import FilterSettings
+from marey.surface.tracks.trajectories import Trajectories
+
+SURFACE = ("surface.npz", "trajectories.npz")
+"""What `marey surface` measured, and the fit reads."""
+KEPT = (*SURFACE, "surface.ply", "surface.html", "cameras.toml", "surface_*.png", "tracks_*.png", "surface/*.ply")
+"""What else it leaves; all of it stays."""
+SEEN_M = 0.010
+"""Skin no farther than this from a measured point was measured [m]."""
+LAST_ROUNDS = 2
+
+Clicked = Mapping[int, Sequence[Observation]]
+"""Clicked joints, by frame."""
+
+
+def shape(folder: Path, settings: CaptureSettings, progress: Progress) -> Path:
+    """Fit a person's own body to the measured surface and the silhouettes of a trial.
+
+    Args:
+        folder: The trial.
+        settings: What is asked for; what it leaves open, trial.toml may say.
+        progress: Is shown, and keeps timings and warnings.
+
+    Returns:
+        The folder with the results.
+
+    Raises:
+        FileProblem: Something in the trial cannot be used.
+    """
+    out = settings.out or folder / "marey"
+    if not (out / SURFACE[0]).is_file():
+        measure(folder, replace(settings, out=out), progress)
+    measured_files = [out / name for name in SURFACE if (out / name).is_file()]
+    with opened(folder, settings, progress, more=measured_files, corrected=out / "cameras.toml") as opened_run:
+        run, bodies, logs = opened_run
+        points = points_of(run, out / SURFACE[0])
+        tracks = read_trajectories(out / SURFACE[1]) if (out / SURFACE[1]).is_file() else None
+        followed, begun, clicked = begin(run, bodies, logs, points, tracks)
+        few = {f: spread_over(given, ShapeSettings().points_a_frame) for f, given in points.items()}
+        given = OnSurface(PersonPoints(by_frame=few), None if tracks is None else PersonTracks.of(tracks), clicked)
+        shaped = fitted(run, followed, begun, given)
+        write_shape(run, followed, shaped, points)
+    return out
+
+
+def measure(folder: Path, settings: CaptureSettings, progress: Progress) -> None:
+    """Measure the surface first, as `marey surface` does; say so where there is none to be measured."""
+    options = SurfaceOptions(out=settings.out, cameras=settings.cameras, frames=settings.frames)
+    try:
+        measure_surface(folder, options, progress)
+    except FileProblem as problem:
+        progress.warn(f"No surface was measured: {problem} The shape is fitted to silhouettes alone.")
+
+
+def points_of(run: Run, path: Path) -> dict[int, FramePoints]:
+    """Read the measured points of the frames that are looked at; none where nothing was measured."""
+    if not path.is_file():
+        return {}
+    surface, take = read_surface(path), run.trial.take
+    found = {}
+    for frame in surface.frames:
+        if take.first <= frame < take.end:
+            own = surface.of_frame(int(frame))
+            found[int(frame)] = FramePoints(np.array(own.points), np.array(own.covariance))
+    return found
+
+
+def begin(
+    run: Run, bodies: Bodies, logs: Logs, points: Mapping[int, FramePoints], tracks: Trajectories | None
+) -> tuple[Followed, Shaped, Clicked]:
+    """Find the person's motion, a first shape, and which joints were clicked.
+
+    With silhouettes as `marey capture` does; without a background, but with clicked joints, from those, the points and
+    their trajectories ([Plaenkers1999] section 4.2).
+    """
+    trial = run.trial
+    if trial.start is not None and points and not trial.masks and not trial.background:
+        return begin_by_points(run, bodies, logs, points, tracks)
+    followed = follow_person(run, bodies, logs)
+    refined = refined_person(run, followed, bodies)
+    return followed, begun_from_person(refined.body, refined.poses, ShapeSettings()), {}
+
+
+def begin_by_points(
+    run: Run, bodies: Bodies, logs: Logs, points: Mapping[int, FramePoints], tracks: Trajectories | None
+) -> tuple[Followed, Shaped, Clicked]:
+    """Start from clicked joints, and follow the trajectories from there.
+
+    Raises:
+        FileProblem: There are several frames, and no trajectories.
+    """
+    trial, settings = run.trial, ShapeSettings()
+    wanted = "Run `marey surface` first, into the same folder; it follows the points, too."
+    if tracks is None and len(points) > 1:
+        raise FileProblem(run.out / SURFACE[1], "is not there, and there are no silhouettes", wanted)
+    outlines = no_outlines(run, logs)
+    joints = read_start_joints(trial.start, trial.rig, count=trial.take.count)  # type: ignore[arg-type]
+    if joints.frame not in points:
+        remedy = "Click joints in a frame of which the surface was measured."
+        raise FileProblem(trial.start or trial.folder, f"names frame {joints.frame}, which has no points", remedy)
+    take = Take(tuple(trial.rig), outlines, tuple(points), trial.take.rate)
+    with run.progress.stage("Start"):
+        found = start_from_joints(take, joints.frame, joints.joint_names, joints.pixels, bodies.fine, run.person)[1]
+        clicked = {joints.frame: clicked_joints(list(trial.rig), joints.joint_names, joints.pixels, found.posed)}
+        begun = begun_from_clicks(found.posed, clicked, points, settings)
+    if tracks is not None:
+        inside = [row for row, f in enumerate(tracks.frames) if trial.take.first <= f < trial.take.end]
+        position = tracks.position[inside][:, ~tracks.removed]
+        with run.progress.stage("Motion by trajectories", len(inside)) as step:
+            begun = carried_on(
+                begun, tracks.frames[inside], position, points, settings, done=lambda frame: step()
+            )  # fmt: skip
+    tracked = Tracked(begun.body, begun.poses, dict.fromkeys(begun.poses, 1.0))
+    return Followed(tracked, {}, outlines, tuple(points)), begun, clicked
+
+
+def no_outlines(run: Run, logs: Logs) -> MaskStore:
+    """Give silhouettes that show nobody, for every frame."""
+    cameras = list(run.trial.rig)
+    store = MaskStore(logs.outlines, run.trial.take.first, cameras)
+    empty = [np.zeros((camera.height, camera.width), bool) for camera in cameras]
+    for _ in range(len(store.frames), run.trial.take.end - run.trial.take.first):
+        store.append(empty)
+    return store
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """The person as it is written."""
+
+    body: Body
+    poses: Mapping[int, Pose]
+    pieces: Sequence[Measured]
+    shaped: Shaped
+
+
+def fitted(run: Run, followed: Followed, begun: Shaped, given: OnSurface) -> Fitted:
+    """Fit the whole body, then single balls; refine the motion a last time."""
+    settings = ShapeSettings()
+    take = Take(
+        tuple(run.trial.rig), followed.outlines, tuple(begun.poses), run.trial.take.rate, followed.outlines.edges
+    )
+    levels = take.levels(run.person.fine_height)
+    # Simplified limbs only where they are what the start came from: learned numbers are nearer (docs/accuracy.md).
+    for i, detail in enumerate(DETAILS_IN_TURN if simplified(begun.body) else DETAILS_IN_TURN[1:]):
+        now = replace(begun, body=more_detailed(begun.body, detail))
+        scale = settings.begin_scale_m if i == 0 else np.inf
+
+        def compute(now: Shaped = now, scale: float = scale, detail: str = detail) -> Arrays:
+            total = settings.repeats * settings.rounds * len(now.poses)
+            with run.progress.stage(f"Shape, {NAMES[detail]}", total) as step:
+                return _packed(
+                    refine_shape(
+                        now, levels, given, rate=take.rate, repeats=settings.repeats, settings=settings, scale_m=scale,
+                        done=lambda frame: step(),
+                    )
+                )  # fmt: skip
+
+        begun = _unpacked(run.cache.arrays(f"body_{detail}", compute, depends=run.scope), now)
+    return _last(run, take, begun, given, settings)
+
+
+NAMES = {"simple": "simplified limbs", "full": "whole body", "single": "single balls"}
+
+
+def _last(run: Run, take: Take, begun: Shaped, given: OnSurface, settings: ShapeSettings) -> Fitted:
+    measured_there = given.believed(begun)
+    levels = take.levels(run.person.fine_height)
+    poses: dict[int, Pose] = {}
+    body = begun.body
+    with (
+        rounds_of(run, "last") as memory,
+        run.progress.stage("Motion and shape", LAST_ROUNDS * len(begun.poses)) as step,
+    ):
+        for fit in refine_in_pieces(
+            list(begun.poses), list(begun.poses.values()), begun.body, levels,
+            rate=take.rate, rounds=LAST_ROUNDS, shape_frames=evenly(list(begun.poses), settings.shape_frames),
+            settings=replace(settings.sequence, sigma_px=begun.outline_sd_px), also=measured_there.of_round,
+            done=lambda frame: step(), memory=memory,
+        ):  # fmt: skip
+            poses |= fit.by_frame
+            body = fit.body
+    found = replace(begun, body=body, poses=poses)
+    pieces: list[Measured] = []
+    with run.progress.stage("Standard deviations"):
+        for fit in stated(found, levels, measured_there, rate=take.rate, settings=settings):
+            pieces.append(measured(fit))
+            body = fit.body
+    return Fitted(body, poses, pieces, replace(found, body=body))
+
+
+def _packed(found: Shaped) -> Arrays:
+    return {
+        "frames": np.array(list(found.poses)),
+        "translation": np.array([pose.translation for pose in found.poses.values()]),
+        "rotation": np.array([pose.rotation for pose in found.poses.values()]),
+        "angles": np.array([pose.angles for pose in found.poses.values()]),
+        "numbers": np.array(found.body.numbers),
+        "sds": np.array([found.model_sd_m, found.outline_sd_px, found.skin_sd_m]),
+    }
+
+
+def _unpacked(arrays: Arrays, begun: Shaped) -> Shaped:
+    parts = zip(arrays["translation"], arrays["rotation"], arrays["angles"], strict=True)
+    poses = dict(zip(map(int, arrays["frames"]), (Pose(*part) for part in parts), strict=True))
+    return Shaped(reshaped(begun.body, arrays["numbers"]), poses, *map(float, arrays["sds"]))
+
+
+def write_shape(run: Run, followed: Followed, found: Fitted, points: Mapping[int, FramePoints]) -> None:
+    """Write what a capture writes, the skin with what was measured of it, and the table of segments."""
+    skin = posed_skin(found.body, found.poses)
+    refined = Refined(found.body, found.poses, found.pieces, frozenset())
+
+    def more(folder: Path) -> None:
+        with run.progress.stage("Segments"):
+            write_table(folder, found.body)
+        with run.progress.stage("Skin"):
+            write_skin_glb(folder, found.body, run.progress.warn)
+        keep(run.out, folder)
+        if (folder / SURFACE[1]).is_file():
+            find_lost_points(run, folder, skin, found)
+
+    write_results_of(
+        run, refined, followed.outlines, followed.frames, command="shape", skin=skin,
+        seen=seen_of(skin, points, run.trial.take.count, sorted(found.poses), run) if points else None, more=more,
+    )  # fmt: skip
+
+
+def find_lost_points(run: Run, folder: Path, skin: stages.PosedSkin, found: Fitted) -> None:
+    """Follow the measured surface again, now that the body tells where lost points are, and write its trajectories.
+
+    Args:
+        run: What is run.
+        folder: With the measured surface and its trajectories.
+        skin: Of the fitted body, in every frame.
+        found: The fitted body, in which the trajectories' cache is keyed.
+    """
+    trial, surface = run.trial, read_surface(folder / SURFACE[0])
+    if surface.camera_names != trial.rig.names:
+        run.progress.warn("The surface was measured by other cameras; its trajectories stay as they are.")
+        return
+    parts = [surface.of_frame(frame) for frame in range(trial.take.first, trial.take.end)]
+    expected = expected_by_skin(
+        lambda frame: skin.vertices_of(frame) if frame in found.poses else None, skin.faces
+    )  # fmt: skip
+    arrays = _packed(found.shaped)
+    followed = follow_measured(
+        trial.take, trial.rig, parts, run.cache, run.progress, filters=FilterSettings(), depends=(run.scope, arrays),
+        expected=expected,
+    )  # fmt: skip
+    write_tracks(folder, followed, trial.take, trial.rig)
+    run.progress.say(told(followed))
+
+
+def write_skin_glb(folder: Path, body: Body, warn: Callable[[str], None]) -> None:
+    """Write `skin.glb`: the closed skin over the person's metaballs, moving as `motion.npz` beside it says.
+
+    Args:
+        folder: Where, with the motion in it.
+        body: Over metaballs.
+        warn: Is told where the metaballs fall apart and have no such skin.
+    """
+    try:
+        skin = spline_body(body)
+    except MareyError as error:
+        warn(f"There is no skin.glb. {error}")
+        return
+    write_glb(folder / "skin.glb", skin, read_motion(folder / "motion.npz"))
+
+
+def posed_skin(body: Body, poses: Mapping[int, Pose]) -> stages.PosedSkin:
+    """Give the metaballs' own surface in every frame, finer than the body's triangles."""
+    skin = MetaballSkin(body)
+
+    @lru_cache(maxsize=2)
+    def vertices(frame: int) -> Floats:
+        """Every camera asks for the same frame."""
+        return skin.vertices(poses[frame])
+
+    return stages.PosedSkin(skin.faces, vertices)
+
+
+def seen_of(
+    skin: stages.PosedSkin, points: Mapping[int, FramePoints], count: int, frames: Sequence[int], run: Run
+) -> Iterator[Mask]:
+    """Tell for every frame what of the skin lies near measured points; without any, what lies on its rim."""
+    nothing = np.zeros(stages.vertices_in(skin, frames), bool)
+    for frame in range(count):
+        if frame not in frames:
+            yield nothing
+        elif frame in points and len(points[frame]):
+            away, _ = cKDTree(points[frame].points).query(skin.vertices_of(frame), distance_upper_bound=SEEN_M)
+            yield away <= SEEN_M
+        else:
+            yield stages.on_rim(skin, frame, list(run.trial.rig))
+
+
+def write_table(folder: Path, body: Body) -> None:
+    """Write `segments.csv`: what the segments measure that the preset follows."""
+    there = measured_segments(body)
+    measures = segment_measures(required_metaballs(body), body.numbers, body.numbers_covariance, segments=there)
+    length, length_sd = (values[there] for values in segment_lengths(body))
+    write_segments(folder / "segments.csv", measures, length, length_sd)
+
+
+def keep(out: Path, folder: Path) -> None:
+    """Carry the measured surface over into the new results: it belongs to them, and none of it is made here."""
+    for path in (path for pattern in KEPT for path in sorted(out.glob(pattern))):
+        beside = folder / path.relative_to(out)
+        beside.parent.mkdir(exist_ok=True)
+        shutil.copyfile(path, beside)

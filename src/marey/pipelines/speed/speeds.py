@@ -1,0 +1,290 @@
+"""`marey bench`: the speeds that matter, each beside a peer's in the same run or beside its limit."""
+
+import os
+import platform
+import resource
+import statistics
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import scipy.optimize
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+from threadpoolctl import threadpool_limits
+
+from marey.arrays import Floats, Image, Mask
+from marey.body.articulation.pose import Pose, PosedBody, SurfacePoints
+from marey.body.people.person import family_body
+from marey.cameras.camera import Camera
+from marey.fit.solver.moments import Moments, gather_moments
+from marey.fit.solver.pose_solver import solve_pose
+from marey.geometry import rotations
+from marey.geometry.rigid import RigidTransform
+from marey.images.silhouettes.background import from_pictures
+from marey.images.silhouettes.silhouettes import segment
+from marey.io.calibration.readers import read_rig
+from marey.io.video.take import open_take
+from marey.io.video.video import read_picture
+from marey.knee.outlines.live_wire import LiveWire
+from marey.observations.correspondence import view_of
+from marey.observations.silhouette import SilhouettePlanes
+from marey.pipelines.capture.settings import CaptureSettings
+from marey.pipelines.progress import Progress
+from marey.pipelines.speed.surface_speed import SIDE, SPACING, SURFACE_LIMIT_S, surface_seconds
+
+CORRESPONDENCES = 5000
+SOLVE_LIMIT_MS = 1.0
+LEVEL_SET_LIMIT_MS = 10.0
+FRAMES_LIMIT_HZ = 8.0
+WIRE_LIMIT_MS = 50.0
+WIRE_SIDE = 512
+AFTER_POSE = ("Comparison", "Results", "Overlays", "Report")
+"""Stages of a capture that only tell of the poses."""
+_SEED = 20060101
+
+
+@dataclass(frozen=True, kw_only=True)
+class Speed:
+    """One line of the table."""
+
+    what: str
+    measured: str
+    beside: str
+    """The limit, or the peer in the same run."""
+    remark: str = ""
+
+
+def bench(trial: Path | None, *, example: Path | None = None) -> list[Speed]:
+    """Measure and print the speeds.
+
+    Args:
+        trial: Captured whole, to time the way from video to pose; left out when missing.
+        example: The take on whose pictures the silhouettes are timed; left out when missing.
+
+    Returns:
+        What was printed.
+    """
+    cv2.setNumThreads(1)
+    with threadpool_limits(1):
+        speeds = [*solve_speeds(), drawing_speed(), wire_speed()]
+        if example is not None:
+            speeds += [*silhouette_speeds(example), surface_speed()]
+    if trial is not None:
+        speeds += capture_speeds(trial)
+    title = f"marey bench on {machine()}; times of one core"
+    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
+    for heading in ("what", "measured", "beside", "remark"):
+        table.add_column(heading, overflow="fold")
+    for speed in speeds:
+        table.add_row(*map(escape, (speed.what, speed.measured, speed.beside, speed.remark)))
+    Console(width=None if sys.stdout.isatty() else 200).print(table)
+    return speeds
+
+
+def machine() -> str:
+    """Name the machine: processor, cores, Python and NumPy."""
+    name = platform.processor() or platform.machine()
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        models = [
+            line.split(":", 1)[1].strip()
+            for line in info.read_text(encoding="utf-8").splitlines()
+            if "model name" in line
+        ]
+        name = models[0] if models else name
+    return f"{name}, {os.cpu_count()} cores, Python {platform.python_version()}, NumPy {np.__version__}"
+
+
+def median_ms(work: Callable[[], object], *, repeats: int) -> float:
+    """Time a work [ms of the processor]: the median of some repeats, after one that compiles and fills caches.
+
+    The processor's time rather than the clock's, so that other work on the same machine counts little.
+    """
+    work()
+    times = []
+    for _ in range(repeats):
+        started = time.process_time()
+        work()
+        times.append(time.process_time() - started)
+    return 1e3 * statistics.median(times)
+
+
+@dataclass(frozen=True, eq=False)
+class SolveTask:
+    """A pose to be found from given pairs of surface point and contour tangent, as tracking has them."""
+
+    start: PosedBody
+    truth: Pose
+    planes: SilhouettePlanes
+
+    def solve(self) -> Pose:
+        """Solve with moments and Gauss-Newton."""
+        return self.steps(gather_moments(self.start, [self.planes]))
+
+    def steps(self, moments: Moments) -> Pose:
+        """Do the Gauss-Newton steps alone, until one is shorter than where tracking stops."""
+        return solve_pose(self.start, moments, [], steps=50)[0].pose
+
+    def peer(self) -> Pose:
+        """Solve with `scipy.optimize.least_squares` (MINPACK), given the exact derivative."""
+
+        def derivative(change: Floats) -> Floats:
+            jacobian = self.planes.linearize(self.start.moved(change)).jacobian
+            # The root turns by exp(change) from the start on, not by a small step from where it is.
+            jacobian[:, 3:6] = jacobian[:, 3:6] @ rotations.left_jacobian(change[3:6])
+            return jacobian
+
+        zero = np.zeros(len(self.start.body.skeleton))
+        answer = scipy.optimize.least_squares(
+            lambda change: self.planes.residuals(self.start.moved(change)).ravel(), zero, derivative, method="lm"
+        )
+        return self.start.pose.step(answer.x)
+
+
+def solve_task(rng: np.random.Generator) -> SolveTask:
+    """Make a task: 5000 contour tangents of four cameras, 2 mm noise, a start 14 degrees off in every joint."""
+    body = family_body("fine")
+    angles = body.skeleton.habit[0] + rng.normal(size=len(body.skeleton) - 6) * 0.2
+    truth = Pose(np.array([0.1, 0.2, 1.0]), rotations.exp(rng.normal(size=3)), angles)
+    where = SurfacePoints(
+        face=rng.integers(0, len(body.faces), CORRESPONDENCES),
+        barycentric=rng.dirichlet([1.0, 1.0, 1.0], CORRESPONDENCES),
+    )
+    targets = PosedBody(body, truth).points(where) + rng.normal(size=(CORRESPONDENCES, 3)) * 0.002
+    centres = np.array([[4.0, 0, 1], [0, 4, 1], [-4, 0, 1], [0, -4, 1]])[rng.integers(0, 4, CORRESPONDENCES)]
+    contour = rng.normal(size=(CORRESPONDENCES, 3))
+    normals = np.cross(targets - centres, contour)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    planes = SilhouettePlanes(
+        where=where, normals=normals, offsets=np.einsum("na,na->n", normals, targets),
+        pixels_per_metre=np.full(CORRESPONDENCES, 200.0), sigma_px=1.0,
+    )  # fmt: skip
+    off = rng.normal(size=len(body.skeleton))
+    off *= np.concatenate([np.full(3, 0.05), np.full(3, 0.1), np.full(len(off) - 6, np.deg2rad(14))])
+    return SolveTask(PosedBody(body, truth.step(off)), truth, planes)
+
+
+def solve_speeds() -> list[Speed]:
+    """Time the pose solve beside SciPy's, from the same start to the same pose."""
+    task = solve_task(np.random.default_rng(_SEED))
+    ours, theirs = task.solve(), task.peer()
+    apart = float(np.rad2deg(np.abs(ours.angles - theirs.angles).max()))
+    own_ms, peer_ms = median_ms(task.solve, repeats=30), median_ms(task.peer, repeats=3)
+    moments = gather_moments(task.start, [task.planes])
+    steps_ms = median_ms(lambda: task.steps(moments), repeats=30)
+    what = f"pose from {CORRESPONDENCES} correspondences, {len(task.start.body.skeleton)} degrees of freedom"
+    same = f"poses {apart:.1e} degrees apart"
+    return [
+        Speed(what=what, measured=f"{own_ms:.2f} ms", beside=f"limit {SOLVE_LIMIT_MS:g} ms",
+              remark=f"moments {own_ms - steps_ms:.2f} ms, all steps {steps_ms:.2f} ms"),
+        Speed(
+            what="the same by scipy.optimize.least_squares", measured=f"{peer_ms:.0f} ms",
+            beside=f"{peer_ms / own_ms:.0f} times ours", remark=f"lm, exact derivative; {same}",
+        ),
+    ]  # fmt: skip
+
+
+def drawing_speed() -> Speed:
+    """Time the drawing of the body and the finding of its rim in one 640x480 camera."""
+    body = family_body("fine")
+    posed = PosedBody(body, Pose(np.array([0.0, 0, 0]), np.eye(3), body.skeleton.habit[0]))
+    rotation = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+    camera = Camera(
+        name="cam01", size=(640, 480), matrix=np.array([[820.0, 0, 320], [0, 820, 240], [0, 0, 1]]),
+        distortion=np.zeros(4), camera_from_world=RigidTransform(rotation, np.array([0, 0, 4.2])),
+    )  # fmt: skip
+    spent = median_ms(lambda: view_of(posed, camera).rim(body.faces), repeats=50)
+    return Speed(
+        what=f"surface of {len(body.faces)} faces and its rim in a camera", measured=f"{spent:.2f} ms", beside=""
+    )
+
+
+def silhouette_speeds(example: Path) -> list[Speed]:
+    """Time the silhouettes of one camera beside scikit-image's level set, on the same pictures."""
+    rig = read_rig(example / "cameras.toml").subset(["cam01"])
+    take = open_take(example, rig, others=True)
+    plate = from_pictures([read_picture(example / "background" / "cam01.png")])
+    pictures = [images[0] for _, images in take.at(range(40, 60))]
+    first = segment(pictures[0], plate)
+
+    def follow() -> None:
+        last = first
+        for picture in pictures[1:]:
+            last = segment(picture, plate, start=last.mask, before=last)
+
+    own_ms = median_ms(follow, repeats=3) / (len(pictures) - 1)
+    limit = f"limit {LEVEL_SET_LIMIT_MS:g} ms"
+    own = Speed(what="silhouette of a 640x480 view after the first", measured=f"{own_ms:.1f} ms", beside=limit)
+    peer = _peer_level_set(pictures[1], first.mask)
+    if peer is None:
+        missing = Speed(what="the same by scikit-image", measured="-", beside="", remark="pip install 'marey[bench]'")
+        return [own, missing]
+    peer_ms = median_ms(peer, repeats=1)
+    beside = f"{peer_ms / own_ms:.0f} times ours"
+    remark = "morphological_chan_vese, 10 iterations from the same start, grey, no background"
+    return [own, Speed(what="the same by scikit-image", measured=f"{peer_ms:.0f} ms", beside=beside, remark=remark)]
+
+
+def surface_speed() -> Speed:
+    """Time the dense measurement of a surface."""
+    seconds, count = surface_seconds()
+    return Speed(what=f"surface, {SIDE}x{SIDE} triplet every {SPACING} px", measured=f"{seconds:.1f} s",
+                 beside=f"limit {SURFACE_LIMIT_S:g} s", remark=f"{count} points, all cores")  # fmt: skip
+
+
+def wire_speed() -> Speed:
+    """Time the live wire's longest answer: from an anchor just set in one corner of a slice to the pointer opposite."""
+    row, column = np.mgrid[:WIRE_SIDE, :WIRE_SIDE]
+    disc = 60.0 * (np.hypot(row - WIRE_SIDE / 2, column - WIRE_SIDE / 2) < WIRE_SIDE / 3)
+    wire = LiveWire(disc + np.random.default_rng(_SEED).normal(0, 10, disc.shape), (0.3, 0.3))
+
+    def move() -> None:
+        wire.forget()
+        wire.anchor((0, 0))
+        wire.path_to((WIRE_SIDE, WIRE_SIDE))
+
+    return Speed(what=f"live wire's first move across a slice of {WIRE_SIDE}x{WIRE_SIDE}",
+                 measured=f"{median_ms(move, repeats=15):.2f} ms", beside=f"limit {WIRE_LIMIT_MS:g} ms")  # fmt: skip
+
+
+def _peer_level_set(picture: Image, start: Mask) -> Callable[[], object] | None:
+    try:
+        from skimage.segmentation import morphological_chan_vese
+    except ImportError:
+        return None
+    grey = picture.mean(2)
+    return lambda: morphological_chan_vese(grey, num_iter=10, init_level_set=start.astype(np.int8))
+
+
+def capture_speeds(trial: Path) -> list[Speed]:
+    """Capture a trial without overlays; give frames a second without the start, and the memory."""
+    from marey.pipelines.capture.capture import capture
+
+    progress = Progress()
+    begun = time.perf_counter()
+    with tempfile.TemporaryDirectory() as folder:
+        results = capture(trial, CaptureSettings(out=Path(folder) / "marey", overlay=False), progress)
+        with np.load(results / "motion.npz") as motion:
+            frames = len(motion["state"])
+    whole = time.perf_counter() - begun
+    start, after = (sum(progress.timings.get(name, 0.0) for name in names) for names in (["Start"], AFTER_POSE))
+    to_pose = sum(progress.timings.values()) - start - after
+    # Linux counts in kB, macOS in bytes.
+    peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1 << 20 if sys.platform == "darwin" else 1 << 10)
+    stages = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in progress.timings.items())
+    return [
+        Speed(what=f"{trial.name}: from video to final pose, without start and overlays",
+              measured=f"{frames / to_pose:.1f} frames/s", beside=f"limit {FRAMES_LIMIT_HZ:g} frames/s",
+              remark=stages),
+        Speed(what="with its files and the program's own start", measured=f"{frames / (whole - start):.1f} frames/s",
+              beside=""),
+        Speed(what="start", measured=f"{start:.1f} s", beside="limit 45 s"),
+        Speed(what="most memory", measured=f"{peak_mb:.0f} MB", beside="limit 2000 MB"),
+    ]  # fmt: skip

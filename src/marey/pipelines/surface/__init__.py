@@ -1,0 +1,1 @@
+"""From the pictures of a trial to its visible surface."""

@@ -1,0 +1,1 @@
+"""Points of the visible surface, measured in several pictures of one instant."""

@@ -1,0 +1,101 @@
+"""Gross errors: matches that the patches around them, or the way back, contradict."""
+
+import cv2
+import numpy as np
+
+from marey.arrays import Floats, Integers, Mask
+from marey.images.matching.matching import MatchSettings, match
+from marey.surface.points.field import Field, Grid
+from marey.surface.points.views import View
+
+_TOLERANCE = 0.3
+"""How far a match may lie beside where its neighbour's affine map predicts it, for a spacing of 2 px [px]."""
+_BENT = 0.05
+"""By how much more for each pixel of the spacing: maps change from patch to patch."""
+_SDS = 3.0
+_AGREEING = 3
+"""Least number of neighbours that agree."""
+_MAJORITY = 0.5
+_ISLAND = 16
+"""Smallest width and height of a piece of surface, in pixels of the template: about a patch."""
+_BACK = 1.0
+"""How far beside its beginning the way back may end [px]."""
+
+
+def agreeing(field: Field, grid: Grid, spread: Floats) -> tuple[Integers, Integers]:
+    """Count the neighbours of each node, and those of them that agree with it.
+
+    Two neighbours agree where each one's affine map leads to the other one's place.
+
+    Args:
+        field: What was found.
+        grid: Its nodes.
+        spread: (n,) standard deviation of each match [px].
+
+    Returns:
+        How many of the eight neighbours were found, and how many of these agree (n,).
+    """
+    found = np.flatnonzero(field.found)
+    beside = grid.neighbours(found)
+    there = (beside >= 0) & field.found[beside]
+    step = grid.pixels[beside] - grid.pixels[found][:, None]
+    apart = field.there[beside] - field.there[found][:, None]
+    allowed = _TOLERANCE + _BENT * grid.spacing + _SDS * np.hypot(spread[beside], spread[found][:, None])
+    fits = np.ones(there.shape, bool)
+    for maps in (field.maps[found][:, None], field.maps[beside]):
+        beyond = apart - np.einsum("...ij,...j->...i", maps, step)
+        fits &= np.linalg.norm(beyond, axis=-1) <= allowed
+    counts = np.zeros((2, len(grid)), np.int64)
+    counts[0, found], counts[1, found] = there.sum(axis=1), (there & fits).sum(axis=1)
+    return counts[0], counts[1]
+
+
+def continuous(field: Field, grid: Grid, spread: Floats) -> Field:
+    """Keep what goes on from patch to patch: nodes with which most neighbours agree, in pieces of some size.
+
+    Args:
+        field: What was found.
+        grid: Its nodes.
+        spread: (n,) standard deviation of each match [px].
+
+    Returns:
+        The rest.
+    """
+    neighbours, same = agreeing(field, grid, spread)
+    field = field.only((same >= _AGREEING) & (same >= _MAJORITY * neighbours))
+    return field.only(in_large_pieces(field.found, grid))
+
+
+def in_large_pieces(found: Mask, grid: Grid) -> Mask:
+    """Tell which nodes (n,) belong to pieces of surface that are no islands."""
+    if not len(grid):
+        return found
+    picture = found.reshape(grid.rows, grid.columns).astype(np.uint8)
+    _, label, sizes, _ = cv2.connectedComponentsWithStats(picture, connectivity=4)
+    least = max(4.0, (_ISLAND / grid.spacing) ** 2)
+    large = sizes[:, cv2.CC_STAT_AREA] >= least
+    large[0] = False
+    return np.asarray(large[label].ravel())
+
+
+def leading_back(template: View, search: View, pixels: Floats, there: Floats, maps: Floats, sizes: Integers) -> Mask:
+    """Tell which matches (n,) are found again when what was found is looked for in the template.
+
+    Args:
+        template: The view of which patches were taken.
+        search: The view in which they were found.
+        pixels: (n, 2) the patches' centres in the template [px].
+        there: (n, 2) where they were found [px].
+        maps: (n, 2, 2) affine maps of the patches.
+        sizes: (n,) of the patches [px].
+    """
+    back = np.zeros(len(pixels), bool)
+    for size in np.unique(sizes):
+        some = np.flatnonzero(sizes == size)
+        rules = MatchSettings(size=int(size), noise=search.noise, reach=2.0)
+        found = match(
+            search.spline, template.spline, there[some], pixels[some], maps=np.linalg.inv(maps[some]), settings=rules
+        )  # fmt: skip
+        away = np.linalg.norm(found.pixels - pixels[some], axis=1)
+        back[some] = found.converged & (np.nan_to_num(away, nan=np.inf) <= _BACK)
+    return back

@@ -1,0 +1,77 @@
+"""Seeds that a person clicked, brought to where the pictures confirm them."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from marey.arrays import Floats, Mask
+from marey.cameras.triangulate import triangulate
+from marey.surface.points.seeds import Seeds, exact
+from marey.surface.points.settings import SurfaceSettings
+from marey.surface.points.sweep import Hypotheses, correlations, facing_maps
+from marey.surface.points.views import Comparison, View
+
+_CLICK_SD = 3.0
+"""How well a person clicks [px]."""
+_REACH = 12
+"""How far about a click the surroundings are compared [px]."""
+_STEP = 1.5
+_HALF = 10
+
+
+def clicked_seeds(
+    views: Sequence[View], compared: Sequence[Comparison], clicks: Floats, settings: SurfaceSettings
+) -> tuple[dict[tuple[int, int], Seeds], Mask]:
+    """Match clicked seeds exactly.
+
+    Two clicks fix a point, and with it where the other cameras see it; about a click the place is sought that is most
+    like the template.
+
+    Args:
+        views: All C cameras' views of the instant in which was clicked.
+        compared: Templates, and where they are looked for.
+        clicks: (n, C, 2) [px]; NaN where unknown.
+        settings: Which matches are good.
+
+    Returns:
+        Seeds by template and searched camera, and which of the clicks were confirmed anywhere (n,).
+    """
+    cameras = [view.camera for view in views]
+    points = triangulate(cameras, clicks.swapaxes(0, 1), sigma_px=_CLICK_SD).points
+    known = np.isfinite(points[:, 0])
+    complete = np.array(clicks)
+    for c, camera in enumerate(cameras):
+        seen = camera.project(points)
+        seen[~camera.sees(seen)] = np.nan
+        complete[:, c] = np.where(np.isfinite(complete[:, c]), complete[:, c], seen)
+    found, confirmed = {}, np.zeros(len(clicks), bool)
+    for template, searched in compared:
+        for other in searched:
+            both = known & np.isfinite(complete[:, [template, other], 0]).all(axis=1)
+            pixels = np.round(complete[both, template])
+            seeds = _sought(
+                views[template], views[other], pixels, complete[both, other], points[both], settings
+            )  # fmt: skip
+            confirmed[np.flatnonzero(both)[seeds.known]] = True
+            found[template, other] = seeds[seeds.known]
+    return found, confirmed
+
+
+def _sought(
+    template: View, search: View, pixels: Floats, there: Floats, points: Floats, settings: SurfaceSettings
+) -> Seeds:
+    """Compare the surroundings of seeds about where they were clicked, and match the best place exactly."""
+    _, maps = facing_maps(template.camera, search.camera, pixels, points)
+    steps = np.arange(-_REACH, _REACH + 1e-9, _STEP)
+    around = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    count, tries = len(pixels), len(around)
+    tried = Hypotheses(
+        first=np.arange(count + 1) * tries,
+        places=(there[:, None] + around).reshape(-1, 2),
+        maps=np.repeat(maps, tries, axis=0),
+    )
+    scores = correlations(
+        template.grey.astype(np.float32), search.grey.astype(np.float32), pixels, tried, half=_HALF
+    ).reshape(count, tries)
+    best = there + around[scores.argmax(axis=1)]
+    return exact(template, search, pixels, best, maps, settings, reach=4.0)

@@ -1,0 +1,91 @@
+"""A template's grid of patches, and what was found of them in one search picture."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from marey.arrays import Floats, Integers, Mask, freeze_fields
+from marey.surface.points.views import View
+
+_AROUND = np.array([[0, -1], [0, 1], [-1, 0], [1, 0], [-1, -1], [-1, 1], [1, -1], [1, 1]])
+"""Row and column of the neighbours."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Grid:
+    """Where in the template points are measured."""
+
+    left: int
+    """x of the first column [px]."""
+    top: int
+    """y of the first row [px]."""
+    spacing: int
+    """[px]."""
+    rows: int
+    columns: int
+
+    @staticmethod
+    def over(view: View, *, spacing: int, half: int) -> "Grid":
+        """Cover a picture as far as patches fit into it."""
+        edge = half + 2
+        width, height = view.camera.size
+        rows, columns = (max(0, (side - 2 * edge - 1) // spacing + 1) for side in (height, width))
+        left, top = ((side - 1 - (count - 1) * spacing) // 2 for side, count in ((width, columns), (height, rows)))
+        return Grid(left=left, top=top, spacing=spacing, rows=rows, columns=columns)
+
+    def __len__(self) -> int:
+        """Count the nodes."""
+        return self.rows * self.columns
+
+    @cached_property
+    def pixels(self) -> Floats:
+        """(n, 2) the nodes, row by row [px]."""
+        row, column = np.divmod(np.arange(len(self)), max(self.columns, 1))
+        return np.stack([self.left + self.spacing * column, self.top + self.spacing * row], axis=-1).astype(float)
+
+    def neighbours(self, nodes: Integers) -> Integers:
+        """Give the eight nodes (m, 8) about each of some nodes; -1 beyond the border."""
+        row, column = np.divmod(nodes, self.columns)
+        r, c = row[:, None] + _AROUND[:, 0], column[:, None] + _AROUND[:, 1]
+        inside = (r >= 0) & (r < self.rows) & (c >= 0) & (c < self.columns)
+        return np.where(inside, r * self.columns + c, -1)
+
+    def nearest(self, pixels: Floats) -> Integers:
+        """Give the node nearest to each pixel (n, 2)."""
+        place = np.round((pixels - [self.left, self.top]) / self.spacing).astype(int)
+        column, row = np.clip(place, 0, [self.columns - 1, self.rows - 1]).T
+        return row * self.columns + column
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Field:
+    """What was found of a template in one search picture, node by node; NaN where nothing was."""
+
+    there: Floats
+    """(n, 2) [px]."""
+    maps: Floats
+    """(n, 2, 2)."""
+    covariance: Floats
+    """(n, 2, 2) [px2]."""
+    correlation: Floats
+    """(n,)."""
+    size: Integers
+    """(n,) of the patch [px]; 0 where nothing was found."""
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, "there", "maps", "covariance", "correlation")
+        freeze_fields(self, "size", dtype=np.int64)
+
+    @property
+    def found(self) -> Mask:
+        """(n,) where something was found."""
+        return self.size > 0
+
+    def only(self, kept: Mask) -> "Field":
+        """Forget all but some nodes (n,)."""
+        pick = lambda values: np.where(kept.reshape(-1, *[1] * (values.ndim - 1)), values, np.nan)  # noqa: E731
+        return Field(
+            there=pick(self.there), maps=pick(self.maps), covariance=pick(self.covariance),
+            correlation=pick(self.correlation), size=np.where(kept, self.size, 0),
+        )  # fmt: skip

@@ -1,0 +1,158 @@
+"""Forward intersection: the points where the rays of matched patches meet, without those that do not."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from marey.arrays import Floats, Integers, Mask
+from marey.cameras.camera import Camera
+from marey.cameras.triangulate import TriangulatedPoints, triangulate
+from marey.surface.points.acceptance import beside_lines
+from marey.surface.points.checks import in_large_pieces, leading_back
+from marey.surface.points.dense import Tuples
+from marey.surface.points.measured import MeasuredPoints
+from marey.surface.points.settings import SurfaceSettings
+from marey.surface.points.views import View
+
+FLOOR_PX = 0.06
+"""What a match does not know of its own error: interpolation, and light and compression that differ by view [px]."""
+UNSURE_BEND = 0.5
+"""By what share of it the bend's effect differs from patch to patch: it depends on where in the patch texture lies."""
+_USUAL = 4.0
+"""A residual is usual up to so many times the median, and ..."""
+_LEAST = 0.15
+"""... always up to here [px]."""
+_UNMET = 0.75
+"""Where the median residual is more than this share of the greatest one, rays do not meet at all: these are outlines of
+bodies without texture, which every camera sees elsewhere, or cameras that are not calibrated."""
+_MEDIAN_OF_CHI2 = {1: 0.4549, 3: 2.3660, 5: 4.3515, 7: 6.3458}
+
+
+def intersect(views: Sequence[View], tuples: Tuples, settings: SurfaceSettings, *, frame: int) -> MeasuredPoints:
+    """Intersect the rays of tuples, and keep the points that three rays, or two and the way back, bear out.
+
+    Args:
+        views: All C cameras' views; their cameras may be better known than when the tuples were matched.
+        tuples: Matches that belong together.
+        settings: Limits.
+        frame: The number that the points shall carry.
+
+    Returns:
+        The points, with a covariance that holds what their own residuals show, and what the surface's bend does.
+    """
+    cameras = [view.camera for view in views]
+    pixels, kept = np.array(tuples.pixels), np.ones(len(tuples), bool)
+    sigma = np.hypot(tuples.sd, FLOOR_PX)
+    pixels[_off_their_lines(views, tuples, settings)] = np.nan
+    # Of many cameras all around, a template is compared with a few.
+    used = np.flatnonzero(np.isfinite(pixels[..., 0]).any(axis=0))
+    own, there, spread = [cameras[i] for i in used], pixels[:, used], sigma[:, used]
+    solved = triangulate(own, there.swapaxes(0, 1), sigma_px=spread.T) if len(used) else _nothing()
+    kept &= solved.views >= 2
+    most = kept & (solved.views >= min(3, solved.views.max(initial=0)))
+    kept &= solved.residual_px <= _limit(solved.residual_px[most], settings.residual_px)
+    if most.any() and np.median(solved.residual_px[most]) > _UNMET * settings.residual_px:
+        kept[:] = False
+    two = np.flatnonzero(kept & (solved.views == 2))
+    kept[two] = _borne_out(views, tuples, pixels, two)
+    whole = np.zeros(len(tuples.grid), bool)
+    whole[tuples.nodes[kept]] = True
+    kept &= in_large_pieces(whole, tuples.grid)[tuples.nodes]
+    factor = variance_factor(own, solved, there, spread, kept)
+    bend = np.where(np.isfinite(there), tuples.bend[:, used], np.nan)[kept]
+    aside = drawn_aside(own, solved.points[kept], bend, spread[kept])
+    squares = (1 + UNSURE_BEND**2) * aside[:, :, None] * aside[:, None, :]
+    return MeasuredPoints(
+        frame=np.full(kept.sum(), frame), points=solved.points[kept],
+        covariance=factor * solved.covariance[kept] + squares,
+        camera_names=tuple(camera.name for camera in cameras), pixels=pixels[kept],
+        correlation=np.where(np.isfinite(pixels[kept, :, 0]), tuples.correlation[kept], np.nan),
+        residual_px=solved.residual_px[kept], colour=tuples.colour[kept],
+    )  # fmt: skip
+
+
+def drawn_aside(cameras: Sequence[Camera], points: Floats, bend: Floats, sigma: Floats) -> Floats:
+    """Say how far points (n, 3) move when their pixels move by the bend (n, C, 2) of the surface, all at once [m].
+
+    The views see one and the same surface: their bends act together, and what comes of it no residual shows.
+
+    Args:
+        cameras: C cameras.
+        points: (n, 3) as they were intersected [m].
+        bend: (n, C, 2) [px]; NaN in views that did not take part.
+        sigma: (n, C) standard deviations with which the views were weighed [px].
+    """
+    normal, right = np.zeros((len(points), 3, 3)), np.zeros((len(points), 3))
+    for i, camera in enumerate(cameras):
+        used = np.isfinite(bend[:, i, 0])
+        weight = np.where(used, 1 / np.where(used, sigma[:, i], 1.0) ** 2, 0.0)
+        slope = np.where(used[:, None, None], camera.project_with_derivative(points)[1], 0.0)
+        normal += np.einsum("n,nij,nik->njk", weight, slope, slope)
+        right += np.einsum("n,nij,ni->nj", weight, slope, np.nan_to_num(bend[:, i]))
+    return np.asarray(np.linalg.solve(normal, right[..., None])[..., 0])
+
+
+def _nothing() -> TriangulatedPoints:
+    """Give the intersection of no rays."""
+    none = np.zeros(0)
+    return TriangulatedPoints(
+        points=np.zeros((0, 3)), covariance=np.zeros((0, 3, 3)), residual_px=none, views=np.zeros(0, np.int64)
+    )  # fmt: skip
+
+
+def _limit(residual: Floats, most: float) -> float:
+    """Say from which residual on a point is a gross error [px]."""
+    return min(most, max(_LEAST, _USUAL * float(np.median(residual)))) if len(residual) else most
+
+
+def _off_their_lines(views: Sequence[View], tuples: Tuples, settings: SurfaceSettings) -> Mask:
+    """Tell which matches (n, C) lie too far from their epipolar lines, against what is usual in their picture."""
+    off = np.zeros(tuples.correlation.shape, bool)
+    for other in range(len(views)):
+        if other != tuples.template:
+            here, there = tuples.pixels[:, tuples.template], tuples.pixels[:, other]
+            beside = np.abs(beside_lines(views[tuples.template], views[other], here, there))
+            known = np.isfinite(there[:, 0])
+            off[:, other] = known & ~(beside <= 2 * _limit(beside[known & np.isfinite(beside)], settings.residual_px))
+    return off
+
+
+def _borne_out(views: Sequence[View], tuples: Tuples, pixels: Floats, some: Integers) -> Mask:
+    """Tell which of some tuples (m,) of two views the way back bears out."""
+    good = np.zeros(len(some), bool)
+    for other in range(len(views)):
+        if other == tuples.template:
+            continue
+        which = np.flatnonzero(np.isfinite(pixels[some, other, 0]))
+        rows = some[which]
+        good[which] = leading_back(
+            views[tuples.template], views[other], tuples.pixels[rows, tuples.template], tuples.pixels[rows, other],
+            tuples.maps[rows, other], tuples.size[rows, other],
+        )  # fmt: skip
+    return good
+
+
+def variance_factor(
+    cameras: Sequence[Camera], solved: TriangulatedPoints, pixels: Floats, sigma: Floats, some: Mask
+) -> float:
+    """Say by what factor the residuals' squares exceed what the matches' covariances promise; at least 1.
+
+    Args:
+        cameras: C cameras.
+        solved: (n) points.
+        pixels: (n, C, 2) their pixels [px].
+        sigma: (n, C) standard deviations of the pixels [px].
+        some: (n,) the points that count.
+
+    Returns:
+        The ratio of the medians, over points seen by most cameras.
+    """
+    if not some.any():
+        return 1.0
+    most = int(solved.views[some].max())
+    some = some & (solved.views == most)
+    there = np.stack([camera.project(solved.points[some]) for camera in cameras], axis=1)
+    squares = np.nansum(np.sum((there - pixels[some]) ** 2, axis=-1) / sigma[some] ** 2, axis=1)
+    freedom = 2 * most - 3
+    expected = _MEDIAN_OF_CHI2.get(freedom, freedom * (1 - 2 / (9 * freedom)) ** 3)
+    return max(1.0, float(np.median(squares)) / expected)

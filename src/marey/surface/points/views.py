@@ -1,0 +1,124 @@
+"""The pictures of one instant, made ready for matching; and which of them are compared with which."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from marey.arrays import Floats, Image, Mask
+from marey.cameras.camera import Camera
+from marey.cameras.rig import Rig
+from marey.images.matching.splines import SplinePicture, spline_of
+from marey.images.silhouettes.noise import noise_of
+
+_MOST_SEARCHED = 4
+"""More views of the same patch cost time and add little."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class View:
+    """One camera's picture of an instant."""
+
+    camera: Camera
+    image: Image
+    """(H, W, 3) blue, green, red."""
+    mask: Mask | None = None
+    """(H, W) where the surface may be seen; everywhere when None."""
+
+    @cached_property
+    def grey(self) -> Image:
+        """(H, W)."""
+        return np.asarray(cv2.cvtColor(self.image, cv2.COLOR_BGR2GRAY), np.uint8)
+
+    @cached_property
+    def spline(self) -> SplinePicture:
+        """The grey picture between its pixels."""
+        return spline_of(self.grey)
+
+    @cached_property
+    def noise(self) -> float:
+        """Standard deviation of a pixel's noise [grey levels]."""
+        return noise_of(self.grey)
+
+    def shows(self, pixels: Floats) -> Mask:
+        """Tell at which pixels (n, 2) the surface may be seen; false outside of the picture."""
+        inside = self.camera.sees(pixels)
+        if self.mask is None:
+            return inside
+        column, row = np.round(np.where(inside[..., None], pixels, 0.0)).astype(int).T
+        return inside & self.mask[row, column]
+
+    def scaled(self, factor: float) -> "View":
+        """Give the view with a smaller picture."""
+        camera = self.camera.scaled(factor)
+        image = cv2.resize(self.image, camera.size, interpolation=cv2.INTER_AREA)
+        return View(camera=camera, image=np.asarray(image, np.uint8))
+
+
+class Comparison(NamedTuple):
+    """A template and the pictures in which its patches are looked for, as indices of cameras."""
+
+    template: int
+    searched: tuple[int, ...]
+
+
+def comparisons(rig: Rig, *, angle: float) -> tuple[Comparison, ...]:
+    """Choose templates so that every camera takes part and every template stands between those it is compared with.
+
+    With two cameras the first is the template, with three the middle one ([Plaenkers1999] section 2.1). Ours: of more
+    cameras that one becomes a template that is near most of those that no template has yet; each is compared with
+    its nearest neighbours.
+
+    Args:
+        rig: The cameras.
+        angle: Cameras whose views of the scene differ by more are not compared [rad], unless there are only two.
+
+    Returns:
+        The comparisons; none where all cameras stand too far apart.
+    """
+    if len(rig) == 2:
+        return (Comparison(0, (1,)),)
+    apart = view_angles(rig)
+    near = (apart <= angle) & ~np.eye(len(rig), dtype=bool)
+    waiting: Mask = np.asarray(near.any(axis=1))
+    chosen = []
+    while waiting.any():
+        searched = [_searched(i, near[i], apart[i]) for i in range(len(rig))]
+        gain = [waiting[i] * 1.0 + waiting[list(others)].sum() for i, others in enumerate(searched)]
+        spread = [apart[i, list(others)].sum() if others else np.inf for i, others in enumerate(searched)]
+        best = min(range(len(rig)), key=lambda i: (-gain[i], spread[i]))
+        chosen.append(Comparison(best, searched[best]))
+        waiting[[best, *searched[best]]] = False
+    return tuple(chosen)
+
+
+def _searched(own: int, near: Mask, apart: Floats) -> tuple[int, ...]:
+    others = np.flatnonzero(near)
+    return tuple(sorted(map(int, others[np.argsort(apart[others], kind="stable")][:_MOST_SEARCHED])))
+
+
+def view_angles(rig: Rig) -> Floats:
+    """Measure the angles (C, C) between the cameras as seen from the middle of the scene [rad].
+
+    The middle is the point nearest to all optical axes; where they are parallel, the axes' own angles count.
+    """
+    forward = np.stack([camera.camera_from_world.rotation[2] for camera in rig])
+    across = np.eye(3) - forward[:, :, None] * forward[:, None, :]
+    normal, right = across.sum(axis=0), np.einsum("cij,cj->i", across, rig.centres)
+    sight = -forward
+    if np.linalg.eigvalsh(normal)[0] > 1e-6 * len(rig):
+        away = rig.centres - np.linalg.solve(normal, right)
+        if (np.sum(away * sight, axis=1) > 0).all():
+            sight = away / np.linalg.norm(away, axis=1, keepdims=True)
+    return np.arccos(np.clip(sight @ sight.T, -1, 1))
+
+
+def views_of(rig: Rig, images: Sequence[Image], masks: Sequence[Mask | None] | None = None) -> tuple[View, ...]:
+    """Put cameras, pictures, and masks together."""
+    several = masks if masks is not None else [None] * len(rig)
+    return tuple(
+        View(camera=camera, image=image, mask=mask) for camera, image, mask in zip(rig, images, several, strict=True)
+    )

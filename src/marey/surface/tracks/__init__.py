@@ -1,0 +1,1 @@
+"""The surface followed through the frames: trajectories and their filters."""

@@ -1,0 +1,411 @@
+"""Surface tracking: points of a moving surface followed through the frames, started, lost and found again.
+
+[Plaenkers1999] section 2.2. `track` goes through the frames; each of its steps is a function of what was known before.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from marey.arrays import Floats, Integers, Mask
+from marey.cameras.camera import Camera
+from marey.surface.points.measured import MeasuredPoints
+from marey.surface.tracks import appearances as looks
+from marey.surface.tracks.appearances import Appearances, Picture
+from marey.surface.tracks.following import Followed, ViewPatchSettings, between, follow, intersected
+from marey.surface.tracks.local_motion import NEIGHBOURS, candidates, carried, misfit, radius_of
+
+Expected = Callable[[int, Floats, Integers], Floats]
+"""Where points are expected in a frame (n, 3) [m], from where they were measured last (n, 3) [m] and in which frames
+(n,); NaN where nobody knows. See `marey.fit.points.lost_points`."""
+SPACING = 6.0
+"""Distance of new points from those that are followed [px]."""
+DEFAULT = ViewPatchSettings()
+_SIZES, _MOST = (1.0, 1.6, 2.4), 0.7
+"""Factors by which patches are enlarged, and what share of the surface is enough."""
+_ASTRAY = 0.25
+"""How far a point found in a wide box may be from where its neighbours have gone, as a share of their distance."""
+_FAR = 3
+"""By how much more neighbours, and farther ones, say where a hidden point has gone."""
+_ARRAYS = ("number", "position", "last", "motion", "covariance", "pixels", "seen", "template", "across")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Tracks:
+    """What is known of N points after a frame: those that are followed, and those lost not long ago."""
+
+    frame: int
+    started: int
+    """How many points were ever started."""
+    number: Integers
+    """(N,) which of those each is; rising."""
+    position: Floats
+    """(N, 3) where they are, or are thought to be [m]."""
+    last: Floats
+    """(N, 3) where they were measured last [m]."""
+    motion: Floats
+    """(N, 3) over the last frame [m]; NaN where not known."""
+    covariance: Floats
+    """(N, 3, 3) [m2]; NaN for those not measured in this frame."""
+    pixels: Floats
+    """(N, C, 2) in the views that show them in this frame [px]."""
+    seen: Integers
+    """(N,) the last frame in which they were measured."""
+    template: Integers
+    """(N,) the view from which the others are matched."""
+    across: Floats
+    """(N, C, 2, 2) view from template."""
+    appearances: Appearances
+
+    @property
+    def measured(self) -> Mask:
+        """(N,) whether they were measured in this frame."""
+        return self.seen == self.frame
+
+    def __len__(self) -> int:
+        """Count the points."""
+        return len(self.seen)
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Give all that it takes to go on later."""
+        own = {name: getattr(self, name) for name in _ARRAYS}
+        return {
+            "frame": np.array(self.frame),
+            "started": np.array(self.started),
+            **own,
+            **{name: getattr(self.appearances, name) for name in looks.ARRAYS},
+        }
+
+
+def tracks_from(arrays: Mapping[str, np.ndarray]) -> Tracks:
+    """Take up what `Tracks.arrays` gave."""
+    appearances = Appearances(**{name: arrays[name] for name in looks.ARRAYS})
+    own = {name: arrays[name] for name in _ARRAYS}
+    return Tracks(frame=int(arrays["frame"]), started=int(arrays["started"]), appearances=appearances, **own)
+
+
+def no_tracks(cameras: int, settings: ViewPatchSettings, *, frame: int) -> Tracks:
+    """Begin with no points."""
+    return Tracks(
+        frame=frame, started=0, number=np.zeros(0, np.int64), position=np.zeros((0, 3)),
+        last=np.zeros((0, 3)), motion=np.zeros((0, 3)), covariance=np.zeros((0, 3, 3)),
+        pixels=np.zeros((0, cameras, 2)), seen=np.zeros(0, np.int64), template=np.zeros(0, np.int64),
+        across=np.zeros((0, cameras, 2, 2)), appearances=looks.unknown(0, cameras, half=settings.half),
+    )  # fmt: skip
+
+
+def advance(
+    tracks: Tracks, before: Sequence[Picture], after: Sequence[Picture], cameras: Sequence[Camera],
+    *, settings: ViewPatchSettings, expected: Expected | None = None,
+) -> Tracks:  # fmt: skip
+    """Follow all points into the next frame.
+
+    First each point from its own last motion; then those that have none or were not found, from their neighbours'
+    motion; those without neighbours in a wide box, and what that gave must agree with the neighbours found by then.
+    Last come those lost in earlier frames, where neighbours, or somebody who knows the body, expect them.
+    """
+    tracks = _without(tracks, tracks.seen < tracks.frame + 1 - settings.gap)
+    radius = radius_of(tracks.position[tracks.measured])
+    result, position = _emptied(tracks), tracks.position + tracks.motion
+    alive = np.flatnonzero(tracks.measured)
+    moving = alive[np.isfinite(tracks.motion[alive, 0])]
+    result = _followed(tracks, result, moving, position, before, after, cameras, settings.box, settings)
+    for wide in (False, True):
+        missing = alive[result.seen[alive] < result.frame]
+        near = _carried(tracks, result, missing, radius=radius)
+        lonely = ~np.isfinite(near[:, 0])
+        position[missing] = np.where(lonely[:, None], tracks.position[missing], near)
+        some = missing[lonely == wide]
+        reach = settings.wide_box if wide else settings.box
+        result = _followed(tracks, result, some, position, before, after, cameras, reach, settings)
+        if wide:
+            result = _agreeing(tracks, result, some, radius)
+    result = _found_again(tracks, result, after, cameras, settings, expected, radius)
+    return _shown_again(result, after, cameras, settings)
+
+
+def _without(tracks: Tracks, forgotten: Mask) -> Tracks:
+    """Forget points for good."""
+    own = {name: getattr(tracks, name)[~forgotten] for name in _ARRAYS}
+    return replace(tracks, appearances=tracks.appearances[~forgotten], **own)
+
+
+def _emptied(tracks: Tracks) -> Tracks:
+    """Give the next frame, in which nothing has been measured yet."""
+    return replace(
+        tracks, frame=tracks.frame + 1, motion=np.full_like(tracks.motion, np.nan),
+        covariance=np.full_like(tracks.covariance, np.nan), pixels=np.full_like(tracks.pixels, np.nan),
+    )  # fmt: skip
+
+
+def _carried(tracks: Tracks, result: Tracks, which: Integers, *, radius: float, count: int = NEIGHBOURS) -> Floats:
+    """Say where points should be by the motion of those about them that were followed."""
+    both = tracks.measured & result.measured
+    return carried(tracks.position[which], tracks.position[both], result.position[both], radius=radius, count=count)
+
+
+def _agreeing(tracks: Tracks, result: Tracks, which: Integers, radius: float) -> Tracks:
+    """Take back what was found far from where the surface about it has gone."""
+    start = np.where(tracks.measured[:, None], tracks.position, np.nan)
+    end = np.where(result.measured[:, None], result.position, np.nan)
+    which = which[result.seen[which] == result.frame]
+    apart, _ = misfit(start, end, which, candidates(start, which, radius=radius))
+    false = which[apart > _ASTRAY * radius]
+    position, motion, seen = result.position.copy(), result.motion.copy(), result.seen.copy()
+    covariance, pixels = result.covariance.copy(), result.pixels.copy()
+    last = result.last.copy()
+    position[false], motion[false], seen[false] = tracks.position[false], np.nan, tracks.seen[false]
+    last[false] = tracks.last[false]
+    covariance[false], pixels[false] = np.nan, np.nan
+    return replace(result, position=position, last=last, motion=motion, covariance=covariance, pixels=pixels, seen=seen)
+
+
+def _followed(
+    tracks: Tracks, result: Tracks, which: Integers, position: Floats, before: Sequence[Picture],
+    after: Sequence[Picture], cameras: Sequence[Camera], reach: float, settings: ViewPatchSettings,
+) -> Tracks:  # fmt: skip
+    """Follow some points that the last frame shows."""
+    if not len(which):
+        return result
+    # Differences of projections: what calibration and lens leave of the residual stays as it was.
+    shift = [camera.project(position[which]) - camera.project(tracks.position[which]) for camera in cameras]
+    shown = tracks.pixels[which]
+    followed = follow(
+        tracks.appearances[which], shown + np.stack(shift, axis=1), (before, shown), after, cameras,
+        template=tracks.template[which], across=tracks.across[which], reach=reach, settings=settings,
+    )  # fmt: skip
+    return _written(result, which, followed, tracks.position[which], after)
+
+
+def _written(
+    result: Tracks, which: Integers, followed: Followed, origin: Floats, pictures: Sequence[Picture]
+) -> Tracks:
+    """Write down what was found."""
+    found = followed.found
+    rows = which[found]
+    position, motion, covariance = result.position.copy(), result.motion.copy(), result.covariance.copy()
+    pixels, seen, template, across = (getattr(result, name).copy() for name in ("pixels", "seen", "template", "across"))
+    last = result.last.copy()
+    last[rows] = followed.position[found]
+    position[rows], motion[rows] = followed.position[found], followed.position[found] - origin[found]
+    covariance[rows], pixels[rows], seen[rows] = followed.covariance[found], followed.pixels[found], result.frame
+    template[rows], across[rows] = followed.template[found], followed.across[found]
+    maps = result.appearances.maps.copy()
+    maps[rows] = followed.maps[found]
+    appearances = replace(result.appearances, maps=maps)
+    renew = np.zeros(appearances.known.shape, bool)
+    renew[rows] = followed.renew[found]
+    appearances = looks.renewed(appearances, pictures, pixels, renew)
+    return replace(
+        result, position=position, last=last, motion=motion, covariance=covariance, pixels=pixels, seen=seen,
+        template=template, across=across, appearances=appearances,
+    )  # fmt: skip
+
+
+def _found_again(
+    tracks: Tracks, result: Tracks, after: Sequence[Picture], cameras: Sequence[Camera], settings: ViewPatchSettings,
+    expected: Expected | None, radius: float,
+) -> Tracks:  # fmt: skip
+    """Look for lost points where they are expected; carry along those that are not found."""
+    lost = np.flatnonzero(result.seen < result.frame)
+    if not len(lost):
+        return result
+    carried = _carried(tracks, result, lost, radius=_FAR * radius, count=_FAR * NEIGHBOURS)
+    guesses = [carried]
+    if expected is not None:
+        told = expected(result.frame, result.last[lost], result.seen[lost])
+        guesses = [np.where(np.isfinite(carried), carried, told), told]
+    position = result.position.copy()
+    known = np.isfinite(guesses[0][:, 0])
+    position[lost[known]] = guesses[0][known]
+    result = replace(result, position=position)
+    # Those lost in this very frame were looked for already.
+    older = tracks.seen[lost] < tracks.frame
+    for guess in guesses:
+        still = older & np.isfinite(guess[:, 0]) & (result.seen[lost] < result.frame)
+        result = _looked_for(result, lost[still], guess[still], after, cameras, settings)
+    motion = result.motion.copy()
+    motion[lost[older]] = np.nan
+    return replace(result, motion=motion)
+
+
+def _looked_for(
+    result: Tracks, lost: Integers, place: Floats, after: Sequence[Picture], cameras: Sequence[Camera],
+    settings: ViewPatchSettings,
+) -> Tracks:  # fmt: skip
+    """Look for lost points about places (n, 3) in every view."""
+    if not len(lost):
+        return result
+    shown = np.stack([camera.project(place) for camera in cameras], axis=1)
+    followed = follow(
+        result.appearances[lost], shown, None, after, cameras, template=result.template[lost],
+        across=result.across[lost], reach=settings.box, settings=settings,
+    )  # fmt: skip
+    return _written(result, lost, followed, place, after)
+
+
+def _shown_again(
+    result: Tracks, after: Sequence[Picture], cameras: Sequence[Camera], settings: ViewPatchSettings
+) -> Tracks:
+    """Look for followed points in views that have not shown them so far, or not any more."""
+    pixels, across = result.pixels.copy(), result.across.copy()
+    for view, camera in enumerate(cameras):
+        rows = np.flatnonzero(result.measured & np.isnan(pixels[:, view, 0]))
+        expected = camera.project(result.position[rows])
+        for origin, picture in enumerate(after):
+            mine = result.template[rows] == origin
+            some = rows[mine]
+            found = between(
+                picture,
+                after[view],
+                pixels[some, origin],
+                expected[mine],
+                across[some, view],
+                settings,
+                least=settings.alike,
+            )
+            pixels[some, view] = found.pixels
+            across[some[found.good], view] = found.maps[found.good]
+    new = np.isfinite(pixels[..., 0]) & np.isnan(result.pixels[..., 0])
+    appearances = looks.renewed(result.appearances, after, pixels, new)
+    return replace(result, pixels=pixels, across=across, appearances=appearances)
+
+
+def start(
+    tracks: Tracks, seeds: MeasuredPoints, pictures: Sequence[Picture], cameras: Sequence[Camera], *, spacing: float,
+    settings: ViewPatchSettings,
+) -> Tracks:  # fmt: skip
+    """Start new points where the surface shows and no point is followed.
+
+    Args:
+        tracks: The points so far.
+        seeds: The surface as it was measured in this frame.
+        pictures: C of this frame.
+        cameras: C cameras.
+        spacing: Least distance of points in a seed's template picture [px].
+        settings: Sizes and limits.
+
+    Returns:
+        The old points and the new ones behind them.
+    """
+    chosen = np.sort(np.concatenate([
+        _free_places(seeds, view, tracks.pixels[tracks.measured, view], spacing) for view in range(len(pictures))
+    ]).astype(np.int64))  # fmt: skip
+    new = _new_points(seeds[chosen], tracks, pictures, cameras, settings)
+    both = {name: np.concatenate([getattr(tracks, name), getattr(new, name)]) for name in _ARRAYS}
+    together = looks.joined(tracks.appearances, new.appearances)
+    return Tracks(frame=tracks.frame, started=new.started, appearances=together, **both)
+
+
+def _free_places(seeds: MeasuredPoints, view: int, taken: Floats, spacing: float) -> Integers:
+    """Choose seeds of one template view, one a cell of a grid, that lie apart from the points followed there."""
+    rows = np.flatnonzero(seeds.template == view)
+    taken = taken[np.isfinite(taken[:, 0])]
+    places = seeds.pixels[rows, view]
+    if len(taken) and len(rows):
+        apart = cKDTree(taken).query(places)[0] >= spacing
+        rows, places = rows[apart], places[apart]
+    cells = np.floor(places / spacing)
+    off_middle = np.abs(places / spacing - cells - 0.5).max(axis=1) if len(rows) else np.zeros(0)
+    order = np.lexsort((off_middle, cells[:, 1], cells[:, 0]))
+    first = np.ones(len(rows), bool)
+    first[1:] = np.any(np.diff(cells[order], axis=0) != 0, axis=1)
+    return rows[order[first]]
+
+
+def _new_points(
+    seeds: MeasuredPoints,
+    tracks: Tracks,
+    pictures: Sequence[Picture],
+    cameras: Sequence[Camera],
+    settings: ViewPatchSettings,
+) -> Tracks:
+    """Match seeds between the views, and start those that are confirmed."""
+    template, pixels = seeds.template, np.array(seeds.pixels)
+    across = np.tile(np.eye(2), (*pixels.shape[:2], 1, 1))
+    sd = np.full(pixels.shape[:2], np.nan)
+    for origin, first in enumerate(pictures):
+        for view, second in enumerate(pictures):
+            rows = np.flatnonzero((template == origin) & np.isfinite(pixels[:, view, 0]))
+            if view == origin or not len(rows):
+                continue
+            found = between(first, second, pixels[rows, origin], pixels[rows, view], across[rows, view], settings)
+            pixels[rows, view], sd[rows, view] = found.pixels, found.sd
+            across[rows[found.good], view] = found.maps[found.good]
+    # Half of each match's error is the template's.
+    others = np.isfinite(sd).any(axis=1)
+    sd[others] *= np.sqrt(0.5)
+    sd[others, template[others]] = np.sqrt(np.nanmean(sd[others] ** 2, axis=1))
+    points = intersected(cameras, pixels, sd, settings)
+    kept = np.isfinite(points.position[:, 0])
+    appearances = looks.unknown(int(kept.sum()), len(pictures), half=settings.half)
+    pixels = points.pixels[kept]
+    appearances = looks.renewed(appearances, pictures, pixels, np.isfinite(pixels[..., 0]))
+    count = len(pixels)
+    return Tracks(
+        frame=tracks.frame, started=tracks.started + count, number=tracks.started + np.arange(count),
+        position=points.position[kept], last=points.position[kept], motion=np.full((count, 3), np.nan),
+        covariance=points.covariance[kept], pixels=pixels, seen=np.full(count, tracks.frame),
+        template=template[kept], across=across[kept], appearances=appearances,
+    )  # fmt: skip
+
+
+def fitting_size(
+    seeds: MeasuredPoints, pictures: Sequence[Picture], cameras: Sequence[Camera], *, spacing: float,
+    settings: ViewPatchSettings,
+) -> int:  # fmt: skip
+    """Choose the smallest patches with which most of a measured surface can be followed: weak texture wants large ones.
+
+    Args:
+        seeds: The surface of one frame.
+        pictures: C of that frame.
+        cameras: C cameras.
+        spacing: Of the points [px].
+        settings: Limits; the size in them is the smallest one tried.
+
+    Returns:
+        Width and height of the patches [px], odd.
+    """
+    confirmed: dict[int, int] = {}
+    empty = no_tracks(len(cameras), settings, frame=0)
+    apart = np.concatenate([_free_places(seeds, view, np.zeros((0, 2)), spacing) for view in range(len(pictures))])
+    for factor in _SIZES:
+        size = 2 * round(factor * settings.half) + 1
+        confirmed[size] = len(_new_points(seeds[apart], empty, pictures, cameras, replace(settings, size=size)))
+        if confirmed[size] >= _MOST * len(apart):
+            return size
+    return min(size for size, count in confirmed.items() if count >= _MOST * max(confirmed.values()))
+
+
+def track(
+    frames: Iterable[tuple[int, Sequence[np.ndarray]]], cameras: Sequence[Camera],
+    seeds: Callable[[int], MeasuredPoints], *, spacing: float = SPACING, settings: ViewPatchSettings = DEFAULT,
+    expected: Expected | None = None, known: Tracks | None = None,
+) -> Iterator[Tracks]:  # fmt: skip
+    """Follow the surface through consecutive frames.
+
+    Args:
+        frames: The frames' numbers and C grey pictures each (H, W); where an earlier run is continued, from the frame
+            on that it ended with.
+        cameras: C cameras.
+        seeds: Gives the measured surface of a frame, from which points are started.
+        spacing: Of the points in the template pictures [px].
+        settings: Sizes and limits.
+        expected: Where lost points may be.
+        known: What an earlier run knew after the first of the frames; None to begin.
+
+    Yields:
+        What is known after each frame; after the first one only where nothing was known before.
+    """
+    before: list[Picture] = []
+    for frame, images in frames:
+        pictures = [looks.picture_of(image) for image in images]
+        if before and known is not None:
+            known = advance(known, before, pictures, cameras, settings=settings, expected=expected)
+        if known is None or before:
+            empty = no_tracks(len(cameras), settings, frame=frame) if known is None else known
+            known = start(empty, seeds(frame), pictures, cameras, spacing=spacing, settings=settings)
+            yield known
+        before = pictures

@@ -1,0 +1,1 @@
+"""The page on which structures are outlined by hand."""

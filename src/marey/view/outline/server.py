@@ -1,0 +1,139 @@
+"""Serves the page of `marey knee outline` to the browser of the same computer, and nobody else."""
+
+import json
+from collections.abc import Callable
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+import jinja2
+
+import marey
+from marey.errors import MareyError
+from marey.view.outline.session import OutlineSession
+
+HOST = "127.0.0.1"
+_LONGEST = 1_000_000
+_JSON = "application/json"
+
+
+class OutlineServer(ThreadingHTTPServer):
+    """A server bound to this computer's own address; it answers only what is asked by that name.
+
+    Args:
+        session: What it serves.
+        port: 0 for any that is free.
+
+    Raises:
+        MareyError: The port is taken.
+    """
+
+    daemon_threads = True
+
+    def __init__(self, session: OutlineSession, port: int = 0):
+        self.session = session
+        self.page = _page(session)
+        try:
+            super().__init__((HOST, port), _Handler)
+        except OSError as error:
+            raise MareyError(f"Port {port} cannot be used ({error.strerror}): choose another with --port.") from error
+
+    @property
+    def address(self) -> str:
+        """Where the page is."""
+        return f"http://{HOST}:{self.server_address[1]}/"
+
+
+class _Handler(BaseHTTPRequestHandler):
+    protocol_version = "HTTP/1.1"
+    # A kept connection would otherwise hold short answers back for 40 ms.
+    disable_nagle_algorithm = True
+    wbufsize = -1
+    server: OutlineServer
+
+    def do_GET(self) -> None:
+        """Answer with the page, a slice or what is kept."""
+        if not self._is_ours():
+            return
+        url = urlsplit(self.path)
+        if url.path == "/":
+            self._send(200, "text/html; charset=utf-8", self.server.page.encode())
+        elif url.path in ("/slice", "/state", "/interpolated"):
+            self._answer(lambda: self._looked_up(url.path, parse_qs(url.query)))
+        else:
+            self._send(404, _JSON, b'{"error": "There is no such page."}')
+
+    def do_POST(self) -> None:
+        """Do what the page asks."""
+        if not self._is_ours():
+            return
+        length = int(self.headers.get("Content-Length") or 0)
+        if length > _LONGEST:
+            self.close_connection = True
+            self._send(413, _JSON, b'{"error": "This is more than an outline."}')
+            return
+        body = self.rfile.read(length)
+        # A form of another site cannot send this kind without asking first, which is never answered.
+        if self.headers.get("Content-Type", "").split(";")[0] != _JSON:
+            self._send(415, _JSON, b'{"error": "Send application/json."}')
+            return
+        self._answer(lambda: self._done(urlsplit(self.path).path.strip("/"), json.loads(body)))
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Keep the terminal free."""
+
+    def _is_ours(self) -> bool:
+        """Refuse what comes by another name: a strange page may have sent the browser here."""
+        port = self.server.server_address[1]
+        ours = {f"{HOST}:{port}", f"localhost:{port}"}
+        origin = self.headers.get("Origin")
+        if self.headers.get("Host") in ours and (origin is None or origin in {f"http://{name}" for name in ours}):
+            return True
+        self.close_connection = True
+        self._send(403, _JSON, b'{"error": "Open the page by the address that was printed."}')
+        return False
+
+    def _looked_up(self, path: str, query: dict[str, list[str]]) -> object:
+        axis, index = query["axis"][0], int(query["index"][0])
+        session = self.server.session
+        if path == "/slice":
+            return session.greys(axis, index)
+        return session.state(axis, index) if path == "/state" else session.interpolated(axis, index)
+
+    def _done(self, name: str, asked: dict[str, Any]) -> object:
+        session = self.server.session
+        actions: dict[str, Callable[..., object]] = {
+            "prepare": session.prepare, "wire": session.wire, "close": session.close, "move": session.move,
+            "insert": session.insert, "remove_anchor": session.remove_anchor, "remove": session.remove,
+            "accept": session.accept, "undo": session.undo,
+        }  # fmt: skip
+        return actions[name](**asked)
+
+    def _answer(self, work: Callable[[], object]) -> None:
+        try:
+            found = work()
+        except MareyError as error:
+            self._send(400, _JSON, json.dumps({"error": str(error)}).encode())
+        except (KeyError, TypeError, ValueError, IndexError) as error:
+            text = f"This was not understood ({type(error).__name__}: {error})."
+            self._send(400, _JSON, json.dumps({"error": text}).encode())
+        else:
+            if isinstance(found, bytes):
+                self._send(200, "application/octet-stream", found)
+            else:
+                self._send(200, _JSON, json.dumps(found, separators=(",", ":")).encode())
+
+    def _send(self, status: int, kind: str, body: bytes) -> None:
+        self.send_response(status)
+        self.send_header("Content-Type", kind)
+        self.send_header("Content-Length", str(len(body)))
+        self.send_header("Cache-Control", "no-store")
+        self.send_header("X-Content-Type-Options", "nosniff")
+        self.end_headers()
+        self.wfile.write(body)
+
+
+def _page(session: OutlineSession) -> str:
+    pages = jinja2.Environment(loader=jinja2.PackageLoader("marey.view", "page"), autoescape=True, trim_blocks=True)
+    about = json.dumps(session.about()).replace("<", "\\u003c")
+    return pages.get_template("outline.html").render(about=about, name=session.name, version=marey.__version__)

@@ -1,0 +1,162 @@
+"""The report of a comparison: curves over each other, differences over means, and a table."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from marey.io.results.comparison import UNITS
+from marey.motion.comparison import Agreement, Comparison, worst
+from marey.view.pages.curves import (
+    COLOURS,
+    Curve,
+    CurvePlot,
+    CurvesContent,
+    NumberTable,
+    PlotGroup,
+    ScatterPlot,
+    write_curves_page,
+)
+from marey.view.pages.problems import readable
+
+_FILES = {"compare.csv": "the table below, in numbers", "run.json": "version, settings, inputs, timings"}
+_MEANING = {
+    "Difference": "The first motion less the second, frame by frame, after the second was brought onto the first one's "
+    "clock and into its laboratory.",
+    "Time shift": "How much later the second clock shows the same instant, estimated from everything that both motions "
+    "have in common, finer than a frame. Its standard deviation allows for differences that last over frames, but not "
+    "for differences that look like a shift, such as the lag of a filter.",
+    "Laboratories": "The rotation and translation that carry the second system's points onto the first one's best. A "
+    "joint centre that one system sees elsewhere in the body shifts it a little.",
+    "RMS, bias": "Root mean square and mean of the differences. A constant bias of an angle is often a difference of "
+    "definitions: other axes in the segments, another zero.",
+    "Limits of agreement": "Bias plus and minus 1.96 standard deviations of the differences (Bland and Altman 1986): "
+    "95 % of them lie between, if they are normal. Frames of one trial are not independent, so the limits speak of "
+    "this trial, not of other people.",
+    "Correlation": "Of Pearson, over the frames. It says whether the curves rise and fall together, not whether they "
+    "agree, and grows with the range of motion.",
+    "Within stated": "Share of the differences that 1.96 of the standard deviations stated by the motions hold; 95 % "
+    "where they are right and the definitions are equal.",
+    "Turn": "Angle between the two orientations of a segment; less constant: after the mean turn between their frames, "
+    "which is a matter of definition, was taken out.",
+}
+
+
+def write_comparison_report(
+    path: Path, result: Comparison, *, names: tuple[str, str], notes: Sequence[str], settings: Mapping[str, object]
+) -> None:
+    """Write report.html of a comparison.
+
+    Args:
+        path: The file.
+        result: What was found.
+        names: Of the two motions.
+        notes: What a reader should know.
+        settings: As run.json holds them.
+    """
+    keys = ((names[0], COLOURS[0]), (names[1], COLOURS[1]))
+    groups = [
+        PlotGroup(title="Angles", plots=_angle_curves(result, keys), keys=keys, legend="Degrees over seconds."),
+        PlotGroup(
+            title="Differences of angles", plots=_angle_scatters(result),
+            legend="Difference over the mean of both, degrees; the bias, and the limits of agreement dashed.",
+        ),
+        PlotGroup(title="Points", plots=_point_curves(result), legend="Distance between both, millimetres."),
+    ]  # fmt: skip
+    content = CurvesContent(
+        kind="Comparison of two motions", title=f"{names[0]} and {names[1]}", time=result.time, tiles=_tiles(result),
+        notes=notes, tables=[_table(result)], groups=[group for group in groups if group.plots], settings=settings,
+        files=_FILES, meaning=_MEANING,
+    )  # fmt: skip
+    write_curves_page(path, content)
+
+
+def _tiles(result: Comparison) -> list[tuple[str, str, str]]:
+    alignment = result.alignment
+    span = result.time[-1] - result.time[0]
+    tiles = [
+        ("frames in common", f"{len(result.time)}", f"{span:.2f} s"),
+        ("time shift", f"{1e3 * alignment.shift_s:.1f} ms", _spread(1e3 * alignment.shift_sd_s, "ms")),
+    ]
+    if result.first.point_names or result.first.segment_names:
+        turn = np.degrees(np.linalg.norm(alignment.first_from_second.rotation_vector))
+        tiles.append(
+            ("laboratories turned by", f"{turn:.2f}°", _spread(float(np.degrees(np.max(alignment.turn_sd))), "°"))
+        )
+    if result.first.point_names:
+        moved = 1e3 * np.linalg.norm(alignment.first_from_second.translation)
+        tiles.append(("moved by", f"{moved:.0f} mm", _spread(1e3 * float(np.max(alignment.translation_sd)), "mm")))
+        tiles.append(("points apart", f"{1e3 * alignment.residual_m:.1f} mm", "root mean square, after alignment"))
+    angles = [row for row in result.agreements if row.kind == "angle" and row.frames]
+    if angles:
+        mean = float(np.sqrt(np.mean([row.rms**2 for row in angles])))
+        last = worst(angles, "angle")
+        below = "" if last is None else f"worst: {readable(last.name)}, {np.degrees(last.rms):.1f}°"
+        tiles.append(("angles differ by", f"{np.degrees(mean):.1f}°", f"RMS over {len(angles)} angles; {below}"))
+    return tiles
+
+
+def _spread(sd: float, unit: str) -> str:
+    return f"standard deviation {sd:.2g} {unit}" if np.isfinite(sd) else "given, or not to be found"
+
+
+def _table(result: Comparison) -> NumberTable:
+    return NumberTable(
+        title="Agreement",
+        head=("quantity", "frames", "RMS", "bias", "limits of agreement", "correlation", "within stated", "unit"),
+        rows=[_row(row) for row in result.agreements if row.frames],
+        legend="Differences are the first less the second.",
+    )
+
+
+def _row(row: Agreement) -> list[str]:
+    unit, scale = UNITS[row.kind]
+    signed = row.kind in ("angle", "place")
+    low, high = row.limits
+    limits = f"{scale * low:+.2f} to {scale * high:+.2f}" if signed else ""
+    cells = [
+        readable(row.name), f"{row.frames}", f"{scale * row.rms:.2f}", f"{scale * row.bias:+.2f}", limits,
+        f"{row.correlation:.3f}" if np.isfinite(row.correlation) and signed else "",
+        f"{100 * row.within_stated:.0f} %" if np.isfinite(row.within_stated) else "", unit,
+    ]  # fmt: skip
+    return [cell.replace("-", "−") for cell in cells]
+
+
+def _angle_curves(result: Comparison, keys: Sequence[tuple[str, str]]) -> list[CurvePlot]:
+    pair = (result.first, result.second)
+    return [
+        CurvePlot(
+            title=readable(name),
+            curves=[
+                Curve(label=label, colour=colour, values=np.degrees(r.angles[:, k]), sd=np.degrees(r.angles_sd[:, k]))
+                for (label, colour), r in zip(keys, pair, strict=True)
+            ],
+        )
+        for k, name in enumerate(result.first.angle_names)
+    ]
+
+
+def _angle_scatters(result: Comparison) -> list[ScatterPlot]:
+    rows = {row.name: row for row in result.agreements if row.kind == "angle"}
+    plots = []
+    for k, name in enumerate(result.first.angle_names):
+        a, b = np.degrees(result.first.angles[:, k]), np.degrees(result.second.angles[:, k])
+        low, high = np.degrees(rows[name].limits)
+        plots.append(
+            ScatterPlot(
+                title=readable(name), x=(a + b) / 2, y=a - b, bias=float(np.degrees(rows[name].bias)), low=float(low),
+                high=float(high), unit="°",
+            )
+        )  # fmt: skip
+    return plots
+
+
+def _point_curves(result: Comparison) -> list[CurvePlot]:
+    apart = 1e3 * np.linalg.norm(result.first.points - result.second.points, axis=-1)
+    return [
+        CurvePlot(
+            title=readable(name), unit=" mm", least=2.0,
+            curves=[Curve(label="distance", colour=COLOURS[0], values=apart[:, k])],
+        )
+        for k, name in enumerate(result.first.point_names)
+    ]  # fmt: skip

@@ -1,0 +1,161 @@
+"""A page of curves and tables in one HTML file: what the reports of markers and of comparisons are made of."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from marey.arrays import Floats
+from marey.io.atomic import replacing
+from marey.view.pages.html import MOST_FRAMES, Still, packed, rendered
+
+COLOURS = (
+    "#2f5d8a", "#c0453f", "#3b7d4f", "#b5651d", "#7a4fb0", "#2f8a86", "#8a3b6b", "#6b6b1f", "#4c4f57", "#d39a2f",
+)  # fmt: skip
+"""Of curves that lie over each other; as many as can be told apart."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Curve:
+    """One line, with standard deviations where there are any."""
+
+    label: str
+    values: Floats
+    """(N,)."""
+    colour: str
+    sd: Floats | None = None
+    """(N,)."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CurvePlot:
+    """Curves over the page's time, or over an axis of their own."""
+
+    title: str
+    curves: Sequence[Curve]
+    unit: str = "°"
+    least: float = 5.0
+    """The smallest range that is shown, so that noise does not look like motion."""
+    digits: int = 1
+    axis: Floats | None = None
+    """(N,) such as 0 to 100 % of a cycle; None: the page's time."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ScatterPlot:
+    """Differences over means, with bias and limits of agreement."""
+
+    title: str
+    x: Floats
+    y: Floats
+    bias: float
+    low: float
+    high: float
+    unit: str
+    colour: str = COLOURS[0]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PlotGroup:
+    """One section of plots."""
+
+    title: str
+    plots: Sequence[CurvePlot | ScatterPlot]
+    legend: str = ""
+    keys: Sequence[tuple[str, str]] = ()
+    """Labels and colours."""
+    wide: bool = False
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class NumberTable:
+    """One section with a table."""
+
+    title: str
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    legend: str = ""
+    marked: int = -1
+    """Row that stands out."""
+    text_columns: Sequence[int] = (0,)
+    """Columns of words."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CurvesContent:
+    """All that the page tells."""
+
+    kind: str
+    title: str
+    time: Floats
+    """(F,) [s]."""
+    tiles: Sequence[tuple[str, str, str]] = ()
+    """Label, value, and what stands below it."""
+    notes: Sequence[str] = ()
+    tables: Sequence[NumberTable] = ()
+    groups: Sequence[PlotGroup] = ()
+    stills: Sequence[Still] = ()
+    timings: Mapping[str, float] = field(default_factory=dict)
+    settings: Mapping[str, object] = field(default_factory=dict)
+    files: Mapping[str, str] = field(default_factory=dict)
+    meaning: Mapping[str, str] = field(default_factory=dict)
+
+
+def write_curves_page(path: Path, content: CurvesContent) -> None:
+    """Write the page.
+
+    Args:
+        path: The HTML file.
+        content: What it tells.
+    """
+    with replacing(path) as beside:
+        beside.write_text(curves_html(content), encoding="utf-8")
+
+
+def curves_html(content: CurvesContent) -> str:
+    """Give the page's text: one HTML document that loads nothing from elsewhere."""
+    return rendered("curves.html", content, data=curves_data(content, stride_of(len(content.time))))
+
+
+def stride_of(frames: int) -> int:
+    """Say every which frame a page shows."""
+    return max(1, -(-frames // MOST_FRAMES))
+
+
+def curves_data(content: CurvesContent, stride: int) -> dict[str, object]:
+    """Give what the page's scripts read, of every `stride`-th frame."""
+    return {
+        "time": packed(content.time[::stride], "f4"),
+        "state": packed(np.ones(len(content.time[::stride])), "u1"),
+        "groups": [{"plots": [_plot(plot, stride) for plot in group.plots]} for group in content.groups],
+    }
+
+
+def _plot(plot: CurvePlot | ScatterPlot, stride: int) -> dict[str, object]:
+    if isinstance(plot, ScatterPlot):
+        return _scatter(plot, stride)
+    step = 1 if plot.axis is not None else stride
+    return {
+        "title": plot.title, "unit": plot.unit, "least": plot.least, "digits": plot.digits,
+        "axis": None if plot.axis is None else packed(plot.axis, "f4"),
+        "curves": [
+            {
+                "label": c.label, "colour": c.colour, "values": packed(c.values[::step], "f4"),
+                "sd": packed(c.sd[::step], "f4") if c.sd is not None and np.isfinite(c.sd).any() else None,
+            }
+            for c in plot.curves
+        ],
+    }  # fmt: skip
+
+
+def _scatter(plot: ScatterPlot, stride: int) -> dict[str, object]:
+    ends = {name: value if np.isfinite(value) else None for name, value in vars(plot).items() if name in _ENDS}
+    read = f"{plot.bias:+.2f} ({plot.low:+.2f} to {plot.high:+.2f}) {plot.unit}"
+    return {
+        "scatter": True, "title": plot.title, "x": packed(plot.x[::stride], "f4"), "y": packed(plot.y[::stride], "f4"),
+        "colour": plot.colour, "read": read.replace("-", "−"), **ends,
+    }  # fmt: skip
+
+
+_ENDS = ("bias", "low", "high")

@@ -1,0 +1,304 @@
+"""The report of bones from markers: all methods' curves over each other, the markers' motion, and the numbers."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from marey.arrays import Floats, Mask
+from marey.markers.data.bone_motion import BoneMotion
+from marey.markers.data.marker_motion import MarkerMotion
+from marey.markers.kinematics.joint_angles import JointKinematics
+from marey.view.pages.curves import COLOURS, Curve, CurvePlot, CurvesContent, NumberTable, PlotGroup, write_curves_page
+from marey.view.pages.problems import readable
+
+FILES = {
+    "bones.npz": "where each bone was: rotation, origin in mm, and their standard deviations",
+    "bones_<method>.npz": "the same by the other methods",
+    "angles.mot, angles.csv": "joint angles and translations with standard deviations",
+    "cycles.csv, events.csv": "angles over the gait cycle, and the foot's strikes and offs",
+    "marker_motion.csv": "where each marker lies in its bone's frame",
+    "filled.csv": "which gaps were filled, how, and how well",
+    "frames.json": "the force plates' frames in the laboratory",
+    "motion.c3d": "the trial as it was, and the bones as 4x4 ROTATION",
+    "orientations.sto": "orientations of the bones, for OpenSense",
+    "run.json": "version, settings, inputs, timings",
+}
+_MEANING = {
+    "Bone": "The frame of a segment as the anatomical calibration gives it in one posture or in several, carried on by "
+    "the markers. An error of the calibration stays in every frame as a constant.",
+    "95 % interval": "1.96 standard deviations that the method states, joints' from both bones as if these erred "
+    "independently. What all markers of a segment do together, such as skin sliding as a whole, no interval can hold "
+    "unless a model of skin says how large it usually is.",
+    "Joint angles": "After Grood and Suntay: flexion about the parent's Z axis, rotation about the child's Y axis, "
+    "adduction about the axis across both; positive are flexion, adduction, inward rotation, dorsiflexion, inversion. "
+    "They are as anatomical as the bones' frames: X forward, Y up, Z to the right are expected.",
+    "Translations": "Of the child's origin from the parent's: lateral along the parent's Z, anterior along the "
+    "floating axis, distraction along the child's Y.",
+    "Turn": "How far the child has turned in the parent since the reference frame, about whatever axis: where nobody "
+    "said how the bones lie, this is what markers tell.",
+    "Motion of the markers": "Root mean square distance of a segment's markers from their mean places on the estimated "
+    "bone. A method that lets skin slide shows more of it than one that follows all markers; less is not better.",
+    "Differences of methods": "Root mean square of the difference to the first method's angle, over the frames that "
+    "both answer. They tell what depends on the method, not which one is right.",
+}
+
+_OF_A_MODEL = {
+    "Bone": "A body of the model. All bodies follow all markers at once, as the model's joints allow; how the model "
+    "was scaled, and where its markers sit, decides what the angles mean.",
+    "Joint angles": "The coordinates of the model, under its own names and signs. One that the markers do not "
+    "determine keeps the value that a task, a limit or the model's default gives it; the notes name it.",
+    "Translations": "The model's coordinates that are lengths.",
+    "95 % interval": "1.96 standard deviations, from the size of each marker's residual over the trial. It knows "
+    "nothing of an error that the residuals do not show, such as skin that moves with its whole segment.",
+}
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MethodView:
+    """What the page tells of one method."""
+
+    name: str
+    summary: str
+    motion: BoneMotion
+    joints: JointKinematics
+    markers: MarkerMotion
+    seconds: float
+
+
+def write_markers_report(
+    path: Path, *, title: str, time: Floats, asked: Mask, methods: Sequence[MethodView], anatomical: bool,
+    notes: Sequence[str], filled: int, timings: Mapping[str, float], settings: Mapping[str, object],
+    more: Sequence[PlotGroup] = (), files: Mapping[str, str] = FILES, of_model: bool = False,
+) -> None:  # fmt: skip
+    """Write report.html of a run on markers.
+
+    Args:
+        path: The file.
+        title: The trial's name.
+        time: (F,) [s].
+        asked: (F,) the frames that were estimated.
+        methods: The first one's results are the run's.
+        anatomical: whether joint angles are anatomical, or turns since the reference.
+        notes: What a reader should know.
+        filled: How many points were filled.
+        timings: Seconds by stage.
+        settings: As run.json holds them.
+        more: Further plots.
+        files: What stands beside the report.
+        of_model: Whether the angles are a model's coordinates.
+    """
+    first = methods[0]
+    keys = [(m.name, _colour(i)) for i, m in enumerate(methods)] if len(methods) > 1 else []
+    tables = [_methods_table(methods)] if len(methods) > 1 else []
+    tables += [_segments_table(first), *([_differences(methods)] if len(methods) > 1 else [])]
+    groups = [
+        _joint_group(methods, keys, anatomical=anatomical),
+        _translation_group(methods, keys),
+        *more,
+        _marker_group(methods, keys),
+        _interval_group(first),
+    ]
+    content = CurvesContent(
+        kind="Bones from skin markers", title=title, time=time, tiles=_tiles(first, time, asked, filled, methods),
+        notes=notes, tables=[t for t in tables if t.rows], groups=[g for g in groups if g.plots], timings=timings,
+        settings=settings, files=_present(files, path.parent), meaning=_MEANING | (_OF_A_MODEL if of_model else {}),
+    )  # fmt: skip
+    write_curves_page(path, content)
+
+
+def _present(files: Mapping[str, str], folder: Path) -> dict[str, str]:
+    """Keep the files that are there, or will be: a name stands for several, or for one."""
+    there = {p.name for p in folder.iterdir()} | {"run.json"}
+    return {
+        names: what for names, what in files.items()
+        if any(name in there or ("<" in name and any(_fits(name, p) for p in there)) for name in names.split(", "))
+    }  # fmt: skip
+
+
+def _fits(pattern: str, name: str) -> bool:
+    return name.startswith(pattern.split("<")[0]) and name.endswith(pattern.split(">")[1])
+
+
+def _colour(index: int) -> str:
+    return COLOURS[index % len(COLOURS)]
+
+
+def _tiles(
+    first: MethodView, time: Floats, asked: Mask, filled: int, methods: Sequence[MethodView]
+) -> list[tuple[str, str, str]]:
+    answered = first.motion.answered[asked]
+    whole = int(answered.all(1).sum())
+    below = f"{int(answered.any(1).sum())} with at least one"
+    rate = (len(time) - 1) / (time[-1] - time[0]) if len(time) > 1 else np.nan
+    sd = np.degrees(np.nanmedian(first.motion.rotation_sd)) if np.isfinite(first.motion.rotation_sd).any() else np.nan
+    tiles = [
+        ("frames with all bones", f"{whole} of {int(asked.sum())}", below),
+        ("duration", f"{time[-1] - time[0]:.2f} s", f"{rate:g} Hz, {len(time)} frames"),
+        ("segments", f"{len(first.motion.segments)}", ", ".join(map(readable, first.motion.segments[:6]))),
+        ("method", first.name, f"and {len(methods) - 1} more beside it" if len(methods) > 1 else first.summary),
+    ]
+    if np.isfinite(sd):
+        tiles.append(("bone turns", f"± {1.96 * sd:.1f}°", "median 95 % interval about one axis"))
+    rms = first.markers.rms[np.isfinite(first.markers.rms)]
+    if len(rms):
+        last = int(np.nanargmax(first.markers.rms))
+        text = f"most: {first.markers.labels[last]}, {1e3 * first.markers.rms[last]:.1f} mm"
+        tiles.append(("markers move", f"{1e3 * np.sqrt(np.mean(rms**2)):.1f} mm", f"over their bones, RMS; {text}"))
+    if filled:
+        tiles.append(("points filled", f"{filled}", "listed in filled.csv"))
+    return tiles
+
+
+def _methods_table(methods: Sequence[MethodView]) -> NumberTable:
+    rows = [
+        [
+            m.name, f"{100 * m.motion.answered.mean():.1f} %", _root_mean_square(1e3 * m.markers.rms),
+            _typical(np.degrees(m.motion.rotation_sd)), _typical(1e3 * m.motion.origin_sd), f"{m.seconds:.2f}",
+            m.summary,
+        ]
+        for m in methods
+    ]  # fmt: skip
+    return NumberTable(
+        title="Methods",
+        head=("method", "answered", "markers' motion mm", "sd of turn °", "sd of origin mm", "seconds", "what it does"),
+        rows=rows, marked=0, text_columns=(0, 6),
+        legend="The first one's results are in the files. Standard deviations are medians, about or along one axis.",
+    )  # fmt: skip
+
+
+def _root_mean_square(values: Floats) -> str:
+    known = values[np.isfinite(values)]
+    return f"{np.sqrt(np.mean(known**2)):.2f}" if known.size else ""
+
+
+def _typical(values: Floats) -> str:
+    known = values[np.isfinite(values)]
+    return f"{np.median(known):.2f}" if known.size else ""
+
+
+def _segments_table(first: MethodView) -> NumberTable:
+    rows = []
+    for s, name in enumerate(first.motion.segments):
+        own = np.array([segment == name for segment in first.markers.segments], bool)
+        rms, answered = first.markers.rms[own], first.motion.answered[:, s]
+        worst = ""
+        if np.isfinite(rms).any():
+            k = int(np.nanargmax(rms))
+            labels = [label for label, mine in zip(first.markers.labels, own, strict=True) if mine]
+            worst = f"{labels[k]}, {1e3 * rms[k]:.1f} mm"
+        rows.append(
+            [
+                readable(name), f"{int(own.sum())}", f"{100 * answered.mean():.1f} %",
+                _root_mean_square(1e3 * rms), worst,
+                _typical(np.degrees(first.motion.rotation_sd[:, s])), _typical(1e3 * first.motion.origin_sd[:, s]),
+            ]
+        )  # fmt: skip
+    return NumberTable(
+        title="Segments",
+        head=("segment", "markers", "frames answered", "markers' motion mm", "most", "sd of turn °", "sd of origin mm"),
+        rows=rows, legend="Motion of the markers over the bone: root mean square distance from their mean places.",
+        text_columns=(0, 4),
+    )  # fmt: skip
+
+
+def _differences(methods: Sequence[MethodView]) -> NumberTable:
+    first, rows = methods[0], []
+    for m in methods[1:]:
+        between = np.degrees(m.joints.angles - first.joints.angles)
+        rows.append([m.name, *(_root_mean_square(column) for column in between.T)])
+    return NumberTable(
+        title="Differences of methods", head=("method", *(f"{readable(n)} °" for n in first.joints.angle_names)),
+        rows=rows if first.joints.angle_names else [],
+        legend=f"Root mean square difference to {first.name}.",
+    )  # fmt: skip
+
+
+def _joint_group(methods: Sequence[MethodView], keys: Sequence[tuple[str, str]], *, anatomical: bool) -> PlotGroup:
+    names = methods[0].joints.angle_names
+    plots = [
+        CurvePlot(title=readable(name), curves=_curves(methods, "angles", k, 180 / np.pi))
+        for k, name in enumerate(names)
+    ]
+    what = "Degrees over seconds" if anatomical else "Degrees turned since the reference frame, over seconds"
+    return PlotGroup(title="Joint angles", plots=plots, keys=keys, legend=f"{what}; the band is the 95 % interval.")
+
+
+def cycle_plots(
+    methods: Sequence[tuple[str, Floats, Floats]], names: Sequence[str], counts: Sequence[int]
+) -> PlotGroup:  # fmt: skip
+    """Draw mean curves over the cycle.
+
+    Args:
+        methods: Name, mean (101, N) and standard deviation between cycles (101, N) of each; the first one's is drawn.
+        names: N quantities with their units at the end.
+        counts: (N,) cycles of the first method.
+    """
+    axis = np.linspace(0, 100, 101)
+    plots = []
+    for k, name in enumerate(names):
+        if not counts[k]:
+            continue
+        quantity, _, unit = name.rpartition("_")
+        curves = [
+            Curve(label=label, colour=_colour(i), values=mean[:, k], sd=spread[:, k] if i == 0 else None)
+            for i, (label, mean, spread) in enumerate(methods)
+        ]
+        plots.append(
+            CurvePlot(
+                title=f"{readable(quantity)}, {counts[k]} cycles" if counts[k] > 1 else readable(quantity),
+                curves=curves[::-1], unit="°" if unit == "deg" else " mm", axis=axis,
+            )
+        )  # fmt: skip
+    keys = [(label, _colour(i)) for i, (label, _, _) in enumerate(methods)] if len(methods) > 1 else []
+    legend = "Mean over the cycles, from one foot strike to the next, in percent; the band is 1.96 standard deviations "
+    return PlotGroup(title="Over the cycle", plots=plots, keys=keys, legend=f"{legend}between cycles.")
+
+
+def _translation_group(methods: Sequence[MethodView], keys: Sequence[tuple[str, str]]) -> PlotGroup:
+    plots = [
+        CurvePlot(title=readable(name), curves=_curves(methods, "translations", k, 1e3), unit=" mm")
+        for k, name in enumerate(methods[0].joints.translation_names)
+    ]
+    return PlotGroup(title="Joint translations", plots=plots, keys=keys, legend="Millimetres over seconds.")
+
+
+def _curves(methods: Sequence[MethodView], what: str, k: int, scale: float) -> list[Curve]:
+    """Give one quantity by all methods; only the first one's band is drawn, so that it can be seen."""
+    curves = []
+    for i, m in enumerate(methods):
+        sd = getattr(m.joints, f"{what}_sd")[:, k] * scale if i == 0 else None
+        values = getattr(m.joints, what)[:, k] * scale
+        curves.append(Curve(label=m.name, colour=_colour(i), values=values, sd=sd))
+    return curves[::-1]
+
+
+def _marker_group(methods: Sequence[MethodView], keys: Sequence[tuple[str, str]]) -> PlotGroup:
+    plots = [
+        CurvePlot(
+            title=readable(name), unit=" mm", least=1.0,
+            curves=[
+                Curve(label=m.name, colour=_colour(i), values=1e3 * m.markers.of(name)) for i, m in enumerate(methods)
+            ][::-1],
+        )
+        for name in methods[0].motion.segments
+        if name in methods[0].markers.segments
+    ]  # fmt: skip
+    legend = "Root mean square distance of a segment's markers from their mean places on the bone, millimetres."
+    return PlotGroup(title="Motion of the markers", plots=plots, keys=keys, legend=legend)
+
+
+def _interval_group(first: MethodView) -> PlotGroup:
+    """Show how sure each bone is over time."""
+    plots = []
+    for s, name in enumerate(first.motion.segments):
+        turn, place = first.motion.rotation_sd[:, s], first.motion.origin_sd[:, s]
+        if np.isfinite(turn).any():
+            kinds = (("turn", "°", np.degrees(turn.max(-1))), ("origin", " mm", 1e3 * place.max(-1)))
+            for k, (what, unit, values) in enumerate(kinds):
+                line = Curve(label="sd", colour=COLOURS[k], values=values)
+                title = f"{readable(name)}, {what}"
+                plots.append(CurvePlot(title=title, unit=unit, least=0.2, digits=2, curves=[line]))
+    legend = "The standard deviation about, or along, the axis that is known least."
+    return PlotGroup(title="Stated deviations of the bones", plots=plots, legend=legend)

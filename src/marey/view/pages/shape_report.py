@@ -1,0 +1,306 @@
+"""The report of recovered shapes: a replay that turns, what was chosen and why, residuals, coefficients, the pose."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from marey.arrays import Floats, Integers
+from marey.geometry import rotations
+from marey.io.atomic import replacing
+from marey.nonrigid.recovered import IN_LABORATORY, RecoveredShapes
+from marey.view.pages.curves import (
+    COLOURS,
+    Curve,
+    CurvePlot,
+    CurvesContent,
+    NumberTable,
+    PlotGroup,
+    curves_data,
+    stride_of,
+)
+from marey.view.pages.html import Still, packed, rendered
+
+FILES = {
+    "shapes.npz": "shapes, poses, basis shapes, coefficients, standard deviations, residuals",
+    "residuals.csv": "residuals point by point",
+    "tracks.npz": "the points as they were followed in the video",
+    "tracks_<video>.npz": "the points as they were followed in each video",
+    "overlay_<video>.mp4": "the recovered points over the video, and from the side",
+    "shapes.glb": "the moving points, for Blender and the web",
+    "shapes.c3d": "the moving points and the object's pose, for laboratories' programs",
+    "shapes/": "a point cloud (PLY) a frame, in the object's frame",
+    "run.json": "version, settings, inputs, timings",
+}
+_MEANING = {
+    "Shape and motion": "The tracks are explained as a rigid motion of a shape that changes: a mean shape, and basis "
+    "shapes that come and go with their coefficients. Nothing else is known of the object.",
+    "Basis shapes": "How many are needed, the mean among them. With one the object is rigid. The tracks, centred, then "
+    "have three times that rank.",
+    "Residual": "Distance of a measured point from the model, in the unit of the input. It shows noise and what the "
+    "basis shapes leave; an error of the depth it does not show.",
+    "95 % interval": "1.96 standard deviations of the recovered shape, from the noise, and where several camera paths "
+    "explain the tracks alike, from how far their answers differ.",
+    "Predicted": "A point that was not seen in a frame: the shape is given there all the same, from what the other "
+    "points and the neighbouring frames tell.",
+}
+_MOST_NUMBERS = 600_000
+"""Frames times points that the replay shows; of longer recordings every second, third ... frame."""
+_MOST_COEFFICIENTS = 8
+_MOST_ROWS = 24
+"""Points in the table; residuals.csv has all."""
+_LEGEND = (
+    "Blue points were seen in the frame, orange ones follow from the others. The three short lines are the object's "
+    "axes x (red), y (green), z (blue) at its origin. {lines} {axes}"
+)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ShapeReport:
+    """All that the report tells."""
+
+    title: str
+    found: RecoveredShapes
+    rate: float
+    labels: Sequence[str]
+    lines: Integers
+    """(E, 2) that join points."""
+    own_lines: bool
+    """Whether the input gave them."""
+    upright: Floats
+    """(3, 3) turns the axes of the camera or laboratory so that Z is up."""
+    views: Sequence[str] = ()
+    """Names of the cameras; empty from points in space."""
+    notes: Sequence[str] = ()
+    track_curves: Sequence[Floats] = ()
+    """Of each video (n, 2): ranks of its tracks that were tried, and their held-out error [px]."""
+    stills: Sequence[Still] = ()
+    timings: Mapping[str, float] = field(default_factory=dict)
+    settings: Mapping[str, object] = field(default_factory=dict)
+    files: Sequence[str] = ()
+    """Names of what stands beside the report, folders with a slash."""
+
+
+def write_shape_report(path: Path, report: ShapeReport) -> None:
+    """Write report.html.
+
+    Args:
+        path: The file.
+        report: What it tells.
+    """
+    with replacing(path) as beside:
+        beside.write_text(shape_html(report), encoding="utf-8")
+
+
+def shape_html(report: ShapeReport) -> str:
+    """Give the page's text: one HTML document that loads nothing from elsewhere."""
+    found = report.found
+    content = CurvesContent(
+        kind="Shape of a deforming surface", title=report.title, time=np.arange(len(found)) / report.rate,
+        tiles=_tiles(report), notes=report.notes, tables=[_gauge_table(found), _point_table(report)],
+        groups=[group for group in _groups(report) if group.plots], stills=report.stills, timings=report.timings,
+        settings=report.settings, files=_present(report.files), meaning=_MEANING,
+    )  # fmt: skip
+    frames, _, points = found.shape.shape
+    stride = max(stride_of(frames), -(-frames * points // _MOST_NUMBERS))
+    data = curves_data(content, stride) | {
+        "rate": report.rate, "stride": stride, "frames": frames, "shapes": _replay(report, stride),
+    }  # fmt: skip
+    drawn = (
+        "Lines join the points that the input joins." if report.own_lines else "Lines join near points, for the eye."
+    )
+    up = "Up is the laboratory's up." if found.kind in IN_LABORATORY else "Up is up in the picture."
+    legend = _LEGEND.format(lines=drawn, axes=up)
+    return rendered("shapes.html", content, data=data, replay_legend=legend)
+
+
+def _present(names: Sequence[str]) -> dict[str, str]:
+    """Keep the files that are there."""
+    kept = {}
+    for pattern, what in FILES.items():
+        start, _, end = pattern.partition("<video>")
+        if pattern == "run.json" or any(n.startswith(start) and n.endswith(end) for n in names):
+            kept[pattern] = what
+    return kept
+
+
+def _replay(report: ShapeReport, stride: int) -> dict[str, object]:
+    """Give the shapes in a size that fits the picture, upright, and the motion."""
+    found, turn = report.found, report.upright
+    size = max(float(np.nanpercentile(np.linalg.norm(found.shape, axis=1), 98)), 1e-12)
+    shape = np.einsum("ij,fjp->fpi", turn, found.shape[::stride]) / size
+    # The deviations belong to the object's axes; a quarter turn carries them along.
+    sd = np.einsum("ij,fjp->fpi", np.abs(turn), found.shape_sd[::stride]) / size
+    where = (found.origin - np.nanmean(found.origin, axis=0)) @ turn.T / size
+    return {
+        "count": found.shape.shape[2], "place": packed(shape, "f4"), "sd": packed(sd, "f4"),
+        "predicted": packed(found.predicted[::stride], "u1"), "lines": report.lines.tolist(),
+        "rotation": packed(turn @ found.rotation[::stride] @ turn.T, "f4"), "origin": packed(where[::stride], "f4"),
+        "labels": list(report.labels),
+    }  # fmt: skip
+
+
+def _tiles(report: ShapeReport) -> list[tuple[str, str, str]]:
+    found = report.found
+    answered = found.answered
+    points = int(np.isfinite(found.basis[0]).all(0).sum())
+    size = 2 * float(np.sqrt(np.nanmean((found.basis[0] ** 2).sum(0))))
+    sd = np.nanmedian(np.sqrt((found.shape_sd**2).sum(1)))
+    seen = np.isfinite(found.residuals)
+    rms = float(np.sqrt((np.where(seen, found.residuals, 0) ** 2).sum() / max(seen.sum(), 1)))
+    chosen = "rigid" if found.basis_shapes == 1 else f"the mean and {found.basis_shapes - 1} that come and go"
+    worst = int(np.nanargmax(found.point_rms))
+    tiles = [
+        ("frames with an answer", f"{int(answered.sum())}", f"of {len(found)}, {report.rate:g} Hz"),
+        ("points", f"{points}", f"of {found.shape.shape[2]}; {int(found.predicted.sum())} places predicted"),
+        ("seen by", f"{len(report.views)}" if report.views else "space", ", ".join(report.views[:4]) or found.kind),
+        ("basis shapes", f"{found.basis_shapes}", chosen),
+        ("residual", found.residual_text(rms), f"root mean square; most: point {report.labels[worst]}"),
+        ("shape", f"± {found.length_text(1.96 * float(sd))}", f"median 95 % interval; size {found.length_text(size)}"),
+    ]  # fmt: skip
+    if np.isfinite(found.metres_per_unit) and found.unit != "m":
+        tiles.append(("scale", f"{1e3 * found.metres_per_unit:.4g} mm", "a unit of the input"))
+    return tiles
+
+
+def _gauge_table(found: RecoveredShapes) -> NumberTable:
+    parts = [line.partition(": ") for line in found.gauge]
+    rows = [(what, text[:1].upper() + text[1:]) for what, _, text in parts]
+    return NumberTable(
+        title="What the data leave open", head=("what", "what was chosen"), rows=rows, text_columns=(0, 1),
+        legend=f"Method: {found.kind}. Comparisons with another result must allow for each of these.",
+    )  # fmt: skip
+
+
+def _point_table(report: ShapeReport) -> NumberTable:
+    found = report.found
+    seen = np.isfinite(found.residuals).any(0).sum(0)
+    sd = np.sqrt((found.shape_sd**2).sum(1))
+    order = np.argsort(np.where(np.isfinite(found.point_rms), -found.point_rms, np.inf), kind="stable")
+    rows = []
+    for p in order[:_MOST_ROWS]:
+        known = sd[:, p][np.isfinite(sd[:, p])]
+        cells = (
+            [found.residual_text(found.point_rms[p]), found.length_text(float(np.median(known)))]
+            if len(known)
+            else ["", ""]
+        )
+        rows.append((report.labels[p], f"{seen[p]}", f"{found.predicted[:, p].sum()}", *cells))
+    return NumberTable(
+        title="Residuals by point", rows=rows,
+        head=("point", "frames seen", "frames predicted", "residual RMS", "sd, median"),
+        legend="The largest residuals first; residuals.csv has all points.",
+    )  # fmt: skip
+
+
+def _groups(report: ShapeReport) -> list[PlotGroup]:
+    found = report.found
+    return [
+        PlotGroup(
+            title="How many basis shapes", plots=[*_rank_plots(found), *_track_rank_plots(report)],
+            legend=_rank_legend(report),
+        ),
+        PlotGroup(title="Frame by frame", plots=_frame_plots(report), legend="Over seconds."),
+        PlotGroup(
+            title="Coefficients", plots=_coefficient_plots(found),
+            legend="By how much each basis shape is there, in the unit of the shape; the largest first.",
+        ),
+        PlotGroup(
+            title="Turn of the object", plots=_turn_plots(found),
+            legend="Rotation vector since the first frame with an answer, degrees about the axes of the camera or "
+            "laboratory, with 95 % intervals.",
+        ),
+    ]  # fmt: skip
+
+
+def _rank_legend(report: ShapeReport) -> str:
+    """Say what the curves of `_rank_plots` and `_track_rank_plots` are."""
+    said = []
+    if report.found.curve is not None:
+        said.append(f"Over the number K of basis shapes, the mean among them: {report.found.curve.measure}.")
+    if any(len(curve) > 1 for curve in report.track_curves):
+        said.append("Over the rank of the tracks, beside the translation: distance of places held out, RMS [px].")
+    return " ".join(said)
+
+
+def _rank_plots(found: RecoveredShapes) -> list[CurvePlot]:
+    curve = found.curve
+    if curve is None or len(curve.ranks) < 2:
+        return []
+    title = f"basis shapes: {found.basis_shapes} were taken"
+    return [_over_ranks(title, curve.ranks.astype(float), curve.errors, curve.errors_sd, "")]
+
+
+def _track_rank_plots(report: ShapeReport) -> list[CurvePlot]:
+    return [
+        _over_ranks(f"{name}: rank of the tracks", curve[:, 0], curve[:, 1], np.full(len(curve), np.nan), " px")
+        for name, curve in zip(report.views, report.track_curves, strict=False)
+        if len(curve) > 1
+    ]
+
+
+def _over_ranks(title: str, ranks: Floats, errors: Floats, sd: Floats, unit: str) -> CurvePlot:
+    """Draw errors over ranks; plots have even axes, so that what lies between ranks that were tried is a line."""
+    axis = np.arange(ranks.min(), ranks.max() + 1)
+    line = Curve(label="error", values=np.interp(axis, ranks, errors), sd=np.interp(axis, ranks, sd), colour=COLOURS[0])
+    spread = float(np.ptp(errors))
+    return CurvePlot(title=title, curves=[line], unit=unit, least=0.0, digits=_digits(spread), axis=axis)
+
+
+def _digits(value: float) -> int:
+    return int(np.clip(2 - np.floor(np.log10(max(value, 1e-9))), 0, 8))
+
+
+def _frame_plots(report: ShapeReport) -> list[CurvePlot]:
+    found = report.found
+    seen = np.isfinite(found.residuals)
+    squares = np.where(seen, found.residuals, 0) ** 2
+    count = seen.sum(2)
+    rms = np.where(count > 0, np.sqrt(squares.sum(2) / np.maximum(count, 1)), np.nan)
+    sd = np.sqrt(np.nanmean(np.where(found.answered[:, None, None], found.shape_sd, 0) ** 2, axis=2))
+    sd = np.where(found.answered[:, None], sd, np.nan)
+    names = report.views or ("residual",)
+    digits = _digits(float(np.nanmedian(rms)))
+    curves = [
+        Curve(label=n, values=r, colour=COLOURS[k % len(COLOURS)])
+        for k, (n, r) in enumerate(zip(names, rms, strict=True))
+    ]
+    axes = [Curve(label=f"sd along {a}", values=sd[:, k], colour=COLOURS[k]) for k, a in enumerate("xyz")]
+    return [
+        CurvePlot(title="points seen", unit="", least=2.0, digits=0, curves=[
+            Curve(label="seen", values=seen.any(0).sum(1).astype(float), colour=COLOURS[0])]),
+        CurvePlot(
+            title="residual, RMS" + (" by camera" if len(names) > 1 else ""), unit="", least=0.0, digits=digits,
+            curves=curves,
+        ),
+        CurvePlot(
+            title="sd of the shape along x, y, z", unit="", least=0.0, curves=axes,
+            digits=_digits(float(np.nanmedian(sd))),
+        ),
+    ]  # fmt: skip
+
+
+def _coefficient_plots(found: RecoveredShapes) -> list[CurvePlot]:
+    """Draw the first coefficients; the mean's is 1 always."""
+    shown = found.coefficients[:, 1 : 1 + _MOST_COEFFICIENTS]
+    return [
+        CurvePlot(
+            title=f"basis shape {k + 2}", unit="", least=0.0, digits=_digits(float(np.nanstd(values))),
+            curves=[Curve(label="coefficient", values=values, colour=COLOURS[0])],
+        )
+        for k, values in enumerate(shown.T)
+    ]  # fmt: skip
+
+
+def _turn_plots(found: RecoveredShapes) -> list[CurvePlot]:
+    answered = np.flatnonzero(found.answered)
+    turn = np.full((len(found), 3), np.nan)
+    turn[answered] = np.degrees(rotations.log(found.rotation[answered] @ found.rotation[answered[0]].T))
+    sd = np.degrees(found.rotation_sd)
+    return [
+        CurvePlot(
+            title=f"about {axis}", curves=[Curve(label="turn", values=turn[:, k], sd=sd[:, k], colour=COLOURS[k])]
+        )
+        for k, axis in enumerate("xyz")
+    ]

@@ -1,0 +1,196 @@
+"""The report of a measured surface: points and residuals of every frame, what was followed, corrected cameras."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from marey.arrays import Floats
+from marey.cameras.rig import Rig
+from marey.surface.points.measured import MeasuredPoints
+from marey.surface.points.refine_rig import RigRefinement
+from marey.surface.tracks.filters import Filtered
+from marey.view.pages.curves import COLOURS, Curve, CurvePlot, CurvesContent, NumberTable, PlotGroup, write_curves_page
+from marey.view.pages.html import Still
+
+FILES = {
+    "surface.npz": "all points with covariance, pixels, correlations and residual",
+    "surface.ply": "the first frame's points in colour, for any viewer; all frames in surface/",
+    "surface_<camera>.png": "the points over the template",
+    "trajectories.npz": "points followed through the frames",
+    "cameras.toml": "the corrected cameras, where they were corrected",
+    "run.json": "version, settings, inputs, timings",
+}
+_MEANING = {
+    "Points": "Patches of a template picture that were found in one other picture or more, and whose rays meet.",
+    "Residual": "Root mean square distance of a point's pixels from its projections. Three rays tell errors in every "
+    "direction; two tell those across the epipolar line alone, and depth errors not at all.",
+    "Standard deviation": "Of a point in space, the root of the covariance's trace: noise, what residuals show, and by "
+    "how much the surface's bend under the patch draws the point inward.",
+    "Trajectories": "Points of the skin or cloth that were followed from frame to frame, without false ones.",
+}
+_BINS = 60
+_SHOWN = 0.99
+"""Share of the points that a histogram shows; the others lie farther out."""
+_MOST_ROWS = 24
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SurfaceReport:
+    """All that the report tells."""
+
+    title: str
+    parts: Sequence[MeasuredPoints]
+    """A part for each frame from the first one on."""
+    first: int
+    """The first frame."""
+    rate: float
+    rig: Rig
+    refined: RigRefinement | None = None
+    followed: Filtered | None = None
+    stills: Sequence[Still] = ()
+    notes: Sequence[str] = ()
+    timings: Mapping[str, float] = field(default_factory=dict)
+    settings: Mapping[str, object] = field(default_factory=dict)
+
+
+def write_surface_report(path: Path, report: SurfaceReport) -> None:
+    """Write surface.html.
+
+    Args:
+        path: The file.
+        report: What it tells.
+    """
+    gathered = _gathered(report.parts)
+    frames, plots = gathered.frames, _histograms(report, gathered)
+    groups = [PlotGroup(title="Residuals and standard deviations", plots=plots, legend=_HISTOGRAMS)]
+    if len(report.parts) > 1:
+        groups.insert(0, PlotGroup(title="Frame by frame", plots=_curves(report, frames), legend="Over seconds."))
+    tables = [_frame_table(report, frames)]
+    if report.refined is not None:
+        tables.insert(0, _camera_table(report.rig, report.refined))
+    content = CurvesContent(
+        kind="Measured surface", title=report.title, time=(report.first + np.arange(len(report.parts))) / report.rate,
+        tiles=_tiles(report, frames), notes=report.notes, tables=tables, groups=groups, stills=report.stills,
+        timings=report.timings, settings=report.settings, files=FILES, meaning=_MEANING,
+    )  # fmt: skip
+    write_curves_page(path, content)
+
+
+_HISTOGRAMS = "Share of all points, in percent, over pixels and millimetres."
+
+
+def _spread_mm(points: MeasuredPoints) -> Floats:
+    return np.asarray(1e3 * np.sqrt(np.trace(points.covariance, axis1=1, axis2=2)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Gathered:
+    """What the frames hold, gone through once: a long take's points are many."""
+
+    frames: Floats
+    """(F, 4): points, share of three views and more [%], median residual [px], median sd [mm]; NaN without points."""
+    residual: Floats
+    """(N,) of all points [px]."""
+    spread: Floats
+    """(N,) [mm]."""
+
+
+def _gathered(parts: Sequence[MeasuredPoints]) -> _Gathered:
+    frames: list[tuple[float, ...]] = []
+    residual: list[Floats] = [np.zeros(0)]
+    spread: list[Floats] = [np.zeros(0)]
+    for part in parts:
+        if not len(part):
+            frames.append((0.0, np.nan, np.nan, np.nan))
+            continue
+        residual.append(part.residual_px)
+        spread.append(_spread_mm(part))
+        several = 100 * np.mean(part.views > 2)
+        frames.append((len(part), float(several), float(np.median(residual[-1])), float(np.median(spread[-1]))))
+    return _Gathered(np.array(frames, float), np.concatenate(residual), np.concatenate(spread))
+
+
+def _tiles(report: SurfaceReport, frames: Floats) -> list[tuple[str, str, str]]:
+    """Give the key figures: label, value, and what stands below it."""
+    filled = frames[frames[:, 0] > 0]
+    middle = np.median(filled, axis=0)
+    tiles = [
+        ("points", f"{int(frames[:, 0].sum()):,}", f"in {len(filled)} of {len(frames)} frames"),
+        ("three views", f"{middle[1]:.0f} %", "of a frame's points, seen by three cameras or more"),
+        ("residual", f"{middle[2]:.2f} px", "median of the frames' medians"),
+        ("standard deviation", f"{middle[3]:.2f} mm", "of a point in space, likewise"),
+        (
+            "cameras",
+            str(len(report.rig)),
+            "corrected by the matches" if report.refined is not None else "as calibrated",
+        ),
+    ]
+    if report.followed is not None:
+        tracks = report.followed.trajectories
+        long = tracks.measured[:, tracks.kept].sum(axis=0)
+        below = f"over {long.mean():.1f} frames on average" if len(long) else "nothing could be followed"
+        tiles.append(("trajectories", f"{len(tracks.kept):,}", below))
+    return tiles
+
+
+def _curves(report: SurfaceReport, frames: Floats) -> list[CurvePlot]:
+    """Draw over time what the frames hold."""
+    what = (("points", "", 0, 10.0, 0), ("residual, median", " px", 2, 0.05, 2), ("sd, median", " mm", 3, 0.05, 2))
+    plots = [
+        CurvePlot(title=title, unit=unit, least=least, digits=digits,
+                  curves=[Curve(label=title, values=frames[:, column], colour=COLOURS[0])])
+        for title, unit, column, least, digits in what
+    ]  # fmt: skip
+    if report.followed is not None:
+        tracks = report.followed.trajectories
+        rows = tracks.measured[:, tracks.kept].sum(axis=1)[report.first : report.first + len(report.parts)]
+        curve = Curve(label="followed", values=rows.astype(float), colour=COLOURS[2])
+        plots.append(CurvePlot(title="points followed", unit="", least=10.0, digits=0, curves=[curve]))
+    return plots
+
+
+def _histograms(report: SurfaceReport, gathered: _Gathered) -> list[CurvePlot]:
+    """Draw how residuals and standard deviations are spread, and how long trajectories are."""
+    plots = [
+        _histogram("residual", "px", gathered.residual), _histogram("standard deviation", "mm", gathered.spread)
+    ]  # fmt: skip
+    if report.followed is not None and len(report.followed.trajectories.kept):
+        tracks = report.followed.trajectories
+        plots.append(_histogram("length of trajectories", "frames", tracks.measured[:, tracks.kept].sum(axis=0)))
+    return plots
+
+
+def _histogram(title: str, unit: str, values: Floats) -> CurvePlot:
+    counts, edges = np.histogram(values, _BINS, (0.0, max(float(np.quantile(values, _SHOWN)), 1e-9)))
+    share = Curve(label=unit, values=100 * counts / len(values), colour=COLOURS[0])
+    return CurvePlot(
+        title=f"{title} [{unit}]", unit=" %", least=1.0, curves=[share], axis=0.5 * (edges[1:] + edges[:-1])
+    )  # fmt: skip
+
+
+def _frame_table(report: SurfaceReport, frames: Floats) -> NumberTable:
+    """List frames; of many, some from all over the take."""
+    shown = np.unique(np.linspace(0, len(frames) - 1, min(len(frames), _MOST_ROWS)).astype(int))
+    rows = [
+        (str(report.first + k), f"{int(frames[k, 0]):,}", *("" if v != v else f"{v:.{d}f}" for v, d in
+         zip(frames[k, 1:], (0, 2, 2), strict=True)))
+        for k in shown
+    ]  # fmt: skip
+    head = ("frame", "points", "three views %", "residual px", "sd mm")
+    return NumberTable(title="Frames", head=head, rows=rows, legend="Medians. Cells without points are empty.")
+
+
+def _camera_table(rig: Rig, refined: RigRefinement) -> NumberTable:
+    """Say how the cameras were corrected."""
+    rows = [
+        (name, f"{np.degrees(turn):.3f}", f"{1e3 * shift:.2f}", f"{px:.2f}")
+        for name, turn, shift, px in zip(rig.names, refined.turn, refined.shift, refined.moved_px, strict=True)
+    ]
+    legend = (
+        f"By {refined.tuples} matches. The median residual of rays that should meet fell from "
+        f"{refined.residual_before:.2f} to {refined.residual_after:.2f} px."
+    )
+    head = ("camera", "turned by degrees", "moved by mm", "pixels moved by")
+    return NumberTable(title="Cameras corrected", head=head, rows=rows, legend=legend)

@@ -1,0 +1,224 @@
+"""The fitted body over what a camera saw: surface, silhouette, joints, and how well they agree."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from types import TracebackType
+
+import cv2
+import numpy as np
+
+from marey.arrays import Floats, Image, Integers, Mask
+from marey.cameras import lens
+from marey.cameras.camera import Camera
+from marey.cameras.visibility import View, see
+from marey.io.video.video_writer import VideoWriter
+from marey.view.pictures.palette import bone_pairs, segment_colours, side_colour
+
+LONGEST_SIDE = 1280
+"""Overlays of larger pictures are halved until they fit [px]."""
+OPACITY = 0.5
+SURFACE_LINE = (255, 255, 255)
+SILHOUETTE_LINE = (60, 230, 255)
+"""Blue, green, red: a yellow that skin and rooms seldom have."""
+_STATES = ("nobody", "measured", "filled", "lost")
+_FAR = 1e5
+"""Farther off no line is drawn; NaN is farther than any number [px]."""
+_SHIFT = 4
+"""Bits behind the point in the coordinates that OpenCV draws."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Looks:
+    """What does not change while a body moves: its faces, and the names that give them their colours."""
+
+    faces: Integers
+    """(T, 3)."""
+    face_segment: Integers
+    """(T,) index of the segment that carries each face."""
+    segment_names: tuple[str, ...]
+    joint_names: tuple[str, ...]
+
+    @cached_property
+    def face_colour(self) -> Floats:
+        """(T, 3) blue, green, red."""
+        return segment_colours(self.segment_names)[self.face_segment][:, ::-1].astype(float)
+
+    @cached_property
+    def bones(self) -> Integers:
+        """(n, 2) joints joined by a line."""
+        return bone_pairs(self.joint_names)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Scene:
+    """What is known of one frame, for all cameras; None where there is no answer."""
+
+    frame: int
+    vertices: Floats | None = None
+    """(V, 3) the posed surface [m, world]."""
+    joints: Floats | None = None
+    """(J, 3) joint centres [m, world]."""
+    state: int = 0
+    """0 nobody, 1 measured, 2 filled, 3 lost."""
+
+
+class OverlayVideo:
+    """Writes the overlay of one camera picture by picture; used as a context.
+
+    Args:
+        path: The video to be written, see `marey.io.video.video_writer`.
+        camera: Whose pictures they are.
+        looks: Of the body.
+        rate: Pictures a second [Hz].
+    """
+
+    def __init__(self, path: Path, camera: Camera, looks: Looks, *, rate: float):
+        self._camera, self._looks = fitting_camera(camera), looks
+        self._writer = VideoWriter(path, self._camera.size, rate=rate)
+
+    def add(self, image: Image, scene: Scene, *, mask: Mask | None = None, agreement: float = float("nan")) -> Image:
+        """Draw one picture, write it, and give it back for a still.
+
+        Args:
+            image: (height, width, 3) what the camera saw, in blue, green, red.
+            scene: What was found.
+            mask: (height, width) the silhouette.
+            agreement: Intersection over union of surface and silhouette.
+        """
+        drawn = draw_overlay(image, self._camera, self._looks, scene, mask=mask, agreement=agreement)
+        self._writer.add(drawn)
+        return drawn
+
+    def __enter__(self) -> "OverlayVideo":
+        return self
+
+    def __exit__(
+        self, error: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._writer.__exit__(error, value, trace)
+
+
+def fitting_camera(camera: Camera) -> Camera:
+    """Halve a camera's picture until its longest side is at most `LONGEST_SIDE`."""
+    factor = 1.0
+    while max(camera.size) * factor > LONGEST_SIDE:
+        factor /= 2
+    return camera if factor == 1.0 else camera.scaled(factor)
+
+
+def draw_overlay(
+    image: Image,
+    camera: Camera,
+    looks: Looks,
+    scene: Scene,
+    *,
+    mask: Mask | None = None,
+    agreement: float = float("nan"),
+) -> Image:
+    """Draw surface, outlines, joints and a line of text over a picture.
+
+    Args:
+        image: (height, width, 3) blue, green, red; resized to the camera's picture where it differs.
+        camera: The camera of the drawing.
+        looks: Of the body.
+        scene: What was found in the frame.
+        mask: (height, width) the silhouette, of the image's size.
+        agreement: Intersection over union of surface and silhouette.
+
+    Returns:
+        A new picture of the camera's size.
+    """
+    drawn = _resized(image, camera.size, cv2.INTER_AREA)
+    if scene.vertices is not None:
+        shade_surface(drawn, camera, looks, scene.vertices)
+    if mask is not None:
+        _draw_outline(drawn, _resized(mask.astype(np.uint8), camera.size, cv2.INTER_NEAREST), SILHOUETTE_LINE)
+    if scene.joints is not None:
+        _draw_joints(drawn, camera, looks, scene.joints)
+    _write_caption(drawn, camera.name, scene, agreement)
+    return drawn
+
+
+def shade_surface(drawn: Image, camera: Camera, looks: Looks, vertices: Floats) -> View:
+    """Lay the surface over a picture, half transparent, lit from the camera, and draw its outline.
+
+    Args:
+        drawn: (height, width, 3) is drawn upon.
+        camera: Whose picture it is.
+        looks: Of the body.
+        vertices: (V, 3) [m, world].
+
+    Returns:
+        What the camera sees of the surface.
+    """
+    vertices = np.ascontiguousarray(vertices, float)
+    projected = np.empty_like(vertices)
+    lens.project_points(camera.packed, vertices, projected)
+    view = see(projected, looks.faces, camera.size)
+    if view.covered.any():
+        x, y = view.corner
+        part = drawn[y : y + view.face.shape[0], x : x + view.face.shape[1]]
+        colour = looks.face_colour * _light(vertices, looks.faces, camera.centre)[:, None]
+        inside = view.covered
+        part[inside] = (OPACITY * colour[view.face[inside]] + (1 - OPACITY) * part[inside]).astype(np.uint8)
+        _draw_outline(drawn, view.mask().astype(np.uint8), SURFACE_LINE)
+    return view
+
+
+def _light(vertices: Floats, faces: Integers, centre: Floats) -> Floats:
+    """Light each face (T,) by its turn to the camera, smoothed over its neighbours."""
+    corners = vertices[faces]
+    area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = np.zeros_like(vertices)
+    for i in range(3):
+        np.add.at(normals, faces[:, i], area)
+    smooth = normals[faces].sum(1)
+    towards = centre - corners.mean(1)
+    scale = np.linalg.norm(smooth, axis=1) * np.linalg.norm(towards, axis=1)
+    cosine = np.einsum("ta,ta->t", smooth, towards) / np.maximum(scale, 1e-12)
+    return 0.45 + 0.6 * np.clip(cosine, 0, 1)
+
+
+def _resized(image: np.ndarray, size: tuple[int, int], how: int) -> np.ndarray:
+    if image.shape[:2] == (size[1], size[0]):
+        return image.copy()
+    return cv2.resize(image, size, interpolation=how)
+
+
+def _draw_outline(drawn: Image, mask: Image, colour: tuple[int, int, int]) -> None:
+    outlines, _ = cv2.findContours(mask, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+    cv2.drawContours(drawn, outlines, -1, colour, 1, cv2.LINE_AA)
+
+
+def _draw_joints(drawn: Image, camera: Camera, looks: Looks, joints: Floats) -> None:
+    pixels = camera.project(joints)
+    size = max(2, round(max(camera.size) / 320))
+    there = np.array([bool(np.all(np.abs(pixel) < _FAR)) for pixel in pixels])
+    points = np.zeros(pixels.shape, np.int64)
+    points[there] = np.round(pixels[there] * (1 << _SHIFT)).astype(np.int64)
+    for thickness, colour in ((size + 2, (30, 30, 30)), (size, (255, 255, 255))):
+        for a, b in looks.bones:
+            if there[a] and there[b]:
+                ends = tuple(map(int, points[a])), tuple(map(int, points[b]))
+                cv2.line(drawn, *ends, colour, thickness, cv2.LINE_AA, _SHIFT)
+    for i in np.flatnonzero(there):
+        where = tuple(map(int, points[i]))
+        cv2.circle(drawn, where, (size + 2) << _SHIFT, (255, 255, 255), -1, cv2.LINE_AA, _SHIFT)
+        cv2.circle(drawn, where, (size + 1) << _SHIFT, _bgr(side_colour(looks.joint_names[i])), -1, cv2.LINE_AA, _SHIFT)
+
+
+def _bgr(text: str) -> tuple[int, int, int]:
+    return int(text[5:7], 16), int(text[3:5], 16), int(text[1:3], 16)
+
+
+def _write_caption(drawn: Image, name: str, scene: Scene, agreement: float) -> None:
+    """Write camera, frame, state and agreement on a dark strip."""
+    text = f"{name}   frame {scene.frame}   {_STATES[scene.state]}"
+    if np.isfinite(agreement):
+        text += f"   agreement {agreement:.2f}"
+    scale = max(0.45, drawn.shape[1] / 1600)
+    (width, height), below = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, scale, 1)
+    strip = drawn[: height + below + 10, : width + 20]
+    strip[:] = (strip * 0.35).astype(np.uint8)
+    cv2.putText(drawn, text, (10, height + 6), cv2.FONT_HERSHEY_SIMPLEX, scale, (245, 245, 245), 1, cv2.LINE_AA)

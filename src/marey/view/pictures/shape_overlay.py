@@ -1,0 +1,189 @@
+"""Recovered shapes drawn over the video that shows them, with lines between neighbouring points."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from marey.arrays import Floats, Image, Integers, Mask
+
+_TOUCHING = 1e-9
+"""Share by which a point must lie inside of a ball."""
+
+
+def near_lines(shape: Floats) -> Integers:
+    """Join points between which no other one lies: none is in the ball about their middle ([Gabriel1969]).
+
+    Args:
+        shape: (3, P) for example the mean shape; NaN for points without a place.
+
+    Returns:
+        (E, 2) pairs of points, none twice; they hold all points together.
+    """
+    known = np.flatnonzero(np.isfinite(shape).all(0))
+    points = shape[:, known].T
+    square = ((points[:, None] - points) ** 2).sum(-1)
+    pairs = []
+    for a in range(len(known)):
+        later = np.arange(a + 1, len(known))
+        # A point c lies in the ball over a and b where ac2 + bc2 < ab2; a and b themselves lie on it.
+        blocked = (square[a] + square[later] < square[a, later][:, None] * (1 - _TOUCHING)).any(1)
+        pairs += [(known[a], known[b]) for b in later[~blocked]]
+    return np.array(pairs, np.int64).reshape(-1, 2)
+
+
+LONGEST_SIDE = 1280
+"""Larger pictures are halved until they fit [px]."""
+MEASURED, OUTLINE, LINE = (255, 255, 255), (40, 40, 40), (200, 200, 200)
+_PREDICTED = (74, 111, 220)
+_SHIFT = 4
+"""Bits behind the point in the coordinates that OpenCV draws."""
+_FAR = 1e5
+"""Farther off nothing is drawn [px]."""
+_FROM_SIDE = np.radians(75)
+_FROM_ABOVE = np.radians(15)
+_PANEL = 0.7
+"""Width of the side view as a share of the picture's height."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ShapeScene:
+    """What is known of one view over the frames."""
+
+    name: str
+    measured: Floats
+    """(F, 2, P) where points were seen [px]; NaN elsewhere."""
+    modelled: Floats
+    """(F, 2, P) where the model puts them [px]."""
+    placed: Floats
+    """(F, 3, P) the shapes in the camera's axes, x right, y down, z ahead."""
+    lines: Integers
+    """(E, 2)."""
+
+    def depths(self) -> tuple[float, float]:
+        """Give the range of depth about the middle of the shape, over all frames."""
+        depth = self.placed[np.isfinite(self.placed).any((1, 2)), 2]
+        depth = depth - np.nanmean(depth, axis=1, keepdims=True)
+        low, high = np.nanpercentile(depth, [1, 99])
+        return float(low), float(max(high, low + 1e-9))
+
+
+class ShapeOverlay:
+    """Draws one view frame by frame.
+
+    Args:
+        scene: What is known.
+        size: Width and height of the video's pictures [px].
+    """
+
+    def __init__(self, scene: ShapeScene, size: tuple[int, int]):
+        self._scene, self._scale = scene, 1.0
+        while max(size) * self._scale > LONGEST_SIDE:
+            self._scale /= 2
+        self.picture = (round(size[0] * self._scale), round(size[1] * self._scale))
+        self._panel = round(_PANEL * self.picture[1])
+        answered = np.isfinite(scene.placed).any((1, 2))
+        self._depths = scene.depths() if answered.any() else (0.0, 1.0)
+        self._reach = _reach(scene.placed[answered]) if answered.any() else 1.0
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of what is drawn [px]."""
+        return self.picture[0] + self._panel, self.picture[1]
+
+    def draw(self, image: Image, frame: int) -> Image:
+        """Draw a frame: the picture with the points over it, and beside it the shape turned to the side.
+
+        Args:
+            image: The video's picture, blue, green, red.
+            frame: Which it is.
+        """
+        scene = self._scene
+        drawn = np.array(image)
+        if self._scale < 1:
+            drawn = np.asarray(cv2.resize(image, self.picture, interpolation=cv2.INTER_AREA), np.uint8)
+        colours = self._colours(frame)
+        places = (scene.modelled[frame].T + 0.5) * self._scale - 0.5
+        seen = (scene.measured[frame].T + 0.5) * self._scale - 0.5
+        radius = max(2, round(max(self.picture) / 300))
+        _draw_lines(drawn, places, scene.lines)
+        _draw_points(drawn, places, colours, radius, np.isfinite(seen).all(1))
+        for place in seen[np.isfinite(seen).all(1)]:
+            cv2.circle(drawn, _fixed(place), (radius + 3) << _SHIFT, MEASURED, 1, cv2.LINE_AA, _SHIFT)
+        count = int(np.isfinite(seen).all(1).sum())
+        known = int(np.isfinite(places).all(1).sum())
+        words = f"{count} seen" + (f", {known} in the model" if known else ", no answer")
+        _write_caption(drawn, f"{scene.name}   frame {frame}   {words}")
+        return np.concatenate([drawn, self._from_side(frame, colours, radius)], axis=1)
+
+    def _colours(self, frame: int) -> Image:
+        """Give each point (P, 3) the colour of its depth: yellow is near, violet far."""
+        depth = self._scene.placed[frame, 2]
+        if not np.isfinite(depth).any():
+            return np.zeros((len(depth), 3), np.uint8)
+        low, high = self._depths
+        share = 1 - np.clip((depth - np.nanmean(depth) - low) / (high - low), 0, 1)
+        grey = np.round(255 * np.where(np.isfinite(share), share, 0)).astype(np.uint8)
+        return np.asarray(cv2.applyColorMap(grey[:, None], cv2.COLORMAP_PLASMA)[:, 0], np.uint8)
+
+    def _from_side(self, frame: int, colours: Image, radius: int) -> Image:
+        panel = np.full((self.picture[1], self._panel, 3), 244, np.uint8)
+        shape = self._scene.placed[frame]
+        _write_caption(panel, "from the side", light=True)
+        if not np.isfinite(shape).any():
+            return panel
+        centred = shape - np.nanmean(shape, axis=1, keepdims=True)
+        half = 0.46 * min(self._panel, self.picture[1])
+        middle = np.array([self._panel / 2, self.picture[1] / 2])
+        places = middle + half / self._reach * turned(centred)[:2].T
+        _draw_lines(panel, places, self._scene.lines, colour=(150, 150, 150))
+        seen: Mask = np.asarray(np.isfinite(self._scene.measured[frame]).all(0))
+        _draw_points(panel, places, colours, radius, seen)
+        return panel
+
+
+def turned(points: Floats) -> Floats:
+    """Look at points (3, P) in a camera's axes from its right and a little from above."""
+    c, s = np.cos(_FROM_SIDE), np.sin(_FROM_SIDE)
+    side = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+    c, s = np.cos(_FROM_ABOVE), np.sin(_FROM_ABOVE)
+    return np.asarray(np.array([[1, 0, 0], [0, c, -s], [0, s, c]]) @ side @ points)
+
+
+def _reach(placed: Floats) -> float:
+    """Give how far the points lie from their middle, at most."""
+    centred = placed - np.nanmean(placed, axis=2, keepdims=True)
+    return float(max(np.nanmax(np.linalg.norm(centred, axis=1)), 1e-9))
+
+
+def _fixed(place: Floats) -> tuple[int, int]:
+    return round(float(place[0]) * (1 << _SHIFT)), round(float(place[1]) * (1 << _SHIFT))
+
+
+def _there(places: Floats) -> Mask:
+    return np.asarray((np.abs(places) < _FAR).all(1))
+
+
+def _draw_lines(drawn: Image, places: Floats, lines: Integers, colour: tuple[int, int, int] = LINE) -> None:
+    there = _there(places)
+    for a, b in lines:
+        if there[a] and there[b]:
+            cv2.line(drawn, _fixed(places[a]), _fixed(places[b]), colour, 1, cv2.LINE_AA, _SHIFT)
+
+
+def _draw_points(drawn: Image, places: Floats, colours: Image, radius: int, seen: Mask) -> None:
+    """Draw dots in the colours of their depth; those that were not seen have an orange rim."""
+    for p in np.flatnonzero(_there(places)):
+        rim = OUTLINE if seen[p] else _PREDICTED
+        cv2.circle(drawn, _fixed(places[p]), (radius + 1) << _SHIFT, rim, -1, cv2.LINE_AA, _SHIFT)
+        cv2.circle(drawn, _fixed(places[p]), radius << _SHIFT, colours[p].tolist(), -1, cv2.LINE_AA, _SHIFT)
+
+
+def _write_caption(drawn: Image, text: str, *, light: bool = False) -> None:
+    scale = max(0.42, drawn.shape[0] / 1100)
+    (width, height), below = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, scale, 1)
+    strip = drawn[: height + below + 10, : width + 20]
+    if not light:
+        strip[:] = (strip * 0.35).astype(np.uint8)
+    colour = (90, 90, 90) if light else (245, 245, 245)
+    cv2.putText(drawn, text, (10, height + 6), cv2.FONT_HERSHEY_SIMPLEX, scale, colour, 1, cv2.LINE_AA)

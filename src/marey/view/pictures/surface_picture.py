@@ -1,0 +1,100 @@
+"""A measured surface as pictures: its points over what a camera saw, coloured by depth, and the surface lit."""
+
+import cv2
+import numpy as np
+
+from marey.arrays import Floats, Image, Mask
+from marey.cameras.camera import Camera
+from marey.surface.points.measured import MeasuredPoints
+
+_LAMP = np.array([-0.7, -0.6, -0.5])
+"""Where the lamp stands, seen from the surface, in the camera's axes: above, to the left, and near the camera."""
+_DIM = 0.45
+"""How much of the picture's brightness is left under the points."""
+_OUTER = 2.0
+"""Share of the points that lie beyond either end of the colours [%]."""
+_JUMP = 8.0
+"""Neighbours whose depths differ by more than so many spacings have no common face."""
+
+
+def depth_picture(points: MeasuredPoints, camera: Camera, number: int, image: Image) -> Image:
+    """Draw a template's points over its picture, near ones red and far ones blue.
+
+    Args:
+        points: Of one frame.
+        camera: A camera whose picture was a template.
+        number: Which one it is.
+        image: (H, W, 3) its picture.
+
+    Returns:
+        (H, W, 3) blue, green, red.
+    """
+    drawn = np.asarray(image * _DIM, np.uint8)
+    shown = points.template == number
+    if not shown.any():
+        return drawn
+    depth = camera.depths(points.points[shown])
+    near, far = np.percentile(depth, [_OUTER, 100 - _OUTER])
+    share = np.clip((far - depth) / max(far - near, 1e-9), 0, 1)
+    colour = cv2.applyColorMap(np.asarray(255 * share, np.uint8)[:, None], cv2.COLORMAP_TURBO)[:, 0]
+    radius = max(0, _spacing(points.pixels[shown, number]) // 2)
+    for (x, y), paint in zip(np.round(points.pixels[shown, number]).astype(int), colour, strict=True):
+        drawn[max(y - radius, 0) : y + radius + 1, max(x - radius, 0) : x + radius + 1] = paint
+    return drawn
+
+
+def lit_picture(points: MeasuredPoints, camera: Camera, number: int) -> Image:
+    """Draw the surface that a template's points make with their neighbours, as a lamp would light it.
+
+    Args:
+        points: Of one frame.
+        camera: A camera whose picture was a template.
+        number: Which one it is.
+
+    Returns:
+        (H, W, 3); black where nothing was measured.
+    """
+    own = points[points.template == number]
+    width, height = camera.size
+    if not len(own):
+        return np.zeros((height, width, 3), np.uint8)
+    pixels = np.round(own.pixels[:, number]).astype(int)
+    spacing = _spacing(pixels)
+    column, row = ((pixels - pixels.min(axis=0)) // spacing).T
+    place = np.full((row.max() + 1, column.max() + 1, 3), np.nan)
+    place[row, column] = camera.camera_from_world.apply(own.points)
+    shade = _shaded(place)
+    grey = np.zeros((height, width), np.uint8)
+    x, y = pixels.min(axis=0)
+    large = cv2.resize(shade, (shade.shape[1] * spacing, shade.shape[0] * spacing), interpolation=cv2.INTER_NEAREST)
+    part = grey[y : y + large.shape[0], x : x + large.shape[1]]
+    part[:] = large[: part.shape[0], : part.shape[1]]
+    return np.asarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), np.uint8)
+
+
+def _shaded(place: Floats) -> Image:
+    """Light a grid of places (R, C, 3) in camera axes; 0 where there is none."""
+    right, down = _slope(place, axis=1), _slope(place, axis=0)
+    normal = np.cross(down, right)
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    light = np.clip(normal @ (_LAMP / np.linalg.norm(_LAMP)), 0, 1)
+    known: Mask = np.isfinite(light)
+    return np.where(known, 25 + 230 * np.where(known, light, 0), 0).astype(np.uint8)
+
+
+def _slope(place: Floats, axis: int) -> Floats:
+    """Differentiate along an axis, by both neighbours or by the one that is there."""
+    step = np.diff(place, axis=axis)
+    usual = np.nanmedian(np.linalg.norm(step, axis=-1)) if np.isfinite(step).any() else 1.0
+    step = np.where(np.linalg.norm(step, axis=-1, keepdims=True) > _JUMP * usual, np.nan, step)
+    edge = np.full_like(np.take(place, [0], axis=axis), np.nan)
+    both = np.stack([np.concatenate([edge, step], axis=axis), np.concatenate([step, edge], axis=axis)])
+    known = np.isfinite(both)
+    total = np.where(known, both, 0).sum(axis=0)
+    return np.where(known.any(axis=0), total / np.maximum(known.sum(axis=0), 1), np.nan)
+
+
+def _spacing(pixels: Floats) -> int:
+    """Tell how far apart the points lie [px]."""
+    columns = np.unique(np.round(pixels[:, 0]))
+    return int(np.median(np.diff(columns))) if len(columns) > 1 else 1

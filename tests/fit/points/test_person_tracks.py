@@ -1,0 +1,136 @@
+"""Followed points ride on their segments, at one place in all frames."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests.fit import metaball_worlds as world
+
+from marey.body.articulation.pose import PosedBody
+from marey.fit.points.person_tracks import PersonTracks
+from marey.observations.carried_points import CarriedPoints
+from marey.surface.tracks.trajectories import Trajectories
+
+NOISE = 2e-4
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """An arm in six frames, and points that ride on thorax, upper arm and forearm."""
+    rng = np.random.default_rng(8)
+    space = world.arm_space()
+    numbers = np.zeros(len(space))
+    numbers[space.names.index("upperarm_length")] = 0.06
+    body = world.person(space, numbers)
+    poses = dict(enumerate(world.arm_poses(rng, 6)))
+    strongest = body.vertex_segments[np.arange(len(body.vertices)), body.vertex_weights.argmax(1)]
+    wanted = [body.skeleton.segment(name) for name in ("thorax", "right_upperarm", "right_forearm")]
+    which = np.flatnonzero(np.isin(strongest, wanted) & (body.vertex_weights.max(1) > 0.95))
+    segment, away = strongest[which], body.vertices[which] - body.joint_centres[strongest[which]]
+    posed = [PosedBody(body, pose) for pose in poses.values()]
+    position = np.stack(
+        [p.segment_origin[segment] + np.einsum("nab,nb->na", p.segment_rotation[segment], away) for p in posed]
+    )  # fmt: skip
+    position += rng.normal(size=position.shape) * NOISE
+    position[rng.random(position.shape[:2]) < 0.1] = np.nan
+    tracks = PersonTracks(
+        frames=np.array(list(poses)), position=position, variance=np.full(position.shape[:2], NOISE**2),
+        skin_sd_m=5e-4, patch_m=1e-6,
+    )  # fmt: skip
+    return body, poses, tracks, segment
+
+
+def test_points_are_carried_by_the_segment_on_whose_skin_they_lie(scene):
+    body, poses, tracks, segment = scene
+    fastened = tracks.fastened(poses, body)
+    known = fastened.segment >= 0
+    assert known.mean() > 0.9
+    np.testing.assert_array_equal(fastened.segment[known], segment[known])
+    for frame, pose in poses.items():
+        _, residual = fastened.residuals(frame, PosedBody(body, pose))
+        assert np.sqrt(np.mean(residual**2)) == pytest.approx(NOISE * np.sqrt(5 / 6), rel=0.1)
+
+
+def test_the_sum_is_that_of_carried_points(scene):
+    body, poses, tracks, _ = scene
+    fastened, posed = tracks.fastened(poses, body), PosedBody(body, poses[2].step(np.full(12, 1e-4)))
+    hessian, gradient = fastened.terms(2, posed)
+    which, residual = fastened.residuals(2, posed)
+    plain = CarriedPoints(
+        segments=fastened.segment[which], places=fastened.place[which], points=tracks.position[2, which], sigma_m=1.0
+    )  # fmt: skip
+    rows = plain.linearize(posed, shape=True)
+    np.testing.assert_allclose(rows.residual, residual.ravel(), atol=1e-12)
+    weight = np.repeat(fastened.weights(2, which, residual), 3)
+    size = rows.jacobian.shape[1]
+    wanted = rows.jacobian.T @ (weight[:, None] * rows.jacobian)
+    np.testing.assert_allclose(hessian[:size, :size], wanted, atol=1e-9 * np.abs(wanted).max())
+    np.testing.assert_allclose(gradient[:size], rows.jacobian.T @ (weight * rows.residual), atol=1e-6)
+
+
+def test_the_places_of_a_segment_move_as_the_last_columns_say(scene):
+    body, poses, tracks, _ = scene
+    fastened, posed = tracks.fastened(poses, body), PosedBody(body, poses[1])
+    _, gradient = fastened.terms(1, posed)
+    first = len(body.skeleton) + len(body.space)
+    k, step = body.skeleton.segment("right_forearm"), 1e-6
+    which, residual = fastened.residuals(1, posed)
+    weight = fastened.weights(1, which, residual)
+    for column in range(6):
+        place = fastened.place.copy()
+        own = fastened.segment == k
+        if column < 3:
+            place[own, column] += step
+        else:
+            place[own] += step * np.cross(np.eye(3)[column - 3], place[own])
+        _, moved = replace(fastened, place=place).residuals(1, posed)
+        change = np.sum(weight[:, None] * residual * (moved - residual)) / step
+        assert gradient[first + 6 * k + column] == pytest.approx(change, rel=1e-3, abs=1e-2)
+
+
+def test_a_frame_without_points_says_nothing(scene):
+    body, poses, tracks, _ = scene
+    hessian, gradient = tracks.fastened(poses, body).terms(99, PosedBody(body, poses[0]))
+    assert not hessian.any()
+    assert not gradient.any()
+
+
+def test_trajectories_of_other_frames_say_nothing(scene):
+    body, poses, tracks, _ = scene
+    other = replace(tracks, frames=tracks.frames + 100)
+    fastened = other.fastened(poses, body)
+    assert (fastened.segment == -1).all()
+    assert fastened.reestimated({f: PosedBody(body, pose) for f, pose in poses.items()}).skin_sd_m == other.skin_sd_m
+
+
+def test_trajectories_are_taken_without_those_that_were_removed():
+    covariance = np.broadcast_to(np.eye(3) * 4e-8, (2, 3, 3, 3)).copy()
+    covariance[0, 2] = np.nan
+    nothing = np.full((2, 3, 3), np.nan)
+    found = PersonTracks.of(
+        Trajectories(
+            frames=np.array([4, 5]), rate=30.0, position=np.arange(18.0).reshape(2, 3, 3), velocity=nothing,
+            acceleration=nothing, covariance=covariance, camera_names=("a", "b"), pixels=np.zeros((2, 3, 2, 2)),
+            removed=np.array([False, True, False]),
+        )
+    )  # fmt: skip
+    np.testing.assert_array_equal(found.position[1], [[9, 10, 11], [15, 16, 17]])
+    np.testing.assert_allclose(found.variance, [[4e-8, 0.0], [4e-8, 4e-8]], rtol=1e-6)
+
+
+def test_how_far_skin_moves_about_is_found_again(scene):
+    body, poses, tracks, _ = scene
+    rng = np.random.default_rng(2)
+    moving = replace(tracks, position=tracks.position + rng.normal(size=tracks.position.shape) * 0.001)
+    bodies = {f: PosedBody(body, pose) for f, pose in poses.items()}
+    found = moving
+    for _ in range(4):
+        found = found.fastened(poses, body).reestimated(bodies)
+    assert found.skin_sd_m == pytest.approx(0.001, rel=0.15)
+
+
+def test_only_people_of_metaballs_are_fitted(scene):
+    body, poses, tracks, _ = scene
+    bare = replace(body, metaballs=None)
+    with pytest.raises(ValueError, match="metaballs"):
+        tracks.fastened(poses, bare).terms(0, PosedBody(bare, poses[0]))

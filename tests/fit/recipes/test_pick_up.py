@@ -1,0 +1,145 @@
+"""Picking up who was lost: which frames are tried, what is believed, and a person who comes back elsewhere."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from tests import worlds
+
+from marey.body.articulation.pose import PosedBody
+from marey.fit.recipes.person import PersonSettings, Take, track_person
+from marey.fit.recipes.pick_up import (
+    PickUpSettings,
+    better_of,
+    of_one_shape,
+    pick_up,
+    runs_between,
+    start_again,
+    weak_frames,
+)
+from marey.fit.search.levels import FrameLevels
+from marey.fit.search.search import Candidate, StartSettings
+
+
+@dataclass
+class Posed:
+    """Stands for a posed body where only its pose is passed on."""
+
+    pose: object = None
+
+
+def scored(score):
+    return Candidate(Posed(), score)
+
+
+def test_stretches_end_where_an_answer_lies_between_and_at_holes():
+    frames = [0, 1, 2, 3, 4, 6, 7, 30, 31]
+    assert runs_between(frames, {2: None}) == [[0, 1], [3, 4], [6, 7], [30, 31]]
+    assert runs_between(frames, {2: None}, hole=5) == [[0, 1], [3, 4, 6, 7], [30, 31]]
+    assert runs_between(frames, set(frames)) == []
+
+
+def picked(found, frames, scores, *, reach=10, rate=10.0, settings=None, merit=lambda frame: 0.0):
+    """Pick up with starts of given scores, from each of which the person is followed so many frames."""
+    tried = []
+
+    def start(frame):
+        tried.append(frame)
+        return scored(scores[frame]) if frame in scores else None
+
+    def follow(frame, pose, way):
+        return {f: scored(0.9) for f in way if abs(f - frame) <= reach}
+
+    return pick_up(found, frames, merit, start, follow, rate=rate, settings=settings), tried
+
+
+def test_a_new_start_is_followed_both_ways_until_frames_that_were_found():
+    known = {f: scored(0.9) for f in [*range(10), *range(40, 50)]}
+    after, tried = picked(known, range(50), {24: 0.88}, reach=100, merit=lambda frame: 100 - abs(frame - 24))
+    assert tried == [24]
+    assert list(after) == list(range(50))
+    assert all(after[f] is known[f] for f in known)
+
+
+def test_starts_lie_half_a_second_apart_and_end_after_so_many_failures():
+    known = {f: scored(0.9) for f in range(10)}
+    after, tried = picked(known, range(200), {})
+    assert after == known
+    assert len(tried) == PickUpSettings().most
+    assert np.diff(sorted(tried)).min() >= 5
+    # A start that explains the silhouettes much worse than usual is not believed.
+    assert picked(known, range(200), dict.fromkeys(range(200), 0.7))[0] == known
+
+
+def test_what_a_new_start_does_not_reach_is_tried_again_farther_on():
+    known = {f: scored(0.9) for f in range(10)}
+    after, tried = picked(known, range(60), dict.fromkeys(range(60), 0.9), reach=4)
+    assert set(range(10, 60)) - set(after) == set()
+    assert len(tried) >= 5
+
+
+def test_frames_that_show_hardly_anything_of_the_person_are_not_tried():
+    known = {f: scored(0.9) for f in range(10)}
+    scores = dict.fromkeys(range(60), 0.9)
+    assert picked(known, range(60), scores, merit=lambda frame: 1.0 if frame < 10 else 0.4) == (known, [])
+    after, tried = picked(known, range(60), scores, merit=lambda frame: 0.4 if 10 <= frame < 40 else 1.0)
+    assert min(tried) >= 40
+    assert set(range(40, 60)) <= set(after)
+
+
+def test_a_moment_between_known_frames_is_left_alone():
+    known = {f: scored(0.9) for f in range(100) if f not in (40, 41)}
+    assert picked(known, range(100), {40: 0.9}, rate=30.0) == (known, [])
+    assert picked(known, range(100), {40: 0.9}, rate=10.0)[1] == [40]
+
+
+def test_a_stretch_that_was_followed_badly_is_named_but_no_single_frame():
+    found = {f: scored(0.7 if f in (5, 20, 21, 22, 23, 24) else 0.9) for f in range(40)}
+    assert weak_frames(found, rate=30.0, settings=PickUpSettings()) == {20, 21, 22, 23, 24}
+    assert weak_frames({}, rate=30.0, settings=PickUpSettings()) == set()
+
+
+def test_of_two_answers_the_old_one_stays_unless_the_new_one_is_better():
+    old, new = {1: scored(0.8), 2: scored(0.8), 3: scored(0.8)}, {2: scored(0.805), 3: scored(0.9), 4: scored(0.6)}
+    both = better_of(old, new)
+    assert list(both) == [1, 2, 3, 4]
+    assert [both[f] for f in (1, 2, 3, 4)] == [old[1], old[2], new[3], new[4]]
+
+
+def test_a_body_without_numbers_keeps_the_shape_that_was_found(rng):
+    body = worlds.person("coarse", 4).with_numbers(np.array([1.0, -0.5, 0.3, 0.8]))
+    fixed = of_one_shape(body)
+    assert len(fixed.space) == 0
+    np.testing.assert_allclose(fixed.vertices, body.vertices, atol=1e-12)
+    np.testing.assert_allclose(fixed.joint_centres, body.joint_centres, atol=1e-12)
+
+
+@pytest.fixture(scope="module")
+def coming_back():
+    """A person who leaves, and comes back elsewhere, facing another way with arms and legs in another posture."""
+    body, cameras = worlds.person("coarse"), worlds.ring()
+    first = [PosedBody(body, pose) for pose in worlds.swing(body, 4)]
+    degrees = {"left_elbow_flexion": 80, "right_shoulder_lift": 30, "right_hip_flexion": 30, "right_knee_flexion": 40}
+    later = [
+        PosedBody(body, worlds.pose(body, degrees, yaw=2.6 + 0.02 * i, at=(0.25, 0.02 * i, 0.0))) for i in range(4)
+    ]
+    truth = dict(enumerate(first)) | {40 + i: posed for i, posed in enumerate(later)}
+    masks = {f: worlds.silhouettes(posed, cameras) for f, posed in truth.items()}
+    return body, truth, Take(tuple(cameras), lambda frame: masks[frame], tuple(truth), worlds.RATE)
+
+
+def test_a_person_who_comes_back_elsewhere_is_found_again(coming_back):
+    body, truth, take = coming_back
+    told = []
+    found = track_person(take, body, body, (0, truth[0].pose), PersonSettings(), done=told.append)
+    assert list(found) == [0, 1, 2, 3, 40, 41, 42, 43]
+    assert sorted(told) == list(truth)
+    # A pixel is eleven millimetres.
+    assert max(worlds.joint_errors(found[f].posed, truth[f]).max() for f in truth) < 0.05
+
+
+def test_silhouettes_that_have_nothing_in_common_give_no_start(coming_back):
+    body, _, take = coming_back
+    levels = FrameLevels(take.cameras, take.masks_of, 0.5)
+    empty = [np.zeros_like(mask) for mask in take.masks_of(0)]
+    assert start_again(take.cameras, empty, body, body, levels, 0, StartSettings()) is None

@@ -1,0 +1,70 @@
+"""The kernels that compare many poses, against the plain way for one pose."""
+
+import numpy as np
+import pytest
+from tests import worlds
+
+from marey.body.articulation.pose import Pose, PosedBody
+from marey.fit.search import cover, placements
+from marey.fit.search.levels import Level
+from marey.fit.search.search import Search, StartSettings, limb_directions
+
+
+@pytest.fixture(scope="module")
+def scene():
+    cameras = worlds.ring(size=(100, 120), focal=150.0)
+    body = worlds.person()
+    truth = PosedBody(body, worlds.pose(body))
+    return body, cameras, Level.at_size(cameras, worlds.silhouettes(truth, cameras))
+
+
+def overlap(body, poses, level):
+    """Mean intersection over union by the rasteriser with a depth buffer."""
+    scores = []
+    for pose in poses:
+        drawn = worlds.silhouettes(PosedBody(body, pose), level.cameras)
+        pairs = zip(drawn, level.masks, strict=True)
+        scores.append(np.mean([np.count_nonzero(a & b) / np.count_nonzero(a | b) for a, b in pairs]))
+    return np.array(scores)
+
+
+def test_scores_are_the_mean_overlap_of_what_the_cameras_see(scene, rng):
+    body, _, level = scene
+    truth = worlds.pose(body)
+    poses = [truth.step(rng.normal(size=len(body.skeleton)) * spread) for spread in (0, 0.02, 0.1, 0.3, 0.5)]
+    scores = Search(level, StartSettings()).score(body, poses)
+    np.testing.assert_allclose(scores, overlap(body, poses, level), atol=1e-12)
+    assert scores[0] == 1.0
+
+
+def test_somebody_out_of_all_pictures_scores_nothing_and_nobody_at_all_scores_one(scene):
+    body, cameras, level = scene
+    away = worlds.pose(body, at=(0, 0, 50))
+    assert Search(level, StartSettings()).score(body, [away])[0] == 0.0
+    empty = Level.at_size(cameras, [np.zeros_like(mask) for mask in level.masks])
+    assert Search(empty, StartSettings()).score(body, [away])[0] == 1.0
+
+
+@pytest.mark.parametrize("name", placements.LIMBS)
+def test_a_moved_limb_scores_as_the_whole_moved_body(scene, rng, name):
+    body, _, level = scene
+    search = Search(level, StartSettings())
+    pose = worlds.pose(body).step(rng.normal(size=len(body.skeleton)) * 0.05)
+    limb = placements.limb_of(body.skeleton, name)
+    arm, leg = limb_directions(body)
+    candidates = placements.limb_placements(body.skeleton, limb, arm if "arm" in name else leg, count=12)[::3]
+    own = np.isin(body.face_segment, [body.skeleton.segment(s) for s in limb.segments])
+    rest = (*body.packed, body.joint_centres, body.vertices, body.vertex_segments, body.vertex_weights)
+    scores = cover.score_limb(
+        *rest, body.faces[own], body.faces[~own], np.unique(body.faces[own]),
+        pose.rotation, pose.translation, pose.angles, limb.columns, candidates, *search.packed,
+    )  # fmt: skip
+    moved = []
+    for row in candidates:
+        angles = np.array(pose.angles)
+        angles[limb.columns] = row
+        moved.append(Pose(pose.translation, pose.rotation, angles))
+    whole = search.score(body, moved)
+    # Faces of the trunk that also hang on the limb stay where they were: a few pixels in some thousand.
+    np.testing.assert_allclose(scores, whole, atol=0.02)
+    assert np.corrcoef(scores, whole)[0, 1] > 0.99

@@ -1,0 +1,135 @@
+"""The banded system: its algebra against a dense solve, in one piece and in windows."""
+
+import numpy as np
+import pytest
+
+from marey.fit.solver.banded import System, Window, windows, with_shape_covariance
+from marey.fit.solver.body_solver import bounded_step
+
+FRAMES, DEGREES, NUMBERS = 6, 4, 3
+NO_TRUST = np.full(DEGREES, np.inf)
+
+
+def random_system(rng, numbers=NUMBERS, frames=FRAMES):
+    """A random positive system of the shape that poses, smoothness and a border give, and the same one dense."""
+    system = System.empty(frames, DEGREES, numbers)
+    size = frames * DEGREES + numbers
+    dense, gradient = np.zeros((size, size)), np.zeros(size)
+    shape = list(range(frames * DEGREES, size))
+    for f in range(frames):
+        own = [*range(f * DEGREES, (f + 1) * DEGREES), *shape]
+        rows = rng.normal(size=(20, len(own)))
+        hessian, slope = rows.T @ rows, rng.normal(size=len(own))
+        system.add_frame(f, hessian, slope, DEGREES)
+        dense[np.ix_(own, own)] += hessian
+        gradient[own] += slope
+    return system, dense, gradient
+
+
+def add_smoothness(rng, system, dense, gradient):
+    """Smoothness is linear where a pose's turn stays small: here the poses of a body without turns."""
+    spread = rng.uniform(0.5, 2.0, DEGREES)
+    values = rng.normal(size=(FRAMES, DEGREES))
+
+    class Flat:
+        """A pose without turns."""
+
+        def __init__(self, value):
+            self.value = value
+
+        def change_to(self, other):
+            return other.value - self.value
+
+    for f in range(1, FRAMES - 1):
+        system.add_smoothness(f, [Flat(v) for v in values], spread)
+        jacobian = np.zeros((DEGREES, len(gradient)))
+        for offset, share in ((-1, 1.0), (0, -2.0), (1, 1.0)):
+            columns = (f + offset) * DEGREES + np.arange(DEGREES)
+            jacobian[np.arange(DEGREES), columns] = share
+        residual = values[f + 1] - 2 * values[f] + values[f - 1]
+        dense += jacobian.T @ (jacobian / spread[:, None] ** 2)
+        gradient += jacobian.T @ (residual / spread**2)
+
+
+def shape_of(dense, gradient):
+    """What all frames together say of the shape alone."""
+    return dense[-NUMBERS:, -NUMBERS:], gradient[-NUMBERS:]
+
+
+@pytest.mark.parametrize("numbers", [0, NUMBERS])
+def test_the_banded_solution_is_the_dense_one(rng, numbers):
+    system, dense, gradient = random_system(rng, numbers)
+    add_smoothness(rng, system, dense, gradient)
+    left = system.eliminate(NO_TRUST, slice(0, FRAMES))
+    expected = -np.linalg.solve(dense, gradient)
+    shape = np.zeros(0)
+    if numbers:
+        corner, slope = shape_of(dense, gradient)
+        shape = -np.linalg.solve(corner - left["taken"], slope - left["taken_gradient"])
+    step = -(left["own"] + left["by_shape"] @ shape)
+    np.testing.assert_allclose(np.concatenate([step, shape]), expected, atol=1e-8)
+
+
+@pytest.mark.parametrize("numbers", [0, NUMBERS])
+def test_the_covariances_are_blocks_of_the_dense_inverse(rng, numbers):
+    system, dense, gradient = random_system(rng, numbers)
+    add_smoothness(rng, system, dense, gradient)
+    found = system.covariances(DEGREES, slice(0, FRAMES))
+    inverse = np.linalg.inv(dense)
+    shape = np.linalg.inv(shape_of(dense, gradient)[0] - found["loss"]) if numbers else np.zeros((0, 0))
+    covariance = with_shape_covariance(found["blocks"], found["spread"], shape)
+    for f in range(FRAMES):
+        own = [*range(f * DEGREES, (f + 1) * DEGREES), *range(FRAMES * DEGREES, len(dense))]
+        np.testing.assert_allclose(covariance[f], inverse[np.ix_(own, own)], atol=1e-7 * np.abs(inverse).max())
+
+
+def test_poses_that_know_nothing_of_the_shape_have_no_share_in_it(rng):
+    blocks, shape = np.tile(np.eye(DEGREES), (2, 1, 1)), 0.1 * np.eye(NUMBERS)
+    whole = with_shape_covariance(blocks, np.zeros((2, DEGREES, 0)), shape)
+    np.testing.assert_array_equal(whole[:, :DEGREES, :DEGREES], blocks)
+    np.testing.assert_array_equal(whole[:, DEGREES:, DEGREES:], np.tile(shape, (2, 1, 1)))
+    assert not whole[:, :DEGREES, DEGREES:].any()
+
+
+def test_cores_of_a_system_share_it_between_them(rng):
+    system, dense, gradient = random_system(rng)
+    add_smoothness(rng, system, dense, gradient)
+    whole = system.eliminate(NO_TRUST, slice(0, FRAMES))
+    first, second = (system.eliminate(NO_TRUST, core) for core in (slice(0, 2), slice(2, FRAMES)))
+    for name in ("taken", "taken_gradient"):
+        np.testing.assert_allclose(first[name] + second[name], whole[name], atol=1e-12)
+    for name in ("own", "by_shape"):
+        np.testing.assert_allclose(np.concatenate([first[name], second[name]]), whole[name], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("count", "length", "overlap"), [(1, 10, 3), (16, 10, 3), (17, 10, 3), (95, 10, 3), (1000, 240, 30)]
+)
+def test_every_frame_counts_in_one_window_that_sees_its_neighbours(count, length, overlap):
+    found = windows(count, length, overlap)
+    assert [f for window in found for f in range(window.begin, window.end)] == list(range(count))
+    for window in found:
+        assert window.first == max(window.begin - overlap, 0) or len(found) == 1
+        assert window.last == min(window.end + overlap, count) or len(found) == 1
+        assert window.end - window.begin <= length + 2 * overlap
+        assert (window.core.start, window.core.stop) == (window.begin - window.first, window.end - window.first)
+
+
+def test_a_short_sequence_is_one_window():
+    assert windows(16, 10, 3) == [Window(0, 16, 0, 16)]
+
+
+def test_where_the_shape_is_held_back_the_poses_take_the_best_step_beside_it(rng):
+    system, dense, gradient = random_system(rng)
+    add_smoothness(rng, system, dense, gradient)
+    left = system.eliminate(NO_TRUST, slice(0, FRAMES))
+    corner, slope = shape_of(dense, gradient)
+    information, pull = corner - left["taken"], slope - left["taken_gradient"]
+    held = 0.3 * np.abs(np.linalg.solve(information, pull))
+    shape = bounded_step(information, pull, -held, held)
+    assert np.all(np.abs(shape) <= held * (1 + 1e-6) + 1e-8)
+    step = np.concatenate([-(left["own"] + left["by_shape"] @ shape), shape])
+    slope = gradient + dense @ step
+    np.testing.assert_allclose(slope[:-NUMBERS], 0.0, atol=1e-7 * np.abs(gradient).max())
+    # At a bound the cost would fall only by leaving it.
+    assert np.all(slope[-NUMBERS:] * np.sign(shape) <= 1e-7 * np.abs(gradient).max())

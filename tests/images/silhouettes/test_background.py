@@ -1,0 +1,135 @@
+import numpy as np
+import pytest
+
+from marey.images.silhouettes import background as backgrounds
+
+
+def textured(rng, shape=(60, 80, 3)):
+    return np.clip(rng.normal(120, 30, shape), 20, 235)
+
+
+def shown(picture, rng, noise=2.0):
+    return np.clip(np.round(picture + rng.normal(0, noise, picture.shape)), 0, 255).astype(np.uint8)
+
+
+def test_gain_offset_and_noise_are_found_though_a_quarter_is_covered(rng):
+    truth = textured(rng)
+    plate = backgrounds.from_pictures([np.round(truth).astype(np.uint8)])
+    picture = 0.9 * truth + 5.0
+    picture[10:40, 10:50] = (10, 20, 200)
+    exposure = backgrounds.exposure(shown(picture, rng, 3.0), plate)
+    assert np.allclose(exposure.gain, 0.9, atol=0.01)
+    assert np.allclose(exposure.offset, 5.0, atol=1.5)
+    assert np.allclose(exposure.noise, 3.0, rtol=0.35)
+
+
+def test_the_median_of_a_clip_forgets_who_walks_through(rng):
+    truth = textured(rng)
+    pictures = []
+    for k in range(9):
+        picture = truth.copy()
+        picture[:, 8 * k : 8 * k + 8] = 0
+        pictures.append(shown(picture, rng, 1.0))
+    assert abs(backgrounds.from_pictures(pictures).mean - truth).max() < 5
+
+
+def test_the_take_itself_gives_the_background_where_each_pixel_is_empty_at_some_time(rng):
+    truth = textured(rng)
+    pictures = []
+    for k in range(10):
+        picture = truth.copy()
+        # A moving person of changing colour covers six tenths of the time.
+        if k < 6:
+            picture[20:40, 20:40] = 25.0 * k
+        pictures.append(shown(picture, rng, 1.0))
+    assert abs(backgrounds.from_take(pictures).mean - truth).max() < 6
+
+
+def test_pictures_of_two_sizes_are_refused():
+    with pytest.raises(ValueError, match="one size"):
+        backgrounds.from_pictures([np.zeros((4, 4, 3), np.uint8), np.zeros((5, 4, 3), np.uint8)])
+    with pytest.raises(ValueError, match="at least one"):
+        backgrounds.from_take([])
+    plate = backgrounds.from_pictures([np.zeros((4, 4, 3), np.uint8)])
+    with pytest.raises(ValueError, match="background of"):
+        backgrounds.exposure(np.zeros((5, 4, 3), np.uint8), plate)
+
+
+def smooth_room(shape=(120, 160)):
+    y, x = np.indices(shape)
+    return np.stack([100 + 0.3 * x, 110 + 0.2 * y, 120 + 0.1 * x], axis=2)
+
+
+def take_of(room, rng, count=8):
+    """A dark figure goes through the room."""
+    pictures = []
+    for k in range(count):
+        picture = room.copy()
+        picture[20:110, 5 + 18 * k : 20 + 18 * k] = 30
+        pictures.append(shown(picture, rng, 1.0))
+    return pictures
+
+
+def test_a_ghost_in_the_plate_is_mended_from_the_take(rng):
+    room = smooth_room()
+    plate = room.copy()
+    plate[40:80, 60:80] = (40, 60, 170)
+    mended = backgrounds.doubted(backgrounds.from_pictures([shown(plate, rng, 1.0)]), take_of(room, rng))
+    assert abs(mended.mean[40:80, 60:80] - room[40:80, 60:80]).mean() < 3
+
+
+def test_someone_who_never_moves_is_not_mended_into_the_background(rng):
+    room = smooth_room()
+    pictures = []
+    for _ in range(6):
+        picture = room.copy()
+        picture[40:80, 60:80] = (40, 60, 170)
+        pictures.append(shown(picture, rng, 1.0))
+    kept = backgrounds.doubted(backgrounds.from_pictures([shown(room, rng, 1.0)]), pictures)
+    assert abs(kept.mean[40:80, 60:80] - room[40:80, 60:80]).mean() < 3
+
+
+def test_what_is_doubtful_is_learned_where_the_person_is_not(rng):
+    room = smooth_room()
+    wrong = backgrounds.from_pictures([shown(room + 40, rng, 1.0)])
+    trust = np.ones((120, 160))
+    trust[:60] = 0.5
+    background = backgrounds.Background(mean=wrong.mean, steepness=wrong.steepness, trust=trust, size=wrong.size)
+    plain = backgrounds.Exposure(gain=np.ones(3), offset=np.zeros(3), noise=np.ones(3), jitter=0.1)
+    person = np.zeros((120, 160), bool)
+    person[:60, :40] = True
+    for _ in range(6):
+        background = backgrounds.taught(background, shown(room, rng, 1.0), plain, person)
+    assert abs(background.mean[:60, 40:] - room[:60, 40:]).mean() < 3
+    assert abs(background.mean[:60, :40] - room[:60, :40] - 40).mean() < 3
+    assert abs(background.mean[60:] - room[60:] - 40).mean() < 3
+    assert (background.trust[:60, 40:] > 0.95).all()
+
+
+def test_black_bars_are_no_part_of_what_is_shown(rng):
+    room = smooth_room()
+    picture = room.copy()
+    picture[:7] = 2
+    picture[:, -3:] = 2
+    plate = backgrounds.from_pictures([shown(room, rng, 1.0)])
+    exposure = backgrounds.exposure(shown(picture, rng, 1.0), plate)
+    rows, columns = backgrounds.shown_lines(shown(picture, rng, 1.0), plate, exposure)
+    assert (rows.start, rows.stop, columns.start, columns.stop) == (7, 120, 0, 157)
+    empty = backgrounds.exposure(shown(room, rng, 1.0), plate)
+    rows, columns = backgrounds.shown_lines(shown(room, rng, 1.0), plate, empty)
+    assert (rows.start, rows.stop, columns.start, columns.stop) == (0, 120, 0, 160)
+
+
+def test_a_take_that_begins_empty_shows_its_background_though_a_person_then_stays(rng):
+    room, pictures = smooth_room(), []
+    for k in range(12):
+        picture = room.copy()
+        if k >= 3:
+            picture[30:100, 60:85] = (40, 60, 170)
+        pictures.append(shown(picture, rng, 1.0))
+    assert abs(backgrounds.from_take(pictures).mean - room)[35:95, 65:80].mean() < 3
+
+
+def test_the_frames_worth_seeing_are_frames_of_the_take():
+    assert list(backgrounds.worth_seeing(3)) == [0, 1, 2]
+    assert set(backgrounds.worth_seeing(500)) >= {*range(10), 499}

@@ -1,0 +1,77 @@
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from marey.images.silhouettes.level_sets import evolve, votes
+
+
+def disc(shape=(60, 80), centre=(30, 40), radius=15):
+    y, x = np.indices(shape)
+    return (y - centre[0]) ** 2 + (x - centre[1]) ** 2 <= radius**2
+
+
+def evidence_of(mask, size=3.0):
+    return np.where(mask, size, -size).astype(np.float32)
+
+
+def test_a_disc_is_found_from_a_shifted_start():
+    start = disc(centre=(34, 45), radius=9)
+    found = evolve(evidence_of(disc()), start, length=1.0)
+    assert np.array_equal(found, disc())
+
+
+def test_without_length_each_pixel_reached_follows_its_evidence(rng):
+    evidence = rng.normal(size=(40, 50)).astype(np.float32)
+    found = evolve(evidence, evidence > 0, length=0.0)
+    assert np.array_equal(found, evidence > 0)
+
+
+def test_a_stray_pixel_goes_and_a_gap_closes():
+    evidence = evidence_of(disc())
+    evidence[5, 5] = 3.0
+    evidence[30, 40] = -3.0
+    found = evolve(evidence, evidence > 0, length=4.0)
+    assert not found[5, 5]
+    assert found[30, 40]
+
+
+def test_nothing_comes_from_an_empty_start():
+    assert not evolve(evidence_of(disc()), np.zeros((60, 80), bool), length=1.0).any()
+
+
+@pytest.mark.parametrize("length", [0.5, 2.0, 6.0])
+def test_no_pixel_of_the_border_would_still_change_sides(rng, length):
+    evidence = (evidence_of(disc()) + rng.normal(0, 4, (60, 80))).astype(np.float32)
+    found = evolve(evidence, disc(radius=20), length=length)
+    wanted = votes(evidence, found, length=length)
+    border = np.zeros_like(found)
+    for axis in (0, 1):
+        for step in (-1, 1):
+            beside = np.roll(found, step, axis) != found
+            edge = 0 if step == 1 else -1
+            beside[(edge, slice(None)) if axis == 0 else (slice(None), edge)] = False
+            border |= beside
+    assert (wanted[border & found] >= -1e-4).all()
+    assert (wanted[border & ~found] <= 1e-4).all()
+
+
+def test_the_energy_never_rises(rng):
+    evidence = (evidence_of(disc(), 1.0) + rng.normal(0, 3, (60, 80))).astype(np.float32)
+
+    def energy(inside, length=2.0):
+        # The length of all pairs is what the votes say: each pixel's share, counted once a pair.
+        share = (votes(np.zeros_like(evidence), inside, length=length) / length + 1) / 2
+        return -evidence[inside].sum() + length * (1 - share)[inside].sum() + length * share[~inside].sum()
+
+    start = disc(radius=20)
+    energies = [energy(evolve(evidence, start, length=2.0, sweeps=n)) for n in range(8)]
+    assert all(later <= earlier + 1e-3 for earlier, later in pairwise(energies))
+    assert energies[-1] < energies[0]
+
+
+def test_a_region_at_the_border_of_the_picture_stays_there():
+    mask = np.zeros((40, 40), bool)
+    mask[:20, 10:30] = True
+    found = evolve(evidence_of(mask), mask, length=2.0)
+    assert found[0, 12:28].all()

@@ -1,0 +1,83 @@
+import json
+
+import numpy as np
+import pytest
+from tests.made_scans import made_scan
+
+from marey.errors import FileProblem
+from marey.io.markers.activity import first_method, read_activity, room_is_y_up
+from marey.io.markers.bones import BoneFile, write_bones
+from marey.io.markers.c3d import write_c3d
+from marey.io.markers.results import write_marker_motion
+from marey.io.opensim.trc import PointPaths
+from marey.markers.data.bone_motion import BoneMotion
+from marey.markers.data.clusters import Cluster
+from marey.markers.data.marker_motion import marker_motion
+
+
+@pytest.fixture
+def folder(rng, tmp_path):
+    """What `marey markers` leaves of a made activity, by two methods."""
+    activity = made_scan(rng).activity
+    markers, motion = activity.markers, activity.motion
+    paths = PointPaths(names=markers.labels, time=markers.time, rate=markers.rate, points=markers.points)
+    write_c3d(
+        tmp_path / "motion.c3d", paths, segment_names=motion.segments, segment_rotation=motion.rotation,
+        segment_origin=motion.origin,
+    )  # fmt: skip
+    clusters = [
+        Cluster(segment=name, labels=tuple(k for k, v in activity.segment_of_label.items() if v == name))
+        for name in motion.segments
+    ]
+    write_marker_motion(tmp_path / "marker_motion.csv", activity.time, marker_motion(markers, clusters, motion))
+    for name in ("bones.npz", "bones_rigid.npz"):
+        known = np.array([0])
+        write_bones(tmp_path / name, BoneFile(motion=motion, time=activity.time, side="left", reference_frames=known))
+    said = {"settings": {"methods": ["skin", "rigid"]}}
+    (tmp_path / "run.json").write_text(json.dumps(said), encoding="utf-8")
+    return tmp_path
+
+
+def test_a_folder_of_markers_tells_bones_markers_and_the_reference_posture(rng, folder):
+    made = made_scan(np.random.default_rng(20060101)).activity
+    read = read_activity(folder)
+    assert read.side == "left"
+    assert read.reference_frames.tolist() == [0]
+    assert dict(read.segment_of_label) == dict(made.segment_of_label)
+    assert read.motion.rotation == pytest.approx(made.motion.rotation)
+    assert read.cluster is not None
+    # C3D holds single precision.
+    places = read.places("thigh", ("thigh_0", "thigh_3"))
+    assert places == pytest.approx(made.places("thigh", ("thigh_0", "thigh_3")), abs=1e-6)
+
+
+def test_the_bones_of_another_method_are_read_and_one_that_was_not_run_is_named(folder):
+    assert len(read_activity(folder, method="rigid").motion) == 6
+    assert len(read_activity(folder, method="skin").motion) == 6
+    with pytest.raises(FileProblem, match=r"method pct\. It has skin, rigid"):
+        read_activity(folder, method="pct")
+
+
+def test_a_folder_without_bones_and_one_with_other_frames_are_errors(folder, tmp_path_factory):
+    with pytest.raises(FileProblem, match=r"has no bones\.npz"):
+        read_activity(tmp_path_factory.mktemp("empty"))
+    shorter = read_activity(folder).motion
+    cut = BoneMotion(
+        segments=shorter.segments, rotation=shorter.rotation[:4], origin=shorter.origin[:4],
+        covariance=shorter.covariance[:4],
+    )  # fmt: skip
+    write_bones(folder / "bones.npz", BoneFile(motion=cut, time=np.arange(4) / 100))
+    with pytest.raises(FileProblem, match="6 frames of markers and 4 of bones"):
+        read_activity(folder)
+
+
+def test_the_first_method_is_that_of_the_record_else_the_folder_s_name(folder):
+    assert first_method(folder) == "skin"
+    (folder / "run.json").write_text("{}", encoding="utf-8")
+    assert first_method(folder) == folder.name
+
+
+def test_a_room_is_y_up_where_the_trial_was_a_trc(folder):
+    assert not room_is_y_up(folder)
+    (folder / "run.json").write_text(json.dumps({"inputs": {"walk.TRC": "", "frame0.npz": ""}}), encoding="utf-8")
+    assert room_is_y_up(folder)

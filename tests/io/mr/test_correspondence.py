@@ -1,0 +1,78 @@
+import json
+
+import numpy as np
+import pytest
+from tests.made_scans import made_scan
+
+from marey.errors import FileProblem
+from marey.io.mr.correspondence import read_correspondence, write_correspondence
+from marey.io.mr.scanner_markers import read_landmarks, read_scanner_markers
+from marey.knee.markers.correspondence import correspond
+from marey.knee.markers.reference_posture import reference_posture
+
+
+def test_a_correspondence_comes_back_as_it_was_written(rng, tmp_path):
+    scan = made_scan(rng, noise_mm=0.5)
+    posture = reference_posture(scan.activity, scan.standing)
+    found = correspond(scan.scanner, posture, scan.bones, segment_of_label=scan.activity.segment_of_label)
+    write_correspondence(tmp_path / "correspondence.json", found)
+    read = read_correspondence(tmp_path / "correspondence.json")
+    assert set(read) == {"femur", "tibia"}
+    for bone, transform in read.items():
+        right = found.bones[bone].capture_anatomic_from_mr_global
+        assert transform.matrix() == pytest.approx(right.matrix(), abs=1e-9)
+        assert transform.covariance == pytest.approx(right.covariance, abs=1e-9)
+    told = json.loads((tmp_path / "correspondence.json").read_text(encoding="utf-8"))["bones"]["tibia"]
+    assert told["segment"] == "shank"
+    assert list(told["markers"]) == [f"MR{n}" for n in range(5, 10)]
+    assert told["rotation_sd_deg"] == pytest.approx(
+        np.degrees(np.sqrt(np.diag(found.bones["tibia"].fit.covariance)[:3]))
+    )
+
+
+@pytest.mark.parametrize("text", [None, "{", "[]", '{"bones": {"femur": {}}}'])
+def test_a_file_that_is_no_correspondence_is_named(tmp_path, text):
+    path = tmp_path / "correspondence.json"
+    if text is not None:
+        path.write_text(text, encoding="utf-8")
+    with pytest.raises(FileProblem, match=r"correspondence\.json"):
+        read_correspondence(path)
+
+
+def test_what_a_user_wrote_beside_the_markers_is_read(tmp_path):
+    table = {
+        "marker_centres_lps_mm": [[1, 2, 3], [4, 5, 6]], "marker_centres_sd_mm": [[0.1, 0.1, 0.1]] * 2,
+        "marker_names": ["KNE1", ""], "marker_segment": [None, "tibia"], "diameter_mm": [6, 6],
+    }  # fmt: skip
+    (tmp_path / "markers.json").write_text(json.dumps(table), encoding="utf-8")
+    read = read_scanner_markers(tmp_path / "markers.json")
+    assert read.centres_mm.tolist() == [[1, 2, 3], [4, 5, 6]]
+    assert read.names == ("KNE1", None)
+    assert read.bones == (None, "tibia")
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"marker_centres_lps_mm": [], "marker_centres_sd_mm": []}, "holds no marker"),
+        ({"marker_names": ["A", "A"]}, "have the name A"),
+        ({"marker_segment": ["hip", "femur"]}, "hip"),
+    ],
+)
+def test_markers_that_cannot_be_used_are_told(tmp_path, change, said):
+    table = {"marker_centres_lps_mm": [[1, 2, 3], [4, 5, 6]], "marker_centres_sd_mm": [[0.1, 0.1, 0.1]] * 2, **change}
+    (tmp_path / "markers.json").write_text(json.dumps(table), encoding="utf-8")
+    with pytest.raises(FileProblem, match=said):
+        read_scanner_markers(tmp_path / "markers.json")
+
+
+def test_landmarks_are_read_and_what_is_no_place_is_named(tmp_path):
+    path = tmp_path / "landmarks.json"
+    path.write_text('{"landmarks_lps_mm": {"LE": [1, 2, 3]}}', encoding="utf-8")
+    assert read_landmarks(path).places_mm["LE"].tolist() == [1, 2, 3]
+    path.write_text('{"landmarks_lps_mm": {"LE": [1, 2]}}', encoding="utf-8")
+    with pytest.raises(FileProblem, match="no three numbers for LE"):
+        read_landmarks(path)
+    path.write_text("{}", encoding="utf-8")
+    with pytest.raises(FileProblem, match="landmarks_lps_mm"):
+        read_landmarks(path)

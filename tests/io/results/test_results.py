@@ -1,0 +1,307 @@
+"""Every file of the results holds the same motion, also for the programs that others read it with."""
+
+import importlib.util
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests import people, performer
+
+from marey.arrays import Floats
+from marey.body.articulation.surface import Body
+from marey.body.metaballs.metaball_people import metaball_person
+from marey.body.metaballs.metaball_person import metaball_body, reshaped, single_radii
+from marey.body.people.person import person_body
+from marey.errors import FileProblem
+from marey.io import npz
+from marey.io.gltf.character import read_character
+from marey.io.markers.c3d import read_c3d
+from marey.io.results.body import open_body, read_body, segment_lengths, write_body
+from marey.io.results.results import read_points, write_results
+from marey.motion.motion import NOBODY, Motion
+
+FILES = {
+    "joint_centres.trc", "angles.mot", "body.osim", "orientations.sto", "motion.c3d", "motion.bvh", "body.glb",
+    "motion.npz", "motion.nc", "angles.csv", "body.npz", "skin.npz",
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def skin(person: Body, motion: Motion) -> Floats:
+    vertices = np.full((len(motion), *person.vertices.shape), np.nan)
+    for f in np.flatnonzero(motion.answered):
+        vertices[f] = performer.pose(person, motion.coordinates[f]).vertices
+    return vertices
+
+
+@pytest.fixture(scope="module")
+def results(person: Body, motion: Motion, skin: Floats, tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("trial") / "marey"
+    write_results(folder, motion, person, preset="full", mass_kg=70, skin=skin)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def checks():
+    path = Path(__file__).parents[2] / "bench" / "check_formats.py"
+    spec = importlib.util.spec_from_file_location("check_formats", path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_every_file_is_there_and_nothing_else(results: Path):
+    assert {path.name for path in results.iterdir()} == FILES
+
+
+@pytest.mark.parametrize(
+    ("program", "check"),
+    [
+        ("opensim", "check_opensim"), ("ezc3d", "check_c3d"), ("pygltflib", "check_glb"), ("numpy", "check_bvh"),
+        ("xarray", "check_netcdf"), ("bpy", "check_blender"),
+    ],
+)  # fmt: skip
+def test_other_programs_see_the_same_motion(results: Path, motion: Motion, checks, program: str, check: str):
+    pytest.importorskip(program)
+    found = getattr(checks, check)(results, motion.arrays())
+    assert found
+    for name, difference in found.items():
+        assert difference <= checks.LIMITS[name.rsplit("[", 1)[1][:-1]], name
+
+
+def test_the_motion_comes_back_array_by_array(results: Path, motion: Motion):
+    back = npz.read_motion(results / "motion.npz").arrays()
+    for name, value in motion.arrays().items():
+        np.testing.assert_array_equal(back[name], value, err_msg=name)
+        assert back[name].dtype == value.dtype
+
+
+def test_the_skin_comes_back(results: Path, skin: Floats, person: Body):
+    back = npz.read_arrays(results / "skin.npz", ("vertices", "faces", "seen"))
+    np.testing.assert_allclose(back["vertices"], skin, atol=1e-6)
+    np.testing.assert_array_equal(back["faces"], person.faces)
+    assert back["seen"].dtype == bool
+
+
+def test_a_skin_that_comes_one_by_one_is_the_same_and_a_short_one_is_refused(results: Path, skin, person, tmp_path):
+    count = len(person.vertices)
+    npz.write_skin(tmp_path / "skin.npz", iter(skin), person.faces, frames=len(skin), count=count)
+    one, other = (npz.read_arrays(folder / "skin.npz") for folder in (results, tmp_path))
+    for name in one:
+        np.testing.assert_array_equal(one[name], other[name])
+    with pytest.raises(ValueError, match="rows instead of"):
+        npz.write_skin(tmp_path / "short.npz", iter(skin[1:]), person.faces, frames=len(skin), count=count)
+    assert not (tmp_path / "short.npz").exists()
+
+
+def test_points_are_read_from_every_file_that_has_them(results: Path, motion: Motion):
+    for name in ("joint_centres.trc", "motion.c3d", "motion.npz", ""):
+        paths = read_points(results / name)
+        assert paths.names == motion.joint_names
+        np.testing.assert_allclose(paths.points, motion.joint_centres, atol=2e-7)
+        np.testing.assert_allclose(paths.time, motion.time, atol=1e-6)
+    with pytest.raises(FileProblem, match="no file of points"):
+        read_points(results / "body.osim")
+
+
+def test_the_angles_are_a_table_with_units(results: Path, motion: Motion):
+    lines = (results / "angles.csv").read_text().splitlines()
+    head = lines[0].split(",")
+    assert head[:4] == ["time_s", "state", f"{motion.angle_names[0]}_deg", f"{motion.angle_names[0]}_sd_deg"]
+    assert lines[1].split(",")[2:] == [""] * (len(head) - 2)
+    rows = np.genfromtxt(results / "angles.csv", delimiter=",", skip_header=1)
+    np.testing.assert_allclose(rows[:, 2::2], motion.angles_deg, atol=0.5e-5)
+    np.testing.assert_array_equal(rows[:, 1], motion.state)
+
+
+def test_a_bvh_turns_smoothly_through_gaps_and_full_turns(results: Path):
+    text = (results / "motion.bvh").read_text().split("Frame Time:")[1].splitlines()[1:]
+    values = np.array([line.split() for line in text], float)
+    assert np.isfinite(values).all()
+    assert np.abs(np.diff(values[:, 3:], axis=0)).max() < 180
+
+
+def test_a_body_comes_back_whole(tmp_path, rng):
+    person = people.stick_person(rng)
+    person = replace(person, numbers_covariance=np.diag([0.1, 0.2, 0.3, 0.4, 0.5]))
+    write_body(tmp_path / "body.npz", person, preset="full")
+    back, preset = read_body(tmp_path / "body.npz")
+    assert preset == "full"
+    assert back.skeleton.coordinate_names == person.skeleton.coordinate_names
+    assert [c.segment for c in back.skeleton.coordinates] == [c.segment for c in person.skeleton.coordinates]
+    for name in ("vertices", "joint_centres", "faces", "vertex_segments", "vertex_weights", "numbers_covariance"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(person, name), err_msg=name)
+    for name in ("axes", "limits", "parents"):
+        np.testing.assert_array_equal(getattr(back.skeleton, name), getattr(person.skeleton, name))
+    np.testing.assert_array_equal(back.with_numbers(0 * back.numbers).vertices, person.space.vertex_mean)
+
+
+def test_lengths_carry_the_uncertainty_of_the_shape(rng):
+    person = people.stick_person(rng)
+    covariance = 1e-4 * np.diag([0.1, 0.2, 0.3, 0.4, 0.5])
+    person = replace(person, numbers_covariance=covariance)
+    length, sd = segment_lengths(person)
+    k = person.skeleton.segment_names.index("left_thigh")
+    shank = person.skeleton.segment_names.index("left_shank")
+    assert length[k] == pytest.approx(np.linalg.norm(person.joint_centres[shank] - person.joint_centres[k]))
+    count = 3000
+    drawn = [person.with_numbers(n) for n in rng.multivariate_normal(person.numbers, covariance, count)]
+    spread = np.std([np.linalg.norm(b.joint_centres[shank] - b.joint_centres[k]) for b in drawn])
+    assert spread == pytest.approx(sd[k], rel=4 / np.sqrt(2 * count))
+
+
+def test_lengths_carry_how_far_joint_centres_lie_beside_the_skins(rng):
+    person = replace(people.stick_person(rng), numbers_covariance=np.zeros((5, 5)))
+    offsets = rng.uniform(0.002, 0.02, len(person.skeleton.segment_names))
+    _, sd = segment_lengths(replace(person, joint_offset_sd=offsets))
+    k, shank = (person.skeleton.segment_names.index(name) for name in ("left_thigh", "left_shank"))
+    assert sd[k] == pytest.approx(np.hypot(offsets[k], offsets[shank]))
+
+
+def test_a_body_read_back_knows_what_it_knew_of_its_joints(rng, tmp_path):
+    known = rng.uniform(0.002, 0.02, 21)
+    person = people.stick_person(rng)
+    person = replace(person, joint_sd=known[: len(person.joint_centres)], joint_offset_sd=None)
+    write_body(tmp_path / "body.npz", person, preset="full")
+    back, _ = read_body(tmp_path / "body.npz")
+    np.testing.assert_array_equal(back.joint_sd, person.joint_sd)
+    assert back.joint_offset_sd is None
+
+
+def test_a_body_read_back_follows_what_its_preset_follows(tmp_path):
+    limb = person_body("coarse", preset="right_arm")
+    write_body(tmp_path / "body.npz", limb, preset="right_arm")
+    back, preset = read_body(tmp_path / "body.npz")
+    assert preset == "right_arm"
+    np.testing.assert_array_equal(back.outline_counts, limb.outline_counts)
+    np.testing.assert_array_equal(back.followed_joints, limb.followed_joints)
+
+
+def test_a_body_of_metaballs_comes_back_whole(tmp_path, rng):
+    made = metaball_person("simple", "coarse", preset="right_arm")
+    made = reshaped(made, rng.normal(size=len(made.space)) * 0.05)
+    person = replace(made, numbers_covariance=0.01 * made.space.prior_covariance)
+    write_body(tmp_path / "body.npz", person, preset="right_arm")
+    back, _ = read_body(tmp_path / "body.npz")
+    for name in ("vertices", "joint_centres", "numbers", "numbers_covariance", "joint_sd", "joint_offset_sd"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(person, name), err_msg=name)
+    assert back.skeleton.coordinate_names == back.metaballs.mean.skeleton.coordinate_names
+    other = rng.normal(size=len(made.space)) * 0.05
+    np.testing.assert_array_equal(reshaped(back, other).vertices, reshaped(person, other).vertices)
+    np.testing.assert_array_equal(back.space.leading, person.space.leading)
+
+
+def test_radii_in_the_file_carry_the_uncertainty_of_the_numbers(tmp_path, rng):
+    person = metaball_person("simple", "coarse")
+    covariance = 0.01 * person.space.prior_covariance
+    write_body(tmp_path / "body.npz", replace(person, numbers_covariance=covariance), preset="full")
+    count = 2000
+    drawn = [person.metaballs.balls(n).radii for n in rng.multivariate_normal(person.numbers, covariance, count)]
+    with np.load(tmp_path / "body.npz") as stored:
+        np.testing.assert_array_equal(stored["metaball_radii"], person.metaballs.balls(person.numbers).radii)
+        np.testing.assert_allclose(stored["metaball_radii_sd"], np.std(drawn, 0), rtol=5 / np.sqrt(2 * count))
+        centres = stored["metaball_centre"] + stored["segment_origin"][stored["metaball_segment"]]
+        shapes = {name: stored[f"metaball_{name}"].shape for name in ("centre", "radii", "weight", "rotation")}
+    np.testing.assert_allclose(centres, person.metaballs.balls(person.numbers).at_rest().place)
+    m = len(person.metaballs.mean)
+    assert shapes == {"centre": (m, 3), "radii": (m, 3), "weight": (m,), "rotation": (m, 3, 3)}
+
+
+def test_weights_come_back_with_their_uncertainty(tmp_path, rng):
+    person = metaball_person("simple", "coarse", preset="right_arm")
+    space = single_radii(person.metaballs, ["forearm"])
+    numbers, count = np.zeros(len(space)), 4000
+    sharp = [name.endswith("sharpness") for name in space.names]
+    numbers[sharp] = [0.4, -0.3, 0.2]
+    covariance = 1e-3 * np.eye(len(space))
+    made = replace(metaball_body(space, numbers, person, keep_weights=True), numbers_covariance=covariance)
+    write_body(tmp_path / "body.npz", made, preset="right_arm")
+    back, _ = read_body(tmp_path / "body.npz")
+    balls = back.metaballs.balls(back.numbers)
+    np.testing.assert_allclose(balls.weight, space.balls(numbers).weight, rtol=1e-12)
+    assert balls.weight.max() > 1.2
+    assert balls.weight.min() < 0.9
+    drawn = [space.balls(n).weight for n in rng.multivariate_normal(numbers, covariance, count)]
+    with np.load(tmp_path / "body.npz") as stored:
+        np.testing.assert_allclose(stored["metaball_weight"], balls.weight, rtol=1e-12)
+        np.testing.assert_allclose(stored["metaball_weight_sd"], np.std(drawn, 0), rtol=0.1, atol=1e-12)
+        old = {k: stored[k] for k in stored.files if k not in ("metaball_mean_weight", "metaball_weight_sd")}
+    npz.write_arrays(tmp_path / "damaged.npz", old | {"metaball_weight": balls.weight + 0.1})
+    with pytest.raises(FileProblem, match="metaballs are not those of its numbers"):
+        read_body(tmp_path / "damaged.npz")
+
+
+def test_a_body_of_before_weights_were_fitted_is_read(tmp_path):
+    write_body(tmp_path / "body.npz", metaball_person("simple", "coarse"), preset="full")
+    later = ("metaball_mean_weight", "metaball_weight_sd", "metaball_sharpness_modes", "metaball_fall")
+    with np.load(tmp_path / "body.npz") as stored:
+        npz.write_arrays(tmp_path / "old.npz", {k: stored[k] for k in stored.files if k not in later})
+    space = read_body(tmp_path / "old.npz")[0].metaballs
+    assert not space.sharpness_modes.any()
+    np.testing.assert_array_equal(space.balls(np.ones(len(space)) * 0.01).weight, 1.0)
+
+
+def test_metaballs_that_are_not_those_of_the_numbers_are_refused(tmp_path):
+    write_body(tmp_path / "body.npz", metaball_person("simple", "coarse"), preset="full")
+    stored = npz.read_arrays(tmp_path / "body.npz")
+    npz.write_arrays(tmp_path / "moved.npz", stored | {"metaball_centre": stored["metaball_centre"] + 0.01})
+    with pytest.raises(FileProblem, match="metaballs are not those of its numbers"):
+        read_body(tmp_path / "moved.npz")
+    npz.write_arrays(tmp_path / "less.npz", {k: v for k, v in stored.items() if k != "metaball_radii_modes"})
+    with pytest.raises(FileProblem, match="metaball_radii_modes"):
+        read_body(tmp_path / "less.npz")
+
+
+def test_a_mesh_has_no_metaballs(results: Path):
+    with np.load(results / "body.npz") as stored:
+        assert [stored[f"metaball_{name}"].shape for name in ("segment", "centre", "radii")] == [(0,), (0, 3), (0, 3)]
+    assert read_body(results / "body.npz")[0].metaballs is None
+
+
+def test_our_own_glb_is_read_as_the_body_it_came_from(results: Path, person: Body):
+    character = read_character(results / "body.glb")
+    np.testing.assert_allclose(character.vertices, person.vertices, atol=1e-6)
+    np.testing.assert_array_equal(character.faces, person.faces)
+    assert character.weights is not None
+    for k, name in enumerate(person.skeleton.segment_names):
+        np.testing.assert_allclose(character.joint_centres[name], person.joint_centres[k], atol=1e-6)
+        share = np.where(person.vertex_segments == k, person.vertex_weights, 0).sum(1)
+        np.testing.assert_allclose(character.weights[name], share, atol=1e-6)
+
+
+def test_a_body_is_opened_from_npz_and_from_glb(results: Path, person: Body, tmp_path):
+    np.testing.assert_array_equal(open_body(results / "body.npz", person).vertices, person.vertices)
+    body = open_body(results / "body.glb", person)
+    np.testing.assert_allclose(body.joint_centres, person.joint_centres - person.joint_centres[0], atol=1e-6)
+    np.testing.assert_allclose(body.vertices, person.vertices - person.joint_centres[0], atol=1e-6)
+    (tmp_path / "scan.toml").write_text(f'mesh = "{results / "body.glb"}"\n[joints]\nleft_hip = [0, 0, 0]\n')
+    with pytest.raises(FileProblem, match="right_knee"):
+        open_body(tmp_path / "scan.toml", person)
+
+
+def test_a_motion_without_any_answer_still_leaves_its_files(person: Body, motion: Motion, tmp_path):
+    empty = replace(
+        motion,
+        **{
+            name: np.full_like(getattr(motion, name), np.nan)
+            for name in ("joint_centres", "segment_rotation", "segment_origin", "coordinates", "angles_deg")
+        },
+        state=np.full(len(motion), NOBODY),
+    )
+    write_results(tmp_path, empty, person, preset="full")
+    assert {path.name for path in tmp_path.iterdir()} == FILES - {"motion.bvh", "skin.npz"}
+    assert np.isnan(read_c3d(tmp_path / "motion.c3d").points).all()
+
+
+def test_a_damaged_file_is_named(results: Path, tmp_path):
+    for name, read in (("motion.npz", npz.read_motion), ("body.npz", read_body), ("motion.c3d", read_c3d)):
+        whole = (results / name).read_bytes()
+        damaged = tmp_path / name
+        damaged.write_bytes(whole[: len(whole) // 3])
+        with pytest.raises(FileProblem, match=name):
+            read(damaged)
+        with pytest.raises(FileProblem, match="not there"):
+            read(tmp_path / f"no_{name}")
+    with pytest.raises(FileProblem, match="lacks time"):
+        npz.read_motion(results / "skin.npz")

@@ -1,0 +1,53 @@
+import numpy as np
+import pytest
+
+from marey.errors import FileProblem
+from marey.images.matching.feature_tracks import FeatureTracks
+from marey.io.shapes.tracks import read_points, read_tracks, write_tracks
+
+FITS = {"frames": 10, "size": (640, 480)}
+
+
+def test_tracks_come_back_as_they_were_written(tmp_path):
+    rng = np.random.default_rng(0)
+    visible = rng.random((5, 7)) < 0.5
+    tracks = FeatureTracks(
+        tracks=rng.random((5, 2, 7)), tracks_sd=rng.random((5, 2, 7)), visible=visible, predicted=~visible
+    )
+    write_tracks(tmp_path / "tracks.npz", tracks)
+    again = read_tracks(tmp_path / "tracks.npz")
+    for name in ("tracks", "tracks_sd", "visible", "predicted"):
+        assert np.array_equal(getattr(again, name), getattr(tracks, name))
+
+
+def test_tracks_that_do_not_fit_together_are_named(tmp_path):
+    path = tmp_path / "tracks.npz"
+    marks = np.zeros((4, 7), bool)
+    np.savez(path, tracks=np.zeros((5, 2, 7)), tracks_sd=np.zeros((5, 2, 7)), visible=marks, predicted=marks)
+    with pytest.raises(FileProblem, match="differ in frames"):
+        read_tracks(path)
+
+
+def test_points_and_their_frame_are_read(tmp_path):
+    np.savez(tmp_path / "points.npz", points=[[1, 2], [639, 479]], frame=3)
+    points, frame = read_points(tmp_path / "points.npz", **FITS)
+    assert np.array_equal(points, [[1.0, 2.0], [639.0, 479.0]])
+    assert frame == 3
+
+
+@pytest.mark.parametrize(
+    ("arrays", "said"),
+    [
+        ({"points": [[1, 2]]}, "lacks frame"),
+        ({"points": [[1, 2, 3]], "frame": 0}, "shape"),
+        ({"points": [["a", "b"]], "frame": 0}, "type"),
+        ({"points": [[1, 2]], "frame": 10}, "frames 0 to 9"),
+        ({"points": [[1, 2]], "frame": 1.5}, "whole number"),
+        ({"points": [[1, 2], [640, 5]], "frame": 0}, "point 1 at"),
+        ({"points": [[np.nan, 2]], "frame": 0}, "point 0 at"),
+    ],
+)
+def test_points_that_cannot_be_followed_are_refused(tmp_path, arrays, said):
+    np.savez(tmp_path / "points.npz", **arrays)
+    with pytest.raises(FileProblem, match=said):
+        read_points(tmp_path / "points.npz", **FITS)

@@ -1,0 +1,185 @@
+from typing import get_args
+
+import cv2
+import numpy as np
+import pytest
+from tests.clips import make_trial, numbered_picture, write_video
+
+from marey.body.articulation.presets import PRESETS
+from marey.errors import FileProblem, SettingProblem
+from marey.io.trial.masks import write_masks
+from marey.io.trial.trial import Preset, read_settings, read_trial, z_up_from
+
+
+def test_a_folder_with_videos_and_cameras_is_a_trial(tmp_path):
+    trial = read_trial(make_trial(tmp_path))
+    assert trial.rig.names == trial.take.names == ("cam01", "cam02")
+    assert not trial.background
+    assert not trial.masks
+    assert not trial.up_given
+    assert trial.start is None
+    assert {path.name for path in trial.input_files} == {"cameras.toml", "cam01.mp4", "cam02.mp4"}
+
+
+def test_trial_toml_says_what_cannot_be_guessed(tmp_path):
+    toml = """
+    stature_m = 1.8
+    mass_kg = 75
+    preset = "upper"
+    cameras = ["cam02"]
+    frames = [2, 9]
+    rate = 50.0
+    [start]
+    file = "clicks.json"
+    [background]
+    folder = "empty"
+    [world]
+    up = "-y"
+    """
+    folder = make_trial(tmp_path, toml=toml)
+    (folder / "clicks.json").write_text("{}")
+    (folder / "empty").mkdir()
+    cv2.imwrite(str(folder / "empty" / "cam02.png"), numbered_picture(1))
+    trial = read_trial(folder)
+    assert trial.rig.names == ("cam02",)
+    assert (trial.take.first, trial.take.end, trial.take.count, trial.take.rate) == (2, 9, 12, 50.0)
+    assert (trial.settings.stature_m, trial.settings.preset) == (1.8, "upper")
+    assert trial.start == folder / "clicks.json"
+    assert trial.background["cam02"].size == (64, 48)
+    assert trial.up_given
+    assert trial.settings.start is not None
+
+
+@pytest.mark.parametrize("up", ["z", "-z", "y", "-y", "x", "-x"])
+def test_the_given_axis_becomes_z_and_the_cameras_turn_with_it(tmp_path, up, rng):
+    folder = make_trial(tmp_path, toml=f'world.up = "{up}"')
+    axis = np.eye(3)["xyz".index(up[-1])] * (-1 if up[0] == "-" else 1)
+    turn = z_up_from(up)
+    assert np.allclose(turn.apply(axis), [0, 0, 1])
+    assert np.linalg.det(turn.rotation) == pytest.approx(1)
+    plain = read_trial(make_plain(folder))
+    turned = read_trial(folder)
+    points = rng.normal(size=(20, 3)) * 0.3
+    for before, after in zip(plain.rig, turned.rig, strict=True):
+        assert np.allclose(before.project(points), after.project(turned.world_from_file.apply(points)), equal_nan=True)
+
+
+def make_plain(folder):
+    plain = folder.parent / "plain"
+    plain.mkdir()
+    for path in folder.iterdir():
+        if path.name != "trial.toml":
+            (plain / path.name).write_bytes(path.read_bytes())
+    return plain
+
+
+def test_an_unknown_key_is_answered_with_the_known_ones(tmp_path):
+    folder = make_trial(tmp_path, toml="stature = 1.8\nshoes = true\n[start]\nfile = 'a'\nfiles = 'a'\n")
+    with pytest.raises(FileProblem) as caught:
+        read_trial(folder)
+    message = str(caught.value)
+    assert "has the unknown key 'stature'" in message
+    assert "has the unknown key 'shoes'" in message
+    assert "has the unknown key 'start.files'" in message
+    assert "Known are stature_m, mass_kg, preset, cameras, frames, rate, person, [start] file" in message
+
+
+@pytest.mark.parametrize(
+    ("toml", "message"),
+    [
+        ("stature_m = 180", r"has stature_m = 180, which cannot be used \(input should be less than 2.8\)"),
+        ("preset = 'whole'", "has preset = 'whole', which cannot be used"),
+        ("world.up = 'up'", "has world.up = 'up', which cannot be used"),
+        ("frames = [3]", "has frames"),
+        ("rate = 0", "has rate = 0, which"),
+        ("start = 'a.json'", r"has start = 'a.json', where a table \[start\] belongs"),
+        ("stature_m = ", "is not TOML"),
+        ("cameras = ['cam09']", "has no camera 'cam09'"),
+        ("start.file = 'none.json'", r"none.json: does not exist. Mend \[start\] file"),
+        ("background.folder = 'none'", r"none: does not exist. Mend \[background\] folder"),
+    ],
+)
+def test_a_wrong_value_is_told_with_its_key(tmp_path, toml, message):
+    with pytest.raises(FileProblem, match=message):
+        read_trial(make_trial(tmp_path, toml=toml))
+
+
+def test_what_is_said_at_the_command_replaces_the_file(tmp_path):
+    folder = make_trial(tmp_path, toml="stature_m = 1.8\nrate = 30\n")
+    settings = read_settings(folder, stature_m=1.7, preset=None, frames=(1, None))
+    assert (settings.stature_m, settings.rate, settings.frames, settings.preset) == (1.7, 30, (1, None), None)
+    with pytest.raises(SettingProblem, match="asked for has stature_m = 180"):
+        read_settings(folder, stature_m=180)
+    assert read_trial(folder, cameras=["cam01"]).rig.names == ("cam01",)
+
+
+def test_the_background_must_fit_the_camera(tmp_path):
+    folder = make_trial(tmp_path)
+    (folder / "background").mkdir()
+    cv2.imwrite(str(folder / "background" / "cam01.png"), numbered_picture(1, (32, 24)))
+    with pytest.raises(FileProblem, match=r"cam01.png: is 32 x 24, but camera 'cam01' was calibrated at 64 x 48"):
+        read_trial(folder)
+    write_video(folder / "background" / "cam01.mp4", 3)
+    with pytest.raises(FileProblem, match="several pictures of 'cam01'"):
+        read_trial(folder)
+    (folder / "background" / "cam01.png").unlink()
+    trial = read_trial(folder)
+    assert list(trial.background) == ["cam01"]
+    assert trial.background["cam01"].count == 3
+
+
+def test_an_empty_background_folder_is_told(tmp_path):
+    folder = make_trial(tmp_path)
+    (folder / "background").mkdir()
+    with pytest.raises(FileProblem, match=r"holds no picture of cam01, cam02. Call them cam01.png"):
+        read_trial(folder)
+
+
+def test_known_silhouettes_are_of_all_cameras_or_none(tmp_path):
+    folder = make_trial(tmp_path, count=12)
+    masks = np.zeros((12, 48, 64), bool)
+    masks[3] = True
+    write_masks(folder / "masks" / "cam01.npz", masks, shape=masks.shape)
+    with pytest.raises(FileProblem, match="has no silhouettes of cam02"):
+        read_trial(folder)
+    write_masks(folder / "masks" / "cam02.npz", masks[:5], shape=(5, 48, 64))
+    with pytest.raises(FileProblem, match="has 5 frames of 64 x 48, the video 12 of 64 x 48"):
+        read_trial(folder)
+    write_masks(folder / "masks" / "cam02.npz", masks, shape=masks.shape)
+    trial = read_trial(folder)
+    assert [mask.any() for mask in trial.masks["cam02"].masks([2, 3])] == [False, True]
+    assert folder / "masks" / "cam01.npz" in trial.input_files
+
+
+def test_no_folder_is_no_trial(tmp_path):
+    with pytest.raises(FileProblem, match="does not exist"):
+        read_trial(tmp_path / "nowhere")
+
+
+@pytest.mark.parametrize("name", ["reach", "walk", "jacks", "stealth", "arm3", "balancing", "tpose", "seated"])
+def test_the_shared_takes_open(shared, name):
+    trial = read_trial(shared / "data" / "people" / name)
+    assert len(trial.background) == len(trial.rig)
+    last = trial.take.count - 1
+    for image, camera in zip(trial.take.images(last), trial.rig, strict=True):
+        assert image.shape == (camera.height, camera.width, 3)
+    if name == "seated":
+        assert (trial.take.count, trial.take.rate) == (426, 25.0)
+
+
+@pytest.mark.parametrize("name", ["walk", "stealth"])
+def test_true_joints_project_into_the_true_silhouettes(shared, name):
+    folder = shared / "data" / "people" / name
+    trial = read_trial(folder)
+    with np.load(folder / "truth" / "truth.npz") as truth, np.load(folder / "truth" / "masks.npz") as file:
+        joints, shape = truth["joints"], file["shape"]
+        masks = np.unpackbits(file["bits"], count=shape.prod()).reshape(shape)
+    for camera, silhouettes in zip(trial.rig, masks, strict=True):
+        pixels = camera.project(joints)
+        frame, joint = np.nonzero(camera.sees(pixels))
+        x, y = np.rint(pixels[frame, joint]).astype(int).T
+        assert silhouettes[frame, y, x].mean() > 0.99
+
+
+def test_a_trial_may_name_every_preset_that_there_is():
+    assert get_args(Preset) == tuple(PRESETS)

@@ -1,0 +1,168 @@
+import struct
+import subprocess
+import sys
+from collections.abc import Sequence
+from fractions import Fraction
+
+import av
+import cv2
+import numpy as np
+import pytest
+from tests.clips import number_of, numbered_picture, write_video
+
+from marey.errors import FileProblem
+from marey.io.video.video import open_clip, open_stills
+
+
+@pytest.mark.parametrize("name", ["clip.mp4", "clip.avi"])
+def test_every_frame_is_found_by_its_number_in_any_order(tmp_path, name):
+    clip = open_clip(write_video(tmp_path / name, 150))
+    assert (clip.count, clip.size, clip.rate) == (150, (64, 48), 25.0)
+    assert [number_of(image) for image in clip.images(range(150))] == list(range(150))
+    order = [149, 0, 80, 81, 3, 3, 120]
+    assert [number_of(image) for image in clip.images(order)] == order
+    assert number_of(clip.image(100)) == 100
+
+
+def test_a_frame_that_is_not_there_is_not_given(tmp_path):
+    clip = open_clip(write_video(tmp_path / "clip.mp4", 5))
+    for frame in (-1, 5):
+        with pytest.raises(IndexError, match="frames 0 to 4"):
+            clip.image(frame)
+
+
+def test_a_container_that_counts_empty_packets_is_counted_by_its_pictures(shared):
+    clip = open_clip(shared / "data/people/seated/cam1.avi")
+    assert clip.count == 426
+    assert sum(1 for _ in clip.images(range(clip.count))) == 426
+
+
+def test_a_clip_that_breaks_off_is_an_error_before_the_work_begins(tmp_path):
+    path = write_video(tmp_path / "clip.avi", 60)
+    content = path.read_bytes()
+    path.write_bytes(content[: len(content) // 2])
+    with pytest.raises(FileProblem, match=r"clip.avi: is not whole: its header promises 60 frames, \d+ can be read"):
+        open_clip(path)
+
+
+@pytest.mark.parametrize("content", [b"", b"no video at all" * 100])
+def test_what_is_no_video_cannot_be_opened(tmp_path, content):
+    path = tmp_path / "cam01.mp4"
+    path.write_bytes(content)
+    with pytest.raises(FileProblem, match=r"cam01.mp4: cannot be opened as a video"):
+        open_clip(path)
+
+
+def test_the_decoder_writes_no_lines_of_its_own(tmp_path):
+    path = tmp_path / "cam01.mp4"
+    path.write_bytes(b"no video at all" * 100)
+    script = (
+        "import pathlib, sys\nfrom marey.errors import FileProblem\nfrom marey.io.video.video import open_clip\n"
+        "try:\n    open_clip(pathlib.Path(sys.argv[1]))\nexcept FileProblem:\n    print('told')"
+    )
+    run = subprocess.run([sys.executable, "-c", script, str(path)], capture_output=True, text=True, check=True)
+    assert (run.stdout, run.stderr) == ("told\n", "")
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(FileProblem, match=r"cam01.mp4: does not exist"):
+        open_clip(tmp_path / "cam01.mp4")
+
+
+def encode(path, codec: str, *, times: Sequence[int], options: dict[str, str] | None = None):
+    """Write numbered pictures at given times, in hundredths of a second."""
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream(codec, rate=25, options=options or {})
+        stream.width, stream.height, stream.pix_fmt = 128, 96, "yuv420p"
+        stream.codec_context.time_base = Fraction(1, 100)
+        for number, time in enumerate(times):
+            frame = av.VideoFrame.from_ndarray(numbered_picture(number, (128, 96)), format="bgr24")
+            frame.pts, frame.time_base = time, Fraction(1, 100)
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+    return path
+
+
+REORDERED = {"x264-params": "bframes=3:b-pyramid=normal:keyint=40:log-level=none"}
+
+
+@pytest.mark.parametrize("name", ["a.mp4", "a.mov", "a.mkv", "a.ts"])
+@pytest.mark.parametrize(
+    "times",
+    [range(0, 600, 4), range(100, 700, 4), np.cumsum(np.random.default_rng(0).integers(2, 9, 150)).tolist()],
+    ids=["from zero", "from one second", "unequal steps"],
+)
+def test_frames_stored_out_of_order_are_given_in_order_from_any_container(tmp_path, name, times):
+    clip = open_clip(encode(tmp_path / name, "libx264", times=times, options=REORDERED))
+    assert clip.count == 150
+    assert [number_of(image) for image in clip.images(range(150))] == list(range(150))
+    order = [149, 0, 80, 81, 3, 120, 120]
+    assert [number_of(image) for image in clip.images(order)] == order
+
+
+def test_a_file_that_promises_seconds_is_not_whole_without_them(tmp_path):
+    path = encode(tmp_path / "a.mkv", "libx264", times=range(0, 600, 4), options=REORDERED)
+    content = path.read_bytes()
+    path.write_bytes(content[: len(content) // 2])
+    with pytest.raises(FileProblem, match=r"is not whole: its header promises 6.0\d s, the last picture is of"):
+        open_clip(path)
+
+
+def test_damage_names_the_frame_and_what_lies_before_it_can_be_kept(tmp_path):
+    path = encode(tmp_path / "clip.mp4", "libx264", times=range(0, 400, 4), options=REORDERED)
+    sound = path.read_bytes()
+    start, end = sound.find(b"mdat") + 1000, sound.find(b"moov") - 400
+    if end < start:
+        start, end = sound.find(b"mdat") + 1000, len(sound) - 400
+    rng = np.random.default_rng(1)
+    told = 0
+    for where in np.linspace(start, end, 15).astype(int):
+        path.write_bytes(sound[:where] + rng.bytes(60) + sound[where + 60 :])
+        shown, problem = read_what_there_is(path)
+        told += problem is not None
+        # What was given before the damage is right; what the decoder could not tell from sound data may be off.
+        assert sum(number != i for i, number in enumerate(shown)) <= 3
+        if problem is not None and "is damaged: frame" in problem:
+            assert f"frame {len(shown)} of 100" in problem
+            assert f"frames = [0, {len(shown)}]" in problem
+    assert told >= 12
+
+
+def read_what_there_is(path):
+    shown = []
+    try:
+        clip = open_clip(path)
+        for image in clip.images(range(clip.count)):
+            shown.append(number_of(image))
+    except FileProblem as problem:
+        return shown, str(problem)
+    return shown, None
+
+
+def test_a_video_that_a_player_shows_turned_is_turned(tmp_path):
+    path = write_video(tmp_path / "a.mp4", 3)
+    content = bytearray(path.read_bytes())
+    # The matrix in the track's header, as a telephone held upright writes it.
+    matrix = content.find(b"tkhd") + 4 + 40
+    content[matrix : matrix + 36] = struct.pack(">9i", 0, 1 << 16, 0, -(1 << 16), 0, 0, 48 << 16, 0, 1 << 30)
+    path.write_bytes(content)
+    clip = open_clip(path)
+    assert clip.size == (48, 64)
+    shown = cv2.VideoCapture(str(path)).read()[1]
+    assert np.array_equal(clip.image(0), shown)
+    assert np.array_equal(np.rot90(open_clip(write_video(path, 3)).image(0), -1), shown)
+
+
+def test_stills_are_one_clip_of_one_size(tmp_path):
+    paths = tuple(tmp_path / f"left_{number}.png" for number in range(3))
+    for number, path in enumerate(paths):
+        cv2.imwrite(str(path), numbered_picture(number))
+    clip = open_stills(paths)
+    assert (clip.count, clip.size, clip.rate, clip.path) == (3, (64, 48), None, paths[0])
+    assert [number_of(image) for image in clip.images([2, 0, 1])] == [2, 0, 1]
+    cv2.imwrite(str(paths[2]), numbered_picture(2, (32, 24)))
+    with pytest.raises(FileProblem, match=r"left_2.png: has the size 32 x 24"):
+        clip.image(2)
+    paths[1].write_bytes(b"\xff\xd8\xff broken")
+    with pytest.raises(FileProblem, match=r"left_1.png: is no picture"):
+        clip.image(1)

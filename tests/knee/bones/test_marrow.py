@@ -1,0 +1,42 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests.made_knees import made_grid, made_labels, made_volume
+
+from marey.errors import MareyError
+from marey.knee.bones.marrow import air_level, marrow_of, prepare
+from marey.knee.space.volume import Volume
+
+
+@pytest.mark.parametrize("kind", ["dark", "bright"])
+def test_the_kind_of_marrow_is_told(kind):
+    assert marrow_of(prepare(made_volume(made_grid((1.5, 1.5, 2.0)), kind))).kind == kind
+
+
+def test_seeds_lie_in_the_bones():
+    grid = made_grid((1.5, 1.5, 2.0))
+    knee = prepare(made_volume(grid, "dark"))
+    marrow = marrow_of(knee)
+    labels = made_labels(grid)
+    for name in ("femur", "tibia"):
+        place = knee.grid.lps(getattr(marrow, name).voxel[::-1].astype(float))
+        i, j, k = np.rint(grid.voxels(place)).astype(int)
+        assert labels.mask(name)[k, j, i]
+
+
+def test_an_image_without_a_knee_says_so(rng):
+    grid = made_grid((2.5, 2.5, 2.5))
+    blank = Volume(intensity=rng.uniform(10, 60, grid.shape), grid=grid)
+    with pytest.raises(MareyError, match="No femur above a tibia"):
+        marrow_of(prepare(blank))
+
+
+def test_air_is_as_bright_as_its_noise_and_unknown_where_none_is_in_view():
+    grid = made_grid((1.5, 1.5, 2.0))
+    volume = made_volume(grid, "dark")
+    knee = prepare(volume)
+    level = air_level(knee)
+    assert level is not None
+    assert level < np.percentile(knee.intensity[knee.body], 5)
+    assert air_level(replace(knee, body=np.ones_like(knee.body))) is None

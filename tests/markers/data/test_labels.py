@@ -1,0 +1,41 @@
+import pytest
+
+from marey.errors import MareyError
+from marey.markers.data.labels import clusters_named, find_clusters, segment_of
+
+
+@pytest.mark.parametrize(
+    ("label", "segment"),
+    [
+        ("thigh_01", "thigh"),
+        ("LF05", "LF"),
+        ("left_shank.3", "left_shank"),
+        ("genou1_NewMarker12", "genou1_NewMarker"),
+        ("heel", None),
+        ("*110", None),
+        ("*Unnamed_58", None),
+        ("12", None),
+    ],
+)
+def test_a_segment_is_the_label_without_its_number(label: str, segment: str | None):
+    assert segment_of(label) == segment
+
+
+def test_clusters_need_three_markers_and_the_rest_is_listed():
+    found = find_clusters(["heel", "thigh_01", "thigh_02", "C7", "thigh_03", "*4"])
+    assert [(c.segment, c.labels) for c in found.clusters] == [("thigh", ("thigh_01", "thigh_02", "thigh_03"))]
+    assert found.passed_over == ("heel", "C7", "*4")
+    assert "heel, *4" in " ".join(found.notes)
+    assert "C7" in found.notes[0]
+
+
+def test_named_clusters_take_patterns_and_say_what_is_missing():
+    found = clusters_named({"knee": ("k*", "*9", "gone")}, ["k1", "k2", "*9", "x"])
+    assert found.clusters[0].labels == ("k1", "k2", "*9")
+    assert any("without gone" in note for note in found.notes)
+    assert found.passed_over == ("x",)
+
+
+def test_all_faults_of_named_clusters_come_at_once():
+    with pytest.raises(MareyError, match=r"thigh has 2 markers.*missing: c.*marker a rides on both"):
+        clusters_named({"thigh": ("a", "b", "c"), "shank": ("a", "d", "e")}, ["a", "b", "d", "e"])

@@ -1,0 +1,27 @@
+"""Processes of weights: what they add is the gradient of their cost; memory is learned from a path that obeys one."""
+
+import numpy as np
+
+from marey.nonrigid.one_camera.weight_processes import processes_of
+
+
+def test_what_is_added_is_minus_the_gradient_of_the_cost(rng):
+    weights = rng.normal(size=(8, 2))
+    processes = processes_of(weights, 1e-6)
+    diagonal, first, second = (np.zeros((8, 3, 3)) for _ in range(3))
+    right = np.zeros((8, 3))
+    processes.add(diagonal, first, second, right, weights, 1)
+    step = 1e-6 * rng.normal(size=weights.shape)
+    change = processes.cost(weights + step) - processes.cost(weights - step)
+    np.testing.assert_allclose(change, -2 * (right[:, 1:] * step).sum(), rtol=1e-5)
+    assert (right[:, 0] == 0).all()
+
+
+def test_memory_and_surprise_are_learned(rng):
+    weights = np.zeros((4000, 1))
+    for f in range(2, 4000):
+        weights[f] = 1.5 * weights[f - 1] - 0.7 * weights[f - 2] + 0.1 * rng.normal()
+    processes = processes_of(weights, 1e-6)
+    processes.learn(weights, (np.zeros((4000, 1, 1)),) * 3)
+    np.testing.assert_allclose(processes.memory[0], [1.5, -0.7], atol=0.05)
+    np.testing.assert_allclose(processes.surprise, 0.01, rtol=0.1)

@@ -1,0 +1,170 @@
+"""What `marey shape` reads and leaves beside what a capture does."""
+
+import csv
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from tests import worlds
+
+from marey.body.articulation.pose import Pose
+from marey.body.metaballs import segment_measures
+from marey.body.metaballs.metaball_people import metaball_person
+from marey.body.metaballs.metaballs import PosedMetaballs
+from marey.cameras.rig import Rig
+from marey.fit.points.shape import Shaped
+from marey.fit.points.surface_points import FramePoints
+from marey.geometry.rigid import RigidTransform
+from marey.io.calibration.readers import write_cameras_toml
+from marey.io.shapes.measured_surface import write_surface
+from marey.pipelines.capture.run import with_corrected_cameras
+from marey.pipelines.shape import shape
+from marey.pipelines.shape.shape import Fitted, find_lost_points, keep, points_of, posed_skin, seen_of, write_table
+from marey.surface.points.measured import MeasuredPoints
+
+
+@pytest.fixture(scope="module")
+def body():
+    return metaball_person("simple", "coarse", preset="right_arm")
+
+
+@pytest.fixture(scope="module")
+def pose(body):
+    angles = np.zeros(len(body.skeleton) - 6)
+    angles[[c.name for c in body.skeleton.coordinates].index("right_elbow_flexion")] = 0.6
+    return Pose(np.array([1.0, 2.0, 3.0]), np.eye(3), angles)
+
+
+def run_of(first, end):
+    take = SimpleNamespace(first=first, end=end, count=end)
+    return SimpleNamespace(trial=SimpleNamespace(take=take, rig=()), out=None)
+
+
+def test_the_skin_is_the_metaballs_own_in_every_pose(body, pose):
+    skin = posed_skin(body, {4: pose})
+    used = np.unique(skin.faces)
+    vertices = skin.vertices_of(4)
+    assert len(skin.faces) == 4 * len(body.faces)
+    on = PosedMetaballs(body.metaballs.balls(body.numbers), pose)
+    away = np.abs(on.distance(vertices[used]))
+    # In a crease, where two limbs meet, the blended skin stays.
+    assert np.mean(away < 1e-4) > 0.9
+
+
+def test_what_lies_near_points_was_seen(body, pose):
+    skin = posed_skin(body, {1: pose})
+    vertices = skin.vertices_of(1)
+    some = np.unique(skin.faces)[::9]
+    points = {1: FramePoints(vertices[some] + 0.002, np.zeros((len(some), 3, 3)))}
+    seen = list(seen_of(skin, points, 2, [1], run_of(0, 2)))
+    assert seen[1][some].all()
+    assert not seen[0].any()
+    far = np.linalg.norm(vertices[:, None] - points[1].points[None], axis=2).min(1) > 0.0101
+    assert not seen[1][far].any()
+
+
+def test_points_of_other_frames_are_left_out(tmp_path):
+    count = 6
+    points = MeasuredPoints(
+        frame=np.array([0, 0, 1, 2, 2, 2]), points=np.arange(18.0).reshape(6, 3),
+        covariance=np.broadcast_to(np.eye(3) * 1e-6, (6, 3, 3)), camera_names=("a", "b"),
+        pixels=np.zeros((count, 2, 2)), correlation=np.ones((count, 2)), residual_px=np.zeros(count),
+        colour=np.zeros((count, 3), np.uint8),
+    )  # fmt: skip
+    write_surface(tmp_path / "surface.npz", [points], ("a", "b"))
+    found = points_of(run_of(1, 3), tmp_path / "surface.npz")
+    assert {frame: len(own) for frame, own in found.items()} == {1: 1, 2: 3}
+    assert points_of(run_of(0, 3), tmp_path / "none.npz") == {}
+
+
+@dataclass(frozen=True)
+class Calibrated:
+    """What of a trial the correction of its cameras looks at."""
+
+    rig: Rig
+
+
+def test_cameras_that_the_surface_corrected_are_used_and_it_is_said(tmp_path):
+    cameras = worlds.ring(3)
+    rig = Rig(tuple(replace(camera, name=name) for camera, name in zip(cameras, "abc", strict=True)))
+    shift = RigidTransform(rotation=np.eye(3), translation=np.array([0.01, 0.0, 0.0]))
+    write_cameras_toml(rig.moved(shift), tmp_path / "cameras.toml")
+    said = []
+    progress = SimpleNamespace(warn=said.append)
+    found = with_corrected_cameras(Calibrated(rig.subset(["a", "c"])), tmp_path / "cameras.toml", progress)
+    assert found.rig.names == ("a", "c")
+    np.testing.assert_allclose(found.rig.centres, rig.moved(shift).subset(["a", "c"]).centres, atol=1e-9)
+    assert "corrected" in said[0]
+    other = Calibrated(Rig((replace(cameras[0], name="d"), replace(cameras[1], name="a"))))
+    assert with_corrected_cameras(other, tmp_path / "cameras.toml", progress) is other
+    assert "lacks d" in said[1]
+
+
+def test_the_measured_surface_stays_among_the_results(tmp_path):
+    out, folder = tmp_path / "out", tmp_path / "new"
+    (out / "surface").mkdir(parents=True)
+    (out / "surface_masks").mkdir()
+    folder.mkdir()
+    for name in ("surface.npz", "surface_cam01.png", "surface/frame_00001.ply", "surface_masks/cam01.npz", "body.npz"):
+        (out / name).write_text(name)
+    keep(out, folder)
+    kept = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
+    assert kept == ["surface.npz", "surface/frame_00001.ply", "surface_cam01.png"]
+
+
+def test_the_table_has_a_row_for_each_segment_that_is_followed(tmp_path, body, monkeypatch):
+    monkeypatch.setattr(segment_measures, "SAMPLES", 4)
+    known = replace(body, numbers_covariance=1e-4 * np.eye(len(body.space)))
+    write_table(tmp_path, known)
+    with (tmp_path / "segments.csv").open(newline="") as file:
+        rows = {row["segment"]: row for row in csv.DictReader(file)}
+    assert "right_forearm" in rows
+    assert "left_forearm" not in rows
+    forearm = {name: float(value) for name, value in rows["right_forearm"].items() if name != "segment" and value}
+    assert 0.15 < forearm["length_m"] < 0.35
+    assert 0.4 < forearm["volume_l"] < 1.5
+    assert forearm["mass_kg"] == pytest.approx(1.13 * forearm["volume_l"], rel=1e-4)
+    assert all(forearm[name] > 0 for name in forearm if "_sd_" in name)
+    assert rows["right_hand"]["girth_middle_m"] == ""
+
+
+def followed_with(monkeypatch, tmp_path, body, poses, *, names):
+    """Let lost points be looked for without pictures; give what would be expected of them, and what is warned of."""
+    asked, warned = {}, []
+    monkeypatch.setattr(shape, "follow_measured", lambda *given, **named: asked.update(named, parts=given[2]))
+    monkeypatch.setattr(shape, "write_tracks", lambda *given: None)
+    monkeypatch.setattr(shape, "told", lambda result: "")
+    none = MeasuredPoints(
+        frame=np.zeros(1, int), points=np.zeros((1, 3)), covariance=np.eye(3)[None] * 1e-6, camera_names=("a", "b"),
+        pixels=np.zeros((1, 2, 2)), correlation=np.ones((1, 2)), residual_px=np.zeros(1),
+        colour=np.zeros((1, 3), np.uint8),
+    )  # fmt: skip
+    write_surface(tmp_path / "surface.npz", [none], ("a", "b"))
+    run = SimpleNamespace(
+        trial=SimpleNamespace(take=SimpleNamespace(first=0, end=3), rig=SimpleNamespace(names=names)), scope=None,
+        progress=SimpleNamespace(warn=warned.append, say=lambda text: None), cache=None,
+    )  # fmt: skip
+    skin = posed_skin(body, poses)
+    find_lost_points(run, tmp_path, skin, Fitted(body, poses, [], Shaped(body, poses, 0.001, 1.0)))
+    return asked, warned, skin
+
+
+def test_a_lost_point_is_expected_where_the_fitted_body_carries_it(monkeypatch, tmp_path, body, pose):
+    bent = np.array(pose.angles)
+    bent[[c.name for c in body.skeleton.coordinates].index("right_elbow_flexion")] = 1.2
+    poses = {0: pose, 2: Pose(pose.translation, pose.rotation, bent)}
+    asked, warned, skin = followed_with(monkeypatch, tmp_path, body, poses, names=("a", "b"))
+    some = skin.faces[:: len(skin.faces) // 50]
+    then, now = (np.array(skin.vertices_of(frame)[some]).mean(1) for frame in (0, 2))
+    found = asked["expected"](2, then, np.zeros(len(then), int))
+    assert np.median(np.linalg.norm(found - now, axis=1)) < 1e-6
+    assert np.isnan(asked["expected"](1, then, np.zeros(len(then), int))).all()
+    assert [len(part) for part in asked["parts"]] == [1, 0, 0]
+    assert not warned
+
+
+def test_points_of_other_cameras_are_not_followed_again(monkeypatch, tmp_path, body, pose):
+    asked, warned, _ = followed_with(monkeypatch, tmp_path, body, {0: pose}, names=("a", "c"))
+    assert not asked
+    assert "other cameras" in warned[0]

@@ -1,0 +1,92 @@
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from tests.moving_surface import moving, scene, three_cameras
+
+from marey.cameras.rig import Rig
+from marey.io.stages import FrameLog
+from marey.io.video.take import Take, open_take
+from marey.pipelines.progress import Progress
+from marey.pipelines.surface.tracks import TracksSettings, drawn, fastest_frame, follow_surface, told, tracks_settings
+from marey.surface.points.measured import MeasuredPoints, no_points
+from marey.surface.tracks.following import ViewPatchSettings
+
+FRAMES = 14
+SETTINGS = TracksSettings(follow=ViewPatchSettings(noise=1.0), spacing=6.0)
+RIG = Rig(three_cameras())
+MADE = scene(world_from_plane=lambda f: moving(0.5 * f, turn=0.02 * np.sin(0.3 * f)))
+
+
+@pytest.fixture(scope="module")
+def take(tmp_path_factory) -> Take:
+    folder = tmp_path_factory.mktemp("trial")
+    for frame, images in MADE.frames(RIG.cameras, range(FRAMES)):
+        for name, image in zip(RIG.names, images, strict=True):
+            cv2.imwrite(str(folder / f"{name}_{frame + 1}.png"), image)
+    return open_take(folder, RIG, rate=50.0)
+
+
+def seeds(frame: int) -> MeasuredPoints:
+    return MADE.seeds(RIG.cameras, frame, step=0.02)
+
+
+def run(take: Take, folder: Path, seeds=seeds, **given):
+    with FrameLog(folder / "tracks.log") as log:
+        return follow_surface(
+            take, RIG, seeds, log, folder / "state.npz", Progress(quiet=True), settings=SETTINGS, **given
+        )
+
+
+def test_a_take_is_followed_and_told_of(take, tmp_path):
+    result = run(take, tmp_path)
+    trajectories = result.trajectories
+    assert trajectories.rate == 50.0
+    assert trajectories.frames.tolist() == list(range(FRAMES))
+    assert len(trajectories.kept) > 80
+    assert trajectories.measured[:, trajectories.kept].sum(axis=0).mean() > 10
+    assert told(result).startswith(f"Tracks: {len(trajectories.kept)} trajectories over 1")
+    picture = drawn(trajectories, take, RIG)
+    assert picture is not None
+    assert picture.shape == (120, 150, 3)
+    assert fastest_frame(trajectories) in range(FRAMES)
+
+
+def test_an_interrupted_run_is_taken_up_and_gives_the_same(take, tmp_path):
+    (tmp_path / "whole").mkdir()
+    whole = run(take, tmp_path / "whole").trajectories
+
+    def stopping(frame: int) -> MeasuredPoints:
+        if frame == 12:
+            raise KeyboardInterrupt
+        return seeds(frame)
+
+    with pytest.raises(KeyboardInterrupt):
+        run(take, tmp_path, stopping)
+    asked = []
+    again = run(take, tmp_path, lambda frame: asked.append(frame) or seeds(frame)).trajectories
+    assert asked == [10, 11, 12, 13]
+    np.testing.assert_array_equal(again.position, whole.position)
+    np.testing.assert_array_equal(again.covariance, whole.covariance)
+
+
+def test_a_state_of_other_settings_is_not_taken_up(take, tmp_path):
+    run(take, tmp_path)
+    (tmp_path / "tracks.log").unlink()
+    asked = []
+    run(take, tmp_path, lambda frame: asked.append(frame) or seeds(frame))
+    assert asked == list(range(FRAMES))
+
+
+def test_boxes_fit_the_size_of_the_pictures():
+    small, large = (tracks_settings(Rig(tuple(c.scaled(f) for c in RIG)), noise=1.0, threads=1) for f in (1.0, 10.0))
+    assert (small.follow.box, small.spacing) == (6.0, 4.0)
+    assert (large.follow.box, large.spacing) == (1500 / 120, 1500 / 160)
+
+
+def test_where_nothing_was_measured_nothing_is_followed(take, tmp_path):
+    result = run(take, tmp_path, lambda frame: no_points(RIG.names))
+    assert len(result.trajectories) == 0
+    assert told(result) == "Tracks: no point could be followed from one frame to the next."
+    assert drawn(result.trajectories, take, RIG) is None

@@ -1,0 +1,47 @@
+import numpy as np
+
+from marey.geometry import rotations
+from marey.surface.tracks.local_motion import carried, moved_rigidly, neighbours_of
+
+
+def cloud(rng, count=60):
+    return rng.uniform(-0.05, 0.05, (count, 3))
+
+
+def test_places_move_with_a_rigid_surface(rng):
+    points, places = cloud(rng), cloud(rng, 7)
+    turn, shift = rotations.exp(np.array([0.3, -0.2, 0.5])), np.array([0.4, 0.0, -0.1])
+    moved = carried(places, points, points @ turn.T + shift, radius=0.2)
+    np.testing.assert_allclose(moved, places @ turn.T + shift, atol=1e-12)
+
+
+def test_one_false_neighbour_does_no_harm(rng):
+    points, places = cloud(rng, 8), cloud(rng, 3)
+    after = points + [0.01, 0.0, 0.0]
+    after[5] += [0.0, 0.3, 0.0]
+    moved = carried(places, points, after, radius=0.5)
+    np.testing.assert_allclose(moved, places + [0.01, 0.0, 0.0], atol=1e-12)
+
+
+def test_a_mirrored_surface_is_no_motion(rng):
+    points = cloud(rng, 8)[None]
+    _, spread = moved_rigidly(np.zeros((1, 3)), points, points * [-1, 1, 1], np.ones((1, 8), bool))
+    assert spread[0] > 0.005
+
+
+def test_the_spread_is_the_noise_of_the_neighbours(rng):
+    points = np.broadcast_to(cloud(rng, 8), (4000, 8, 3))
+    noisy = points + rng.normal(0, 1e-4, points.shape)
+    _, spread = moved_rigidly(np.zeros((4000, 3)), points, noisy, np.ones((4000, 8), bool))
+    # The worst of the eight is left out, so that a little less remains.
+    assert 0.75e-4 < np.sqrt(np.mean(spread**2)) < 1.0e-4
+
+
+def test_without_neighbours_nobody_knows(rng):
+    points = cloud(rng)
+    places = np.array([[3.0, 0.0, 0.0], [np.nan, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    moved = carried(places, points, points + 1.0, radius=0.04)
+    assert np.isnan(moved[:2]).all()
+    np.testing.assert_allclose(moved[2], 1.0, atol=1e-9)
+    assert np.isnan(carried(places, np.zeros((0, 3)), np.zeros((0, 3)), radius=0.04)).all()
+    assert neighbours_of(places[:0], points, radius=1.0).shape == (0, 8)

@@ -1,0 +1,104 @@
+import base64
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests.takes import FRAMES, rig, small_take
+
+from marey.view.pages import capture_report as report
+from marey.view.pages.capture_report import ReportContent, Size, report_html, write_report
+from marey.view.pages.html import Still
+from marey.view.pages.problems import find_problems
+from marey.view.pictures.palette import SEGMENTS, bone_pairs, segment_colours
+
+
+@pytest.fixture
+def content(rng) -> ReportContent:
+    motion, posed = small_take(rng)
+    return ReportContent(
+        title="<walk> & run", motion=motion, body=posed[0].body, rig=rig(),
+        sizes=[Size(name="stature", value_m=1.75, sd_m=0.01), Size(name="left thigh", value_m=0.4, sd_m=np.nan)],
+        problems=find_problems(motion), stills=[Still(caption="cam01", image=np.zeros((900, 1300, 3), np.uint8))],
+        timings={"Start": 3.0, "Poses": 1.0}, settings={"preset": "full", "frames": (1, 2), "start": None},
+        files={"motion.npz": "everything"},
+    )  # fmt: skip
+
+
+def embedded(text: str) -> dict:
+    found = re.search(r'<script id="data" type="application/json">(.*?)</script>', text, re.DOTALL)
+    return json.loads(found[1])
+
+
+def test_the_report_is_one_file_that_loads_nothing(content, tmp_path):
+    write_report(tmp_path / "report.html", content)
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
+    assert not re.search(r"""(src|href)\s*=\s*["'](?!#|data:)""", text)
+    assert "http" not in text.replace("http-equiv", "")
+    assert "&lt;walk&gt; &amp; run" in text
+
+
+def test_the_embedded_numbers_are_the_motions(content):
+    data = embedded(report_html(content))
+    centres = np.frombuffer(base64.b64decode(data["joints"]["centres"]), "<f4")
+    np.testing.assert_allclose(centres, content.motion.joint_centres.ravel(), rtol=1e-6)
+    sd = np.frombuffer(base64.b64decode(data["angles"]["sd"]), "<f4")
+    np.testing.assert_allclose(sd, content.motion.angles_deg_sd.ravel(), rtol=1e-6)
+    titles = {plot["title"]: [c["label"] for c in plot["curves"]] for plot in data["angles"]["plots"]}
+    assert titles == {"trunk flexion": ["trunk flexion"], "knee flexion": ["left", "right"]}
+
+
+def test_the_replays_own_blending_gives_the_posed_skin(content, rng):
+    _, posed = small_take(np.random.default_rng(20060101))
+    replay = embedded(report_html(content))["replay"]
+    vertices, segments = len(posed[0].vertices), replay["segments"]
+
+    def read(key: str, dtype: str, *shape: int) -> np.ndarray:
+        return np.frombuffer(base64.b64decode(replay[key]), dtype).reshape(*shape)
+
+    frame = 4
+    turn = read("rotation", "<f4", FRAMES, segments, 3, 3)[frame]
+    shift = read("origin", "<f4", FRAMES, segments, 3)[frame] - np.einsum(
+        "sab,sb->sa", turn, read("restJoints", "<f4", segments, 3)
+    )
+    carrier, weight = read("vertexSegments", "u1", vertices, 4), read("vertexWeights", "u1", vertices, 4) / 255
+    moved = np.einsum("vnab,vb->vna", turn[carrier], read("rest", "<f4", vertices, 3)) + shift[carrier]
+    # Weights are rounded to 1/255, which moves a vertex by less than that share of the segments' distance.
+    np.testing.assert_allclose((weight[..., None] * moved).sum(1), posed[frame].vertices, atol=0.02)
+
+
+def test_sizes_problems_and_settings_are_there_as_text(content):
+    text = report_html(content)
+    assert "± 2.0" in text
+    assert "unknown" in text
+    assert "The person was lost here" in text
+    assert "<th>frames</th><td>1, 2</td>" in text
+    assert "<th>start</th>" not in text
+
+
+def test_long_takes_are_thinned_out(content, monkeypatch):
+    monkeypatch.setattr(report, "MOST_FRAMES", 5)
+    data = embedded(report_html(content))
+    assert data["stride"] == 3
+    assert data["frames"] == 4
+
+
+def test_a_take_without_an_answer_still_gives_a_report(content):
+    empty = replace(content, motion=content.motion.frames([0, 1]), problems=(), sizes=())
+    assert "Nothing: every frame" in report_html(empty)
+
+
+def test_every_segment_has_a_colour_of_its_own_and_bones_join_named_joints():
+    colours = segment_colours(list(SEGMENTS))
+    assert len({tuple(c) for c in colours}) == len(SEGMENTS) == 21
+    np.testing.assert_array_equal(bone_pairs(["left_knee", "left_hip", "x"]), [[1, 0]])
+    assert bone_pairs(["x"]).shape == (0, 2)
+
+
+def test_frames_that_nobody_asked_for_are_not_counted(content):
+    asked = np.arange(FRAMES) < 9
+    text = report_html(replace(content, asked=asked))
+    assert "5 of 7" in text
+    assert "1 filled, 1 lost, 2 without a person, 3 not asked for" in text

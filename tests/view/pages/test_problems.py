@@ -1,0 +1,51 @@
+import numpy as np
+import pytest
+from tests.takes import small_take
+
+from marey.view.pages.problems import find_problems, frames_text, touches_border
+
+
+def test_every_doubt_of_a_motion_is_named_with_its_frames(rng):
+    motion, _ = small_take(rng)
+    cut = np.zeros((len(motion), 2), bool)
+    cut[3:5, 0] = True
+    problems = find_problems(motion, cut=cut, warnings=["cam01 is dark"])
+    assert [p.severity for p in problems] == sorted((p.severity for p in problems), key=("bad", "doubt", "note").index)
+    told = {p.where: p.what for p in problems}
+    assert "lost" in told["frame 8"]
+    assert "filled" in told["frame 5"]
+    assert "Nobody" in told["frames 0 to 1"]
+    assert "down to 0.50): frame 6" in told["cam02"]
+    assert "frames 3 to 4" in told["cam01"]
+    assert motion.coordinate_names[10].replace("_", " ") in told["1 coordinate"]
+    assert told["run"] == "cam01 is dark"
+
+
+def test_a_flawless_motion_has_nothing_to_tell(rng):
+    motion, _ = small_take(rng)
+    fine = motion.frames([3, 4, 7])
+    object.__setattr__(fine, "determined", np.ones_like(fine.determined))
+    assert find_problems(fine) == []
+
+
+def test_a_motion_without_any_measured_frame_is_bad(rng):
+    motion, _ = small_take(rng)
+    problems = find_problems(motion.frames([0, 1]))
+    assert any(p.severity == "bad" and p.where == "whole take" for p in problems)
+
+
+def test_frames_are_told_in_stretches():
+    chosen = np.zeros(40, bool)
+    chosen[[3, 4, 5, 9]] = True
+    assert frames_text(chosen) == "frames 3 to 5, 9"
+    chosen[::2] = True
+    assert frames_text(chosen).endswith("more stretches")
+
+
+@pytest.mark.parametrize("where", [(0, 3), (-1, 3), (3, 0), (3, -1)])
+def test_a_silhouette_at_the_border_is_noticed(where):
+    mask = np.zeros((8, 9), bool)
+    mask[3, 4] = True
+    assert not touches_border(mask)
+    mask[where] = True
+    assert touches_border(mask)
