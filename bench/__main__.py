@@ -64,6 +64,8 @@ def run_bench(name: str, words: Sequence[str]) -> int:
     if bench is None:
         print(f"There is no benchmark {name!r}: see `python -m bench list`.", file=sys.stderr)
         return 2
+    from threadpoolctl import threadpool_limits  # Imported here so that `list` and `report` need only Python.
+
     module = bench.module()
     own, common = (
         argparse.ArgumentParser(add_help=False),
@@ -92,7 +94,8 @@ def run_bench(name: str, words: Sequence[str]) -> int:
         out.mkdir(parents=True, exist_ok=True)
         run = Run(given, given.shared.resolve(), out)
         began = time.perf_counter()
-        module.run(run)
+        with threadpool_limits(1):
+            module.run(run)
         seconds = time.perf_counter() - began
     record = Record(
         bench=name,

@@ -17,8 +17,8 @@ FOLDER = Path(__file__).parent
 class Bench:
     """The declaration of a benchmark, assigned to `BENCH` in its module.
 
-    All values are literals: a declaration is read without importing the module, so that `list` and `report` need neither
-    marey nor its dependencies.
+    All values are literals: a declaration is read without importing the module, so that `list` and `report` need
+    neither marey nor its dependencies.
 
     Attributes:
         measures: One sentence: which quantity is compared with which reference.

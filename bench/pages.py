@@ -18,9 +18,9 @@ TITLES = {
 HEAD = """<!-- Written by `python -m bench report` from bench/records; do not edit by hand. -->
 # {title}
 
-Every table below comes from a record that `python -m bench run NAME` has written. A table whose code has changed since it
-was measured is marked **OLD**; one whose figures were taken over from an earlier page is marked **NOT RE-MEASURED**. The
-recordings are named in [Accuracy](../accuracy.md), which also states what the figures are worth.
+Every table below comes from a record that `python -m bench run NAME` has written. A table whose code has changed since
+it was measured is marked **OLD**; one whose figures were taken over from an earlier page is marked **NOT
+RE-MEASURED**. [Accuracy](../accuracy.md) states what the figures are worth.
 """
 AgeOf = Callable[[Bench, Record], Age]
 

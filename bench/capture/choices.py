@@ -1,7 +1,7 @@
 """Takes refined with one choice of the method at a time.
 
-A take is captured once; only its completion and refinement are repeated for each of `CHOICES`, from the same silhouettes
-and the same tracked poses.
+A take is captured once; only its completion and refinement are repeated for each of `CHOICES`, from the same
+silhouettes and the same tracked poses.
 """
 
 import argparse
@@ -18,7 +18,9 @@ from marey.pipelines.capture.settings import CaptureSettings
 from marey.pipelines.progress import Progress
 
 BENCH = Bench(
-    measures="Captured motion with one choice of the refinement changed at a time, against rendered truth or key points.",
+    measures=(
+        "Captured motion with one choice of the refinement changed at a time, against rendered truth or key points."
+    ),
     sources=(
         "src/marey/cameras",
         "src/marey/images",

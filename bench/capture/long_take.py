@@ -1,8 +1,8 @@
 """Refinement of takes of many frames: memory stays bounded, time grows with the frames, and windows change nothing.
 
-The person is the family's mean, walking on the spot before four small cameras; silhouettes are drawn on demand, so that
-only the refinement is measured. Intermediate results go to a folder that is deleted. `--compare` refines the same frames
-in one system and in windows and states the differences in units of the standard deviations.
+The person is the family's mean, walking on the spot before four small cameras; silhouettes are drawn on demand, so
+that only the refinement is measured. Intermediate results go to a folder that is deleted. `--compare` refines the
+same frames in one system and in windows and states the differences in units of the standard deviations.
 """
 
 import argparse

@@ -1,9 +1,9 @@
 """Harder takes made of rendered ones: frames left out, a person who leaves, pictures of noise.
 
-`--every N` keeps each N-th frame, as a slower camera would. `--away A:B:N` shows the empty room for N frames in the place
-of frames A to B, so that the person comes back elsewhere. `--noise A:B` shows nothing but noise in frames A to B. Frames
-count from the first that shows the person. Without arguments the cases of `CASES` are made. The truth of the remaining
-frames is scored.
+`--every N` keeps each N-th frame, as a slower camera would. `--away A:B:N` shows the empty room for N frames in the
+place of frames A to B, so that the person comes back elsewhere. `--noise A:B` shows nothing but noise in frames A to
+B. Frames count from the first that shows the person. Without arguments the cases of `CASES` are made. The truth of
+the remaining frames is scored.
 """
 
 import argparse

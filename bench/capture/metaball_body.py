@@ -1,7 +1,7 @@
 """Takes captured with metaballs of generic size, with fitted ones and with the learned body.
 
-`--simple` adds the simplified limbs of the paper; `--body FILE` a `body.npz` of the same person, as `marey shape` writes
-it, once unchanged and once refined; what follows `--options` goes to `marey capture`.
+`--simple` adds the simplified limbs of the paper; `--body FILE` a `body.npz` of the same person, as `marey shape`
+writes it, once unchanged and once refined; what follows `--options` goes to `marey capture`.
 """
 
 import argparse
@@ -13,7 +13,9 @@ from bench.declaration import Bench
 from bench.recording import Run
 
 BENCH = Bench(
-    measures="Captures with generic metaballs, fitted metaballs and the learned body, against rendered truth or key points.",
+    measures=(
+        "Captures with generic metaballs, fitted metaballs and the learned body, against rendered truth or key points."
+    ),
     sources=(
         "src/marey/cameras",
         "src/marey/images",

@@ -1,8 +1,8 @@
 """Silhouettes of a take, picture by picture: overlap with the truth and time per picture.
 
-Each picture starts from the result of the one before, since no tracked body predicts it here (`--alone`: from nothing).
-`--plate take` estimates the background from the take itself; `dark` exposes the plate 10 % less and adds noise; `marred`
-adds a black bar and a ghost.
+Each picture starts from the result of the one before, since no tracked body predicts it here (`--alone`: from
+nothing). `--plate take` estimates the background from the take itself; `dark` exposes the plate 10 % less and adds
+noise; `marred` adds a black bar and a ghost.
 """
 
 import argparse

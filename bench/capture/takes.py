@@ -2,8 +2,8 @@
 
 Without options every take is captured with all cameras and scored. `--drop-cameras` leaves out each camera in turn,
 `--upper` captures the arms of `reach` from pictures cut at the hips, `--starts` captures every tenth frame alone. The
-takes `walk`, `reach`, `stealth` and `jacks` are rendered, with exact truth; `balancing` is real, and its reference are key
-points that a detector found, with errors of some centimetres.
+takes `walk`, `reach`, `stealth` and `jacks` are rendered, with exact truth; `balancing` is real, and its reference
+are key points that a detector found, with errors of some centimetres.
 """
 
 import argparse
@@ -18,7 +18,9 @@ from bench.declaration import Bench
 from bench.recording import Column, Run, Table
 
 BENCH = Bench(
-    measures="Joints, angles, silhouettes and surface of captured takes, against rendered truth or detected key points.",
+    measures=(
+        "Joints, angles, silhouettes and surface of captured takes, against rendered truth or detected key points."
+    ),
     sources=(
         "src/marey/cameras",
         "src/marey/images",
@@ -57,9 +59,12 @@ WHOLE = (
     (Column("agreement by camera"), "agreement"),
 )
 NOTE = (
-    "*Joints*: mean distance of the twelve limb joint centres from the truth; *steady*: the same without each joint's constant "
-    "offset. *Turn*: rotation of the segment since its first frame, against the truth. *Lengths*: thighs, shanks, upper arms and "
-    "forearms; their root mean square error in stated standard deviations. *Agreement*: overlap of the fitted surface and the "
+    "*Joints*: mean distance of the twelve limb joint centres from the truth; *steady*: the same without each "
+    "joint's constant "
+    "offset. *Turn*: rotation of the segment since its first frame, against the truth. *Lengths*: thighs, shanks, "
+    "upper arms and "
+    "forearms; their root mean square error in stated standard deviations. *Agreement*: overlap of the fitted "
+    "surface and the "
     "silhouettes."
 )
 
@@ -130,7 +135,7 @@ def cut_at_hips(trial: Path, folder: Path) -> Path:
 
 
 def starts(run: Run, trial: Path) -> tuple[int, int, int]:
-    """Start from every tenth frame alone: number of starts, those facing right, those with all limb joints in 150 mm."""
+    """Start from every tenth frame alone: the starts, those facing right, those within 150 mm."""
     truth = np.load(truth_of(trial))
     skip = empty_frames(trial)
     count = len(truth["joints"] if "joints" in truth else truth["xyz"])

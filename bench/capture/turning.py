@@ -1,8 +1,8 @@
 """People who turn once round before three cameras: made takes with exact truth.
 
-Each seed draws a person of sixteen family numbers, more than the fitted body has, turns them through 360 degrees in three
-seconds while arms and legs swing, and roughens the silhouettes of three cameras by a pixel. Start, tracking, shape and
-refinement are those of `marey capture`.
+Each seed draws a person of sixteen family numbers, more than the fitted body has, turns them through 360 degrees in
+three seconds while arms and legs swing, and roughens the silhouettes of three cameras by a pixel. Start, tracking,
+shape and refinement are those of `marey capture`.
 """
 
 import argparse

@@ -1,29 +1,28 @@
-"""Bones from MR against the shared references: `python bench/knee_bones.py SHARED OUT [NAME ...] [--no-template]`.
+"""Bones from MR against the references of the recordings.
 
-Each NAME is segmented, its labels and surfaces go to OUT/NAME, and Dice, ASD and HD95 of the bones are printed as
-../shared/score/knee.py counts them, with the time, the memory, and whether the surfaces are closed, in one piece and
-without handles. Names: dess, phantom_a, phantom_spl, phantom_spl_t1, phantom_spl+phantom_spl_t1 (two volumes), mese (no
-reference: volumes only), falling_off (made images like mese's: bright marrow and fat, sagittal slices of 4 mm, and a
-coil whose sensitivity falls away), varied (made knees of other people, see made_knee_images.py), cut (images of one
-long bone only), templates (each volume by every other person). Of the made ones `--seeds` says how many.
+Names: dess, phantom_a, phantom_spl, phantom_spl_t1, phantom_spl+phantom_spl_t1 (two volumes), mese (no reference:
+volumes only), falling_off (made images like mese's: bright marrow and fat, sagittal slices of 4 mm, and a coil whose
+sensitivity falls off), varied (made knees of other people, see made_images.py), cut (images of one long bone only),
+templates (each volume by every other person). `--seeds` is the number of the made ones. Dice, ASD and HD95 are those
+of score/knee.py; dess in rows 60 to 400.
 """
 
 import argparse
 import json
 import resource
 import shutil
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from made_knee_images import Make, made_knee
 from scipy import sparse
-from threadpoolctl import threadpool_limits
 
+from bench.common import program
+from bench.declaration import Bench
+from bench.knee.made_images import Make, made_knee
+from bench.recording import Column, Run, Table
 from marey.io.mr.meshes import write_mesh
 from marey.io.mr.volumes import read_template, read_volume, simple_itk, write_labels, write_volume
 from marey.knee.bones.bones import segment_bones
@@ -33,6 +32,11 @@ from marey.knee.space.structures import LABELS
 from marey.knee.space.surface import Surface
 from marey.knee.space.volume import Volume
 
+BENCH = Bench(
+    measures="Dice, ASD and HD95 of bones from magnetic resonance images, against references.",
+    sources=("src/marey/knee/space", "src/marey/knee/bones", "src/marey/knee/registration"),
+    minutes=6,
+)
 SHARED = ("dess", "phantom_a", "phantom_spl", "phantom_spl_t1")
 NAMES = (*SHARED, "phantom_spl+phantom_spl_t1", "mese", "falling_off", "varied", "cut", "templates")
 TEMPLATES = {"dess": "atlas", "phantom_a": "atlas", "mese": "atlas"}
@@ -58,12 +62,13 @@ def segment(volumes: list[Volume], template: Path | None, out: Path) -> dict[str
         if fault := surface_fault(surface):
             faults[bone] = fault
     seconds = round(time.perf_counter() - started, 1)
-    told = {"marrow": found.kinds, "cm3": volumes_cm3, "seconds": seconds, "notes": found.notes}
-    return told | {"surfaces": faults or "closed, one piece each, no handle, outward"}
+    cm3 = ", ".join(f"{bone} {volume:g}" for bone, volume in volumes_cm3.items())
+    wrong = "; ".join(f"{bone}: {fault}" for bone, fault in faults.items())
+    return {"cm3": cm3, "seconds": seconds, "faults": wrong or "none", "notes": " ".join(found.notes) or "none"}
 
 
 def surface_fault(surface: Surface) -> str:
-    """Say what is wrong with a surface, if anything."""
+    """What is wrong with a surface, if anything."""
     edges = np.sort(surface.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     own, shared = np.unique(edges, axis=0, return_counts=True)
     count = len(surface.vertices_mm)
@@ -75,33 +80,56 @@ def surface_fault(surface: Surface) -> str:
     return ", ".join(text for text, wrong in faults.items() if wrong)
 
 
-def score(shared: Path, truth: Path, out: Path, rows: list[str]) -> dict[str, object]:
-    script = [sys.executable, str(shared / "score" / "knee.py"), str(out / "labels.nii.gz"), str(truth), *rows]
-    told = json.loads(subprocess.run(script, check=True, capture_output=True, text=True).stdout)
-    values = {bone: told.get(bone, told.get(str(LABELS[bone]))) for bone in ("femur", "tibia", "patella")}
-    return {bone: [*each.values()] if each else None for bone, each in values.items()}
+def score(run: Run, truth: Path, out: Path, rows: tuple[str, ...] = ()) -> dict[str, str | None]:
+    """Dice / ASD / HD95 of each bone."""
+    scores = program.score(run, "knee.py", out / "labels.nii.gz", truth, *rows)
+    values = {bone: scores.get(bone, scores.get(str(LABELS[bone]))) for bone in ("femur", "tibia", "patella")}
+    return {bone: overlap(each) if each else None for bone, each in values.items()}
 
 
-def one(shared: Path, name: str, out: Path, template: Path | None) -> None:
-    """Segment shared volumes and score them."""
-    volumes = [read_volume(volume_path(shared, each)) for each in name.split("+")]
-    told = segment(volumes, template, out)
+def overlap(values: dict[str, float]) -> str:
+    """Three figures in one cell."""
+    dice, asd, hd95 = values.values()
+    return f"{dice:.3f} / {asd:.2f} / {hd95:.1f}"
+
+
+def begin(run: Run, title: str) -> Table:
+    """Begin a table of bones."""
+    columns = [Column(f"{bone}: Dice / ASD [mm] / HD95 [mm]") for bone in ("femur", "tibia", "patella")]
+    return run.table(
+        title, ("volume", "template"), *columns, Column("volumes", "cm3"), Column("faults of the surfaces"),
+        Column("notes of the program"), Column("time", "s", 0), Column("peak memory of the process", "GB", 1),
+    )  # fmt: skip
+
+
+def fill(table: Table, labels: tuple[str, str], figures: dict[str, object]) -> None:
+    """Append a row."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+    names = ("femur", "tibia", "patella", "cm3", "faults", "notes", "seconds")
+    table.row(labels, *(figures.get(name) for name in names), peak)
+
+
+def one(run: Run, table: Table, name: str, out: Path, template: Path | None) -> None:
+    """Segment volumes of the recordings, and score them."""
+    volumes = [read_volume(volume_path(run.shared, each)) for each in name.split("+")]
+    figures = segment(volumes, template, out)
     if name != "mese":
-        first = shared / "data" / "knee" / name.split("+")[0]
+        first = run.shared / "data" / "knee" / name.split("+")[0]
         truth = first / ("reference_labels.nii.gz" if name == "dess" else "truth_labels.nii.gz")
-        told |= score(shared, truth, out, ["--rows", "60", "400"] if name == "dess" else [])
-    said(f"{name} by {template.name if template else 'no template'}", told)
+        figures |= score(run, truth, out, ("--rows", "60", "400") if name == "dess" else ())
+    fill(table, (name, template.name if template else "none"), figures)
 
 
-def by_every_template(shared: Path, out: Path) -> None:
+def by_every_template(run: Run) -> None:
     """Segment each volume with the labels of every other person."""
+    table, out = begin(run, "Other people's labels as template"), run.out / "templates"
     for template, own in PEOPLE.items():
-        folder = shared / "data" / "knee" / template
+        folder = run.shared / "data" / "knee" / template
         if template == "dess":
             folder = dess_template(folder, out / "template" / "dess")
         for name in SHARED:
             if name not in own:
-                one(shared, name, out / f"{name}_by_{template}", folder)
+                one(run, table, name, out / f"{name}_by_{template}", folder)
 
 
 def dess_template(dess: Path, folder: Path) -> Path:
@@ -114,8 +142,9 @@ def dess_template(dess: Path, folder: Path) -> Path:
     return folder
 
 
-def cut(shared: Path, out: Path) -> None:
-    """Segment what lies above the joint, and below it; print Dice of the long bone in view, and of the patella."""
+def cut(run: Run) -> None:
+    """Segment what lies above the joint, and below it; Dice of the long bone in view, and of the patella."""
+    shared, table = run.shared, begin(run, "Images of one long bone (Dice alone)")
     for name in ("phantom_spl", "dess"):
         truth = (
             shared / "data" / "knee" / name / ("reference_labels.nii.gz" if name == "dess" else "truth_labels.nii.gz")
@@ -130,30 +159,32 @@ def cut(shared: Path, out: Path) -> None:
             reach = [np.flatnonzero(seen.any(axis=axes)) for axes in ((1, 2), (0, 2), (0, 1))]
             box = tuple(slice(int(each[0]), int(each[-1]) + 1) for each in reach)
             image = Volume(intensity=volume.intensity[box], grid=part_of(volume.grid, box))
-            folder = out / f"{name}_{part}"
-            told = segment([image], shared / "data" / "knee" / TEMPLATES.get(name, "template_a"), folder)
+            folder = run.out / f"{name}_{part}"
+            template = TEMPLATES.get(name, "template_a")
+            figures = segment([image], shared / "data" / "knee" / template, folder)
             mine = itk.GetArrayFromImage(itk.ReadImage(str(folder / "labels.nii.gz")))
             for bone in ("femur", "tibia", "patella"):
                 a, b = mine == LABELS[bone], labels[box] == LABELS[bone]
-                told[bone] = round(float(2 * (a & b).sum() / max(1, a.sum() + b.sum())), 3)
-            said(f"{name} {part} the joint", told)
+                figures[bone] = f"{2 * (a & b).sum() / max(1, a.sum() + b.sum()):.3f}"
+            fill(table, (f"{name} {part} the joint", template), figures)
 
 
 Plan = Callable[[int], dict[str, tuple[str, list[Make]]]]
 """By a seed: names, each with the template and what to make."""
 
 
-def made(shared: Path, out: Path, seeds: int, plan: Plan) -> None:
+def made(run: Run, title: str, seeds: int, plan: Plan) -> None:
     """Segment made knees of other people, each with the template of the source that it is not made of."""
+    table = begin(run, title)
     for seed in range(1, seeds + 1):
         for name, (template, makes) in plan(seed).items():
-            images = [made_knee(shared, make) for make in makes]
-            folder = out / f"{name}_{seed}"
-            told = segment([volume for volume, _ in images], shared / "data" / "knee" / template, folder)
+            images = [made_knee(run.shared, make) for make in makes]
+            folder = run.out / f"{title.replace(' ', '_')}_{name}_{seed}"
+            figures = segment([volume for volume, _ in images], run.shared / "data" / "knee" / template, folder)
             write_volume(folder / "image.nii.gz", images[0][0])
             write_labels(folder / "truth", images[0][1])
-            told |= score(shared, folder / "truth" / "labels.nii.gz", folder, [])
-            said(f"{name} {seed}", told)
+            figures |= score(run, folder / "truth" / "labels.nii.gz", folder)
+            fill(table, (f"{name}, seed {seed}", template), figures)
 
 
 def variations(seed: int) -> dict[str, tuple[str, list[Make]]]:
@@ -177,32 +208,26 @@ def falling_off(seed: int) -> dict[str, tuple[str, list[Make]]]:
     return {"spl": ("template_a", [Make(kind="bright", seed=seed, mirror=seed % 2 == 1, fall_off=0.5, **slices)])}
 
 
-def said(name: str, told: dict[str, object]) -> None:
-    told["peak_gb"] = round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6, 2)
-    print(name, json.dumps(told), flush=True)
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("names", nargs="*", help=f"of {', '.join(NAMES)}; the first six without any")
+    parser.add_argument("--no-template", action="store_true", help="segment without a template")
+    parser.add_argument("--seeds", type=int, default=1, help="number of made knees")
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("shared", type=Path)
-    parser.add_argument("out", type=Path)
-    parser.add_argument("names", nargs="*", default=NAMES)
-    parser.add_argument("--no-template", action="store_true")
-    parser.add_argument("--seeds", type=int, default=1)
-    asked = parser.parse_args()
-    for name in asked.names:
-        with threadpool_limits(1):
-            if name == "cut":
-                cut(asked.shared, asked.out / "cut")
-            elif name in ("varied", "falling_off"):
-                made(asked.shared, asked.out / name, asked.seeds, variations if name == "varied" else falling_off)
-            elif name == "templates":
-                by_every_template(asked.shared, asked.out / "templates")
-            else:
-                template = asked.shared / "data" / "knee" / TEMPLATES.get(name, "template_a")
-                out = asked.out / name.replace("+", "_and_")
-                one(asked.shared, name, out, None if asked.no_template else template)
-
-
-if __name__ == "__main__":
-    main()
+def run(run: Run) -> None:
+    """Segment, and score."""
+    given = run.arguments
+    names = given.names or NAMES[:6]
+    table = begin(run, "Bones") if set(names) & set(NAMES[:6]) else None
+    for name in names:
+        if name == "cut":
+            cut(run)
+        elif name in ("varied", "falling_off"):
+            made(run, f"made knees, {name}", given.seeds, variations if name == "varied" else falling_off)
+        elif name == "templates":
+            by_every_template(run)
+        elif table is not None:
+            template = run.shared / "data" / "knee" / TEMPLATES.get(name, "template_a")
+            out = run.out / "bones" / name.replace("+", "_and_")
+            one(run, table, name, out, None if given.no_template else template)

@@ -1,15 +1,9 @@
-"""Cartilage by another knee's template in the simulated volumes, on the true bones or on those `segment` found.
+"""Cartilage by another knee's template in the simulated volumes, on the true bones or on those that the program finds.
 
-    python bench/knee_cartilage.py SHARED [CASE] [--segmented DIR]
-
-SHARED holds `data/knee`. CASE: phantom_a (template: atlas), phantom_spl, phantom_spl_t1, or pair (both of them;
-template: template_a); without one, all. Without --segmented the inner surface is that of the true labels, so that
-cartilage alone is judged; with it, DIR is what `marey knee segment` left of that case, bones and cartilage. Prints one
-JSON line a bone: Dice of the cartilage's voxels, mean thickness less the true one over the true cartilage (bare counts
-as 0), mean absolute difference of the maps where both have cartilage, shares of covered vertices found and of bare ones
-falsely covered, and of those found with a confidence above 0.5 the share whose 95 % interval holds the truth. Without
---segmented first a line of the share of each cartilage over which the image tells more of it than the template. True
-thickness is that of surfaces of the fine true labels, at the vertices of the true bone.
+Cases: phantom_a (template: atlas), phantom_spl, phantom_spl_t1, or pair (both of them; template: template_a). Without
+`--segmented` the inner surface is that of the true labels, so that cartilage alone is judged; with it, `marey knee
+segment` finds bones and cartilage. True thickness is that of surfaces of the fine true labels, at the vertices of the
+true bone.
 """
 
 import argparse
@@ -20,8 +14,11 @@ from pathlib import Path
 
 import numpy as np
 from scipy.spatial import cKDTree
-from threadpoolctl import threadpool_limits
 
+from bench.common import program
+from bench.declaration import Bench
+from bench.knee.bones import score
+from bench.recording import Column, Run, Table
 from marey.arrays import Floats
 from marey.io.mr.meshes import read_mesh
 from marey.io.mr.volumes import read_labels, read_volume
@@ -34,6 +31,11 @@ from marey.knee.space.structures import BONES, CARTILAGE_OF_BONE, LABELS
 from marey.knee.space.surface import Surface
 from marey.knee.space.volume import Labels
 
+BENCH = Bench(
+    measures="Cartilage and its thickness from magnetic resonance images, against true labels.",
+    sources=("src/marey/knee/space", "src/marey/knee/bones", "src/marey/knee/cartilage", "src/marey/knee/registration"),
+    minutes=6,
+)
 CASES = {
     "phantom_a": (("phantom_a",), "atlas"),
     "phantom_spl": (("phantom_spl",), "template_a"),
@@ -57,18 +59,29 @@ def surfaces_of(labels: Labels) -> dict[str, Surface]:
     return {name: surface_of_labels(labels, name) for name in held}
 
 
-def found_here(shared: Path, case: str, truth: Labels, bones: dict[str, Surface]):
+def found_here(run: Run, table: Table, case: str, truth: Labels, bones: dict[str, Surface]):
     """Labels and the thickness at the true bones' vertices, with the true bones."""
     names, template = CASES[case]
-    volumes = [read_volume(shared / "data" / "knee" / name / "image.nii.gz") for name in names]
-    model = knee_template(surfaces_of(read_labels(shared / "data" / "knee" / template)), mirror=True)
+    volumes = [read_volume(run.shared / "data" / "knee" / name / "image.nii.gz") for name in names]
+    model = knee_template(surfaces_of(read_labels(run.shared / "data" / "knee" / template)), mirror=True)
     found = find_knee_cartilage(volumes, bones, model)
     labels = with_cartilage(truth, found.sheets)
-    shares = {CARTILAGE_OF_BONE[bone]: round(seen_share(sheet), 2) for bone, sheet in found.sheets.items()}
-    print(json.dumps({"case": case, "told_by_image": shares, "missing": dict(found.missing)}), flush=True)
+    shares = ", ".join(f"{CARTILAGE_OF_BONE[bone]} {seen_share(sheet):.2f}" for bone, sheet in found.sheets.items())
+    missing = f"; missing: {dict(found.missing)}" if found.missing else ""
+    table.note += f" Share that the image determines more than the template, `{case}`: {shares}{missing}."
     return labels, {
         bone: (sheet.thickness_mm, sheet.thickness_sd_mm, sheet.confidence) for bone, sheet in found.sheets.items()
     }
+
+
+def segmented(run: Run, case: str) -> Path:
+    """Run `marey knee segment`; the folder of its results."""
+    names, template = CASES[case]
+    knee, out = run.shared / "data" / "knee", run.out / "segmented" / case
+    if not (out / "run.json").exists():
+        images = [knee / name / "image.nii.gz" for name in names]
+        program.marey("knee", "segment", *images, "--template", knee / template, "--out", out, "--quiet")
+    return out
 
 
 def found_before(folder: Path, bones: dict[str, Surface]):
@@ -85,22 +98,25 @@ def found_before(folder: Path, bones: dict[str, Surface]):
     return read_labels(folder), thickness
 
 
-def measure(shared: Path, case: str, segmented: Path | None) -> None:
-    name = CASES[case][0][0]
-    truth, fine = (true_labels(shared, name, kind) for kind in ("truth_labels", "truth_labels_fine"))
-    true = surfaces_of(fine)
-    bones = {bone: true[bone] for bone in BONES}
-    began = time.process_time()
-    labels, thickness = found_before(segmented, bones) if segmented else found_here(shared, case, truth, bones)
-    spent = time.process_time() - began
-    print_scores(case, truth, true, labels, thickness, spent)
+def begin(run: Run, title: str) -> Table:
+    """Begin a table of cartilages."""
+    return run.table(
+        title, ("case", "cartilage"), Column("Dice", "", 3), Column("mean", "mm", 2), Column("map", "mm", 2),
+        Column("found", "", 2), Column("false", "", 2), Column("95 % intervals hold", "", 2), Column("time", "s", 0),
+        note=(
+            "*Mean*: mean thickness less the true one over the true cartilage (bare counts as 0). *Map*: mean absolute "
+            "difference where both have cartilage. *Found*, *false*: shares of covered vertices found, and of "
+            "bare ones falsely "
+            "covered. *Hold*: of vertices found with a confidence above 0.5."
+        ),
+    )  # fmt: skip
 
 
-def print_scores(
-    case: str, truth: Labels, true: dict[str, Surface], labels: Labels,
+def fill(
+    table: Table, case: str, truth: Labels, true: dict[str, Surface], labels: Labels,
     answers: dict[str, tuple[Floats, Floats, Floats]], spent: float,
 ) -> None:  # fmt: skip
-    """One line a bone; `answers` are thickness, its standard deviation and confidence at the true bones' vertices."""
+    """One row per bone; `answers` are thickness, its standard deviation and confidence at the true bones' vertices."""
     for bone, (ours, sd, confidence) in answers.items():
         cartilage = CARTILAGE_OF_BONE[bone]
         here, there = labels.mask(cartilage), truth.mask(cartilage)
@@ -108,28 +124,36 @@ def print_scores(
         covered, answered = wanted > 0.01, ours > 0.01
         both = covered & answered
         sure = both & (confidence > 0.5)
-        line = {
-            "dice": 2 * (here & there).sum() / (here.sum() + there.sum()),
-            "mean_mm": (ours - wanted)[covered].mean(), "map_mm": np.abs(ours - wanted)[both].mean(),
-            "found": answered[covered].mean(), "false": answered[~covered].mean(),
-            "within": (np.abs(ours - wanted)[sure] < 1.96 * sd[sure]).mean(), "seconds": spent,
-        }  # fmt: skip
-        print(
-            json.dumps({"case": case, "cartilage": cartilage} | {k: round(float(v), 3) for k, v in line.items()}),
-            flush=True,
+        table.row(
+            (case, cartilage), 2 * (here & there).sum() / (here.sum() + there.sum()), (ours - wanted)[covered].mean(),
+            np.abs(ours - wanted)[both].mean(), answered[covered].mean(), answered[~covered].mean(),
+            (np.abs(ours - wanted)[sure] < 1.96 * sd[sure]).mean(), spent,
+        )  # fmt: skip
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("cases", nargs="*", help=f"of {', '.join(CASES)}; all without any")
+    parser.add_argument("--segmented", action="store_true", help="with the bones that `marey knee segment` finds")
+
+
+def run(run: Run) -> None:
+    """Find cartilage, and score it."""
+    given = run.arguments
+    table = begin(run, "Cartilage on the program's bones" if given.segmented else "Cartilage on the true bones")
+    columns = [Column(f"{bone}: Dice / ASD [mm] / HD95 [mm]") for bone in BONES]
+    bones_table = run.table("The bones of the same runs", "case", *columns) if given.segmented else None
+    for case in given.cases or CASES:
+        name = CASES[case][0][0]
+        truth, fine = (true_labels(run.shared, name, kind) for kind in ("truth_labels", "truth_labels_fine"))
+        true = surfaces_of(fine)
+        bones = {bone: true[bone] for bone in BONES}
+        began = time.perf_counter()
+        found = (
+            found_before(segmented(run, case), bones) if given.segmented else found_here(run, table, case, truth, bones)
         )
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser()
-    parser.add_argument("shared", type=Path)
-    parser.add_argument("case", nargs="?", choices=tuple(CASES))
-    parser.add_argument("--segmented", type=Path)
-    given = parser.parse_args()
-    with threadpool_limits(1):
-        for case in [given.case] if given.case else CASES:
-            measure(given.shared, case, given.segmented)
-
-
-if __name__ == "__main__":
-    main()
+        fill(table, case, truth, true, *found, time.perf_counter() - began)
+        if bones_table is not None:
+            reference = run.shared / "data" / "knee" / name / "truth_labels.nii.gz"
+            scores = score(run, reference, segmented(run, case))
+            bones_table.row(case, *(scores[bone] for bone in BONES))

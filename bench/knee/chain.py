@@ -1,13 +1,14 @@
-"""From the scanner to the moving bone and back, end to end: `python bench/knee_chain.py SHARED [PART]`.
+"""From the scanner to the moving bone and back, end to end.
 
-Parts: exact (nothing is off: how well the chain closes, over all frames with the true motion), draws (the balls as
-`marey knee segment` finds them in the simulated volumes, noise of 0.5 mm a coordinate in the laboratory, 200 draws:
-error of each bone's surface and turn, and what the stated 95 % hold), moved (a ball put back 5 to 20 mm beside its
-place: named or not), motion (the simulated knees on the real trials of markers/sta, driven by the true motion and by
-methods). Which ball is which, and rides on which bone, is never given: the program tells it by distance and place. The
-trials: Cereatti et al. 2017, J Biomech, doi 10.1016/j.jbiomech.2017.02.004.
+`exact`: nothing is off; how well the chain closes, over all frames with the true motion. `draws`: the balls as the
+program finds them in the simulated volumes, noise of 0.5 mm per coordinate in the laboratory, 200 draws: error of
+each bone's surface and turn, and the share that the stated 95 % hold. `moved`: a ball put back 3 to 20 mm beside its
+place. `motion`: the simulated knees on the real trials of markers/sta, driven by the true motion and by methods.
+Which ball is which, and rides on which bone, is never given: the program finds it by distance and place. The trials:
+Cereatti et al. 2017, J Biomech, doi 10.1016/j.jbiomech.2017.02.004.
 """
 
+import argparse
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -15,10 +16,12 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from parts import run_parts
 from scipy.special import gammaincc
-from true_bones import true_bones
 
+from bench.common.parts import add_parts, run_parts
+from bench.declaration import Bench
+from bench.knee.true_bones import true_bones
+from bench.recording import Column, Run
 from marey.arrays import Floats
 from marey.errors import MareyError
 from marey.geometry import rotations
@@ -41,6 +44,11 @@ from marey.markers.data.trajectories import MarkerTrajectories, trajectories
 from marey.markers.kinematics.transform_chain import CAPTURE_GLOBAL, MR_GLOBAL
 from marey.markers.methods.methods import DEFAULT, choose_methods
 
+BENCH = Bench(
+    measures="Bones of a scanned knee placed in the laboratory and moved, against simulated truth on real trials.",
+    sources=("src/marey/knee/markers", "src/marey/knee/space", "src/marey/markers"),
+    minutes=5,
+)
 PHANTOMS = ("phantom_a", "phantom_spl", "phantom_spl_t1")
 TRIALS = {"left": ("lmam_treadmill_walking",), "right": ("ottawa_walking", "unibo_step_up")}
 SEGMENTS = {"femur": "thigh", "tibia": "shank"}
@@ -172,8 +180,10 @@ def scenes(shared: Path) -> list[tuple[str, str]]:
     return [(name, trial) for name in PHANTOMS for trial in TRIALS[sides[name]]]
 
 
-def exact(shared: Path) -> None:
-    print("volume          trial                    bone   frames  largest distance from the true place, mm")
+def exact(run: Run) -> None:
+    """Close the chain with exact input."""
+    shared = run.shared
+    table = run.table("Exact input", ("volume", "trial", "bone"), Column("frames"), Column("largest distance", "mm"))
     for name, trial in scenes(shared):
         scene = placed(shared, phantom(shared, name), trial)
         done = activity(scene, scene.motion)
@@ -181,7 +191,7 @@ def exact(shared: Path) -> None:
         for bone in SEGMENTS:
             frames = np.flatnonzero(scene.motion.answered.all(1))
             off = surface_errors(scene, found, bone, scene.motion, frames, pick=np.max)
-            print(f"{name:15} {trial:24} {bone:6} {len(frames):6}  {off.max():.1e}")
+            table.row((name, trial, bone), len(frames), f"{off.max():.0e}")
 
 
 def surface_errors(scene, found, bone, motion, frames, pick=np.mean) -> Floats:  # type: ignore[no-untyped-def]
@@ -227,19 +237,34 @@ def drawn(scene: Placed, found: KneeCorrespondence, bone: str) -> Draw:
     )  # fmt: skip
 
 
-def draws(shared: Path) -> None:
-    print(
-        "balls: the bones are known in the reference posture; clusters: they are told by the activity's noisy markers"
-    )
-    print(
-        "volume          trial                    noise on  bone   balls  surface mm  90 %  turn deg  90 %"
-        "  held: surface  pose  turn  place  wrong names  no answer"
+def draws(run: Run) -> None:
+    """Draw errors of the markers."""
+    shared = run.shared
+    table = run.table(
+        f"Noise of {NOISE_MM} mm per coordinate in the laboratory, {DRAWS} draws",
+        ("volume", "trial", "reference", "bone"),
+        Column("balls"),
+        Column("surface, median", "mm", 2),
+        Column("90 %", "mm", 2),
+        Column("turn, median", "deg", 2),
+        Column("90 %", "deg", 2),
+        Column("hold: surface", "", 2),
+        Column("pose", "", 2),
+        Column("turns", "", 2),
+        Column("places", "", 2),
+        Column("wrong names"),
+        Column("no result"),
+        note=(
+            "*Reference*: the bones are known in the reference posture (balls), or estimated from the activity's "
+            "own noisy "
+            "markers (clusters). *Hold*: share of errors within the stated 95 %."
+        ),
     )
     for name, trial in scenes(shared):
         scene = placed(shared, phantom(shared, name), trial)
         for kind in ("balls", "clusters"):
             rng = np.random.default_rng(2003)
-            told: dict[str, list[Draw]] = {bone: [] for bone in SEGMENTS}
+            drawn_of: dict[str, list[Draw]] = {bone: [] for bone in SEGMENTS}
             wrong = none = 0
             for _ in range(DRAWS):
                 stood, done = standing(scene, NOISE_MM, rng), activity(scene, scene.motion)
@@ -252,10 +277,10 @@ def draws(shared: Path) -> None:
                     continue
                 wrong += misnamed(scene, found, stood)
                 for bone in set(SEGMENTS) & set(found.bones):
-                    told[bone].append(drawn(scene, found, bone))
-            for bone, each in told.items():
-                print(f"{name:15} {trial:24} {kind:8}  {bone:6} {scene.knee.riding.count(bone):5}  {row(each)}", end="")
-                print(f"  {wrong:11}  {none:9}", flush=True)
+                    drawn_of[bone].append(drawn(scene, found, bone))
+            for bone, each in drawn_of.items():
+                balls = scene.knee.riding.count(bone)
+                table.row((name, trial, kind, bone), balls, *row(each), wrong, none)
 
 
 def misnamed(scene: Placed, found: KneeCorrespondence, stood: MarkerTrajectories) -> bool:
@@ -264,18 +289,23 @@ def misnamed(scene: Placed, found: KneeCorrespondence, stood: MarkerTrajectories
     return any(label not in (None, true) for label, true in zip(found.naming.labels, right, strict=True))
 
 
-def row(each: list[Draw]) -> str:
+def row(each: list[Draw]) -> list[float]:
     surface, turn = np.array([d.surface_mm for d in each]), np.array([d.turn_deg for d in each])
     held = [np.mean([getattr(d, f"{what}_held") for d in each]) for what in ("surface", "pose", "turn", "place")]
-    return (
-        f"{np.median(surface):10.2f}  {np.quantile(surface, 0.9):4.2f}  {np.median(turn):8.2f}  "
-        f"{np.quantile(turn, 0.9):4.2f}  {held[0]:13.3f} {held[1]:5.3f} {held[2]:5.3f}  {held[3]:5.3f}"
+    return [np.median(surface), np.quantile(surface, 0.9), np.median(turn), np.quantile(turn, 0.9), *held]
+
+
+def moved(run: Run) -> None:
+    """Put one ball back elsewhere."""
+    shared = run.shared
+    table = run.table(
+        "A ball of a bone with four or more lies elsewhere in the laboratory, 50 draws each",
+        ("volume", "moved by [mm]"),
+        Column("it alone left out"),
+        Column("another one"),
+        Column("none left out"),
+        Column("surface of its bone, median", "mm", 2),
     )
-
-
-def moved(shared: Path) -> None:
-    print("a ball of a bone with four or more lies elsewhere in the laboratory; 50 draws each")
-    print("volume        moved by mm  named: it alone  another  none     surface mm of its bone, median")
     for name, trial in (("phantom_spl", "lmam_treadmill_walking"),):
         scene = placed(shared, phantom(shared, name), trial)
         for by in (0.0, 3.0, 5.0, 10.0, 20.0):
@@ -285,7 +315,7 @@ def moved(shared: Path) -> None:
                 right, another, error = one_moved(scene, by, rng)
                 counts += (right, another, not right and not another)
                 off.append(error)
-            print(f"{name:13} {by:11.0f}  {counts[0]:15} {counts[1]:8} {counts[2]:5}  {np.median(off):12.2f}")
+            table.row((name, f"{by:g}"), *counts, np.median(off))
 
 
 def one_moved(scene: Placed, by: float, rng: np.random.Generator) -> tuple[bool, bool, float]:
@@ -312,23 +342,28 @@ def one_moved(scene: Placed, by: float, rng: np.random.Generator) -> tuple[bool,
     return left_out == {balls[ball]}, bool(left_out - {balls[ball]}), error
 
 
-def motion(shared: Path) -> None:
-    print(
-        "distance of a bone's surface from its true place, mean over the surface, median and 90 % over the frames, mm;"
-    )
-    print("gap: of the tibia as seen from the femur. Balls as found, noise of 0.5 mm in the reference posture.")
-    print("volume          trial                    driven by  femur  90 %  tibia  90 %    gap  90 %")
+def motion(run: Run) -> None:
+    """Drive the knees by real trials."""
+    shared = run.shared
+    columns = [Column(f"{what}, {part}", "mm", 2) for what in ("femur", "tibia", "gap") for part in ("median", "90 %")]
+    table = run.table(
+        "Driven by real motion", ("volume", "trial", "driven by"), *columns,
+        note=(
+            "Distance of a bone's surface from its true place, mean over the surface, median and 90 % over the "
+            "frames. *Gap*: the "
+            "tibia as seen from the femur. Balls as found, noise of 0.5 mm in the reference posture."
+        ),
+    )  # fmt: skip
     for name, trial in scenes(shared):
         scene = placed(shared, phantom(shared, name), trial)
         stood = standing(scene, NOISE_MM, np.random.default_rng(7))
-        for method in ("truth", "rigid", DEFAULT):
-            driven = scene.motion if method == "truth" else estimated(scene, method)
+        for method in ("true bones", "rigid", DEFAULT):
+            driven = scene.motion if method == "true bones" else estimated(scene, method)
             found = joined(scene, scene.knee.found, with_balls(activity(scene, driven), stood, scene.frame), None)
             frames = np.flatnonzero((scene.motion.answered & driven.answered).all(1))
             off = [surface_errors(scene, found, bone, driven, frames) for bone in SEGMENTS]
             off.append(gap_errors(scene, found, driven, frames))
-            cells = "  ".join(f"{np.median(each):5.2f} {np.quantile(each, 0.9):5.2f}" for each in off)
-            print(f"{name:15} {trial:24} {method:9}  {cells}", flush=True)
+            table.row((name, trial, method), *(np.quantile(each, share) for each in off for share in (0.5, 0.9)))
 
 
 def estimated(scene: Placed, method: str) -> BoneMotion:
@@ -357,5 +392,14 @@ def gap_errors(scene: Placed, found: KneeCorrespondence, driven: BoneMotion, fra
     return np.array(off)
 
 
-if __name__ == "__main__":
-    run_parts(__doc__, {"exact": exact, "draws": draws, "moved": moved, "motion": motion})
+PARTS = {"exact": exact, "draws": draws, "moved": moved, "motion": motion}
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    add_parts(parser, PARTS)
+
+
+def run(run: Run) -> None:
+    """Run the parts."""
+    run_parts(run, PARTS)

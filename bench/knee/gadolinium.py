@@ -1,29 +1,32 @@
-"""Gadolinium markers in MR volumes: `python bench/knee_gadolinium.py SHARED [volumes|spoilt|made]`.
+"""Gadolinium markers in MR volumes.
 
-volumes: the simulated volumes against their true centres, and two real ones without a marker, with seconds of process
-time. spoilt: the same volumes cut in halves, averaged to coarser voxels, and with noise added. made: balls on a made
-limb, of many sizes, voxels, noises and blurs, half of them beside fat nearly as bright.
+`volumes`: the simulated volumes against their true centres, and two real ones without a marker. `spoilt`: the same
+volumes cut in halves, averaged to coarser voxels, and with noise added. `made`: balls on a made limb, of many sizes,
+voxels, noises and blurs, half of them beside fat nearly as bright.
 """
 
+import argparse
 import json
-import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from parts import run_parts
-from threadpoolctl import threadpool_limits
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
 from tests.made_balls import limb_grid, limb_with_balls, on_skin
 
+from bench.common.parts import add_parts, run_parts
+from bench.declaration import Bench
+from bench.recording import Column, Run
 from marey.io.mr.volumes import read_volume
 from marey.knee.markers.gadolinium import Gadolinium, find_gadolinium, joined
 from marey.knee.space.resampling import part_of
 from marey.knee.space.volume import Grid, Volume
 
+BENCH = Bench(
+    measures="Centres of gadolinium balls in magnetic resonance images, against true centres.",
+    sources=("src/marey/knee/markers", "src/marey/knee/space"),
+    minutes=3,
+)
 NAMES = ("phantom_a", "phantom_spl", "phantom_spl_t1", "dess", "mese")
 NEAR_MM = 2.0
 NOISE = 8.0
@@ -43,17 +46,26 @@ class Found:
     inward_mm: np.ndarray
     """(n,) of the errors, how far towards z, the made limb's middle."""
 
-    def told(self) -> str:
-        """Say it in a line."""
+    def cells(self) -> list[float | str | None]:
+        """The figures of a row."""
         away = np.linalg.norm(self.errors_mm, axis=1)
-        said = f"{len(away)} of {self.true} found, {self.false} false"
+        share = f"{len(away)} of {self.true}"
         if not len(away):
-            return said
+            return [share, self.false, None, None, None, None, None]
         hold = float((np.abs(self.errors_mm) < 1.96 * self.sds_mm).mean())
-        return (
-            f"{said}; mm: rms {np.sqrt((away**2).mean()):.3f}, worst {away.max():.3f},"
-            f" stated sd {np.median(self.sds_mm):.3f}, 95 % intervals hold {hold:.2f}"
-        )
+        rms, stated = float(np.sqrt((away**2).mean())), float(np.median(self.sds_mm))
+        return [share, self.false, rms, float(away.max()), stated, hold, float(self.inward_mm.mean())]
+
+
+FIGURES = (
+    Column("found"),
+    Column("false"),
+    Column("error, RMS", "mm", 3),
+    Column("worst", "mm", 3),
+    Column("stated sd", "mm", 3),
+    Column("95 % intervals hold", "", 2),
+    Column("drawn inward", "mm", 3),
+)
 
 
 def compared(found: Gadolinium, true: np.ndarray) -> Found:
@@ -71,17 +83,21 @@ def image_of(knee: Path, name: str) -> Volume:
     return read_volume(knee / name if name == "mese" else knee / name / "image.nii.gz")
 
 
-def volumes(shared: Path) -> None:
-    knee = shared / "data" / "knee"
+def volumes(run: Run) -> None:
+    """Find the balls of the recordings."""
+    table = run.table("Balls of the recordings", "volume", *FIGURES, Column("time", "s", 1))
+    knee = run.shared / "data" / "knee"
     seen: dict[str, Gadolinium] = {}
     for name in NAMES:
         volume = image_of(knee, name)
         started = time.process_time()
         seen[name] = find_gadolinium(volume)
         seconds = time.process_time() - started
-        print(f"{name}: {compared(seen[name], true_centres(knee / name)).told()}; {seconds:.1f} s", flush=True)
+        table.row(name, *compared(seen[name], true_centres(knee / name)).cells(), seconds)
     both = joined(seen["phantom_spl"], seen["phantom_spl_t1"])
-    print(f"phantom_spl and phantom_spl_t1: {compared(both, true_centres(knee / 'phantom_spl')).told()}")
+    table.row(
+        "phantom_spl and phantom_spl_t1 joined", *compared(both, true_centres(knee / "phantom_spl")).cells(), None
+    )
 
 
 def true_centres(folder: Path) -> np.ndarray:
@@ -91,9 +107,10 @@ def true_centres(folder: Path) -> np.ndarray:
     return np.array(json.loads(truth.read_text(encoding="utf-8"))["marker_centres_lps_mm"])
 
 
-def spoilt(shared: Path) -> None:
-    """Say what is found in halves, in coarser voxels, and under noise; a ball whose centre was cut off is not asked."""
-    knee = shared / "data" / "knee"
+def spoilt(run: Run) -> None:
+    """Find balls in halves, in coarser voxels, and under noise; a ball whose centre was cut off does not count."""
+    table = run.table("Spoilt volumes", ("volume", "change"), Column("missed"), Column("in view"), Column("false"))
+    knee = run.shared / "data" / "knee"
     for name in NAMES:
         true = true_centres(knee / name)
         for what, volume in spoilings(image_of(knee, name)):
@@ -101,7 +118,7 @@ def spoilt(shared: Path) -> None:
             within = ((voxels >= 0) & (voxels < volume.grid.shape[::-1])).all(axis=1)
             found = find_gadolinium(volume)
             missed = len(true[within]) - len(compared(found, true[within]).errors_mm)
-            print(f"{name}, {what}: {missed} of {within.sum()} missed, {compared(found, true).false} false", flush=True)
+            table.row((name, what), missed, within.sum(), compared(found, true).false)
 
 
 def spoilings(volume: Volume) -> list[tuple[str, Volume]]:
@@ -127,7 +144,9 @@ def coarser(volume: Volume) -> Volume:
     return Volume(intensity=means, grid=Grid(shape=(k, j, i), lps_from_voxel=lps_from_voxel))
 
 
-def made(shared: Path) -> None:
+def made(run: Run) -> None:
+    """Find balls on made limbs."""
+    table = run.table(f"{DRAWS} made limbs", "balls", *FIGURES)
     draw = np.random.default_rng(13)
     groups: dict[str, list[Found]] = {}
     for turn in range(DRAWS):
@@ -153,9 +172,17 @@ def made(shared: Path) -> None:
             false=sum(one.false for one in each),
             inward_mm=np.concatenate([one.inward_mm for one in each]),
         )
-        print(f"{group}: {whole.told()}, drawn towards the limb by {whole.inward_mm.mean():.3f} on average")
+        table.row(group, *whole.cells())
 
 
-if __name__ == "__main__":
-    with threadpool_limits(1):
-        run_parts(__doc__, {"volumes": volumes, "spoilt": spoilt, "made": made})
+PARTS = {"volumes": volumes, "spoilt": spoilt, "made": made}
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    add_parts(parser, PARTS)
+
+
+def run(run: Run) -> None:
+    """Run the parts."""
+    run_parts(run, PARTS)

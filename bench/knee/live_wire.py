@@ -1,9 +1,10 @@
-"""The live wire: how soon it answers, how near to the true outline it runs, and templates outlined with it.
+"""The live wire: its response time, its distance from true outlines, and templates outlined with it.
 
-`python bench/live_wire.py SHARED [speed|outlines|between|template]`; nobody sits at the screen: anchors lie on the true
-outlines, evenly along them and off by half a pixel (one standard deviation, each way) as a hand is.
+No person takes part: anchors lie on the true outlines, evenly along them and off by half a pixel (one standard
+deviation, each way) as a hand is.
 """
 
+import argparse
 import http.client
 import json
 import tempfile
@@ -13,13 +14,14 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from parts import run_parts
 from scipy import ndimage
 from scipy.interpolate import interp1d
 from scipy.spatial import cKDTree
 from skimage.measure import find_contours
-from threadpoolctl import threadpool_limits
 
+from bench.common.parts import add_parts, run_parts
+from bench.declaration import Bench
+from bench.recording import Column, Run
 from marey.arrays import Floats, Mask
 from marey.io.mr.volumes import read_template, read_volume
 from marey.knee.bones.bones import segment_bones
@@ -44,6 +46,11 @@ from marey.pipelines.knee.outline import serve
 from marey.view.outline.server import OutlineServer
 from marey.view.outline.session import OutlineSession
 
+BENCH = Bench(
+    measures="Response time and accuracy of outlines by the live wire, against true outlines.",
+    sources=("src/marey/knee/outlines", "src/marey/knee/space", "src/marey/view/outline"),
+    minutes=5,
+)
 HAND_PX = 0.5
 SHORTEST_PX = 60
 EVERY = 6
@@ -87,8 +94,9 @@ def dice(first: Mask, second: Mask) -> float:
     return float(2 * (first & second).sum() / (first.sum() + second.sum()))
 
 
-def speed(folder: Path) -> None:
+def speed(run: Run) -> None:
     """A slice of 512 x 512: all corners as anchors, the farthest corner first, then moves about the picture."""
+    folder = run.shared / "data" / "knee"
     volume, truth, axis = volume_and_truth(folder / "dess")
     index = 30
     image, spacing = slice_of(volume.intensity, axis, index), slice_spacing_mm(volume.grid, axis)
@@ -101,14 +109,18 @@ def speed(folder: Path) -> None:
     started = time.perf_counter()
     wire.learn(learned)
     taught = time.perf_counter() - started
-    print(f"{image.shape} slice made ready in {1e3 * made:.0f} ms, taught in {1e3 * taught:.0f} ms")
-    for name, costs in (("untaught", None), ("taught", learned)):
+    table = run.table(
+        f"Time of the wire's moves, a slice of {image.shape[0]} x {image.shape[1]}", "wire",
+        *(Column(f"{move} move, {what}", "ms", 1) for move in ("first", "every next") for what in ("median", "worst")),
+        note=f"The slice is prepared in {1e3 * made:.0f} ms, and trained in {1e3 * taught:.0f} ms.",
+    )  # fmt: skip
+    for name, costs in (("not trained", None), ("trained on another slice", learned)):
         wire.learn(costs)
-        print(f"{name}: {timed_moves(wire)}")
-    print(f"by HTTP, both ways round: {timed_answers(volume, axis, index)}")
+        table.row(name, *timed_moves(wire))
+    table.row("by HTTP, request and response", *timed_answers(volume, axis, index))
 
 
-def timed_moves(wire: LiveWire) -> str:
+def timed_moves(wire: LiveWire) -> list[float]:
     far, near = [], []
     draw = np.random.default_rng(1)
     corners = [(0.0, 0.0), (511.0, 0.0), (511.0, 511.0), (0.0, 511.0), (255.0, 255.0)]
@@ -123,10 +135,10 @@ def timed_moves(wire: LiveWire) -> str:
             started = time.perf_counter()
             wire.path_to(point)
             near.append(time.perf_counter() - started)
-    return f"first move, across the whole slice {spread(far)}; every next one {spread(near)}"
+    return [*spread(far), *spread(near)]
 
 
-def timed_answers(volume: Volume, axis: str, index: int) -> str:
+def timed_answers(volume: Volume, axis: str, index: int) -> list[float]:
     """The same as the page asks: from the question sent to the answer read."""
     with tempfile.TemporaryDirectory() as folder:
         server = OutlineServer(OutlineSession(volume, Path(folder) / "contours.json", "dess"))
@@ -153,24 +165,34 @@ def timed_answers(volume: Volume, axis: str, index: int) -> str:
         connection.close()
         server.shutdown()
         thread.join()
-    return f"first move {spread(far)}; every next one {spread(near)}"
+    return [*spread(far), *spread(near)]
 
 
-def spread(seconds: list[float]) -> str:
-    return f"{1e3 * float(np.median(seconds)):.1f} ms, worst of {len(seconds)} {1e3 * max(seconds):.1f}"
+def spread(seconds: list[float]) -> tuple[float, float]:
+    """Median and worst, in milliseconds."""
+    return 1e3 * float(np.median(seconds)), 1e3 * max(seconds)
 
 
-def outlines(folder: Path) -> None:
-    """Outlines through so many anchors in eight slices, untaught, and taught by the true outline before each."""
-    print("volume, structure, anchors: mean mm of wire untaught, taught, taught and on the edge; Dice; 95 % within")
+def outlines(run: Run) -> None:
+    """Outlines through some anchors in eight slices, not trained, and trained on the true outline before each."""
+    folder = run.shared / "data" / "knee"
+    table = run.table(
+        "Mean distance of outlines from the truth",
+        ("volume", "structure", "anchors"),
+        Column("not trained", "mm", 2),
+        Column("trained", "mm", 2),
+        Column("moved onto the edge", "mm", 2),
+        Column("Dice", "", 3),
+        Column("95 % within", "mm", 2),
+    )
     for name, structures in (("phantom_a", tuple(LABELS)), ("phantom_spl", BONES), ("dess", ("femur", "tibia"))):
         volume, truth, axis = volume_and_truth(folder / name)
         for structure in structures:
             for count in (4, 8, 12):
-                print(f"{name}, {structure}, {count}: {judged(volume, truth, axis, structure, count)}", flush=True)
+                table.row((name, structure, str(count)), *judged(volume, truth, axis, structure, count))
 
 
-def judged(volume: Volume, truth: Labels, axis: str, structure: str, count: int) -> str:
+def judged(volume: Volume, truth: Labels, axis: str, structure: str, count: int) -> list[float]:
     spacing, draw = slice_spacing_mm(volume.grid, axis), np.random.default_rng(7)
     masks = np.moveaxis(truth.mask(structure), len(AXES) - 1 - AXES.index(axis), 0)
     filled = np.flatnonzero(masks.sum(axis=(1, 2)) > 150)
@@ -182,11 +204,8 @@ def judged(volume: Volume, truth: Labels, axis: str, structure: str, count: int)
         wire = before = LiveWire(slice_of(volume.intensity, axis, index), spacing)
         for true in true_outlines(masks[index]):
             found.append(measured(wire, learned, true, hand_set(true, count, draw), spacing, masks.shape[1:]))
-    plain, taught, laid, overlap = np.array(found).T
-    return (
-        f"{plain.mean():.2f} / {taught.mean():.2f} / {laid.mean():.2f} mm; {overlap.mean():.3f};"
-        f" {np.percentile(laid, 95):.2f} mm"
-    )
+    means = np.mean(found, axis=0)
+    return [*means, np.percentile(np.array(found)[:, 2], 95)]
 
 
 def measured(
@@ -203,8 +222,15 @@ def measured(
     return plain, taught, distance_mm(contour.outline, true, spacing), overlap
 
 
-def between(folder: Path) -> None:
+def between(run: Run) -> None:
     """Every fourth, sixth or eighth true slice of a bone given, the others interpolated; and linearly, as the paper."""
+    folder = run.shared / "data" / "knee"
+    table = run.table(
+        "Slices interpolated, phantom_a",
+        ("bone", "every n-th slice given"),
+        Column("Dice", "", 3),
+        Column("linearly, Dice", "", 3),
+    )
     volume, truth, axis = volume_and_truth(folder / "phantom_a")
     along = len(AXES) - 1 - AXES.index(axis)
     for bone in BONES:
@@ -221,26 +247,33 @@ def between(folder: Path) -> None:
             apart = [signed_distance(masks[index], slice_spacing_mm(volume.grid, axis)) for index in given]
             straight = interp1d(given, np.maximum(apart, -1e3), axis=0)(np.arange(filled[0], filled[-1] + 1)) > 0
             scores = dice(cubic, masks), dice(straight, masks[filled[0] : filled[-1] + 1])
-            print(f"{bone}, every {every}th: Dice {scores[0]:.3f}, linearly {scores[1]:.3f}", flush=True)
+            table.row((bone, str(every)), *scores)
 
 
-def template(folder: Path) -> None:
+def template(run: Run) -> None:
     """The bones of phantom_a outlined in every sixth slice, made a template, and phantom_spl segmented by it."""
+    folder = run.shared / "data" / "knee"
+    table = run.table(
+        "Templates outlined with the wire, Dice", ("volume", "by"), *(Column(bone, "", 3) for bone in BONES)
+    )
     volume, truth, axis = volume_and_truth(folder / "phantom_a")
     started = time.perf_counter()
     contours = [contour for bone in BONES for contour in outlined(volume, truth, axis, bone)]
     own = checked_template(labels_of_contours(contours, volume.grid))
     slices = len({(contour.structure, contour.index) for contour in contours})
     anchors = sum(len(contour.anchors) for contour in contours)
-    print(f"{len(contours)} outlines in {slices} slices, {anchors} anchors, {time.perf_counter() - started:.0f} s")
-    print("Dice with the truth", {bone: round(dice(own.labels.mask(bone), truth.mask(bone)), 3) for bone in BONES})
-    print("said:", own.side, *own.faults, *own.notes)
+    table.note = (
+        f"{len(contours)} outlines in {slices} slices with {anchors} anchors, {time.perf_counter() - started:.0f} s. "
+        f"The program reports: {' '.join([str(own.side), *own.faults, *own.notes])}"
+    )
+    table.row(
+        ("phantom_a", "the outlines themselves"), *(dice(own.labels.mask(bone), truth.mask(bone)) for bone in BONES)
+    )
     for name in ("phantom_spl",):
         image, wanted, _ = volume_and_truth(folder / name)
         for label, by in (("own outlines", own.labels), ("template_a", read_template(folder / "template_a"))):
             found = segment_bones([image], template=by)
-            scores = {bone: round(dice(found.labels.mask(bone), wanted.mask(bone)), 3) for bone in BONES}
-            print(f"{name} by {label}: {scores}", flush=True)
+            table.row((name, label), *(dice(found.labels.mask(bone), wanted.mask(bone)) for bone in BONES))
 
 
 def outlined(volume: Volume, truth: Labels, axis: str, bone: str) -> list[Contour]:
@@ -262,10 +295,14 @@ def outlined(volume: Volume, truth: Labels, axis: str, bone: str) -> list[Contou
     return contours
 
 
-if __name__ == "__main__":
-    with threadpool_limits(1):
-        run_parts(
-            __doc__,
-            {"speed": speed, "outlines": outlines, "between": between, "template": template},
-            within="data/knee",
-        )
+PARTS = {"speed": speed, "outlines": outlines, "between": between, "template": template}
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    add_parts(parser, PARTS)
+
+
+def run(run: Run) -> None:
+    """Run the parts."""
+    run_parts(run, PARTS)

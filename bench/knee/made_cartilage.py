@@ -1,24 +1,22 @@
 """Cartilage measured on made subjects: knees warped to another anatomy, with cartilage of another thickness.
 
-    python bench/made_cartilage.py SHARED [thick|varied]
-
-A shared label map is warped smoothly; its cartilage is made thicker or thinner by a smooth field, its rims are moved
-over the bone, and a round lesion is cut into the femur's and the tibia's. The image has the grey values, partial
-volume, bias and noise of the simulated volumes in ../shared/data/knee; the template is another person's. Prints the
-lines of knee_cartilage.py for each image of a knee, on the true bones. Whole limbs: made_knee_images.py.
+A label map of the recordings is warped smoothly; its cartilage is made thicker or thinner by a smooth field, its rims
+are moved over the bone, and a round lesion is cut into the femur's and the tibia's. The image has the grey values,
+partial volume, bias and noise of the simulated volumes of data/knee; the template is another person's. The true bones
+are given.
 """
 
 import argparse
 import time
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
-from knee_cartilage import print_scores, surfaces_of
 from scipy import ndimage
 from scipy.spatial import cKDTree
-from threadpoolctl import threadpool_limits
 
+from bench.declaration import Bench
+from bench.knee.cartilage import begin, fill, surfaces_of
+from bench.recording import Run
 from marey.io.mr.volumes import read_template
 from marey.knee.bones.region_growing import signed_distance
 from marey.knee.bones.surfacing import surface_of_labels
@@ -28,6 +26,12 @@ from marey.knee.cartilage.thickness import cartilage_thickness
 from marey.knee.space.resampling import part_of, read_at, resampled, smoothed, upright_grid
 from marey.knee.space.structures import BONES, CARTILAGE_OF_BONE, LABELS
 from marey.knee.space.volume import Grid, Labels, Volume
+
+BENCH = Bench(
+    measures="Cartilage and its thickness of made knees, against exact truth.",
+    sources=("src/marey/knee/space", "src/marey/knee/bones", "src/marey/knee/cartilage", "src/marey/knee/registration"),
+    minutes=6,
+)
 
 LEVELS = {
     "dark": {"marrow": 14, "cortex": 14, "cartilage": 120, "fat": 26, "muscle": 62, "meniscus": 40},
@@ -223,35 +227,28 @@ def _slow(random: np.random.Generator, grid: Grid) -> np.ndarray:
     return np.asarray(a * k + b * j + c * i + d * k * j + e * i * j)
 
 
-def measure(shared: Path, name: str) -> None:
-    source, template, seed, anatomy, scans = CASES[name]
-    random = np.random.default_rng(seed)
-    folder = shared / "data" / "knee"
-    fine = made_anatomy(read_template(folder / source), random, anatomy)
-    true = surfaces_of(fine)
-    bones = {bone: true[bone] for bone in BONES}
-    model = knee_template(surfaces_of(read_template(folder / template)), mirror=True)
-    for scan in scans:
-        volume, truth = made_image(fine, random, scan)
-        began = time.process_time()
-        found = find_knee_cartilage([volume], bones, model)
-        spent = time.process_time() - began
-        answers = {
-            bone: (each.thickness_mm, each.thickness_sd_mm, each.confidence) for bone, each in found.sheets.items()
-        }
-        case = f"{name}, {scan.kind}, {scan.slices} {scan.spacing_mm}, noise {scan.noise:g}"
-        print_scores(case, truth, true, with_cartilage(truth, found.sheets), answers, spent)
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("case", nargs="?", choices=tuple(CASES), help="all without one")
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("shared", type=Path)
-    parser.add_argument("case", nargs="?", choices=tuple(CASES))
-    given = parser.parse_args()
-    with threadpool_limits(1):
-        for name in [given.case] if given.case else CASES:
-            measure(given.shared, name)
-
-
-if __name__ == "__main__":
-    main()
+def run(run: Run) -> None:
+    """Make knees, find their cartilage, and score it."""
+    table, folder = begin(run, "Cartilage of made knees, on the true bones"), run.shared / "data" / "knee"
+    for name in [run.arguments.case] if run.arguments.case else CASES:
+        source, template, seed, anatomy, scans = CASES[name]
+        random = np.random.default_rng(seed)
+        fine = made_anatomy(read_template(folder / source), random, anatomy)
+        true = surfaces_of(fine)
+        bones = {bone: true[bone] for bone in BONES}
+        model = knee_template(surfaces_of(read_template(folder / template)), mirror=True)
+        for scan in scans:
+            volume, truth = made_image(fine, random, scan)
+            began = time.process_time()
+            found = find_knee_cartilage([volume], bones, model)
+            spent = time.process_time() - began
+            answers = {
+                bone: (each.thickness_mm, each.thickness_sd_mm, each.confidence) for bone, each in found.sheets.items()
+            }
+            case = f"{name}, {scan.kind}, {scan.slices} {scan.spacing_mm}, noise {scan.noise:g}"
+            fill(table, case, truth, true, with_cartilage(truth, found.sheets), answers, spent)

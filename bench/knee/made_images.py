@@ -1,12 +1,10 @@
 """Made MR volumes of other knees: the shared knees' tissues bent to another anatomy, and imaged anew, with exact truth.
 
-A made person is a shared label map under a smooth random change of place: size, shear, bumps of centimetres. The image
-is made as those of ../shared/data/knee seem to be: a level a tissue, measured there, a dark line of cortex where no
-cartilage is, texture, a bias of the coil, Rician noise. `python bench/made_knee_images.py SHARED OUT SEED ...` writes
-some.
+A made person is a label map of the recordings under a smooth random change of place: size, shear, bumps of
+centimetres. The image resembles those of data/knee: one level per tissue, measured there, a dark line of cortex where
+no cartilage is, texture, a bias of the coil, Rician noise.
 """
 
-import argparse
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -15,7 +13,7 @@ import numpy as np
 from scipy import ndimage
 
 from marey.geometry import rotations
-from marey.io.mr.volumes import read_volume, write_labels, write_volume
+from marey.io.mr.volumes import read_volume
 from marey.knee.bones.region_growing import signed_distance
 from marey.knee.space.resampling import on_grid, resampled, upright_grid
 from marey.knee.space.structures import BONES, CARTILAGE_OF_BONE, LABELS
@@ -233,22 +231,3 @@ def _sensitivity(grid: Grid, make: Make) -> np.ndarray:
     height = grid.lps(np.stack([i, j, k], axis=-1).astype(float))[..., 2]
     away = (height - (height.min() + height.max()) / 2) / FALL_OFF_MM
     return np.exp(np.log(1 - make.fall_off) * away**2)
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("shared", type=Path)
-    parser.add_argument("out", type=Path)
-    parser.add_argument("seeds", nargs="+", type=int)
-    asked = parser.parse_args()
-    for seed in asked.seeds:
-        for source in ("phantom_spl", "phantom_a"):
-            for kind in KINDS:
-                volume, labels = made_knee(asked.shared, Make(source=source, kind=kind, seed=seed))
-                folder = asked.out / f"{source}_{kind}_{seed}"
-                write_labels(folder, labels)
-                write_volume(folder / "image.nii.gz", volume)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,33 +1,32 @@
-"""A scanned knee moved by real skin markers, beside the same knee moved by the true bones; and how fast nearness is.
+"""A scanned knee moved by real skin markers, beside the same knee moved by the true bones.
 
-    python bench/knee_motion.py SHARED [trials|surfaces|speed] [--trials NAME ...] [--knee DIR] [--keep DIR]
-
-SHARED holds `data/knee/phantom_a` and `template_a` and `data/markers/sta`. `trials`: femur, tibia and their cartilage
-(surfaces from the true labels) are laid into the frame of each trial with the straightest knee as they lay in the
-scanner, the middle of the condyles at the trial's own functional centre of the knee; for a left leg the knee is
-mirrored. The true bones carry them. A standing trial is made of that frame: the trial's markers and the simulated
-gadolinium balls, each coordinate with an error of 0.5 mm; the balls in the scanner have one of 0.2 mm, and their
-names in markers.json. `marey markers` runs with the default method and with the rigid fit, `marey knee animate` with
-both, and once more with the true bones, where the balls alone err. Printed are the errors of the gap in each
-compartment against the true bones' (mm: mean, RMS, greatest), the share of true gaps within 1.96 stated deviations,
-the RMS error of the centre of proximity over the tibia, and of the knee's angles. The bones are one person's and the
-motion is another's: the gaps themselves mean nothing. `speed`: seconds of process time for 100 frames beside
-trimesh's and SciPy's searches. The row "standard deviations alone" is of the default method with what turn and place of
-a bone have in common left out. Data: Cereatti et al. 2017, J Biomech, doi 10.1016/j.jbiomech.2017.02.004.
+`trials`: femur, tibia and their cartilage of phantom_a (surfaces from the true labels) are placed into the frame of
+each trial with the straightest knee as they lay in the scanner, the middle of the condyles at the trial's own
+functional centre of the knee; for a left leg the knee is mirrored. The true bones carry them. A standing trial is
+made of that frame: the trial's markers and the simulated gadolinium balls, each coordinate with an error of 0.5 mm;
+the balls in the scanner have one of 0.2 mm. `marey markers` runs with the default method and with the rigid fit,
+`marey knee animate` with both, and once more with the true bones, where the balls alone err. The row "standard
+deviations alone" is of the default method without the correlation of a bone's turn and place. The bones are one
+person's and the motion is another's: the gaps themselves mean nothing. `surfaces`: what the segmentation's own errors
+do to the gap. `speed`: time for 100 frames beside trimesh's and SciPy's searches. Data: Cereatti et al. 2017, J
+Biomech, doi 10.1016/j.jbiomech.2017.02.004.
 """
 
 import argparse
 import json
 import shutil
-import tempfile
 import time
 from pathlib import Path
 
 import ezc3d
 import numpy as np
 from scipy.spatial import cKDTree
-from true_bones import true_bones
 
+from bench.common.parts import add_parts, run_parts
+from bench.declaration import Bench
+from bench.knee.cartilage import segmented
+from bench.knee.true_bones import true_bones
+from bench.recording import Column, Run, Table
 from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
 from marey.io.markers.bones import BoneFile, write_bones
@@ -60,6 +59,11 @@ from marey.pipelines.markers.markers import markers
 from marey.pipelines.markers.settings import MarkersOptions
 from marey.pipelines.progress import Progress
 
+BENCH = Bench(
+    measures="Gap, proximity and angles of a simulated knee moved by real skin markers, against the true bones.",
+    sources=("src/marey/knee/motion", "src/marey/knee/markers", "src/marey/knee/space", "src/marey/markers"),
+    minutes=6,
+)
 TRIALS = ("unibo_step_up", "ottawa_walking", "lmam_treadmill_walking")
 SEGMENT = {"femur": "thigh", "tibia": "shank"}
 ANATOMIC_FROM_LPS = np.array([[0.0, -1, 0], [0, 0, 1], [-1, 0, 0]])
@@ -122,7 +126,7 @@ def true_chains(
     return chains
 
 
-def trial(shared: Path, name: str, work: Path) -> None:
+def trial(table: Table, shared: Path, name: str, work: Path) -> None:
     rng = np.random.default_rng(1)
     sta = shared / "data" / "markers" / "sta"
     truth = dict(np.load(sta / f"{name}.npz"))
@@ -173,18 +177,18 @@ def trial(shared: Path, name: str, work: Path) -> None:
         method="true", motion=moved, joints=joint_proximities(moved, sides), angles=knee_angles(moved)
     )  # fmt: skip
     got = dict(np.load(out / "knee_motion.npz"))
-    compare(name, true, got)
-    compare(name, true, got, prefix="compared_")
+    compare(table, name, true, got)
+    compare(table, name, true, got, prefix="compared_")
     known = animate(
         knee_folder, with_true_bones(motion, truth, at, work / "true"),
         AnimateOptions(reference=work / "standing.c3d", out=work / "out_true", views=("plateau",)), quiet,
     )  # fmt: skip
-    compare(name, true, dict(np.load(known / "knee_motion.npz")), method="true bones")
+    compare(table, name, true, dict(np.load(known / "knee_motion.npz")), method="true bones")
     apart = animate(
         knee_folder, without_covariance(motion, work / "apart"),
         AnimateOptions(reference=work / "standing.c3d", out=work / "out_apart", views=("plateau",)), quiet,
     )  # fmt: skip
-    compare(name, true, dict(np.load(apart / "knee_motion.npz")), method="skin, standard deviations alone")
+    compare(table, name, true, dict(np.load(apart / "knee_motion.npz")), method="skin, standard deviations alone")
 
 
 def with_true_bones(motion: Path, truth: dict[str, np.ndarray], at: int, folder: Path) -> Path:
@@ -208,29 +212,33 @@ def without_covariance(motion: Path, folder: Path) -> Path:
 
 
 def compare(
-    name: str, true: KneeMotion, got: dict[str, np.ndarray], *, prefix: str = "", method: str | None = None
+    table: Table,
+    name: str,
+    true: KneeMotion,
+    got: dict[str, np.ndarray],
+    *,
+    prefix: str = "",
+    method: str | None = None,
 ) -> None:
-    joint = true.joints[0]
-    row: dict[str, object] = {"trial": name, "method": method or str(got[f"{prefix}method"])}
+    """Append one row per compartment."""
+    joint, angles = true.joints[0], None
+    if true.angles is not None and f"{prefix}angles_deg" in got:
+        off = got[f"{prefix}angles_deg"] - np.degrees(true.angles.angles)
+        angles = ", ".join(f"{rms(column):.1f}" for column in off.T)
     for c, compartment in enumerate(joint.compartments):
         off = got[f"{prefix}tibiofemoral_gap_mm"][:, c] - joint.gap_mm[:, c]
         sd, true_gap = got[f"{prefix}tibiofemoral_gap_sd_mm"][:, c], joint.gap_mm[:, c]
         centre = got[f"{prefix}tibiofemoral_tibial_cartilage_centre_mm"][:, c] - joint.centre_mm[:, c]
-        row[compartment] = {
-            "mean": round(float(np.nanmean(off)), 2), "rms": rms(off), "most": round(float(np.nanmax(abs(off))), 2),
-            "stated_sd": round(float(np.nanmedian(sd)), 2),
-            "within": round(float((abs(off) <= 1.96 * sd)[np.isfinite(off)].mean()), 3),
-            "centre_rms": rms(np.linalg.norm(centre, axis=1)),
-            "true_gap": [round(float(end(true_gap)), 1) for end in (np.nanmin, np.nanmax)],
-        }  # fmt: skip
-    if true.angles is not None and f"{prefix}angles_deg" in got:
-        off = got[f"{prefix}angles_deg"] - np.degrees(true.angles.angles)
-        row["angles_rms_deg"] = [rms(column) for column in off.T]
-    print(json.dumps(row), flush=True)
+        within = 100 * (abs(off) <= 1.96 * sd)[np.isfinite(off)].mean()
+        true_range = f"{np.nanmin(true_gap):.1f} to {np.nanmax(true_gap):.1f}"
+        table.row(
+            (name, method or str(got[f"{prefix}method"]), compartment), np.nanmean(off), rms(off), np.nanmax(abs(off)),
+            np.nanmedian(sd), within, rms(np.linalg.norm(centre, axis=1)), true_range, angles,
+        )  # fmt: skip
 
 
 def rms(values: np.ndarray) -> float:
-    return round(float(np.sqrt(np.nanmean(values**2))), 2)
+    return float(np.sqrt(np.nanmean(values**2)))
 
 
 def both_sides(parts: dict[str, Surface]) -> list[JointSurface]:
@@ -240,8 +248,9 @@ def both_sides(parts: dict[str, Surface]) -> list[JointSurface]:
     ]
 
 
-def surfaces(shared: Path, work: Path, knee: Path) -> None:
+def surfaces(run: Run) -> None:
     """What the segmentation's errors do to the gap."""
+    shared, knee, work = run.shared, segmented(run, "phantom_a"), run.out / "motion" / "surfaces"
     true = both_sides(knee_of(shared, work, left=False)[0])
     found = both_sides({name: read_mesh(knee / f"{name}.ply") for name in LABELS})
     middle = true[1].surface.vertices_mm.mean(0)
@@ -249,22 +258,22 @@ def surfaces(shared: Path, work: Path, knee: Path) -> None:
     turns = rotations.exp(np.radians(degrees)[:, None] * np.array([1.0, 0, 0]))
     poses = RelativePoses(rotation=turns, translation_mm=middle - turns @ middle)
     wanted, got = (proximity("", *sides, poses) for sides in (true, found))
-    print(
-        json.dumps(
-            {
-                "degrees": degrees.tolist(),
-                "gap_error_mm": (got.gap_mm - wanted.gap_mm).T.round(2).tolist(),
-                "near_area_ratio": (got.near_mm2 / wanted.near_mm2).T.round(2).tolist(),
-                "centre_error_mm": np.linalg.norm(got.centre_mm - wanted.centre_mm, axis=2).T.round(1).tolist(),
-            }
-        )
-    )
+    table = run.table(
+        "Surfaces of `marey knee segment` beside the true ones, the knee turned about the condyles", "turned by [deg]",
+        *(Column(f"{side}: {what}", unit, digits) for side in ("medial", "lateral") for what, unit, digits in
+          (("gap", "mm", 1), ("area within 5 mm, found over true", "", 2), ("centre of proximity off", "mm", 1))),
+    )  # fmt: skip
+    centre = np.linalg.norm(got.centre_mm - wanted.centre_mm, axis=2)
+    figures = np.stack([got.gap_mm - wanted.gap_mm, got.near_mm2 / wanted.near_mm2, centre], axis=-1)
+    for angle, row in zip(degrees, figures, strict=True):
+        table.row(str(angle), *row.ravel())
 
 
-def speed(shared: Path, work: Path) -> None:
+def speed(run: Run) -> None:
+    """Time proximity beside other searches."""
     import trimesh
 
-    parts, _, _ = knee_of(shared, work, left=False)
+    parts, _, _ = knee_of(run.shared, run.out / "motion" / "speed", left=False)
     base, moving = both_sides(parts)
     middle = parts["femoral_cartilage"].vertices_mm.mean(0)
     turns = rotations.exp(np.radians(np.linspace(0, 60, 100))[:, None] * np.array([1.0, 0, 0]))
@@ -282,39 +291,40 @@ def speed(shared: Path, work: Path) -> None:
     corners = tree.query((base.surface.vertices_mm - poses.translation_mm[0]) @ turns[0])[0]
     points = time.process_time() - began
     known = np.isfinite(found.base_distance_mm[0])
-    print(
-        json.dumps(
-            {
-                "vertices": [len(base.surface.vertices_mm), len(moving.surface.vertices_mm)],
-                "seconds_100_frames_both_ways": round(ours, 2),
-                "trimesh_seconds_one_frame_one_way": round(peer, 2),
-                "most_difference_mm": float(np.abs(np.abs(found.base_distance_mm[0]) - theirs)[known].max()),
-                "scipy_nearest_corner_seconds_one_frame_one_way": round(points, 3),
-                "most_error_of_nearest_corners_mm": round(float((corners - theirs).max()), 2),
-            }
-        )
-    )
+    columns = (Column("time", "s", 3), Column("greatest difference of distances", "mm"))
+    count = f"{len(base.surface.vertices_mm)} and {len(moving.surface.vertices_mm)} vertices"
+    table = run.table(f"Distances between cartilages of {count}", "search", *columns)
+    most = float(np.abs(np.abs(found.base_distance_mm[0]) - theirs)[known].max())
+    table.row("marey, 100 frames, both ways, with gap, areas, centres and deviations", ours, None)
+    table.row("trimesh, one frame, one way", peer, f"{most:.0e}")
+    table.row("SciPy, nearest corner, one frame, one way", points, f"{(corners - theirs).max():.1f}")
 
 
-def main() -> None:
-    reader = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    reader.add_argument("shared", type=Path)
-    reader.add_argument("part", nargs="?", choices=("trials", "surfaces", "speed"))
-    reader.add_argument("--trials", nargs="+", choices=TRIALS, default=TRIALS)
-    reader.add_argument("--knee", type=Path, help="a folder of `marey knee segment` of phantom_a")
-    reader.add_argument("--keep", type=Path, help="folder in which everything stays")
-    asked = reader.parse_args()
-    with tempfile.TemporaryDirectory() as scratch:
-        folder = asked.keep or Path(scratch)
-        if asked.part in (None, "trials"):
-            for name in asked.trials:
-                (folder / name).mkdir(parents=True, exist_ok=True)
-                trial(asked.shared, name, folder / name)
-        if asked.part in (None, "surfaces") and asked.knee is not None:
-            surfaces(asked.shared, folder / "surfaces", asked.knee)
-        if asked.part in (None, "speed"):
-            speed(asked.shared, folder / "speed")
+def trials(run: Run) -> None:
+    """Move the knee by real trials."""
+    table = run.table(
+        "A simulated knee moved by real trials", ("trial", "method", "compartment"), Column("gap off, mean", "mm", 2),
+        Column("RMS", "mm", 2), Column("greatest", "mm", 1), Column("stated sd, median", "mm", 2),
+        Column("true gap within the 95 % interval", "%", 0), Column("centre of proximity, RMS", "mm", 1),
+        Column("true gap", "mm"), Column("knee's angles, RMS", "deg"),
+        note="The errors are against the same knee moved by the true bones; the true gaps themselves mean nothing.",
+    )  # fmt: skip
+    for name in run.arguments.trials:
+        folder = run.out / "motion" / name
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir(parents=True)
+        trial(table, run.shared, name, folder)
 
 
-if __name__ == "__main__":
-    main()
+PARTS = {"trials": trials, "surfaces": surfaces, "speed": speed}
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    add_parts(parser, PARTS)
+    parser.add_argument("--trials", nargs="+", choices=TRIALS, default=TRIALS)
+
+
+def run(run: Run) -> None:
+    """Run the parts."""
+    run_parts(run, PARTS)

@@ -1,27 +1,18 @@
 """Registration of bones made from label maps: back from where they were moved, and one person's bent into another's.
 
-    python bench/knee_registration.py SHARED [PART] [--draws N]
-
-SHARED holds `data/knee`. Parts, one JSON line a row:
-
-`rigid`: a bone on a coarser mesh, its shaft cut 15 mm shorter, is moved by 30 degrees about an axis through its middle
-and by 30 mm, both in random directions: median and worst errors of what `register_rigidly` finds.
-`noise`: the same from up to 30 degrees and 30 mm, both shafts cut anew by leaning planes, and with errors of 0.3 mm as
-two outlines of one bone have them, smooth over 2 to 8 mm; and how many of the six numbers lie within 1.96 stated
-standard deviations.
-`sides`: every pair of people, the template as it is and mirrored: whether the side is found, and how much nearer it is.
-`elastic`: every pair of people, bent there and, from the same rigid motion, back: mean distance of the surfaces before
-and after bending, 95 %, the least determinant of the Jacobian, the error of the inverse, and how far off a point comes
-back by the two.
-`known`: a bone bent by a known smooth field: how far off points of its surface come out, rigidly and bent.
-`normals`: how many degrees the normals of the template's covered bone, carried along, lie off the subject's own.
-`peer`: SimpleITK's demons and B-splines (12 mm from node to node) on the same distances, in the same run, one thread.
-`thickness`: leaves thickness_femur.npz and thickness_tibia.npz in the working folder for `score/thickness.py`, and
-prints them beside the closest-point distance.
+`rigid`: a bone on a coarser mesh, its shaft cut 15 mm shorter, is moved by 30 degrees about an axis through its
+middle and by 30 mm, both in random directions: median and worst errors of what `register_rigidly` finds. `noise`: the
+same from up to 30 degrees and 30 mm, both shafts cut anew by leaning planes, and with errors of 0.3 mm as two
+outlines of one bone have them, smooth over 2 to 8 mm; and the share of the six numbers within 1.96 stated standard
+deviations. `sides`: every pair of people, the template unchanged and mirrored. `elastic`: every pair of people, bent
+there and, from the same rigid motion, back: mean distance of the surfaces before and after bending, 95 %, the least
+determinant of the Jacobian, the error of the inverse, and how far off a point comes back by the two. `known`: a bone
+bent by a known smooth field. `normals`: the angle between the normals of the template's covered bone, carried along,
+and the subject's own. `peer`: SimpleITK's demons and B-splines (12 mm from node to node) on the same distances.
+`thickness`: of given cartilage, beside the closest-point distance.
 """
 
 import argparse
-import json
 import resource
 import time
 from collections.abc import Callable
@@ -29,8 +20,10 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from threadpoolctl import threadpool_limits
 
+from bench.common.parts import add_parts, run_parts
+from bench.declaration import Bench
+from bench.recording import Column, Run, Table
 from marey.arrays import Floats
 from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
@@ -52,15 +45,46 @@ from marey.knee.space.triangle_tree import TriangleTree, corner_weights
 from marey.knee.space.volume import Grid, Labels
 from marey.pipelines.knee.meshes import SMALL_HOLE
 
+BENCH = Bench(
+    measures=(
+        "Rigid and elastic registration of bones, and thickness of given cartilage, against known motions and meshes."
+    ),
+    sources=("src/marey/knee/registration", "src/marey/knee/space", "src/marey/knee/cartilage/thickness.py"),
+    minutes=30,
+)
 SHORTER_MM = 15.0
 PEOPLE = {"femur": ("atlas", "template_a", "dess", "thickness"), "tibia": ("atlas", "template_a", "dess", "thickness"),
           "patella": ("atlas", "template_a", "dess")}  # fmt: skip
 LEFT = ("atlas",)
 
 
-def say(**row: object) -> None:
-    print(json.dumps({key: round(float(value), 4) if isinstance(value, (float, np.floating)) else value
-                      for key, value in row.items()}), flush=True)  # fmt: skip
+class Rows:
+    """A table that is begun by the names of its first row; a name ends with its unit."""
+
+    def __init__(self, run: Run, title: str, *labels: str):
+        self.run, self.title, self.labels = run, title, labels
+        self.table: Table | None = None
+
+    def say(self, **values: float | str | bool | None) -> None:
+        """Append a row."""
+        names = [name for name in values if name not in self.labels]
+        if self.table is None:
+            self.table = self.run.table(self.title, self.labels, *map(column, names))
+        numbers = (
+            ("yes" if value else "no") if isinstance(value, (bool, np.bool_)) else value
+            for value in map(values.get, names)
+        )
+        self.table.row([str(values[label]) for label in self.labels], *numbers)
+
+
+def column(name: str) -> Column:
+    """A column by a name such as `median_deg`."""
+    words, _, unit = name.rpartition("_")
+    digits = {"mm": 3, "deg": 3, "seconds": 1, "gigabytes": 1, "draws": None, "vertices": None, "found": 3}
+    if unit in ("mm", "deg"):
+        return Column(words.replace("_", " "), unit, digits[unit])
+    units = {"seconds": "s", "gigabytes": "GB"}
+    return Column(name.replace("_", " "), units.get(name, ""), digits.get(name, 3))
 
 
 def labels_of(shared: Path, name: str) -> Labels:
@@ -141,7 +165,9 @@ def noisy_draw(
     return template, subject, rng.uniform(0, 30), rng.uniform(0, 30)
 
 
-def rigid(shared: Path, draws: int, draw: Draw = exact_draw) -> None:
+def rigid(run: Run, draw: Draw = exact_draw, title: str = "Moved and found again") -> None:
+    rows = Rows(run, title, "bone")
+    shared, draws = run.shared, run.arguments.draws
     for name, bone in bones():
         rng = np.random.default_rng(1)
         whole, short = surface_of(shared, name, bone), coarse_and_short(shared, name, bone)
@@ -158,7 +184,7 @@ def rigid(shared: Path, draws: int, draw: Draw = exact_draw) -> None:
             errors.append((np.degrees(np.linalg.norm(left.rotation_vector)), np.linalg.norm(off)))
             whitened.append(np.r_[left.rotation_vector, off] / np.sqrt(np.diag(found.covariance)))
         turn, shift = np.array(errors).T
-        say(bone=f"{name} {bone}", draws=draws, median_deg=np.median(turn), worst_deg=turn.max(),
+        rows.say(bone=f"{name} {bone}", draws=draws, median_deg=np.median(turn), worst_deg=turn.max(),
             median_mm=np.median(shift), worst_mm=shift.max(), within_95=(np.abs(whitened) < 1.96).mean(),
             off_by_sd=np.sqrt(np.mean(np.square(whitened))), seconds=np.median(spent))  # fmt: skip
 
@@ -167,12 +193,14 @@ def pairs() -> list[tuple[str, str, str]]:
     return [(bone, a, b) for bone, names in PEOPLE.items() for a in names for b in names if a != b]
 
 
-def sides(shared: Path, draws: int) -> None:
+def sides(run: Run) -> None:
+    rows = Rows(run, "Sides", "pair")
+    shared = run.shared
     for bone, first, second in pairs():
         found = register_on_either_side(surface_of(shared, first, bone), surface_of(shared, second, bone))
         true = (first in LEFT) != (second in LEFT)
         right, wrong = (found.other_side_mm, found.same_side_mm)[:: 1 if true else -1]
-        say(pair=f"{bone}: {first} to {second}", found=found.mirrored == true, told_as_clear=found.clear,
+        rows.say(pair=f"{bone}: {first} to {second}", found=found.mirrored == true, told_as_clear=found.clear,
             right_side_mm=right, wrong_side_mm=wrong)  # fmt: skip
 
 
@@ -181,7 +209,9 @@ def laid(template: Surface, subject: Surface) -> tuple[Surface, RigidRegistratio
     return moved(template, found.subject_from_template), found
 
 
-def elastic(shared: Path, draws: int) -> None:
+def elastic(run: Run) -> None:
+    rows = Rows(run, "Bent into another person's bone", "pair")
+    shared = run.shared
     for bone, first, second in [pair for pair in pairs() if pair[1] < pair[2]]:
         template, subject = surface_of(shared, first, bone), surface_of(shared, second, bone)
         template = mirrored(template) if (first in LEFT) != (second in LEFT) else template
@@ -194,7 +224,7 @@ def elastic(shared: Path, draws: int) -> None:
         there = bent.deformation.subject_points(start.vertices_mm)
         inverse = np.linalg.norm(bent.deformation.template_points(there) - start.vertices_mm, axis=1)
         again = np.linalg.norm(back.deformation.subject_points(there) - start.vertices_mm, axis=1)
-        say(pair=f"{bone}: {first} to {second}", rigid_mm=before.mean(), mean_mm=bent.surface_distance_mm,
+        rows.say(pair=f"{bone}: {first} to {second}", rigid_mm=before.mean(), mean_mm=bent.surface_distance_mm,
             within_95_mm=bent.farthest_mm, least_determinant=bent.least_determinant, seconds=spent,
             back_mean_mm=back.surface_distance_mm, back_within_95_mm=back.farthest_mm,
             back_least_determinant=back.least_determinant, inverse_mm=inverse.max(),
@@ -214,7 +244,9 @@ def known_field(surface: Surface, rng: np.random.Generator, mm: float, length_mm
     return carried
 
 
-def known(shared: Path, draws: int) -> None:
+def known(run: Run) -> None:
+    rows = Rows(run, "Bent by a known field", "bone", "waves_mm")
+    shared, draws = run.shared, run.arguments.draws
     for name, bone in (("atlas", "femur"), ("template_a", "tibia"), ("dess", "patella")):
         template, other = surface_of(shared, name, bone), coarse_and_short(shared, name, bone)
         for length in (60.0, 30.0):
@@ -234,11 +266,13 @@ def known(shared: Path, draws: int) -> None:
                              np.linalg.norm(off, axis=1).mean(), np.abs((off * normals).sum(1)).mean(),
                              bent.least_determinant])  # fmt: skip
             rigid_mm, bent_mm, across_mm, _ = np.mean(rows, 0)
-            say(bone=f"{name} {bone}", waves_mm=length, draws=len(rows), rigid_mm=rigid_mm, bent_mm=bent_mm,
+            rows.say(bone=f"{name} {bone}", waves_mm=length, draws=len(rows), rigid_mm=rigid_mm, bent_mm=bent_mm,
                 along_normal_mm=across_mm, least_determinant=min(row[3] for row in rows))  # fmt: skip
 
 
-def normals(shared: Path, draws: int) -> None:
+def normals(run: Run) -> None:
+    rows = Rows(run, "Normals carried along", "bone")
+    shared = run.shared
     for bone in PEOPLE:
         template, subject = mirrored(surface_of(shared, "atlas", bone)), surface_of(shared, "template_a", bone)
         cartilage = mirrored(surface_of(shared, "atlas", CARTILAGE_OF_BONE[bone]))
@@ -249,11 +283,15 @@ def normals(shared: Path, draws: int) -> None:
         own = np.einsum("nk,nki->ni", weights, subject.vertex_normals[subject.faces[near.face]])
         cosine = (bent.normals * own).sum(1) / np.linalg.norm(own, axis=1)
         off = np.degrees(np.arccos(np.clip(cosine, -1, 1)))[covered]
-        say(bone=f"{bone}: atlas to template_a", median_deg=np.median(off), tenth_more_than_deg=np.percentile(off, 90))
+        rows.say(
+            bone=f"{bone}: atlas to template_a", median_deg=np.median(off), tenth_more_than_deg=np.percentile(off, 90)
+        )
 
 
-def peer(shared: Path, draws: int) -> None:
+def peer(run: Run) -> None:
     """Bend by other programs' methods what this one bends: signed distances of both bones."""
+    rows = Rows(run, "Beside SimpleITK", "pair", "by")
+    shared = run.shared
     sitk = simple_itk()
     sitk.ProcessObject.SetGlobalDefaultNumberOfThreads(1)
     for bone, first, second in (("femur", "thickness", "dess"), ("tibia", "template_a", "dess")):
@@ -262,7 +300,7 @@ def peer(shared: Path, draws: int) -> None:
         settings, cuts = ElasticSettings(), (cut_planes(start), cut_planes(subject))
         began = time.process_time()
         bent = register_elastically(start, subject, settings)
-        say(pair=f"{bone}: {first} to {second}", by="marey", mean_mm=bent.surface_distance_mm,
+        rows.say(pair=f"{bone}: {first} to {second}", by="marey", mean_mm=bent.surface_distance_mm,
             within_95_mm=bent.farthest_mm, least_determinant=bent.least_determinant,
             seconds=time.process_time() - began)  # fmt: skip
         pictures = _images(start, subject, cuts, settings)
@@ -277,7 +315,7 @@ def peer(shared: Path, draws: int) -> None:
                 there = found.subject_surface(start)
                 off = surface_distances(there, subject, cuts[0], cuts[1])
                 row |= {"mean_mm": off.mean(), "within_95_mm": np.percentile(off, 95)}
-            say(**row, seconds=spent)
+            rows.say(**row, seconds=spent)
 
 
 def picture_of(sitk, image, band):
@@ -312,7 +350,9 @@ def b_spline(sitk, fixed, moving):
     )
 
 
-def thickness(shared: Path, draws: int) -> None:
+def thickness(run: Run) -> None:
+    rows = Rows(run, "Thickness of given cartilage", "bone", "by")
+    shared = run.shared
     folder = shared / "data" / "knee" / "thickness"
     parts = {"femur": ("femoral_cartilage",), "tibia": ("medial_tibial_cartilage", "lateral_tibial_cartilage")}
     for bone, cartilages in parts.items():
@@ -322,31 +362,41 @@ def thickness(shared: Path, draws: int) -> None:
         began = time.process_time()
         found = cartilage_thickness(surface, surfaces)
         spent = time.process_time() - began
-        write_arrays(f"thickness_{bone}.npz", {"thickness_mm": found})
+        write_arrays(run.out / f"thickness_{bone}.npz", {"thickness_mm": found})
         for by, answer in (("marey", found), ("closest point", closest(surface, surfaces))):
             both = (true > 0.01) & (answer > 0.01)
-            say(bone=bone, by=by, map_mm=np.abs(answer - true)[both].mean(), found=both.sum() / (true > 0.01).sum(),
-                false=((true <= 0.01) & (answer > 0.01)).sum() / (true <= 0.01).sum(), seconds=spent)  # fmt: skip
+            rows.say(
+                bone=bone,
+                by=by,
+                map_mm=np.abs(answer - true)[both].mean(),
+                found=both.sum() / (true > 0.01).sum(),
+                false=((true <= 0.01) & (answer > 0.01)).sum() / (true <= 0.01).sum(),
+                seconds=spent,
+            )
 
-    spoilt(read_mesh(folder / "femur.npz"), read_mesh(folder / "femoral_cartilage.npz"), true_of(folder / "femur.npz"))
+    spoilt(
+        run, read_mesh(folder / "femur.npz"), read_mesh(folder / "femoral_cartilage.npz"), true_of(folder / "femur.npz")
+    )
 
 
 def true_of(path: Path) -> Floats:
     return np.load(path)["thickness_mm"].ravel()
 
 
-def spoilt(bone: Surface, cartilage: Surface, true: Floats) -> None:
-    """Measure with one face in a hundred missing, and a bone of sixteen times the faces."""
+def spoilt(run: Run, bone: Surface, cartilage: Surface, true: Floats) -> None:
+    """Measure with 1 % of the faces missing, and a bone of sixteen times the faces."""
+    rows = Rows(run, "With 1 % of the faces missing", "bone", "by")
     keep = np.random.default_rng(0).random(len(cartilage.faces)) > 0.01
     holed = Surface(vertices_mm=cartilage.vertices_mm, faces=cartilage.faces[keep])
     for by, sheet in (("holes left", holed), ("holes closed", with_holes_closed(holed, SMALL_HOLE)[0])):
         answer = cartilage_thickness(bone, [sheet])
-        say(bone="femur", by=by, found=((true > 0.01) & (answer > 0.01)).sum() / (true > 0.01).sum())
+        rows.say(bone="femur", by=by, found=((true > 0.01) & (answer > 0.01)).sum() / (true > 0.01).sum())
     vertices, faces = trimesh.remesh.subdivide(*trimesh.remesh.subdivide(bone.vertices_mm, bone.faces))
     began = time.process_time()
     cartilage_thickness(Surface(vertices_mm=vertices, faces=faces), [cartilage])
     gigabytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
-    say(bone="femur", vertices=len(vertices), seconds=time.process_time() - began, gigabytes=gigabytes)
+    dense = Rows(run, "Duration with many vertices", "bone")
+    dense.say(bone="femur", vertices=len(vertices), seconds=time.process_time() - began, gigabytes=gigabytes)
 
 
 def closest(bone: Surface, cartilages: list[Surface]) -> Floats:
@@ -364,19 +414,29 @@ def closest(bone: Surface, cartilages: list[Surface]) -> Floats:
     return answer
 
 
-def main() -> None:
-    parts = {"rigid": rigid, "noise": lambda shared, draws: rigid(shared, draws, noisy_draw), "sides": sides,
-             "elastic": elastic, "known": known, "normals": normals, "peer": peer, "thickness": thickness}  # fmt: skip
-    reader = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    reader.add_argument("shared", type=Path)
-    reader.add_argument("part", nargs="?", choices=[*parts])
-    reader.add_argument("--draws", type=int, default=20)
-    given = reader.parse_args()
-    with threadpool_limits(1):
-        for name, part in parts.items():
-            if given.part in (None, name):
-                part(given.shared, given.draws)
+def noise(run: Run) -> None:
+    """Register bones with errors of outlines."""
+    rigid(run, noisy_draw, "Moved and found again, with errors of outlines")
 
 
-if __name__ == "__main__":
-    main()
+PARTS = {
+    "rigid": rigid,
+    "noise": noise,
+    "sides": sides,
+    "elastic": elastic,
+    "known": known,
+    "normals": normals,
+    "peer": peer,
+    "thickness": thickness,
+}
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    add_parts(parser, PARTS)
+    parser.add_argument("--draws", type=int, default=3, help="random motions per bone")
+
+
+def run(run: Run) -> None:
+    """Run the parts."""
+    run_parts(run, PARTS)

@@ -1,10 +1,10 @@
 """The default method from skin markers to bones where none of its constants was chosen: three checks.
 
-`parts`: random parts of real trials, with other markers and references. `made`: random trials with made skin and known
-bones. `kinds`: the same of eight kinds of activity, with sizes as in the collection. `leave-one-out`: constants chosen on two
-real trials, judged on the third. `without`: the method without one of its parts. Every figure is the root mean square error
-of the knee's three angles, divided by that of the rigid fit of the same trial with one posture. The data: Cereatti et al.
-2017, J Biomech, doi 10.1016/j.jbiomech.2017.02.004.
+`parts`: random parts of real trials, with other markers and references. `made`: random trials with made skin and
+known bones. `kinds`: the same of eight kinds of activity, with sizes as in the collection. `leave-one-out`: constants
+chosen on two real trials, judged on the third. `without`: the method without one of its parts. Every figure is the
+root mean square error of the knee's three angles, divided by that of the rigid fit of the same trial with one
+posture. The data: Cereatti et al. 2017, J Biomech, doi 10.1016/j.jbiomech.2017.02.004.
 """
 
 import argparse

@@ -1,8 +1,9 @@
 """Inverse kinematics of an OpenSim model beside OpenSim's own: joint angles, their optimum, and time per frame.
 
-The angles are compared with those that OpenSim 4.6 gives for one trial (a file of the recordings) and, where the package
-`opensim` is installed, with its inverse kinematics run here, at its default accuracy and at 1e-9. Times are the shortest
-process time of several runs, on one thread, with files already read; ours with standard deviations, OpenSim's without.
+The angles are compared with those that OpenSim 4.6 gives for one trial (a file of the recordings) and, where the
+package `opensim` is installed, with its inverse kinematics run here, at its default accuracy and at 1e-9. Times are
+the shortest process time of several runs, on one thread, with files already read; ours with standard deviations,
+OpenSim's without.
 """
 
 import argparse
@@ -44,7 +45,7 @@ def quickest(function: Callable[[], object], times: int) -> float:
 
 
 def difference(found: InverseKinematics, path: Path) -> tuple[float, float]:
-    """The greatest RMS difference from a MOT: of an angle [degrees], of a translation [mm]; ours without a value left out."""
+    """The greatest RMS difference from a MOT: of an angle [degrees], of a translation [mm]."""
     table = read_table(path)
     theirs = table.values[:, [table.columns.index(name) for name in found.coordinate_names]]
     ours = np.where(found.rotational, np.degrees(found.coordinates), 1e3 * found.coordinates)
@@ -137,10 +138,14 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(run: Run) -> None:
     """Solve, and compare."""
     table = run.table(
-        "Coordinates beside OpenSim's", ("trial", "weights", "beside"), Column("greatest difference of an angle", "deg"),
-        Column("of a translation", "mm"), Column("per frame", "ms", 2), Column("OpenSim, per frame", "ms", 1),
+        "Coordinates beside OpenSim's",
+        ("trial", "weights", "beside"),
+        Column("greatest difference of an angle", "deg"),
+        Column("of a translation", "mm"),
+        Column("per frame", "ms", 2),
+        Column("OpenSim, per frame", "ms", 1),
         Column("OpenSim's cost above ours, relative"),
-    )  # fmt: skip
+    )
     with threadpool_limits(1):
         for trial, weights in RUNS:
             measure(table, run.shared / "data" / "markers" / "gait", trial, weights, run.arguments.repeat, run.out)

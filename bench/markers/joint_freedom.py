@@ -1,7 +1,8 @@
 """Global optimisation on real trials with true bones, the knee with one to six degrees of freedom.
 
-The protocol and the columns are those of `markers/trials`. 1 is a hinge, 2 two axes, 3 a ball, 4 and 5 a ball whose centre
-glides, 6 free, all held exactly; `6, 5 mm` is free with its centre held by 5 mm. The joint's place is estimated with the motion.
+The protocol and the columns are those of `markers/trials`. 1 is a hinge, 2 two axes, 3 a ball, 4 and 5 a ball whose
+centre glides, 6 free, all held exactly; `6, 5 mm` is free with its centre held by 5 mm. The joint's place is
+estimated with the motion.
 """
 
 import argparse
@@ -16,7 +17,9 @@ from marey.markers.methods.chain import ChainJoint
 from marey.markers.methods.global_optimisation import optimise_chain
 
 BENCH = Bench(
-    measures="Bones by global optimisation with knees of one to six degrees of freedom, against true bones of real trials.",
+    measures=(
+        "Bones by global optimisation with knees of one to six degrees of freedom, against true bones of real trials."
+    ),
     sources=("src/marey/markers", "src/marey/motion", "src/marey/geometry"),
     minutes=3,
 )

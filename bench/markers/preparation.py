@@ -1,7 +1,7 @@
 """Trials of markers: how well they are filled, checked and prepared.
 
-`gaps`: cut into measured paths, filled and compared. `exchanges`: labels exchanged on purpose, and false alarms. `joints`:
-the hip's centre carried from a functional trial into walking. `events`: of the gait, against given ones.
+`gaps`: cut into measured paths, filled and compared. `exchanges`: labels exchanged on purpose, and false alarms.
+`joints`: the hip's centre carried from a functional trial into walking. `events`: of the gait, against given ones.
 """
 
 import argparse

@@ -1,7 +1,8 @@
 """The methods from skin markers to bones on made clusters with exact truth.
 
-`rigid`: markers that do not move over the bones; the largest error of each method. `interval`: skin motion of a known form.
-`masses`: when redistributed masses help. `table3`: table 3 of [Alexander2003] with data made as the authors describe theirs.
+`rigid`: markers that do not move over the bones; the largest error of each method. `interval`: skin motion of a known
+form. `masses`: when redistributed masses help. `table3`: table 3 of [Alexander2003] with data made as the authors
+describe theirs.
 """
 
 import argparse

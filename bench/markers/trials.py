@@ -1,8 +1,9 @@
 """Every method from skin markers to bones on real trials with true bones, beside the rigid fit.
 
-The bones are known in the first frame alone (one posture), or in that frame and the one farthest from it in knee flexion
-(two). `--exercise`: artefact assessment on the treadmill alone, skin learned from the first stride with the true bones, the
-other strides as the activity. The data: Cereatti et al. 2017, J Biomech, doi 10.1016/j.jbiomech.2017.02.004.
+The bones are known in the first frame alone (one posture), or in that frame and the one farthest from it in knee
+flexion (two). `--exercise`: artefact assessment on the treadmill alone, skin learned from the first stride with the
+true bones, the other strides as the activity. The data: Cereatti et al. 2017, J Biomech, doi
+10.1016/j.jbiomech.2017.02.004.
 """
 
 import argparse
@@ -121,9 +122,12 @@ class Row:
 
 
 NOTE = (
-    "Each cell: root mean square turn error of thigh / shank; of the knee's flexion, adduction and rotation; of these three "
-    "together (degrees). *Against rigid*: the last number against the rigid fit with one posture, mean of the trials and the "
-    "worst of them. *Hold*: share of the true errors within 1.96 stated standard deviations, over all frames. *Seen*: smallest "
+    "Each cell: root mean square turn error of thigh / shank; of the knee's flexion, adduction and rotation; of "
+    "these three "
+    "together (degrees). *Against rigid*: the last number against the rigid fit with one posture, mean of the "
+    "trials and the "
+    "worst of them. *Hold*: share of the true errors within 1.96 stated standard deviations, over all frames. "
+    "*Seen*: smallest "
     "share of frames with a result."
 )
 Method = tuple[str, Callable[[MarkerProblem], BoneMotion | None]]
@@ -192,10 +196,15 @@ def first_stride_as_exercise(run: Run, name: str = "lmam_treadmill_walking") -> 
     end, count = int(truth["event_heel_strike"][1]), len(whole.trajectories)
     exercise, activity = stretch(whole, truth, 0, end, list(range(end))), stretch(whole, truth, end, count, [end])
     table = run.table(
-        f"{name}: skin learned from the first stride", "method",
-        *(Column(f"{segment} {what}", unit, 1) for segment in ("thigh", "shank") for what, unit in (("turn", "deg"), ("origin", "mm"))),
+        f"{name}: skin learned from the first stride",
+        "method",
+        *(
+            Column(f"{segment} {what}", unit, 1)
+            for segment in ("thigh", "shank")
+            for what, unit in (("turn", "deg"), ("origin", "mm"))
+        ),
         Column("knee's angles together", "deg", 2),
-    )  # fmt: skip
+    )
     with tempfile.TemporaryDirectory() as scratch:
         rest = Path(scratch) / "truth.npz"
         np.savez(rest, **{key: truth[key][end:] for key in truth if key.endswith(("_rotation", "_origin"))})

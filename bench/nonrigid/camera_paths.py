@@ -1,27 +1,31 @@
-"""Shapes from one camera that moves otherwise: true shapes of the shared data filmed along made paths.
+"""Shapes from one camera on other paths: true shapes of the recordings filmed along made paths.
 
-    python bench/nonrigid_cameras.py SHARED OUT [OBJECT ...]
-
-OBJECT is one of drink, pickup, stretch (their true shapes), leg, thigh (real skin markers on a treadmill), walk, jacks
-and reach (50 points of rendered people); by default all. Every object is filmed by five orthographic cameras: other
-(goes round at 3 degrees a frame the other way about a tilted axis), slow (1.2 degrees), fast (9), swing (to and fro by
-50 degrees in 140 frames), hand (2 degrees with smooth random turns of 4), and the tracks are made worse by
-SHARED/score/degrade.py with seed 0. Prints a row as bench/nonrigid.py does, with the error in the camera's frame: what
-part of a slow turn is the object's own cannot be told where the camera is not steady.
+The objects are drink, pickup, stretch (their true shapes), leg, thigh (real skin markers on a treadmill), walk, jacks
+and reach (50 points of rendered people). Each is filmed by five orthographic cameras: other (turns by 3 degrees per
+frame about a tilted axis, in the other direction), slow (1.2 degrees), fast (9), swing (to and fro by 50 degrees in
+140 frames) and hand (2 degrees with smooth random turns of 4). The tracks are degraded by score/degrade.py with seed
+0. The error in the camera's frame counts: a slow turn of the object cannot be separated from one of an unsteady
+camera.
 """
 
-import sys
+import argparse
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
+from bench.declaration import Bench
+from bench.nonrigid.one_camera import ERRORS, HELD, NOTE, degraded, errors, intervals_hold, turns_hold
+from bench.recording import Column, Run
 from marey.arrays import Floats
 from marey.geometry import rotations
 from marey.nonrigid.one_camera.one_view import NonRigidShapes, factorise_tracks
-from nonrigid import degraded, intervals_hold, row, turns_hold
 
+BENCH = Bench(
+    measures="Shapes from one orthographic camera on five made paths, against true shapes.",
+    sources=("src/marey/nonrigid", "src/marey/geometry"),
+    minutes=8,
+)
 PEOPLE = ("walk", "jacks", "reach")
 SEQUENCES = ("drink", "pickup", "stretch")
 LEG = ("leg", "thigh")
@@ -82,22 +86,22 @@ def in_camera(found: NonRigidShapes, shapes: Floats, rotation: Floats) -> float:
     return min(float(np.linalg.norm(got * sign - truth, axis=1).mean()) for sign in (1, mirror)) / truth.std(2).mean()
 
 
-def main() -> None:
-    shared, folder = Path(sys.argv[1]), Path(sys.argv[2])
-    folder.mkdir(parents=True, exist_ok=True)
-    names = sys.argv[3:] or [*SEQUENCES, *LEG, *PEOPLE]
-    for name, shapes in objects(shared / "data", names):
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("objects", nargs="*", help=f"of {', '.join([*SEQUENCES, *LEG, *PEOPLE])}; all without any")
+
+
+def run(run: Run) -> None:
+    """Film, degrade, factorise, and score."""
+    table = run.table(
+        "Cameras on other paths", ("object", "path"), Column("camera's frame", "", 4), *ERRORS, *HELD, note=NOTE
+    )
+    names = run.arguments.objects or [*SEQUENCES, *LEG, *PEOPLE]
+    for name, shapes in objects(run.shared / "data", names):
         for camera, rotation in cameras(len(shapes)):
-            source = folder / f"{name}_{camera}.npz"
+            source = run.out / f"{name}_{camera}.npz"
             truth = {"tracks": (rotation @ shapes)[:, :2], "shape": shapes, "rotation": rotation[:, :2]}
             np.savez(source, **truth)
-            found = factorise_tracks(np.load(degraded(shared, source, folder, 0))["tracks"])
-            held = f"95 % intervals hold {intervals_hold(found, truth):.3f}{turns_hold(found, truth)}"
-            scored = row(shared, source, source.stem, found, folder)
-            sys.stdout.write(f"{scored}, camera's frame {in_camera(found, shapes, rotation):.4f}, {held}\n")
-            sys.stdout.flush()
-
-
-if __name__ == "__main__":
-    with threadpool_limits(1):
-        main()
+            found = factorise_tracks(np.load(degraded(run, source, 0))["tracks"])
+            held = intervals_hold(found, truth), turns_hold(found, truth)
+            table.row((name, camera), in_camera(found, shapes, rotation), *errors(run, source, found), *held)

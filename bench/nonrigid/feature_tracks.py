@@ -1,31 +1,40 @@
-"""How well points are followed in video, with the rank constraint and without: `python bench/feature_tracks.py SHARED`.
+"""Points followed in video, with the rank constraint and without.
 
-Parts: paper (the given points of nonrigid/paper_video, judged by score/tracks.py), made (a real picture bent by a known
-map: corners and places along edges against the truth), speed (30 corners and 80 edges over 500 frames of 640x480).
+`paper`: the given points of nonrigid/paper_video, judged by score/tracks.py. `made`: a real picture bent by a known
+map, corners and places along edges against the truth. `speed`: 30 corners and 80 edges over 500 frames of 640x480
+pixels.
 """
 
-import subprocess
-import sys
-import tempfile
+import argparse
 import time
 from pathlib import Path
 
 import cv2
 import numpy as np
-from parts import run_parts
 
+from bench.common.parts import add_parts, run_parts
+from bench.common.program import score
+from bench.declaration import Bench
+from bench.recording import Column, Run, Table
 from marey.arrays import Floats
-from marey.images.matching.feature_tracks import FeatureTracks, follow_points
+from marey.images.matching.feature_tracks import follow_points
 from marey.images.matching.features import edge_features, good_features
 from marey.io.shapes.tracks import write_tracks
 from marey.io.video.video import open_clip
 from marey.nonrigid.tracking.rank_tracking import refine_tracks, track_features
 
+BENCH = Bench(
+    measures="Points followed in video, against marked points and a known map.",
+    sources=("src/marey/images/matching", "src/marey/nonrigid/tracking", "src/marey/nonrigid/core"),
+    minutes=4,
+)
 MADE = 120
-
-
-def main() -> None:
-    run_parts(__doc__, {"paper": paper, "made": made, "speed": speed})
+"""Frames of the made clip."""
+SCORES = (
+    ("within 2 px, worst later set", "", 3, "within_2px"),
+    ("mean", "px", 2, "mean_px"),
+)
+"""Columns, and the names that score/tracks.py gives; points that are not found count as 100 px."""
 
 
 def pictures_of(shared: Path) -> list[np.ndarray]:
@@ -33,26 +42,25 @@ def pictures_of(shared: Path) -> list[np.ndarray]:
     return [cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) for image in clip.images(range(clip.count))]
 
 
-def paper(shared: Path) -> None:
+def paper(run: Run) -> None:
     """Follow the points of the first set of truth; score both results."""
-    pictures = pictures_of(shared)
-    truth = shared / "data" / "nonrigid" / "paper_video" / "truth.npz"
+    pictures = pictures_of(run.shared)
+    truth = run.shared / "data" / "nonrigid" / "paper_video" / "truth.npz"
     with np.load(truth) as given:
         points, frame = given["points2d"][0].T, int(given["frames"][0])
     followed = follow_points(pictures, points, frame=frame)
     refined = refine_tracks(pictures, followed)
-    print(f"rank {refined.rank}; held-out error, px: " + ", ".join(f"{r:.0f} {e:.2f}" for r, e in refined.curve))
-    for name, tracks in (("rank constraint off", followed.found), ("rank constraint on", refined.tracks)):
-        print(f"{name}: seen {tracks.visible.mean():.3f}, predicted {tracks.predicted.mean():.3f}")
-        score(shared, tracks, truth)
-
-
-def score(shared: Path, tracks: FeatureTracks, truth: Path) -> None:
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "tracks.npz"
+    columns = [Column(name, unit, digits) for name, unit, digits, _ in SCORES]
+    table = run.table(
+        "Given points of paper_video", "rank constraint", *columns, Column("seen", "", 3), Column("predicted", "", 3)
+    )
+    errors = ", ".join(f"{rank:.0f} ({error:.2f})" for rank, error in refined.curve)
+    table.note = f"Rank {refined.rank} was chosen; held-out error in px by rank: {errors}."
+    for name, tracks in (("off", followed.found), ("on", refined.tracks)):
+        path = run.out / "tracks.npz"
         write_tracks(path, tracks)
-        command = [sys.executable, str(shared / "score" / "tracks.py"), str(path), str(truth)]
-        print(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+        scores = score(run, "tracks.py", path, truth)
+        table.row(name, *(scores.get(key) for *_, key in SCORES), tracks.visible.mean(), tracks.predicted.mean())
 
 
 def bent(points: Floats, frame: int) -> Floats:
@@ -78,9 +86,9 @@ def bent_picture(picture: np.ndarray, frame: int) -> np.ndarray:
     return np.clip(np.round(moved), 0, 255).astype(np.uint8)
 
 
-def made(shared: Path) -> None:
+def made(run: Run) -> None:
     """Bend one real picture; a grey square passes over it."""
-    still = pictures_of(shared)[10]
+    still = pictures_of(run.shared)[10]
     pictures = [bent_picture(still, frame) for frame in range(MADE)]
     for frame in range(40, 70):
         left = 150 + 10 * (frame - 40)
@@ -93,33 +101,35 @@ def made(shared: Path) -> None:
     followed = follow_points(pictures, points)
     refined = refine_tracks(pictures, followed)
     truth = np.stack([bent(points, frame).T for frame in range(MADE)])
-    print(f"{len(corners)} corners, {len(edges)} along edges, rank {refined.rank}")
+    table = run.table(
+        f"{len(corners)} corners and {len(edges)} points along edges of a bent picture, {MADE} frames, rank "
+        f"{refined.rank}",
+        ("points", "how"), Column("known", "", 3), Column("median", "px", 2), Column("95 % below", "px", 2),
+        Column("within 1.96 stated sd", "", 3),
+    )  # fmt: skip
     for name, rows in (("corners", slice(None, len(corners))), ("along edges", slice(len(corners), None))):
-        report(f"{name}, followed singly", followed.found.tracks[1:, :, rows] - truth[1:, :, rows])
-        report(f"{name}, carried by neighbours", followed.guesses[1:, :, rows] - truth[1:, :, rows])
-        report(f"{name}, refined", refined.tracks.tracks[1:, :, rows] - truth[1:, :, rows])
+        fill(table, (name, "followed singly"), followed.found.tracks[1:, :, rows] - truth[1:, :, rows])
+        fill(table, (name, "carried by neighbours"), followed.guesses[1:, :, rows] - truth[1:, :, rows])
+        fill(table, (name, "under a low rank"), refined.tracks.tracks[1:, :, rows] - truth[1:, :, rows])
         hidden = refined.tracks.predicted[1:, rows]
         error = np.swapaxes(refined.tracks.tracks - truth, 1, 2)[1:, rows]
         sd = np.swapaxes(refined.tracks.tracks_sd, 1, 2)[1:, rows]
-        report(f"{name}, of these predicted", np.swapaxes(error[hidden][None], 1, 2))
         for kind, mask in (("seen", ~hidden), ("predicted", hidden)):
             held = np.mean(np.abs(error) < 1.96 * sd, where=mask[..., None])
-            print(f"    within 1.96 stated deviations, {kind}: {held:.3f}")
+            fill(table, (name, f"of these {kind}"), np.swapaxes(error[mask][None], 1, 2), held)
 
 
-def report(name: str, error: Floats) -> None:
+def fill(table: Table, labels: tuple[str, str], error: Floats, held: float | None = None) -> None:
+    """Append the errors (F, 2, P) of some points."""
     away = np.linalg.norm(error, axis=1)
     known = np.isfinite(away)
-    if not known.any():
-        print(f"  {name}: none")
-        return
-    middle, high = np.percentile(away[known], [50, 95])
-    print(f"  {name}: known {known.mean():.3f}, median {middle:.2f}, 95 % below {high:.2f} px")
+    middle, high = np.percentile(away[known], [50, 95]) if known.any() else (None, None)
+    table.row(labels, known.mean(), middle, high, held)
 
 
-def speed(shared: Path) -> None:
+def speed(run: Run) -> None:
     """Play the video there and back, 500 frames in all."""
-    pictures = pictures_of(shared)
+    pictures = pictures_of(run.shared)
     loop = pictures + pictures[-2:0:-1]
     long = [loop[frame % len(loop)] for frame in range(500)]
     within = np.zeros(long[0].shape, bool)
@@ -129,8 +139,18 @@ def speed(shared: Path) -> None:
     refined = track_features(long, within=within)
     seconds = time.perf_counter() - began
     frames, _, points = refined.tracks.tracks.shape
-    print(f"{points} points, {frames} frames, rank {refined.rank}: {seconds:.1f} s without decoding")
+    table = run.table("Duration, without decoding", ("points", "frames", "rank"), Column("time", "s", 1))
+    table.row((str(points), str(frames), str(refined.rank)), seconds)
 
 
-if __name__ == "__main__":
-    main()
+PARTS = {"paper": paper, "made": made, "speed": speed}
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    add_parts(parser, PARTS)
+
+
+def run(run: Run) -> None:
+    """Run the parts."""
+    run_parts(run, PARTS)

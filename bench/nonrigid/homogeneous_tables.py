@@ -1,31 +1,26 @@
-"""Tables 3 and 4 of Alexander, Bregler and Andriacchi 2003 in kind: error against the number of basis shapes.
+"""Tables 3 and 4 of [Alexander2003], repeated with other data: error against the number of basis shapes.
 
-    python bench/homogeneous_tables.py [simulated] [cameras] [skin SHARED] [arm SHARED]
-
-`simulated`: their section 3.4, 20 made clusters with muscle, sliding, jiggling and random error (sizes are ours, see
-markers_synthetic.py). `cameras`: the same clusters seen by four calibrated cameras. `skin`: 20 random sets of real skin
-markers and of stretches of their trials, a tenth of the points held back, the bone known. `arm`: the videos of arm3
-with their cameras.toml, 20 random sets of two thirds of the points that were followed, K chosen once. Beside the rigid
-fit of Spoor and Veldpaus to the first frame's shape on equal data. Mean +- standard deviation over the sets, root mean
-square in each.
+`simulated`: their section 3.4, 20 made clusters with muscle, sliding, jiggling and random error (the sizes are ours,
+see markers/synthetic). `cameras`: the same clusters seen by four calibrated cameras. `skin`: 20 random sets of real
+skin markers and of stretches of their trials (Cereatti et al. 2017, J Biomech, doi 10.1016/j.jbiomech.2017.02.004),
+10 % of the points held back, the bone known. `arm`: the videos of arm3 with their cameras.toml, 20 random sets of two
+thirds of the points that were followed, K chosen once. *Rigid*: the fit of [Spoor1980] to the first frame's shape on
+equal data. Mean and standard deviation over the sets, root mean square in each.
 """
 
-import sys
+import argparse
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 import cv2
 import numpy as np
-from threadpoolctl import threadpool_limits
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
-from markers_synthetic import RANDOM_M, contaminated
 from tests.skin_clusters import placed, turns
 from tests.worlds import ring
-from uncalibrated_chain import PIECES, surface_at
 
+from bench.common.parts import add_parts, run_parts
+from bench.declaration import Bench
+from bench.markers.synthetic import RANDOM_M, contaminated
+from bench.nonrigid.uncalibrated_chain import PIECES, surface_at
+from bench.recording import Column, Run
 from marey.arrays import Floats, Mask
 from marey.cameras.rig import Rig
 from marey.cameras.triangulate import triangulate
@@ -36,6 +31,11 @@ from marey.nonrigid.correspondence.calibrated_videos import track_calibrated_vie
 from marey.nonrigid.in_space.calibrated import factorise_calibrated
 from marey.nonrigid.in_space.factorisation import HomogeneousShapes, factorise_points
 
+BENCH = Bench(
+    measures="Error of shapes in space against the number of basis shapes, on made and real markers and on videos.",
+    sources=("src/marey/nonrigid", "src/marey/markers", "src/marey/geometry"),
+    minutes=8,
+)
 SETS = 20
 RANKS = (1, 2, 3, 4, 5, None)
 MM = 1000.0
@@ -85,18 +85,18 @@ def off(answers: Sequence[tuple[Floats, Poses, int]], points: Floats, where: Mas
     return [MM * rms(np.linalg.norm(model - points, axis=-1)[where]) for model, _, _ in answers]
 
 
-def printed(title: str, names: Sequence[str], sets: Sequence[list[list[float]]], chosen: Sequence[int]) -> None:
-    """Print mean and standard deviation over the sets, a row a figure."""
+def fill(run: Run, title: str, names: Sequence[str], sets: Sequence[list[list[float]]], chosen: Sequence[int]) -> None:
+    """A table of means and standard deviations over the sets, one row per figure."""
     values = np.array(sets)
     counts = ", ".join(f"{rank} ({count})" for rank, count in zip(*np.unique(chosen, return_counts=True), strict=True))
-    print(f"\n{title}; chosen K (sets): {counts}\n")
-    print("| | rigid | K = 1 | 2 | 3 | 4 | 5 | chosen |\n" + "| --- " * 8 + "|")
+    columns = [Column(name) for name in ("rigid", *(f"K = {k}" for k in RANKS[:-1]), "chosen")]
+    table = run.table(title, "from", *columns, note=f"Chosen K, with the number of sets: {counts}.")
     for number, name in enumerate(names):
         cells = zip(values[:, number].mean(0), values[:, number].std(0, ddof=1), strict=True)
-        print(f"| {name} | " + " | ".join(f"{mean:.2f} +- {spread:.2f}" for mean, spread in cells) + " |", flush=True)
+        table.row(name, *[f"{mean:.2f} +- {spread:.2f}" for mean, spread in cells])
 
 
-def simulated() -> None:
+def simulated(run: Run) -> None:
     rows, chosen = [], []
     for seed in range(SETS):
         rotation, origin, places, points = contaminated(np.random.default_rng(seed))
@@ -106,11 +106,11 @@ def simulated() -> None:
         rows.append([off(answers, points, everywhere), off(answers, true, everywhere)])
         rows[-1] += pose_errors(answers, (rotation, origin))
         chosen.append(answers[-1][2])
-    names = ("the measured markers, mm", "the true places, mm", "the bone's turn, degrees", "its origin, mm")
-    printed("Simulated markers", names, rows, chosen)
+    names = ("the measured markers [mm]", "the true places [mm]", "the bone's turn [deg]", "its origin [mm]")
+    fill(run, "Simulated markers", names, rows, chosen)
 
 
-def cameras() -> None:
+def cameras(run: Run) -> None:
     rig = Rig(ring(4, size=(1280, 960), focal=1200.0, target=(0.0, 0.0, 0.0)))
     rows, chosen = [], []
     for seed in range(SETS):
@@ -129,13 +129,13 @@ def cameras() -> None:
         met = np.isfinite(points[..., 0])
         rows.append([off(answers, points, met), off(answers, true, met), *pose_errors(answers, (rotation, origin))])
         chosen.append(answers[-1][2])
-    names = ("points where rays meet, mm", "the true places, mm", "the bone's turn, degrees", "its origin, mm")
-    printed(f"Four cameras, {PIXEL_SD:g} px, {UNSEEN:.0%} of the views missing", names, rows, chosen)
+    names = ("points where rays meet [mm]", "the true places [mm]", "the bone's turn [deg]", "its origin [mm]")
+    fill(run, f"Four cameras, {PIXEL_SD:g} px, {UNSEEN:.0%} of the views missing", names, rows, chosen)
 
 
-def skin(shared: Path) -> None:
+def skin(run: Run) -> None:
     for trial, segment in CLUSTERS:
-        with np.load(shared / "data" / "markers" / "sta" / f"{trial}.npz") as truth:
+        with np.load(run.shared / "data" / "markers" / "sta" / f"{trial}.npz") as truth:
             rotation, origin = truth[f"{segment}_rotation"], truth[f"{segment}_origin"] / MM
             local = truth[f"{segment}_markers"] / MM
         whole = np.einsum("fij,fpj->fpi", rotation, local) + origin[:, None]
@@ -154,12 +154,12 @@ def skin(shared: Path) -> None:
             rows.append([off(answers, points, ~held), off(answers, points, held)])
             rows[-1] += pose_errors(answers, (rotation[frames], origin[frames]))
             chosen.append(answers[-1][2])
-        names = ("the markers, mm", "markers held back, mm", "the bone's turn, degrees", "its origin, mm")
-        printed(f"Skin: {trial}, {segment}", names, rows, chosen)
+        names = ("the markers [mm]", "markers held back [mm]", "the bone's turn [deg]", "its origin [mm]")
+        fill(run, f"Skin: {trial}, {segment}", names, rows, chosen)
 
 
-def arm(shared: Path) -> None:
-    trial = shared / "data" / "people" / "arm3"
+def arm(run: Run) -> None:
+    trial = run.shared / "data" / "people" / "arm3"
     rig = read_rig(trial / "cameras.toml")
     clips = [open_clip(trial / f"{name}.mp4") for name in rig.names]
     videos = [[cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) for image in clip.images(range(clip.count))] for clip in clips]
@@ -175,8 +175,8 @@ def arm(shared: Path) -> None:
         sets = [np.flatnonzero(found)[np.random.default_rng(seed).random(found.sum()) < 2 / 3] for seed in range(SETS)]
         tracks, sd = views.tracks, views.tracks_sd
         rows = [arm_errors(tracks[..., kept], sd[..., kept], rig, true[:, kept], rank) for kept in sets]
-        names = ("points that two cameras see, mm", "points that one camera sees, mm")
-        printed(f"arm3, {piece}, {len(found)} points, {len(sets[0])} in a set", names, rows, [rank])
+        names = ("points that two cameras see [mm]", "points that one camera sees [mm]")
+        fill(run, f"arm3, {piece}, {len(found)} points, {len(sets[0])} in a set", names, rows, [rank])
 
 
 def arm_errors(tracks: Floats, tracks_sd: Floats, rig: Rig, true: Floats, rank: int) -> list[list[float]]:
@@ -192,15 +192,14 @@ def arm_errors(tracks: Floats, tracks_sd: Floats, rig: Rig, true: Floats, rank: 
     return [off(answers, true, seen >= 2), off(answers, true, seen == 1)]
 
 
-def main() -> None:
-    words = sys.argv[1:] or ["simulated", "cameras"]
-    with threadpool_limits(1):
-        for position, word in enumerate(words):
-            if word in ("simulated", "cameras"):
-                {"simulated": simulated, "cameras": cameras}[word]()
-            elif word in ("skin", "arm"):
-                {"skin": skin, "arm": arm}[word](Path(words[position + 1]))
+PARTS = {"simulated": simulated, "cameras": cameras, "skin": skin, "arm": arm}
 
 
-if __name__ == "__main__":
-    main()
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    add_parts(parser, PARTS)
+
+
+def run(run: Run) -> None:
+    """Run the parts."""
+    run_parts(run, PARTS)

@@ -1,20 +1,14 @@
-"""Shapes from one, two and three uncalibrated cameras that stand fixed, against the true ones.
+"""Shapes from one, two and three fixed, uncalibrated cameras, against the true ones.
 
-    python bench/many_views.py SHARED OUT sta [TRIAL SEGMENT]
-    python bench/many_views.py SHARED OUT angles
-    python bench/many_views.py SHARED OUT degraded
-    python bench/many_views.py --speed
-
-`sta`: the skin markers of SHARED/data/markers/sta (Cereatti et al. 2017) before orthographic cameras 45 degrees apart
-round the vertical, from two sides each, with noise of 0.5 % of the cluster's size (root mean square of a coordinate).
-`angles`: the moving bodies of SHARED/data/nonrigid before their own camera and a second one, 10 to 90 degrees from it.
-`degraded`: the same 45 degrees apart, each camera's tracks made worse by SHARED/score/degrade.py (1 % noise, a fifth
-of the entries missing). Errors: metric A of SHARED/score/nonrigid.py in the bone's or body's frame, then in the first
-camera's, and with each frame aligned for itself; then the share of shapes (in the first of these frames) and of turns
-that 95 % intervals hold, and by how much the cameras are off. `--speed` times 100 points, 300 frames and two cameras.
+`sta`: the skin markers of data/markers/sta (Cereatti et al. 2017, J Biomech, doi 10.1016/j.jbiomech.2017.02.004)
+before orthographic cameras 45 degrees apart about the vertical, from two sides each, with noise of 0.5 % of the
+cluster's size (root mean square of a coordinate). `angles`: the moving bodies of data/nonrigid before their own
+camera and a second one, 10 to 90 degrees from it. `degraded`: the same 45 degrees apart, each camera's tracks
+degraded by score/degrade.py (1 % noise, 20 % of the entries missing). `speed`: 100 points, 300 frames and two
+cameras.
 """
 
-import json
+import argparse
 import subprocess
 import sys
 import time
@@ -22,13 +16,21 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
+from bench.common import program
+from bench.common.parts import add_parts, run_parts
+from bench.declaration import Bench
+from bench.recording import Column, Run, Table
 from marey.errors import MareyError
 from marey.geometry import rotations
 from marey.nonrigid.many_cameras.many_views import ManyViewShapes, factorise_views
 from marey.nonrigid.one_camera.one_view import NonRigidShapes, factorise_tracks
 
+BENCH = Bench(
+    measures="Shapes from one, two and three uncalibrated cameras, against true shapes.",
+    sources=("src/marey/nonrigid", "src/marey/geometry"),
+    minutes=6,
+)
 NOISE = 0.005
 MIRROR = np.diag([1.0, 1.0, -1.0])
 FRAMES = 310
@@ -84,21 +86,30 @@ def body(shared: Path, name: str) -> Take:
     return Take(shape[::every], rotation[::every], np.eye(3))
 
 
-def errors(shared: Path, out: Path, found: NonRigidShapes | ManyViewShapes, take: Take) -> tuple[float, float, float]:
+NOTE = (
+    "Metric A in the bone's or body's frame / in the first camera's frame / with each frame aligned for itself. "
+    "*Hold*: share of "
+    "the shapes' coordinates and of the turns within 1.96 stated standard deviations. *Off*: how far each further "
+    "camera's "
+    "rotation is from the true one."
+)
+
+
+def errors(run: Run, found: NonRigidShapes | ManyViewShapes, take: Take) -> tuple[float, float, float]:
     camera = take.camera_from_world @ take.world_from_object
     centred = take.shape - take.shape.mean(2, keepdims=True)
-    np.savez(out / "found.npz", shape=found.shape, rotation=found.rotation)
-    np.savez(out / "object.npz", shape=centred)
-    np.savez(out / "camera.npz", shape=camera @ centred, shape_frame="camera")
-    scores = []
-    for truth in ("object", "camera"):
-        command = [sys.executable, shared / "score" / "nonrigid.py", out / "found.npz", out / f"{truth}.npz"]
-        scores.append(json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout))
-    return scores[0]["metric_a"], scores[1]["metric_a"], scores[0]["framewise"]
+    np.savez(run.out / "found.npz", shape=found.shape, rotation=found.rotation)
+    np.savez(run.out / "object.npz", shape=centred)
+    np.savez(run.out / "camera.npz", shape=camera @ centred, shape_frame="camera")
+    in_object, in_camera = (
+        program.score(run, "nonrigid.py", run.out / "found.npz", run.out / f"{truth}.npz")
+        for truth in ("object", "camera")
+    )
+    return in_object["metric_a"], in_camera["metric_a"], in_object["framewise"]
 
 
-def held(found: ManyViewShapes, take: Take, angles: tuple[float, ...]) -> str:
-    """Say what share the 95 % intervals hold, and by how much the cameras' angles are off beside what is stated."""
+def held(found: ManyViewShapes, take: Take, angles: tuple[float, ...]) -> tuple[float, float, str, str]:
+    """Shares that 95 % intervals hold, of shapes and turns; errors of the cameras, and the stated ones [degrees]."""
     centred = take.shape - take.shape.mean(2, keepdims=True)
     shares = []
     for sign in (1.0, -1.0):
@@ -116,39 +127,83 @@ def held(found: ManyViewShapes, take: Take, angles: tuple[float, ...]) -> str:
         turns.append((np.square(wrong).sum(), np.mean(np.abs(wrong) < 1.96 * found.rotation_sd)))
         relative = mirror @ found.camera_from_first @ mirror
         cameras.append(np.linalg.norm(rotations.log(turned(angles) @ np.swapaxes(relative, 1, 2)), axis=1)[1:])
-    off = np.round(np.rad2deg(min(cameras, key=np.sum)), 2)
-    stated = np.round(np.rad2deg(np.linalg.norm(found.camera_sd, axis=1)[1:]), 2)
-    return f"held: shape {min(shares)[1]:.2f}, turns {min(turns)[1]:.2f}; cameras off by {off}, stated {stated} degrees"
+    off, stated = (
+        " ".join(f"{angle:.1f}" for angle in np.rad2deg(angles))
+        for angles in (min(cameras, key=np.sum), np.linalg.norm(found.camera_sd, axis=1)[1:])
+    )
+    return min(shares)[1], min(turns)[1], off, stated
 
 
-def line(name: str, shared: Path, out: Path, take: Take, angles: tuple[float, ...]) -> str:
-    return judged(name, shared, out, take, angles, take.tracks(angles, seed=len(angles)))
+def begin(run: Run, title: str) -> Table:
+    """Begin a table of shapes."""
+    return run.table(
+        title,
+        ("object", "cameras"),
+        Column("error"),
+        Column("K"),
+        Column("95 % hold, shape", "", 2),
+        Column("95 % hold, turns", "", 2),
+        Column("cameras off", "deg"),
+        Column("stated", "deg"),
+        Column("time", "s", 0),
+        note=NOTE,
+    )
 
 
-def degraded(shared: Path, out: Path, take: Take, angles: tuple[float, ...]) -> np.ndarray:
-    """Give tracks with noise and gaps, each camera's own."""
+def degraded_tracks(run: Run, take: Take, angles: tuple[float, ...]) -> np.ndarray:
+    """Tracks with noise and gaps, each camera's own."""
     tracks = []
     for seed, camera in enumerate(take.tracks(angles, seed=0, noise=0.0)):
-        np.savez(out / "camera_tracks.npz", tracks=camera)
-        command = [sys.executable, shared / "score" / "degrade.py", out / "camera_tracks.npz", out / "degraded.npz"]
+        np.savez(run.out / "camera_tracks.npz", tracks=camera)
+        script = run.shared / "score" / "degrade.py"
+        command = [sys.executable, script, run.out / "camera_tracks.npz", run.out / "degraded.npz"]
         subprocess.run([*command, "--seed", str(seed)], check=True)
-        tracks.append(np.load(out / "degraded.npz")["tracks"])
+        tracks.append(np.load(run.out / "degraded.npz")["tracks"])
     return np.stack(tracks)
 
 
-def judged(name: str, shared: Path, out: Path, take: Take, angles: tuple[float, ...], tracks: np.ndarray) -> str:
-    started = time.process_time()
+def fill(
+    run: Run, table: Table, name: str, take: Take, angles: tuple[float, ...], tracks: np.ndarray | None = None
+) -> None:
+    """Factorise, and append the scores."""
+    tracks = take.tracks(angles, seed=len(angles)) if tracks is None else tracks
+    label, started = (name, str(len(angles))), time.process_time()
     try:
         found = factorise_tracks(tracks[0]) if len(angles) == 1 else factorise_views(tracks)
     except MareyError as problem:
-        return f"{name}, cameras {len(angles)}: no answer. {problem}\n"
+        table.row(label, f"no result: {problem}", *[None] * 6)
+        return
     seconds = time.process_time() - started
-    scores = ", ".join(f"{error:.4f}" for error in errors(shared, out, found, take))
-    rest = "" if isinstance(found, NonRigidShapes) else f", {held(found, take, angles)}"
-    return f"{name}, cameras {len(angles)}: {scores}, K {found.rank}{rest}, {seconds:.0f} s\n"
+    scores = " / ".join(f"{error:.3f}" for error in errors(run, found, take))
+    more = (None,) * 4 if isinstance(found, NonRigidShapes) else held(found, take, angles)
+    table.row(label, scores, found.rank, *more, seconds)
 
 
-def speed() -> None:
+def sta(run: Run) -> None:
+    table = begin(run, "Skin markers")
+    for trial in TRIALS:
+        for segment in ("thigh", "shank"):
+            for side in SIDES:
+                take = skin(run.shared, trial, segment, side)
+                for angles in ((0,), (0, 45), (0, 45, 90)):
+                    fill(run, table, f"{trial} {segment}, {side} degrees", take, angles)
+
+
+def degraded(run: Run) -> None:
+    table = begin(run, "Moving bodies, cameras 45 degrees apart, degraded tracks")
+    for name in BODIES:
+        take = body(run.shared, name)
+        fill(run, table, name, take, (0, 45), degraded_tracks(run, take, (0, 45)))
+
+
+def angles(run: Run) -> None:
+    table = begin(run, "Moving bodies")
+    for name in BODIES:
+        for angle in ANGLES:
+            fill(run, table, f"{name}, {angle} degrees", body(run.shared, name), (0, angle))
+
+
+def speed(run: Run) -> None:
     """Time a made sequence before two cameras: 100 points, 300 frames, five displacements, 0.5 % of noise."""
     rng, frame = np.random.default_rng(0), np.arange(300)
     path = rotations.exp(np.stack([0.1 * np.sin(frame / 30), 0.5 * np.sin(frame / 40), 0.1 * np.cos(frame / 25)], 1))
@@ -160,33 +215,18 @@ def speed() -> None:
     used, passed = time.process_time(), time.perf_counter()
     found = factorise_views(tracks)
     used, passed = time.process_time() - used, time.perf_counter() - passed
-    sys.stdout.write(f"2 cameras, 100 points, 300 frames: {used:.1f} s of one thread, {passed:.1f} s, K {found.rank}\n")
+    columns = (Column("processor time of one thread", "s", 1), Column("time", "s", 1), Column("K"))
+    run.table("Duration", "made sequence", *columns).row("2 cameras, 100 points, 300 frames", used, passed, found.rank)
 
 
-def main() -> None:
-    if "--speed" in sys.argv:
-        speed()
-        return
-    shared, out, what, *chosen = sys.argv[1:]
-    Path(out).mkdir(parents=True, exist_ok=True)
-    for trial in TRIALS if what == "sta" else ():
-        for segment in ("thigh", "shank"):
-            for side in SIDES if not chosen or chosen == [trial, segment] else ():
-                take = skin(Path(shared), trial, segment, side)
-                for angles in ((0,), (0, 45), (0, 45, 90)):
-                    sys.stdout.write(line(f"{trial} {segment}, {side}", Path(shared), Path(out), take, angles))
-                    sys.stdout.flush()
-    for name in BODIES if what == "degraded" else ():
-        take = body(Path(shared), name)
-        tracks = degraded(Path(shared), Path(out), take, (0, 45))
-        sys.stdout.write(judged(name, Path(shared), Path(out), take, (0, 45), tracks))
-        sys.stdout.flush()
-    for name in BODIES if what == "angles" else ():
-        for angle in ANGLES:
-            sys.stdout.write(line(f"{name}, {angle}", Path(shared), Path(out), body(Path(shared), name), (0, angle)))
-            sys.stdout.flush()
+PARTS = {"sta": sta, "angles": angles, "degraded": degraded, "speed": speed}
 
 
-if __name__ == "__main__":
-    with threadpool_limits(1):
-        main()
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    add_parts(parser, PARTS)
+
+
+def run(run: Run) -> None:
+    """Run the parts."""
+    run_parts(run, PARTS)

@@ -1,31 +1,41 @@
-"""Shapes before one camera whose scale changes, on made takes: `python bench/scaled_orthographic.py`.
+"""Shapes before one orthographic camera whose scale changes, on made takes.
 
-A body that deforms in two ways turns before a camera and comes and goes, which changes its scale by the given standard
-deviation of its logarithm; 25 points, 80 frames, noise of 0.5 % of the body's size. Printed are the error of the shapes
-before the camera as a share of their size (the better mirror image, one scale for all), at one scale and with the
-scale free, the error of the magnification (standard deviation of its logarithm), and that of a rigid start.
+A body that deforms in two ways turns before a camera and comes and goes, which changes its scale by the given
+standard deviation of its logarithm; 25 points, 80 frames, noise of 0.5 % of the body's size. Errors are those of the
+shapes before the camera as a share of their size (the better mirror image, one scale for all).
 """
 
-import sys
-from pathlib import Path
-
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
 from tests.shape_errors import shape_error
 
+from bench.declaration import Bench
+from bench.recording import Column, Run
 from marey.arrays import Floats
 from marey.geometry import rotations
 from marey.nonrigid.many_cameras.scaled_orthographic import factorise_scaled, rigid_magnifications
 from marey.nonrigid.one_camera.one_view import factorise_tracks
 
+BENCH = Bench(
+    measures="Shapes with and without free magnification before a camera of changing scale, against made truth.",
+    sources=("src/marey/nonrigid", "src/marey/geometry"),
+    minutes=3,
+    data=False,
+)
+
 FRAMES, POINTS, NOISE = 80, 25, 0.005
 SEEDS = (0, 1, 2)
 
 
-def main() -> None:
-    print("departure, swing, seed: error at one scale, error with free scale; magnification off by, by the rigid start")
+def run(run: Run) -> None:
+    """Factorise made takes with one scale and with the scale free."""
+    table = run.table(
+        "Changing scale",
+        ("departure from the mean shape", "sd of log scale", "seed"),
+        Column("error at one scale", "", 3),
+        Column("error with free scale", "", 3),
+        Column("magnification off by", "", 3),
+        Column("by the rigid start", "", 3),
+    )
     for departure, swing in ((0.15, 0.0), (0.15, 0.2), (0.15, 0.4), (0.3, 0.2)):
         for seed in SEEDS:
             placed, size, tracks = made_take(seed, departure, swing)
@@ -35,7 +45,7 @@ def main() -> None:
             errors = [
                 shape_error(found.rotation @ found.shape, placed) for found in (factorise_tracks(tracks), free.shapes)
             ]
-            print(f"{departure} {swing} {seed}: {errors[0]:.3f} {errors[1]:.3f}; {off:.3f} {at_first:.3f}", flush=True)
+            table.row((str(departure), str(swing), str(seed)), *errors, off, at_first)
 
 
 def made_take(seed: int, departure: float, swing: float) -> tuple[Floats, Floats, Floats]:
@@ -50,7 +60,3 @@ def made_take(seed: int, departure: float, swing: float) -> tuple[Floats, Floats
     size /= np.exp(np.log(size).mean())
     shift, noise = rng.normal(size=(FRAMES, 2, 1)), NOISE * rng.normal(size=(FRAMES, 2, POINTS))
     return placed, size, size[:, None, None] * placed[:, :2] + shift + noise
-
-
-if __name__ == "__main__":
-    main()

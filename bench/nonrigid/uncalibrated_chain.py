@@ -1,25 +1,22 @@
-"""From three videos of a moving arm, with nothing known of the cameras, to its surface in space: how far off it is.
+"""From three videos of a moving arm, with unknown cameras, to its surface in space.
 
-    python bench/uncalibrated_chain.py SHARED [elbow | sleeve | forearm ...]
-
-SHARED/data/people/arm3 without its cameras.toml: points are chosen in a piece of the first camera's first picture,
-followed, found in the other cameras, and factorised at held size. Truth: the surface's points seen at the chosen
-pixels, carried along by the true mesh. Every frame is centred (orthographic cameras do not tell the distance), then
-ONE similarity is fitted for all frames and points together. Prints, in mm and in % of the piece's size (the largest
-distance between two of its points in the first frame), the root mean square error a point and frame for the first K
-basis shapes, for all that were chosen, and for the rigid motion of Spoor and Veldpaus of the first frame's recovered
-shape, all of places that two cameras see; and how the points, the tracks and the cameras compare with the truth.
+The videos are data/people/arm3 without its cameras.toml: points are chosen in a piece of the first camera's first
+picture, followed, found in the other cameras, and factorised at held size. Truth: the surface's points seen at the
+chosen pixels, carried along by the true mesh. Every frame is centred (orthographic cameras do not determine the
+distance), then ONE similarity is fitted for all frames and points together. Errors are root mean squares per point
+and frame of places that two cameras see, also in % of the piece's size (the largest distance between two of its
+points in the first frame). *Rigid*: the first frame's recovered shape moved rigidly ([Spoor1980]).
 """
 
-import sys
+import argparse
 import time
-from pathlib import Path
 from typing import NamedTuple
 
 import cv2
 import numpy as np
-from threadpoolctl import threadpool_limits
 
+from bench.declaration import Bench
+from bench.recording import Column, Run, Table
 from marey.arrays import Floats, Mask
 from marey.cameras.rig import Rig
 from marey.geometry import rotations
@@ -30,6 +27,11 @@ from marey.nonrigid.correspondence.uncalibrated_videos import ViewTracks, track_
 from marey.nonrigid.many_cameras.held_size import HeldSizeShapes, factorise_at_held_size
 from marey.nonrigid.many_cameras.many_views import ManyViewShapes
 
+BENCH = Bench(
+    measures="Surface of an arm in space from three videos of unknown cameras, against the true surface.",
+    sources=("src/marey/nonrigid", "src/marey/images", "src/marey/geometry"),
+    minutes=4,
+)
 PIECES = {
     "elbow": ((560, 250), (640, 290), (590, 400), (500, 520), (440, 480), (500, 380)),
     "sleeve": ((585, 200), (650, 250), (580, 390), (515, 365)),
@@ -116,82 +118,87 @@ def rigid(shape: Floats) -> Floats:
     return np.einsum("fij,pj->fpi", rotation, shape[0]) + translation[:, None]
 
 
-def told_tracks(rig: Rig, found: ViewTracks, truth: Floats) -> str:
-    """Say how far tracks lie from the true surface's points."""
-    parts = []
+def track_rows(table: Table, name: str, rig: Rig, found: ViewTracks, truth: Floats) -> None:
+    """How far tracks lie from the true surface's points."""
     for number, camera in enumerate(rig.cameras):
         pixels = camera.project(truth.reshape(-1, 3)).reshape(*truth.shape[:2], 2)
         away = np.linalg.norm(found.tracks[number] - np.swapaxes(pixels, 1, 2), axis=1)
         start = away[found.start]
-        parts.append(
-            f"{rig.names[number]} {int(np.isfinite(found.probability[number]).sum())} points, wrong (3 px off at "
-            f"first) {int((start > 3).sum())}, off {np.nanmedian(away):.2f} px (median), "
-            f"{np.nanquantile(away, 0.95):.2f} (95 %)"
+        points = int(np.isfinite(found.probability[number]).sum())
+        table.row(
+            (name, rig.names[number]), points, int((start > 3).sum()), np.nanmedian(away), np.nanquantile(away, 0.95)
         )
-    return "; ".join(parts)
 
 
-def told_cameras(rig: Rig, shapes: ManyViewShapes) -> str:
-    parts = []
+def camera_rows(table: Table, name: str, rig: Rig, shapes: ManyViewShapes) -> None:
+    """Angles from the first camera."""
     first = rig.cameras[0].camera_from_world.rotation
     for number in range(1, len(shapes.scale)):
         true = rig.cameras[number].camera_from_world.rotation @ first.T
         angles = [np.degrees(np.linalg.norm(rotations.log(r))) for r in (shapes.camera_from_first[number], true)]
-        parts.append(f"{rig.names[number]} {angles[0]:.1f} (true {angles[1]:.1f})")
-    return "degrees from the first camera: " + ", ".join(parts)
+        table.row((name, rig.names[number]), *angles)
 
 
-def piece(name: str, trial: Path, videos: list[list[np.ndarray]], rig: Rig) -> None:
-    within = np.zeros(videos[0][0].shape, np.uint8)
-    cv2.fillPoly(within, [np.array(PIECES[name])], (1,))
-    started = time.perf_counter()
-    found = track_views(videos, within=within > 0)
-    followed = time.perf_counter()
-    frames, points = judged(found)
-    tracks = found.tracks[found.tied][:, frames][..., points]
-    held = factorise_at_held_size(tracks)
-    factorised = time.perf_counter()
-    with np.load(trial / "truth" / "truth.npz") as file:
-        truth = surface_at(rig, found.tracks[0, 0].T, file["vertices"].astype(float), file["faces"]).points()
-    kept = rig.subset([camera for camera, tied in zip(rig.names, found.tied, strict=True) if tied])
-    sys.stdout.write(
-        f"{name}: {tracks.shape[3]} points in {tracks.shape[1]} frames; following and matching "
-        f"{followed - started:.0f} s, shapes {factorised - followed:.0f} s\n  {told_tracks(rig, found, truth)}\n"
-        f"  {told_cameras(kept, held.shapes)}; notes: {' '.join((*found.notes, *held.shapes.notes)) or 'none'}\n"
-    )
-    told_errors(held, tracks, truth[frames][:, points])
-
-
-def told_errors(held: HeldSizeShapes, tracks: Floats, truth: Floats) -> None:
+def error_rows(table: Table, name: str, held: HeldSizeShapes, tracks: Floats, truth: Floats) -> None:
+    """Errors by the number of basis shapes."""
     cameras = np.isfinite(tracks[:, :, 0]).sum(axis=0)
     first = truth[0][np.isfinite(truth[0]).all(axis=1)]
     size = 1e3 * float(np.max(np.linalg.norm(first[:, None] - first, axis=2)))
-    shapes = held.shapes
+    shapes, count = held.shapes, f"{tracks.shape[3]} points, {tracks.shape[1]} frames, {size:.0f} mm"
     rows = {
         "rigid": rigid(in_camera(shapes)),
-        **{f"K={count}": in_camera(shapes, count) for count in RANKS if count <= shapes.rank},
-        f"chosen, K={shapes.rank}": in_camera(shapes),
+        **{f"K = {rank}": in_camera(shapes, rank) for rank in RANKS if rank <= shapes.rank},
+        f"chosen, K = {shapes.rank}": in_camera(shapes),
     }
-    sys.stdout.write(f"  size {size:.0f} mm; error, mm (% of the size), of places that two cameras see:")
-    for name, shape in rows.items():
+    for label, shape in rows.items():
         away = error(shape, truth, cameras >= 2)
-        sys.stdout.write(f" {name} {away:.2f} ({100 * away / size:.2f});")
+        table.row((f"{name} ({count})", label), away, 100 * away / size)
     away = error(in_camera(shapes), truth, cameras >= 1)
-    lonely = float(np.mean(cameras[cameras >= 1] == 1))
-    sys.stdout.write(f" also of the {100 * lonely:.0f} % that one sees, {away:.2f} ({100 * away / size:.2f})\n")
-    sys.stdout.flush()
+    lonely = 100 * float(np.mean(cameras[cameras >= 1] == 1))
+    table.row(
+        (f"{name} ({count})", f"chosen, with the {lonely:.0f} % of places that one camera sees"),
+        away,
+        100 * away / size,
+    )
 
 
-def main() -> None:
-    shared, names = Path(sys.argv[1]), sys.argv[2:]
-    trial = shared / "data" / "people" / "arm3"
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("pieces", nargs="*", help=f"of {', '.join(PIECES)}; all without any")
+
+
+def run(run: Run) -> None:
+    """Follow, factorise, and compare."""
+    errors = run.table("Errors", ("piece", "shapes"), Column("error", "mm", 2), Column("of the size", "%", 2))
+    followed = run.table(
+        "Tracks",
+        ("piece", "camera"),
+        Column("points"),
+        Column("wrong (3 px off at first)"),
+        Column("off, median", "px", 2),
+        Column("95 %", "px", 2),
+    )
+    cameras = run.table(
+        "Angles from the first camera", ("piece", "camera"), Column("found", "deg", 1), Column("true", "deg", 1)
+    )
+    trial = run.shared / "data" / "people" / "arm3"
     clips = [open_clip(trial / f"cam0{number}.mp4") for number in (1, 2, 3)]
     videos = [[cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) for image in clip.images(range(clip.count))] for clip in clips]
     rig = read_rig(trial / "cameras.toml")
-    with threadpool_limits(1):
-        for name in names or PIECES:
-            piece(name, trial, videos, rig)
-
-
-if __name__ == "__main__":
-    main()
+    with np.load(trial / "truth" / "truth.npz") as file:
+        vertices, faces = file["vertices"].astype(float), file["faces"]
+    for name in run.arguments.pieces or PIECES:
+        within = np.zeros(videos[0][0].shape, np.uint8)
+        cv2.fillPoly(within, [np.array(PIECES[name])], (1,))
+        started = time.perf_counter()
+        found = track_views(videos, within=within > 0)
+        middle = time.perf_counter()
+        frames, points = judged(found)
+        tracks = found.tracks[found.tied][:, frames][..., points]
+        held = factorise_at_held_size(tracks)
+        run.say(f"following and matching {middle - started:.0f} s, shapes {time.perf_counter() - middle:.0f} s")
+        truth = surface_at(rig, found.tracks[0, 0].T, vertices, faces).points()
+        kept = rig.subset([camera for camera, tied in zip(rig.names, found.tied, strict=True) if tied])
+        error_rows(errors, name, held, tracks, truth[frames][:, points])
+        track_rows(followed, name, rig, found, truth)
+        camera_rows(cameras, name, kept, held.shapes)

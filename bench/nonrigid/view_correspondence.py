@@ -1,17 +1,13 @@
-"""Points of uncalibrated cameras matched by their motion alone: how many of them rightly.
+"""Points of uncalibrated cameras matched by their motion alone: the share of right matches.
 
-    python bench/view_correspondence.py SHARED [NAME ...]
-
-Real surfaces (the skin markers of SHARED/data/markers/sta, data of Cereatti et al. 2017, J Biomech, doi
-10.1016/j.jbiomech.2017.02.004; the people of SHARED/data/nonrigid) are filmed by two orthographic cameras 20, 45 and
-90 degrees apart about the vertical, each tilted and rolled at random by up to 17 degrees, with a scale and an order
-of points of its own, noise of 0.5 % of the object's size, and a fifth of the points seen by one camera alone; seeds 0
-to 2. Nothing of the cameras is told. Prints a row a case: the share of the points seen by both that got their right
-partner (mean and worst take), wrong pairs of all pairs, and seconds of one processor a take. At last, how often pairs
-are right by the probability they state. NAME keeps only cases whose name holds it.
+Real surfaces (the skin markers of data/markers/sta, Cereatti et al. 2017, J Biomech, doi
+10.1016/j.jbiomech.2017.02.004; the people of data/nonrigid) are filmed by two orthographic cameras 20, 45 and 90
+degrees apart about the vertical, each tilted and rolled at random by up to 17 degrees, with a scale and an order of
+points of its own, noise of 0.5 % of the object's size, and 20 % of the points seen by one camera alone; seeds 0 to 2.
+Nothing about the cameras is given.
 """
 
-import sys
+import argparse
 import time
 from collections.abc import Iterator
 from itertools import pairwise
@@ -19,11 +15,17 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
+from bench.declaration import Bench
+from bench.recording import Column, Run
 from marey.nonrigid.correspondence.view_correspondence import match_tracks
 from marey.nonrigid.correspondence.view_joining import join_views
 
+BENCH = Bench(
+    measures="Share of points of two uncalibrated cameras that are matched rightly by motion alone.",
+    sources=("src/marey/nonrigid", "src/marey/geometry"),
+    minutes=3,
+)
 ANGLES = (20, 45, 90)
 SEEDS = range(3)
 TILT = 0.3
@@ -113,10 +115,15 @@ def cases(shared: Path) -> Iterator[tuple[str, np.ndarray, dict[str, float]]]:
             yield f"{name}, a fifth missing in runs", points, {"gaps": 0.2}
 
 
-def two_views(shared: Path, names: list[str]) -> list[tuple[float, bool]]:
-    """Print a row a case; give probability and truth of every pair."""
+def two_views(run: Run, names: list[str]) -> list[tuple[float, bool]]:
+    """Match; stated probabilities, and whether each pair is right."""
+    table = run.table(
+        "Two cameras", "surface", Column("points"), Column("right", "%", 1), Column("worst take", "%", 0),
+        Column("wrong pairs"), Column("time per take", "s", 1),
+        note="*Right*: share of the points seen by both cameras that got their right partner, mean and worst take.",
+    )  # fmt: skip
     stated = []
-    for name, points, conditions in cases(shared):
+    for name, points, conditions in cases(run.shared):
         if names and not any(part in name for part in names):
             continue
         shares, wrong, pairs, started = [], 0, 0, time.process_time()
@@ -129,17 +136,20 @@ def two_views(shared: Path, names: list[str]) -> list[tuple[float, bool]]:
                 wrong, pairs = wrong + int((~right).sum()), pairs + len(right)
                 stated += list(zip(found.probability, right, strict=True))
         seconds = (time.process_time() - started) / len(shares)
-        sys.stdout.write(
-            f"{name} ({points.shape[1]} points): right {100 * np.mean(shares):.1f} %, worst take "
-            f"{100 * min(shares):.0f} %, wrong {wrong} of {pairs} pairs, {seconds:.1f} s\n"
-        )
-        sys.stdout.flush()
+        table.row(name, points.shape[1], 100 * np.mean(shares), 100 * min(shares), f"{wrong} of {pairs}", seconds)
     return stated
 
 
-def three_views(shared: Path) -> None:
+def three_views(run: Run) -> None:
     """Join three cameras 45 degrees apart."""
-    points = markers(shared, "lmam_treadmill_walking", ("thigh", "shank"))
+    table = run.table(
+        "Three cameras joined",
+        "surface",
+        Column("right in all three", "%", 1),
+        Column("worst take", "%", 0),
+        Column("mixed points"),
+    )
+    points = markers(run.shared, "lmam_treadmill_walking", ("thigh", "shank"))
     shares, mixed = [], 0
     for seed in SEEDS:
         views, owners = take(points, [0, 45, 90], seed)
@@ -152,27 +162,29 @@ def three_views(shared: Path) -> None:
         mixed += sum(len(names) > 1 for names in sets)
         full = sum(len(names) == 1 and (column >= 0).all() for names, column in zip(sets, named.T, strict=True))
         shares.append(full / len(set.intersection(*map(set, owners))))
-    sys.stdout.write(
-        f"three cameras joined, thigh and shank: right in all three {100 * np.mean(shares):.1f} %, worst take "
-        f"{100 * min(shares):.0f} %, mixed points {mixed}\n"
+    table.row("lmam_treadmill_walking thigh and shank", 100 * np.mean(shares), 100 * min(shares), mixed)
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("names", nargs="*", help="only surfaces whose name contains one of these")
+
+
+def run(run: Run) -> None:
+    """Match, and compare probabilities with shares."""
+    stated = two_views(run, run.arguments.names)
+    if not run.arguments.names:
+        three_views(run)
+    table = run.table(
+        "Stated probabilities of pairs",
+        "stated",
+        Column("pairs"),
+        Column("right", "", 3),
+        Column("stated on average", "", 3),
     )
-
-
-def main() -> None:
-    shared, names = Path(sys.argv[1]), sys.argv[2:]
-    with threadpool_limits(1):
-        stated = two_views(shared, names)
-        if not names:
-            three_views(shared)
     probability, right = np.array(stated, float).T
     for low, high in pairwise(BINS):
         inside = (probability >= low) & (probability < high)
         if inside.any():
-            sys.stdout.write(
-                f"stated {low:.2f} to {min(high, 1):.2f}: {int(inside.sum())} pairs, right {right[inside].mean():.3f}, "
-                f"stated on average {probability[inside].mean():.3f}\n"
-            )
-
-
-if __name__ == "__main__":
-    main()
+            label = f"{low:.2f} to {min(high, 1):.2f}"
+            table.row(label, int(inside.sum()), right[inside].mean(), probability[inside].mean())

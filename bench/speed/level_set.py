@@ -1,17 +1,24 @@
 """The level set on two lists beside scikit-image's morphological Chan-Vese: time and overlap on one picture.
 
 A textured room, a figure of capsules, an imperfect start. Both get the same evidence where they can take it: ours the
-log-ratio, Chan-Vese the evidence as its picture (it finds the two means itself).
+log-ratio, Chan-Vese the evidence as its picture (it estimates the two means itself).
 """
 
-import sys
 import time
 
 import numpy as np
 from skimage.segmentation import morphological_chan_vese
 
+from bench.declaration import Bench
+from bench.recording import Column, Run
 from marey.images.silhouettes.level_sets import evolve
 
+BENCH = Bench(
+    measures="Time and overlap of the level set beside scikit-image, on a made picture.",
+    sources=("src/marey/images/silhouettes",),
+    minutes=1,
+    data=False,
+)
 CAPSULES = (
     ((110, 320), (130, 320), 26), ((160, 320), (270, 320), 42), ((170, 285), (260, 235), 13),
     ((170, 355), (250, 420), 13), ((270, 305), (420, 290), 18), ((270, 335), (420, 355), 18),
@@ -37,7 +44,8 @@ def best(work, repeats: int) -> tuple[np.ndarray, float]:
     return result, 1e3 * min(times)
 
 
-def main() -> None:
+def run(run: Run) -> None:
+    """Segment by both."""
     shape = (480, 640)
     truth, start = figure(shape), figure(shape, shift=8.0)
     evidence = np.where(truth, 2.0, -2.0) + np.random.default_rng(0).normal(0, 3, shape)
@@ -45,10 +53,8 @@ def main() -> None:
     evolve(evidence, start, length=4.0)
     ours, our_time = best(lambda: evolve(evidence, start, length=4.0), 20)
     theirs, their_time = best(lambda: morphological_chan_vese(evidence, 20, init_level_set=start, smoothing=2) > 0, 2)
+    table = run.table(
+        "One picture of 640x480 pixels", "method", Column("processor time", "ms", 1), Column("IoU", "", 4)
+    )
     for name, mask, spent in (("two lists", ours, our_time), ("morphological Chan-Vese", theirs, their_time)):
-        overlap = (mask & truth).sum() / (mask | truth).sum()
-        sys.stdout.write(f"{name:26s} {spent:8.1f} ms   IoU {overlap:.4f}\n")
-
-
-if __name__ == "__main__":
-    main()
+        table.row(name, spent, (mask & truth).sum() / (mask | truth).sum())

@@ -1,20 +1,38 @@
-"""Print the speeds of `marey bench` as one JSON line: ours and the peers', measured in the same run.
+"""The speeds of `marey bench`: ours and the peers', measured in the same run.
 
-    python bench/speeds.py [TRIAL]
-
-Compares the pose solve with scipy.optimize.least_squares, and the level set with scikit-image's where that is installed
-(pip install "marey[bench]"). With a trial, the whole way from video to results is timed too.
+The pose solve is compared with scipy.optimize.least_squares, and the level set with scikit-image's where that is
+installed. With `--take` the whole path from video to results is timed too.
 """
 
-import json
-import sys
-from dataclasses import asdict
-from pathlib import Path
+import argparse
 
-from marey.cli.main import example_folder
-from marey.pipelines.speed.speeds import bench, machine
+from bench.declaration import Bench
+from bench.provenance import PROJECT
+from bench.recording import Column, Run
+from marey.pipelines.speed.speeds import bench
 
-if __name__ == "__main__":
-    trial = Path(sys.argv[1]) if len(sys.argv) > 1 else None
-    speeds = bench(trial, example=example_folder())
-    print(json.dumps({"machine": machine(), "speeds": [asdict(speed) for speed in speeds]}))
+BENCH = Bench(
+    measures="Times of `marey bench`: pose solve, drawing, silhouettes, surface, live wire, and the whole capture.",
+    sources=(
+        "src/marey/fit",
+        "src/marey/images",
+        "src/marey/surface",
+        "src/marey/observations",
+        "src/marey/pipelines/speed",
+    ),
+    minutes=3,
+    data=False,
+)
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("--take", help="a take of data/people to capture whole")
+
+
+def run(run: Run) -> None:
+    """Time."""
+    trial = run.shared / "data" / "people" / run.arguments.take if run.arguments.take else None
+    table = run.table("Speeds", "what", Column("measured"), Column("beside"), Column("remark"))
+    for speed in bench(trial, example=PROJECT / "examples" / "reach"):
+        table.row(speed.what, speed.measured, speed.beside, speed.remark)

@@ -33,8 +33,10 @@ SURFACE_KEYS = ("points", "median_mm", "p95_mm", "far", "covered")
 TRACKS = (Column("trajectories"), Column("frames, mean", "", 1), Column("drift", "mm", 2), Column("strayed", "", 3))
 TRACKS_KEYS = ("trajectories", "frames", "drift_mm", "strayed")
 NOTE = (
-    "Distances from the true surface. *Covered*: share of the vertices that all three cameras see with a point within 3 mm. "
-    "*Drift*: distance, in a trajectory's last frame, from the place of the surface where it began, median. *Strayed*: share of "
+    "Distances from the true surface. *Covered*: share of the vertices that all three cameras see with a point "
+    "within 3 mm. "
+    "*Drift*: distance, in a trajectory's last frame, from the place of the surface where it began, median. "
+    "*Strayed*: share of "
     "trajectories that are ever more than 10 mm from that place."
 )
 QUALITY = 50
@@ -113,13 +115,15 @@ def run(run: Run) -> None:
         folder, spacing = WAYS[name](trial, run.out / "arm")
         options = () if name == "default" else ("--no-tracks",)
         found = surface(folder, run.out / "arm" / name, "--spacing", str(spacing), *options)
-        points.row((name, str(spacing)), *numbers(SURFACE_KEYS, score(run, "surface.py", found / "surface.npz", truth)))
+        points.row(
+            (name, str(spacing)), *values_of(SURFACE_KEYS, score(run, "surface.py", found / "surface.npz", truth))
+        )
         stated(run, ratios, name, found / "surface.npz", truth)
         if name == "default":
             scores = score(run, "surface.py", "--tracks", found / "trajectories.npz", truth)
-            tracks.row(name, *numbers(TRACKS_KEYS, scores))
+            tracks.row(name, *values_of(TRACKS_KEYS, scores))
 
 
-def numbers(keys: tuple[str, ...], scores: dict) -> list[float | None]:
+def values_of(keys: tuple[str, ...], scores: dict) -> list[float | None]:
     """The scores of some names."""
     return [scores.get(key) for key in keys]

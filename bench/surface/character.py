@@ -1,11 +1,9 @@
-"""How well the skin of patches lies on metaballs, and what another character does of a motion.
+"""The skin of patches beside the metaballs that it covers, and another character that takes over a motion.
 
-    PYTHONPATH=src python bench/character.py [RESULTS ...]
-
-Without arguments the skin alone; RESULTS are folders that `marey capture` left, whose motion the stocky character of
-bodies/character.py takes up. docs/body.md and docs/retarget.md hold the figures.
+People are drawn from the family and skinned; the stocky character of bodies/character.py takes over captured motions.
 """
 
+import argparse
 import sys
 import time
 from dataclasses import replace
@@ -14,6 +12,10 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from bench.common import program
+from bench.declaration import Bench
+from bench.provenance import PROJECT
+from bench.recording import Column, Run, Table
 from marey.body.articulation.skeleton import LIMBS
 from marey.body.metaballs.metaball_person import DETAILS, metaball_space
 from marey.body.metaballs.metaballs import Metaballs
@@ -24,17 +26,50 @@ from marey.io.npz import read_motion
 from marey.io.results.body import read_body
 from marey.motion.retarget import pose_rig, retarget
 
+BENCH = Bench(
+    measures="Distance of the closed skin from its metaballs, and errors of a motion on another character.",
+    sources=("src/marey/body/metaballs", "src/marey/motion"),
+    minutes=3,
+)
 PEOPLE, SEED = 20, 1
 
 
-def main(folders: list[str]) -> None:
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("takes", nargs="*", help="of data/people; reach and walk without any")
+
+
+def run(run: Run) -> None:
+    """Skin people, and retarget motions."""
+    table = run.table(
+        f"Skin of {PEOPLE} people beside their metaballs", ("detail", "person"),
+        Column("off, median", "mm", 3), Column("95 %", "mm", 3), Column("99 %", "mm", 3), Column("most", "mm", 3),
+        Column("hands, median", "mm", 3), Column("hands, 95 %", "mm", 3), Column("folded faces", "", 0),
+        Column("as control points: off, median", "mm", 3), Column("their volume", "%", 3), Column("time", "s", 1),
+    )  # fmt: skip
     for detail in DETAILS:
-        skins(detail)
-    for folder in folders:
-        carried(Path(folder))
+        skins(table, detail)
+    table = run.table(
+        "Motions on a stocky character",
+        "take",
+        Column("frames"),
+        Column("length of the legs, relative", "", 2),
+        Column("directions of arms and legs off", "deg"),
+        *(
+            Column(f"{side} foot's path off, {way}", "mm", 0)
+            for side in ("left", "right")
+            for way in ("level", "upright")
+        ),
+        Column("standing feet slide", "mm", 1),
+        Column("planted", "mm", 1),
+        Column("time", "s", 2),
+    )
+    for take in run.arguments.takes or ("reach", "walk"):
+        carried(run, table, take)
 
 
-def skins(detail: str) -> None:
+def skins(table: Table, detail: str) -> None:
+    """Draw people, and skin them."""
     space, rng = metaball_space(detail), np.random.default_rng(SEED)
     root = np.linalg.cholesky(space.prior_covariance)
     rows = []
@@ -52,11 +87,8 @@ def skins(detail: str) -> None:
             100 * (volume(blended) / volume(skin) - 1), took,
         ])  # fmt: skip
     middle, worst = np.median(rows, axis=0), np.max(rows, axis=0)
-    print(f"{detail}: {len(skin.vertices)} vertices, {PEOPLE} people; median person, worst person")
-    names = ("off 50 % [mm]", "off 95 %", "off 99 %", "off most", "hands 50 %", "hands 95 %", "folded faces",
-             "control points: off 50 %", "their volume [%]", "time [s]")  # fmt: skip
-    for name, a, b in zip(names, middle, worst, strict=True):
-        print(f"  {name:26s} {a:8.3f} {b:8.3f}")
+    for name, row in (("median", middle), ("worst", worst)):
+        table.row((f"{detail}, {len(skin.vertices)} vertices", name), *row)
 
 
 def distances(balls: Metaballs, skin: Skin) -> np.ndarray:
@@ -101,8 +133,10 @@ def volume(skin: Skin) -> float:
     return float(np.einsum("ta,ta->t", a, np.cross(b, c)).sum() / 6)
 
 
-def carried(folder: Path) -> None:
-    sys.path.insert(0, str(Path(__file__).parents[1] / "bodies"))
+def carried(run: Run, table: Table, take: str) -> None:
+    """Give a motion to the character."""
+    sys.path.insert(0, str(PROJECT / "bodies"))
+    folder = program.take(run, take)[1]
     from character import foreign, stocky, with_arms_out
 
     motion, person = read_motion(folder / "motion.npz"), read_body(folder / "body.npz")[0]
@@ -122,19 +156,15 @@ def carried(folder: Path) -> None:
     at = {s: posed.position[:, n] @ rig.scene_from_world for s, n in rig.nodes.items()}
     own = {s: motion.segment_origin[known, motion.segment_names.index(s)] for s in rig.nodes}
     size = leg(at) / leg(own)
-    print(f"{folder}: {len(known)} frames in {took:.2f} s; the character's legs are {size:.2f} times as long")
-    worst = max(angle(at[b] - at[a], own[b] - own[a]) for a, b in bones())
-    print(f"  arms and legs beside the person's: at most {np.degrees(worst):.1e} degrees")
+    worst = np.degrees(max(angle(at[b] - at[a], own[b] - own[a]) for a, b in bones()))
+    paths = []
     for name in ("left_foot", "right_foot"):
         beside = at[name] - size * own[name]
         beside = 1e3 * (beside - beside.mean(0))
-        print(f"  {name}: path beside the person's enlarged one {rms(beside[:, :2]):.0f} mm level, "
-              f"{rms(beside[:, 2:]):.0f} mm upright (RMS)")  # fmt: skip
+        paths += [rms(beside[:, :2]), rms(beside[:, 2:])]
     planted = retarget(motion, rig, floor=floor, planted=True)
-    if planted.slides is not None:
-        print(
-            "  standing feet slide by {:.1f} mm, planted by {:.1f} mm (RMS)".format(*(1e3 * s for s in planted.slides))
-        )
+    slides = (None, None) if planted.slides is None else [1e3 * slide for slide in planted.slides]
+    table.row(take, len(known), size, f"{worst:.0e}", *paths, *slides, took)
 
 
 def seen(rig, moved):
@@ -167,7 +197,3 @@ def angle(a: np.ndarray, b: np.ndarray) -> float:
 
 def rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.sum(values**2, axis=1))))
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])

@@ -1,9 +1,10 @@
 """Patch matching and surfaces of a real, speckled cylinder, beside an independent correlation program.
 
-`matches`: from `left_1` into `left_5` and `right_1`, for patches of several sizes, the points that the other program calls
-good. The smallest patch starts up to a pixel from its matches, a larger one with the affine map of the smaller. A second
-table holds matches on the epipolar lines of the given cameras. `surface`: `marey surface` measures all five positions, and a
-cylinder is fitted to the points between the other program's outermost ones, without those over 0.5 mm beside it.
+`matches`: from `left_1` into `left_5` and `right_1`, for patches of several sizes, the points that the other program
+calls good. The smallest patch starts up to a pixel from its matches, a larger one with the affine map of the smaller.
+A second table holds matches on the epipolar lines of the given cameras. `surface`: `marey surface` measures all five
+positions, and a cylinder is fitted to the points between the other program's outermost ones, without those over 0.5
+mm beside it.
 """
 
 import argparse

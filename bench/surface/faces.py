@@ -1,8 +1,9 @@
 """Real faces from three cameras: share of the skin measured, how well rays meet, how well pairs of views agree.
 
-`marey surface` measures instants 2 to 5 of `face1` together, and each alone, and the points are compared with the facial
-skin that was outlined by hand. Pairs: the distance between the points of the left and middle camera and those of the middle
-and right camera, for the same pixel of the middle picture, by the corrected cameras and by the given ones.
+`marey surface` measures instants 2 to 5 of `face1` together, and each alone, and the points are compared with the
+facial skin that was outlined by hand. Pairs: the distance between the points of the left and middle camera and those
+of the middle and right camera, for the same pixel of the middle picture, by the corrected cameras and by the given
+ones.
 """
 
 import argparse
@@ -38,10 +39,15 @@ def run(run: Run) -> None:
     """Measure, and compare."""
     data, spacing = run.shared / "data" / "surface" / "face1", run.arguments.spacing
     table = run.table(
-        f"Faces, a point every {spacing} px", ("measured", "instant"), Column("skin measured", "%", 1),
-        Column("in three views", "%", 1), Column("residual, median", "px", 2), Column("pairs agree within, median", "mm", 2),
-        Column("95 %", "mm", 1), Column("by the given cameras, median", "mm", 2),
-    )  # fmt: skip
+        f"Faces, a point every {spacing} px",
+        ("measured", "instant"),
+        Column("skin measured", "%", 1),
+        Column("in three views", "%", 1),
+        Column("residual, median", "px", 2),
+        Column("pairs agree within, median", "mm", 2),
+        Column("95 %", "mm", 1),
+        Column("by the given cameras, median", "mm", 2),
+    )
     alone = [(f"alone_{k}", (k - 1, k), [k]) for k in (2, 3, 4, 5)]
     for name, frames, instants in (("together", (1, 5), [2, 3, 4, 5]), *alone):
         options = ("--frames", "{}:{}".format(*frames), "--spacing", str(spacing), "--no-tracks")

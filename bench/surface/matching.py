@@ -1,9 +1,9 @@
 """Least-squares matching beside OpenCV: speed and error on one made pair of pictures.
 
-A texture of plane waves is filmed twice: the second time under an affine map (4 % of strain, 3 % of shear), gain 0.9 and
-offset 12, both with `--noise` grey levels of noise, rounded to whole ones. Starts lie up to a pixel from the truth.
-`findTransformECC` finds the same affine map by the same criterion, `calcOpticalFlowPyrLK` the shift alone. The second table
-compares the errors with the stated covariance, for textures of decreasing contrast.
+A texture of plane waves is filmed twice: the second time under an affine map (4 % of strain, 3 % of shear), gain 0.9
+and offset 12, both with `--noise` grey levels of noise, rounded to whole ones. Starts lie up to a pixel from the
+truth. `findTransformECC` finds the same affine map by the same criterion, `calcOpticalFlowPyrLK` the shift alone. The
+second table compares the errors with the stated covariance, for textures of decreasing contrast.
 """
 
 import argparse
@@ -104,10 +104,13 @@ def run(run: Run) -> None:
 
     ours(2)  # compiles, or reads what was compiled before
     table = run.table(
-        f"{len(pixels)} patches of {SIZE}x{SIZE} pixels, noise of {noise:g} grey levels, medians of {REPEATS} runs", "method",
-        Column("patches per second", "1000", 0), Column("best", "1000", 0), Column("found", "%", 1),
+        f"{len(pixels)} patches of {SIZE}x{SIZE} pixels, noise of {noise:g} grey levels, medians of {REPEATS} runs",
+        "method",
+        Column("patches per second", "1000", 0),
+        Column("best", "1000", 0),
+        Column("found", "%", 1),
         Column("error, RMS", "px", 4),
-    )  # fmt: skip
+    )
     report(table, "two threads", timed(lambda: ours(2), REPEATS), truth)
     report(table, "two threads, splines of both pictures too", timed(lambda: ours(2, new_splines=True), REPEATS), truth)
     report(table, "one thread", timed(lambda: ours(1), REPEATS), truth)

@@ -1,36 +1,38 @@
-"""Fits of metaballs to points: how fast, in which order, by which residual; and points as a perfect matcher gives them.
+"""Fits of metaballs to points: how fast, in which order, by which residual; and the shape of a rendered arm.
 
-    python bench/shape.py                        a whole person and 100,000 points; edges; an arm in three frames
-    python bench/shape.py points TRUTH.npz DIR   DIR/surface.npz: vertices that all cameras see, with 0.3 mm of noise
-    python bench/shape.py arm SHARED OUT [TRIAL PRESET [FRAMES]]
-
-The second form takes a rendered take's truth (people/arm3), so that `marey shape` can be judged without the matching.
-The third runs `marey shape` on arm3 as a right arm (or on TRIAL, such as the mirrored one of bench/tracking.py, or its
-first FRAMES frames), over what `marey surface TRIAL --out OUT` left: how long each stage took, and the scores of skin,
-joints and tracks, those of the tracks before it too.
+`person`: a whole person and 100,000 points. `edges`: an arm with sharper and softer edges than the paper's. `orders`:
+an arm in three frames, seen from one side. `arm`: `marey shape` on arm3 over what `marey surface` measures. `points`:
+the same over true vertices with 0.3 mm of noise, without the errors of matching. `figure`: figure20, one instant from
+20 sides. `walk`: `marey shape` from silhouettes alone.
 """
 
-import json
-import subprocess
-import sys
+import argparse
 import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
+from bench.capture.takes import begin as begin_motion
+from bench.capture.takes import fill as fill_motion
+from bench.common import program
+from bench.common.parts import add_parts, run_parts
+from bench.declaration import Bench
+from bench.recording import Column, Run, Table
+from bench.surface.arm import TRACKS, TRACKS_KEYS, values_of
 from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.metaballs.metaball_person import metaball_body, metaball_space, single_radii, vertex_limbs
 from marey.body.metaballs.metaballs import PosedMetaballs
 from marey.fit.points.levenberg import LevenbergSettings, fit_points
 from marey.fit.points.surface_points import FramePoints, PersonPoints
 from marey.io.shapes.measured_surface import write_surface
-from marey.pipelines.capture.settings import CaptureSettings
-from marey.pipelines.progress import Progress
-from marey.pipelines.shape.shape import shape
 from marey.surface.points.measured import MeasuredPoints
 
+BENCH = Bench(
+    measures="Fits of metaballs to points, and shapes of a rendered arm, a rendered walk and a real figure.",
+    sources=("src/marey/fit", "src/marey/body", "src/marey/surface", "src/marey/pipelines/shape"),
+    minutes=25,
+)
 NOISE, SEEN_BY = 3e-4, 3
 
 
@@ -70,35 +72,50 @@ def joints_off(fit, body, poses):
     return 1e3 * np.linalg.norm(off, axis=-1)
 
 
-def fitted(name, points, space, body, poses, start, **changes):
+def begin(run: Run, title: str, labels: str | tuple[str, ...]) -> Table:
+    """Begin a table of fits."""
+    return run.table(
+        title,
+        labels,
+        Column("time", "s", 1),
+        Column("steps"),
+        Column("stopped"),
+        Column("joints off, median", "mm", 2),
+        Column("largest", "mm", 1),
+        Column("numbers, RMS", "", 4),
+    )
+
+
+def fitted(table, name, points, space, body, poses, start, **changes):
     generic = replace(metaball_body(space), skeleton=space.mean.skeleton)
     began = time.perf_counter()
     fit = fit_points(points, generic, start, settings=LevenbergSettings(**changes))
     took, off = time.perf_counter() - began, joints_off(fit, body, poses)
-    sys.stdout.write(
-        f"{name}: {took:.1f} s, {len(fit.costs)} steps ({fit.stopped}); joints {np.median(off):.2f} mm off (median), "
-        f"largest {off.max():.1f}; numbers {np.sqrt(np.mean((fit.body.numbers - body.numbers) ** 2)):.4f} rms\n"
-    )
-    sys.stdout.flush()
+    rms = np.sqrt(np.mean((fit.body.numbers - body.numbers) ** 2))
+    table.row(name, took, len(fit.costs), str(fit.stopped), np.median(off), off.max(), rms)
 
 
-def whole_person():
+def whole_person(run: Run) -> None:
+    """Fit one frame of 100,000 points."""
+    table = begin(run, "A whole person, 100,000 points, start off by 3 cm and 0.03 rad per coordinate", "fit")
     rng = np.random.default_rng(4)
     space = metaball_space("simple")
     segments = [name.rpartition("_")[2] for name in space.mean.skeleton.segment_names]
     single = single_radii(space, segments)
-    for what, numbers in (("lengths and widths", space), ("and every radius and weight", single)):
+    for what, numbers in (("lengths and widths", space), ("lengths, widths, every radius and weight", single)):
         body, poses, start = people(rng, numbers, 1, spread=0.03)
         points = {f: sample(body, p, 100_000, rng) for f, p in poses.items()}
         given = PersonPoints(by_frame=points, model_sd_m=1e-3, scale_m=0.05)
         free = len(body.skeleton) + len(numbers)
         fitted(
-            f"{len(points[0])} points, {len(space.mean)} metaballs, {free} unknowns ({what})", given, numbers, body,
+            table, f"{len(space.mean)} metaballs, {free} unknowns: {what}", given, numbers, body,
             poses, start,
         )  # fmt: skip
 
 
-def orders():
+def orders(run: Run) -> None:
+    """Fit an arm of three frames seen from one side."""
+    table = begin(run, "An arm in three frames seen from one side", ("seed", "order and residual"))
     space = metaball_space("simple")
     arm = ("shoulder_sweep", "shoulder_lift", "shoulder_turn", "elbow_flexion", "pronation", "wrist_flexion")
     skeleton = space.mean.skeleton
@@ -112,12 +129,14 @@ def orders():
         for changes in (
             {"order": "together"}, {"order": "in turn"}, {"order": "together", "residual": "potential"},
         ):  # fmt: skip
-            name = f"seed {seed}, 3 frames seen from one side, {', '.join(changes.values())}"
-            fitted(name, given, space, body, poses, start, iterations=60, stop=1e-5, **changes)
+            name = (str(seed), ", ".join(changes.values()))
+            fitted(table, name, given, space, body, poses, start, iterations=60, stop=1e-5, **changes)
 
 
-def edges():
+def edges(run: Run) -> None:
     """An arm with sharper and softer edges than the paper's, fitted with its weights and without."""
+    columns = (Column("points"), Column("off, RMS", "mm", 2), Column("95 % within", "mm", 2))
+    table = run.table("An arm with other edges", ("seed", "fitted"), *columns)
     space = metaball_space("simple")
     sharp = single_radii(space, ["upperarm", "forearm", "hand"])
     for seed in (1, 2, 3):
@@ -136,13 +155,12 @@ def edges():
             fit = fit_points(given, start, poses)
             surface = PosedMetaballs(fit.body.metaballs.balls(fit.body.numbers), fit.poses[0])
             off = surface.distance(points[0].points)
-            sys.stdout.write(
-                f"an arm of other edges, seed {seed}, {what}: {len(off)} points, "
-                f"{1e3 * np.sqrt(np.mean(off**2)):.2f} mm rms, 95 % within {1e3 * np.quantile(np.abs(off), 0.95):.2f}\n"
-            )
+            rms, high = np.sqrt(np.mean(off**2)), np.quantile(np.abs(off), 0.95)
+            table.row((str(seed), what), len(off), 1e3 * rms, 1e3 * high)
 
 
-def write_points(truth, folder):
+def write_points(truth: Path, folder: Path) -> None:
+    """Write the vertices that all cameras see, with noise, as if they had been measured."""
     rng, known = np.random.default_rng(0), np.load(truth)
     parts, names = [], [f"cam{i + 1:02d}" for i in range(3)]
     for frame, (vertices, seen) in enumerate(zip(known["vertices"], known["seen_by"], strict=True)):
@@ -161,43 +179,83 @@ def write_points(truth, folder):
     write_surface(folder / "surface.npz", parts, names)
 
 
-def arm(shared, out, trial, preset, frames):
-    truth, score = trial / "truth" / "truth.npz", shared / "score"
+def shaped(trial: Path, out: Path, preset: str | None) -> Path:
+    """Run `marey shape` over what lies in a folder."""
+    options = ("--preset", preset) if preset else ()
+    program.marey("shape", trial, *options, "--out", out, "--no-overlay", "--quiet")
+    return out
 
-    def told(script, *arguments):
-        command = [sys.executable, score / script, *map(str, arguments)]
-        lines = subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip().splitlines()
-        sys.stdout.write(f"  {script} {arguments[0] if script == 'surface.py' else ''}: {lines[-1]}\n")
 
+def judge(run: Run, title: str, trial: Path, out: Path, preset: str) -> None:
+    """Score skin, joints and trajectories."""
+    truth = trial / "truth" / "truth.npz"
+    skin = program.score(run, "surface.py", "--skin", out / "skin.npz", truth)
+    columns = (Column("skin where seen, RMS", "mm", 2), Column("reached", "", 2))
+    run.table(f"{title}: skin", "preset", *columns).row(preset, skin["rms_mm"], skin["reached"])
+    joints = f"{preset.partition('_')[0]}_(shoulder|elbow|wrist)"
+    fill_motion(
+        begin_motion(run, f"{title}: joints", "preset"),
+        preset,
+        program.score(run, "capture.py", out, truth, "--joints", joints),
+    )
     if (out / "trajectories.npz").is_file():
-        sys.stdout.write("before\n")
-        told("surface.py", "--tracks", out / "trajectories.npz", truth)
-    began = time.perf_counter()
-    options = CaptureSettings(out=out, preset=preset, frames=(0, frames) if frames else None, overlay=False)
-    shape(trial, options, Progress(quiet=True))
-    took = json.loads((out / "run.json").read_text())["timings_s"]
-    sys.stdout.write(f"marey shape {trial.name} --preset {preset}: {time.perf_counter() - began:.0f} s, {took}\n")
-    told("surface.py", "--skin", out / "skin.npz", truth)
-    if (out / "trajectories.npz").is_file():
-        told("surface.py", "--tracks", out / "trajectories.npz", truth)
-    told("capture.py", out, truth, "--joints", f"{preset.partition('_')[0]}_(shoulder|elbow|wrist)")
+        scores = program.score(run, "surface.py", "--tracks", out / "trajectories.npz", truth)
+        run.table(f"{title}: trajectories", "preset", *TRACKS).row(preset, *values_of(TRACKS_KEYS, scores))
 
 
-def main() -> None:
-    if sys.argv[1:2] == ["arm"]:
-        shared, out, *rest = sys.argv[2:]
-        trial = Path(rest[0]) if rest else Path(shared) / "data" / "people" / "arm3"
-        preset, frames = (rest[1] if len(rest) > 1 else "right_arm"), (int(rest[2]) if len(rest) > 2 else 0)
-        arm(Path(shared), Path(out), trial, preset, frames)
-        return
-    if sys.argv[1:2] == ["points"]:
-        write_points(Path(sys.argv[2]), Path(sys.argv[3]))
-        return
-    with threadpool_limits(1):
-        whole_person()
-        edges()
-        orders()
+def arm(run: Run) -> None:
+    """Measure the arm's surface, and fit its shape."""
+    trial, out = run.shared / "data" / "people" / "arm3", run.out / "shape" / "arm3"
+    program.surface(trial, out, "--spacing", str(run.arguments.spacing))
+    judge(run, f"arm3, a point every {run.arguments.spacing} px", trial, shaped(trial, out, "right_arm"), "right_arm")
 
 
-if __name__ == "__main__":
-    main()
+def points(run: Run) -> None:
+    """Fit the arm's shape to true vertices with noise."""
+    trial, out = run.shared / "data" / "people" / "arm3", run.out / "shape" / "points"
+    write_points(trial / "truth" / "truth.npz", out)
+    judge(run, "arm3, true vertices with 0.3 mm of noise", trial, shaped(trial, out, "right_arm"), "right_arm")
+
+
+def figure(run: Run) -> None:
+    """Fit the shape of figure20."""
+    trial = run.shared / "data" / "surface" / "figure20"
+    out = shaped(trial, run.out / "shape" / "figure20", None)
+    scores = program.score(run, "masks.py", out, trial / "masks", "--of", "surface_masks")
+    table = run.table("figure20, 20 sides", "body", Column("surface IoU", "", 3), Column("worst view", "", 3))
+    table.row("`marey shape`", scores["iou"], scores["iou_worst"])
+
+
+def walk(run: Run) -> None:
+    """Fit the shape of a walking person from silhouettes alone."""
+    trial = run.shared / "data" / "people" / "walk"
+    out, skip = shaped(trial, run.out / "shape" / "walk", "full"), ("--skip-empty", program.empty_frames(trial))
+    fill_motion(
+        begin_motion(run, "walk, silhouettes alone", "take"),
+        "walk",
+        program.score(run, "capture.py", out, program.truth_of(trial), *skip),
+    )
+    scores = program.score(run, "masks.py", out, trial / "truth" / "masks.npz", *skip, "--of", "surface_masks")
+    run.table("walk, surface", "take", Column("surface IoU", "", 3)).row("walk", scores["iou"])
+
+
+PARTS = {
+    "person": whole_person,
+    "edges": edges,
+    "orders": orders,
+    "arm": arm,
+    "points": points,
+    "figure": figure,
+    "walk": walk,
+}
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    add_parts(parser, PARTS)
+    parser.add_argument("--spacing", type=int, default=4, help="pixels from point to point of `arm`")
+
+
+def run(run: Run) -> None:
+    """Run the parts."""
+    run_parts(run, PARTS)

@@ -1,31 +1,28 @@
 """Trajectories of a measured surface against the truth of a rendered take, and on a real, rigid cylinder.
 
-    python bench/tracking.py careless SHARED OUT/careless        makes arm3 at half the size, as JPEG of quality 50
-    python bench/tracking.py mirrored SHARED OUT/mirrored        makes arm3 as a mirror shows it: a left arm
-    marey surface SHARED/data/people/arm3 --spacing 4 --out OUT/arm3
-    marey surface OUT/careless --spacing 2
-    marey surface SHARED/data/surface/cylinder --out OUT/cylinder
-
-    python bench/tracking.py arm3 SHARED OUT/arm3                scores trajectories.npz
-    python bench/tracking.py arm3 SHARED OUT/arm3 --case two     follows anew, started from surface.npz
-    python bench/tracking.py arm3 SHARED OUT/careless/marey
-    python bench/tracking.py cylinder SHARED OUT/cylinder
-
-Cases: two (the two outer cameras), back (time reversed), every-second (half the rate), last (each frame matched to the
-one before it alone, as in the paper), unfiltered, speed (of the tracking alone).
+`arm3` scores what `marey surface` gives with a point every 4 px, then follows anew from the same points: every-second
+(half the rate), two (the two outer cameras), last (each frame matched to the one before alone, as in the paper), back
+(time reversed) and unfiltered. `careless` is the same film at half the size, each picture stored as JPEG of quality
+50; `mirrored` as a mirror shows it: a left arm. `cylinder` states how rigidly points move from one position to
+another, and how far from the known steps.
 """
 
 import argparse
-import json
 import shutil
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 
+from bench.common.parts import add_parts, run_parts
+from bench.common.program import score, surface
+from bench.declaration import Bench
+from bench.recording import Column, Run, Table
+from bench.surface.arm import SURFACE, SURFACE_KEYS, TRACKS, TRACKS_KEYS, values_of
 from marey.cameras.camera import Camera
 from marey.cameras.rig import Rig
 from marey.geometry.rigid import RigidTransform
@@ -39,7 +36,13 @@ from marey.surface.tracks.following import ViewPatchSettings
 from marey.surface.tracks.tracking import track
 from marey.surface.tracks.trajectories import Trajectories, gathered, sightings_of
 
-CASES = ("two", "back", "every-second", "last", "unfiltered", "speed")
+BENCH = Bench(
+    measures="Trajectories of a rendered arm against its true surface, and of a real cylinder against known steps.",
+    sources=("src/marey/cameras", "src/marey/images", "src/marey/surface", "src/marey/pipelines/surface"),
+    minutes=25,
+)
+
+CASES = ("every-second", "two", "last", "back", "unfiltered")
 
 
 def careless(shared: Path, folder: Path) -> None:
@@ -106,7 +109,7 @@ def swapped(label: str) -> str:
     return label
 
 
-def score(shared: Path, found: Trajectories, order: list[int]) -> dict[str, float]:
+def scored(shared: Path, found: Trajectories, order: list[int]) -> dict[str, float]:
     """Score trajectories whose frames show the truth's frames in an order of their own."""
     sys.path.insert(0, str(shared / "score"))
     import surface
@@ -118,7 +121,7 @@ def score(shared: Path, found: Trajectories, order: list[int]) -> dict[str, floa
 
 
 def followed(trial: Path, points: MeasuredPoints, case: str) -> tuple[Trajectories, list[int], float]:
-    """Follow a measured surface anew; give the truth's frames, and points x views x frames a second."""
+    """Follow a measured surface anew; the truth's frames, and points x views x frames per second."""
     rig = read_rig(trial / "cameras.toml")
     take = open_take(trial, rig)
     kept = [0, len(rig) - 1] if case == "two" else list(range(len(rig)))
@@ -155,24 +158,55 @@ def of_cameras(points: MeasuredPoints, kept: list[int]) -> MeasuredPoints:
     ) if len(kept) < len(points.camera_names) else points  # fmt: skip
 
 
-def arm(shared: Path, folder: Path, case: str | None) -> None:
-    """Score a run, or follow anew what it measured."""
-    if case is None:
-        found = read_trajectories(folder / "trajectories.npz")
-        sys.stdout.write(json.dumps(score(shared, found, list(range(len(found.frames))))) + "\n")
-        return
-    trial = shared / "data" / "people" / "arm3"
-    found, order, speed = followed(trial, read_surface(folder / "surface.npz"), case)
-    if case != "unfiltered":
-        found = filtered(found, FilterSettings()).trajectories
-    sys.stdout.write(f"{case}: {json.dumps(score(shared, found, order))}, {speed:.0f} a second\n")
+def arm(run: Run) -> None:
+    """Score the trajectories of arm3, and follow its points anew."""
+    trial = run.shared / "data" / "people" / "arm3"
+    out = surface(trial, run.out / "tracking" / "arm3", "--spacing", "4")
+    table = begin(run, "arm3, a point every 4 px")
+    found = read_trajectories(out / "trajectories.npz")
+    fill(table, "`marey surface`", scored(run.shared, found, list(range(len(found.frames)))))
+    for case in CASES:
+        found, order, speed = followed(trial, read_surface(out / "surface.npz"), case)
+        if case != "unfiltered":
+            found = filtered(found, FilterSettings()).trajectories
+        fill(table, case, scored(run.shared, found, order), speed)
 
 
-def cylinder(shared: Path, folder: Path) -> None:
-    """Say how rigidly points move from one position to the others, and how far from the known steps."""
-    with np.load(shared / "data" / "surface" / "cylinder" / "reference.npz") as file:
+def begin(run: Run, title: str) -> Table:
+    """Begin a table of trajectories."""
+    return run.table(title, "case", *TRACKS, Column("points x views x frames per second of one core", "", 0))
+
+
+def fill(table: Table, label: str, scores: dict, speed: float | None = None) -> None:
+    """Append a row."""
+    table.row(label, *values_of(TRACKS_KEYS, scores), speed)
+
+
+def other_film(run: Run, name: str, make: Callable[[Path, Path], None], *options: str) -> None:
+    """Make another film of the arm, measure it, and score points and trajectories."""
+    trial = run.out / "tracking" / f"{name}_trial"
+    make(run.shared, trial)
+    out, truth = surface(trial, run.out / "tracking" / name, *options), trial / "truth" / "truth.npz"
+    points = run.table(f"{name} film, points", "film", *SURFACE)
+    points.row(name, *values_of(SURFACE_KEYS, score(run, "surface.py", out / "surface.npz", truth)))
+    fill(
+        begin(run, f"{name} film, trajectories"),
+        name,
+        score(run, "surface.py", "--tracks", out / "trajectories.npz", truth),
+    )
+
+
+def cylinder(run: Run) -> None:
+    """How rigidly points move from one position to the others, and how far from the known steps."""
+    folder = run.shared / "data" / "surface" / "cylinder"
+    out = surface(folder, run.out / "tracking" / "cylinder", "--spacing", "8")
+    with np.load(folder / "reference.npz") as file:
         turns, shifts = file["step_rotation"], file["step_translation_m"]
-    found = read_trajectories(folder / "trajectories.npz")
+    found = read_trajectories(out / "trajectories.npz")
+    table = run.table(
+        "Cylinder", "from position to", Column("points"), Column("beside their rigid motion, RMS", "mm", 4),
+        Column("that motion from the known step", "mm", 4), Column("together", "mm", 4),
+    )  # fmt: skip
     position = np.asarray(found.position[:, found.kept], float)
     for first, second in [(0, k) for k in range(1, 5)] + [(k, k + 1) for k in range(1, 4)]:
         both = np.isfinite(position[[first, second], :, 0]).all(axis=0)
@@ -182,10 +216,7 @@ def cylinder(shared: Path, folder: Path) -> None:
         known = at_rest @ turns[second].T + shifts[second]
         moved = start @ turn.T + shift
         apart = [1e3 * np.sqrt(np.mean(np.sum(d**2, axis=1))) for d in (end - moved, moved - known, end - known)]
-        sys.stdout.write(
-            f"{first + 1} to {second + 1}: {both.sum()} points, {apart[0]:.4f} mm rms beside their rigid motion, which "
-            f"differs from the known step by {apart[1]:.4f} mm rms at the points; together {apart[2]:.4f} mm\n"
-        )
+        table.row(f"{first + 1} to {second + 1}", both.sum(), *apart)
 
 
 def rigid(start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -196,22 +227,19 @@ def rigid(start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return left @ right, arrived - left @ right @ middle
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("arm3", "careless", "mirrored", "cylinder"))
-    parser.add_argument("shared", type=Path)
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--case", choices=CASES)
-    asked = parser.parse_args()
-    if asked.what == "careless":
-        careless(asked.shared, asked.folder)
-    elif asked.what == "mirrored":
-        mirrored(asked.shared, asked.folder)
-    elif asked.what == "cylinder":
-        cylinder(asked.shared, asked.folder)
-    else:
-        arm(asked.shared, asked.folder, asked.case)
+PARTS = {
+    "arm3": arm,
+    "careless": lambda run: other_film(run, "careless", careless, "--spacing", "2"),
+    "mirrored": lambda run: other_film(run, "mirrored", mirrored, "--spacing", "6"),
+    "cylinder": cylinder,
+}
 
 
-if __name__ == "__main__":
-    main()
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    add_parts(parser, PARTS)
+
+
+def run(run: Run) -> None:
+    """Run the parts."""
+    run_parts(run, PARTS)
