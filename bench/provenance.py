@@ -6,6 +6,7 @@ import platform
 import subprocess
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -94,11 +95,13 @@ def age(commit: str, sources: Sequence[str], project: Path = PROJECT) -> Age:
     commits = git("log", "--format=%h", f"{commit}..HEAD", "--", *sources, project=project).split()
     if not commits:
         return Age(known=True)
-    names = git("diff", "--no-renames", "--name-only", commit, "HEAD", "--", *sources, project=project).splitlines()
-    files = tuple(name for name in names if _code(commit, name, project) != _code("HEAD", name, project))
+    head = current_commit(project)
+    names = git("diff", "--no-renames", "--name-only", commit, head, "--", *sources, project=project).splitlines()
+    files = tuple(name for name in names if _code(commit, name, project) != _code(head, name, project))
     return Age(known=True, commits=tuple(commits), files=files)
 
 
+@cache
 def _code(commit: str, name: str, project: Path) -> str | None:
     """The syntax tree of a Python file without docstrings, the text of another file, or None where there is none."""
     try:

@@ -3,11 +3,9 @@
 import argparse
 import json
 import re
-import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TextIO
 
 Value = float | int | str | None
 """A number, a text such as "3.0 / 1.7", or None where there is no result."""
@@ -52,7 +50,7 @@ class Table:
     columns: tuple[Column, ...]
     rows: list[tuple[tuple[str, ...], tuple[Value, ...]]] = field(default_factory=list)
     note: str = ""
-    output: TextIO | None = field(default=None, repr=False)
+    printing: bool = False
 
     def __post_init__(self) -> None:
         """Print the heading."""
@@ -83,8 +81,8 @@ class Table:
         return [*row[0], *(column.text(value) for column, value in zip(self.columns, row[1], strict=True))]
 
     def _print(self, text: str) -> None:
-        if self.output is not None:
-            print(text, file=self.output, flush=True)
+        if self.printing:
+            print(text, flush=True)
 
 
 def _plain(value: object) -> Value:
@@ -103,13 +101,14 @@ class Run:
         arguments: The parsed arguments of the benchmark.
         shared: The folder of recordings: `data` and `score`.
         out: A folder for results. It belongs to one commit, so that results of other code are never used again.
+        printing: Whether rows are printed as they come.
         tables: The tables so far.
     """
 
     arguments: argparse.Namespace
     shared: Path
     out: Path
-    output: TextIO | None = sys.stdout
+    printing: bool = True
     tables: list[Table] = field(default_factory=list)
 
     def table(self, title: str, labels: str | Sequence[str], *columns: Column, note: str = "") -> Table:
@@ -125,13 +124,13 @@ class Run:
             The empty table, which is already part of the record.
         """
         headings = (labels,) if isinstance(labels, str) else tuple(labels)
-        self.tables.append(Table(title, headings, columns, note=note, output=self.output))
+        self.tables.append(Table(title, headings, columns, note=note, printing=self.printing))
         return self.tables[-1]
 
     def say(self, text: str) -> None:
         """Print a line that is not recorded."""
-        if self.output is not None:
-            print(text, file=self.output, flush=True)
+        if self.printing:
+            print(text, flush=True)
 
 
 @dataclass(frozen=True, kw_only=True)
