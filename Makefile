@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: test demo lint clean
+.PHONY: test demo lint accuracy clean
 
 # A .venv without .ready is what an interrupted set-up left: begin anew. The checks need more than the program does.
 .venv/.ready: pyproject.toml constraints.txt
@@ -25,6 +25,10 @@ test: lint
 
 demo: .venv/.ready
 	$(BIN)/marey demo
+
+# The pages under docs/accuracy, from the records that `python -m bench run NAME` has written.
+accuracy:
+	$(PYTHON) -m bench report
 
 clean:
 	rm -rf .venv

@@ -20,7 +20,8 @@ def made_record(*tables: Table, **changes: object) -> Record:
     return Record(
         **{
             "bench": "capture/takes", "command": "python -m bench run capture/takes", "commit": "0" * 40,
-            "dirty": False, "date": "2026-01-31", "machine": {"processor": "made", "cores": "2"}, "seconds": 3.5, "tables": tables,
+            "dirty": False, "date": "2026-01-31", "machine": {"processor": "made", "cores": "2"}, "seconds": 3.5,
+            "tables": tables,
         } | changes
     )  # fmt: skip
 
