@@ -13,17 +13,15 @@ import marey
 ROOT = Path(__file__).parents[1]
 
 
-def test_kernels_are_kept_in_a_private_folder_where_nothing_else_can_be_written_to(monkeypatch):
-    monkeypatch.setattr(os, "access", lambda place, mode: False)
-    monkeypatch.setenv("NUMBA_CACHE_DIR", "given")
-    marey._find_place_for_kernels()
-    assert os.environ["NUMBA_CACHE_DIR"] == "given"
-    monkeypatch.delenv("NUMBA_CACHE_DIR")
-    marey._find_place_for_kernels()
-    place = Path(os.environ["NUMBA_CACHE_DIR"])
-    assert place.is_dir()
-    assert place.stat().st_mode & 0o077 == 0
-    place.rmdir()
+def test_the_import_of_the_package_has_no_side_effects(tmp_path):
+    code = (
+        "import os, sys; before = dict(os.environ), set(sys.modules); import marey;"
+        "print(dict(os.environ) == before[0], *(set(sys.modules) - before[1]))"
+    )
+    environment = {**os.environ, "HOME": str(tmp_path / "none"), "TMPDIR": str(tmp_path)}
+    shown = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert shown.stdout.split() == ["True", "marey"]
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_the_program_answers_without_loading_what_it_does_not_need():

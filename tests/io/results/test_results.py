@@ -44,7 +44,7 @@ def results(person: Body, motion: Motion, skin: Floats, tmp_path_factory) -> Pat
 
 @pytest.fixture(scope="module")
 def checks():
-    path = Path(__file__).parents[2] / "bench" / "check_formats.py"
+    path = Path(__file__).parents[3] / "bench" / "check_formats.py"
     spec = importlib.util.spec_from_file_location("check_formats", path)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)

@@ -2,10 +2,10 @@
 
 from collections.abc import Sequence
 
-import numba
 import numpy as np
 
 from marey.arrays import Floats, Mask
+from marey.kernels import kernel
 
 
 def distance_within(mask: Mask, spacing_mm: Sequence[float] = (1.0, 1.0, 1.0)) -> Floats:
@@ -32,7 +32,7 @@ def distance_within(mask: Mask, spacing_mm: Sequence[float] = (1.0, 1.0, 1.0)) -
     return np.sqrt(squared, out=squared)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _along_lines(inside, step, squared):  # pragma: no cover - compiled
     """Write the squared distances (lines, n) from the nearest place outside in the same line."""
     lines, count = inside.shape
@@ -47,7 +47,7 @@ def _along_lines(inside, step, squared):  # pragma: no cover - compiled
             squared[line, i] = min(squared[line, i], (away * step) ** 2)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _across_lines(squared, step, given, lowest, begins):  # pragma: no cover - compiled
     """Lower squared distances (outer, n, inner) to what the other places along the middle axis allow.
 

@@ -23,6 +23,7 @@ from marey.arrays import Floats, Image, Mask
 from marey.body.articulation.pose import Pose, PosedBody, SurfacePoints
 from marey.body.people.person import family_body
 from marey.cameras.camera import Camera
+from marey.extras import install_advice
 from marey.fit.solver.moments import Moments, gather_moments
 from marey.fit.solver.pose_solver import solve_pose
 from marey.geometry import rotations
@@ -224,7 +225,7 @@ def silhouette_speeds(example: Path) -> list[Speed]:
     own = Speed(what="silhouette of a 640x480 view after the first", measured=f"{own_ms:.1f} ms", beside=limit)
     peer = _peer_level_set(pictures[1], first.mask)
     if peer is None:
-        missing = Speed(what="the same by scikit-image", measured="-", beside="", remark="pip install 'marey[bench]'")
+        missing = Speed(what="the same by scikit-image", measured="-", beside="", remark=install_advice("bench"))
         return [own, missing]
     peer_ms = median_ms(peer, repeats=1)
     beside = f"{peer_ms / own_ms:.0f} times ours"
