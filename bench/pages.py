@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from bench.declaration import FOLDER, GROUPS, Bench, find_benches
+from bench.headline import with_headlines
 from bench.provenance import PROJECT, Age, age
 from bench.recording import RECORDS, Record, Table, read_records
 
@@ -31,7 +32,7 @@ def write_pages(
     records: Path = RECORDS,
     project: Path = PROJECT,
 ) -> list[Path]:
-    """Write one page per group of benchmarks.
+    """Write one page per group of benchmarks, and the headline figures into the page beside their folder.
 
     Args:
         pages: The folder of the pages.
@@ -50,6 +51,12 @@ def write_pages(
         path = pages / f"{group}.md"
         path.write_text(page(group, own, kept, project), encoding="utf-8")
         written.append(path)
+    overview = pages.with_suffix(".md")
+    if overview.exists():
+        by_file = {path: record for each in kept.values() for path, record in each}
+        text = with_headlines(overview.read_text(encoding="utf-8"), by_file, declared, records, project)
+        overview.write_text(text, encoding="utf-8")
+        written.append(overview)
     return written
 
 
