@@ -13,7 +13,6 @@ import time
 from pathlib import Path
 
 import numpy as np
-from marey.knee.bones.surfacing import surface_of_labels
 from scipy.spatial import cKDTree
 
 from bench.common import program
@@ -29,6 +28,7 @@ from marey.knee.cartilage.labels import with_cartilage
 from marey.knee.cartilage.thickness import cartilage_thickness
 from marey.knee.space.structures import BONES, CARTILAGE_OF_BONE, LABELS
 from marey.knee.space.surface import Surface
+from marey.knee.space.surfacing import surface_of_labels
 from marey.knee.space.volume import Labels
 
 BENCH = Bench(

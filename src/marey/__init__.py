@@ -15,21 +15,10 @@ if TYPE_CHECKING:
     from marey.pipelines.progress import Progress, RecordingProgress
     from marey.process import tuned_process
 
+    __version__: str
 UNKNOWN_VERSION = "0+unknown"
 """Version of a source tree that was never installed: its tags were not read."""
 
-
-def __getattr__(name: str) -> str:
-    """Read the version, which follows the repository's tags, from the installed package when it is first needed."""
-    if name != "__version__":
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from importlib.metadata import PackageNotFoundError, version
-
-    try:
-        globals()[name] = version("marey")
-    except PackageNotFoundError:
-        globals()[name] = UNKNOWN_VERSION
-    return str(globals()[name])
 
 __all__ = [
     "Bones",
@@ -75,12 +64,25 @@ _MODULES = {
 
 
 def __getattr__(name: str) -> object:
-    """Import a public name from its module."""
-    if name not in _MODULES:
-        raise AttributeError(f"module 'marey' has no attribute {name!r}")
-    value = getattr(import_module(f"marey.{_MODULES[name]}"), name)
+    """Import a public name from its module, or read the version, when it is first used."""
+    if name == "__version__":
+        value: object = _installed_version()
+    elif name in _MODULES:
+        value = getattr(import_module(f"marey.{_MODULES[name]}"), name)
+    else:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     globals()[name] = value
     return value
+
+
+def _installed_version() -> str:
+    """Return the version of the installed package, which follows the repository's tags."""
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version("marey")
+    except PackageNotFoundError:
+        return UNKNOWN_VERSION
 
 
 def __dir__() -> list[str]:

@@ -49,7 +49,7 @@ def from_static(
     """
     assert settings.static is not None
     if not setup.landmarks:
-        place = settings.setup or settings.static
+        place = settings.clusters or settings.static
         raise FileProblem(
             place, "names no landmarks; without them a static trial does not give the poses of the bones",
             'Add [landmarks] left_LE = "LKNE", ... to the TOML given with --clusters.',
