@@ -1,9 +1,6 @@
 """Measures how a body moves and what shape it has, from what is seen at its surface."""
 
-import os
-import tempfile
 from importlib import import_module
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -20,7 +17,10 @@ if TYPE_CHECKING:
     from marey.pipelines.progress import Progress, RecordingProgress
     from marey.process import tuned_process
 
-__version__ = "0.1.0"
+    __version__: str
+UNKNOWN_VERSION = "0+unknown"
+"""Version of a source tree that was never installed: its tags were not read."""
+
 
 __all__ = [
     "Bones",
@@ -74,30 +74,27 @@ _MODULES = {
 
 
 def __getattr__(name: str) -> object:
-    """Import a public name from its module."""
-    if name not in _MODULES:
-        raise AttributeError(f"module 'marey' has no attribute {name!r}")
-    value = getattr(import_module(f"marey.{_MODULES[name]}"), name)
+    """Import a public name from its module, or read the version, when it is first used."""
+    if name == "__version__":
+        value: object = _installed_version()
+    elif name in _MODULES:
+        value = getattr(import_module(f"marey.{_MODULES[name]}"), name)
+    else:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     globals()[name] = value
     return value
+
+
+def _installed_version() -> str:
+    """Return the version of the installed package, which follows the repository's tags."""
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version("marey")
+    except PackageNotFoundError:
+        return UNKNOWN_VERSION
 
 
 def __dir__() -> list[str]:
     """List the public names, whether they are imported yet or not."""
     return sorted({*globals(), *__all__})
-
-
-def _find_place_for_kernels() -> None:
-    """Give compiled kernels a folder where neither the program's nor the user's can be written to.
-
-    Numba keeps them beside the code, or else in the user's cache; where both are read-only, as in some containers,
-    it would refuse to start. A private folder, because what lies in it is run.
-    """
-    home = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~"))
-    places = [Path(__file__).parent, home, *home.parents]
-    nearest_home = next(place for place in places[1:] if place.exists())
-    if not any(os.access(place, os.W_OK) for place in (places[0], nearest_home)):
-        os.environ.setdefault("NUMBA_CACHE_DIR", tempfile.mkdtemp(prefix="marey-kernels-"))
-
-
-_find_place_for_kernels()

@@ -1,7 +1,7 @@
 """Marker trajectories from C3D, TRC and CSV, in metres and the file's own axes."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -21,9 +21,7 @@ _SMALLEST, _LARGEST = 0.02, 50.0
 """Between which the markers of a frame spread [m]: a finger, a sports hall."""
 
 
-def read_markers(
-    path: Path | str, *, unit: str | None = None, opened: ezc3d.c3d | None = None
-) -> MarkerTrajectories:
+def read_markers(path: Path | str, *, unit: str | None = None, opened: ezc3d.c3d | None = None) -> MarkerTrajectories:
     """Read the trajectories of markers from a C3D, TRC or CSV.
 
     Axes are the file's own. A point that is missing in the file (empty, NaN, all three coordinates zero, or with a
@@ -41,7 +39,9 @@ def read_markers(
     """
     path = Path(path)
     from_c3d = partial(_from_c3d, opened=opened)
-    readers = {".c3d": from_c3d, ".trc": _from_trc, ".csv": read_marker_csv, ".tsv": read_marker_csv}
+    readers: dict[str, Callable[[Path, str | None], Raw]] = {
+        ".c3d": from_c3d, ".trc": _from_trc, ".csv": read_marker_csv, ".tsv": read_marker_csv,
+    }  # fmt: skip
     if path.suffix.lower() not in readers:
         raise FileProblem(path, "is no file of markers that is read here", "Give a C3D, TRC or CSV.")
     if unit is not None and unit not in METRES:

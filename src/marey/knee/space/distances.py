@@ -2,10 +2,13 @@
 
 from collections.abc import Sequence
 
-import numba
 import numpy as np
 
 from marey.arrays import Floats, Mask
+from marey.kernels import kernel
+
+_FARTHEST_MM = 1e3
+"""Largest signed distance [mm]; also returned where the mask has no edge. Larger than any image; chosen by hand."""
 
 
 def distance_within(mask: Mask, spacing_mm: Sequence[float] = (1.0, 1.0, 1.0)) -> Floats:
@@ -32,7 +35,23 @@ def distance_within(mask: Mask, spacing_mm: Sequence[float] = (1.0, 1.0, 1.0)) -
     return np.sqrt(squared, out=squared)
 
 
-@numba.njit(cache=True, nogil=True)
+def signed_distance(mask: Mask, spacing_mm: Sequence[float]) -> np.ndarray:
+    """Return the signed distance to a mask's edge, positive inside; a mask continues beyond the end of its image.
+
+    Args:
+        mask: (k, j, i), or (rows, columns).
+        spacing_mm: Spacing [mm] along each axis of the mask.
+
+    Returns:
+        The same shape [mm].
+    """
+    inside, outside = distance_within(mask, spacing_mm), distance_within(~mask, spacing_mm)
+    # The edge lies between the last voxel inside and the first outside; less than half a spacing keeps the signs.
+    signed = np.where(mask, inside, -outside) - 0.5 * min(spacing_mm) * np.where(mask, 1, -1)
+    return np.clip(signed, -_FARTHEST_MM, _FARTHEST_MM).astype(np.float32)
+
+
+@kernel
 def _along_lines(inside, step, squared):  # pragma: no cover - compiled
     """Write the squared distances (lines, n) from the nearest place outside in the same line."""
     lines, count = inside.shape
@@ -47,7 +66,7 @@ def _along_lines(inside, step, squared):  # pragma: no cover - compiled
             squared[line, i] = min(squared[line, i], (away * step) ** 2)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _across_lines(squared, step, given, lowest, begins):  # pragma: no cover - compiled
     """Lower squared distances (outer, n, inner) to what the other places along the middle axis allow.
 

@@ -1,9 +1,9 @@
 """The smoothest division of a volume in two that the voxels' evidence allows: total variation, solved exactly."""
 
 import numpy as np
-from numba import njit
 
 from marey.arrays import Integers, Mask
+from marey.kernels import kernel
 
 _ITERATIONS = 150
 _SETTLED = 50.0
@@ -53,7 +53,7 @@ def _moving_and_flowing(open_: Mask) -> tuple[Integers, Integers]:
     return np.argwhere(open_).astype(np.int32), np.argwhere(flowing).astype(np.int32)
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def _primal_dual(evidence, inside, moving, flowing, price, spacing, iterations):  # type: ignore[no-untyped-def]
     """Turn `inside` into the solution, in place; only the moving voxels change."""
     deep, high, wide = evidence.shape

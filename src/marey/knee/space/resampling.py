@@ -1,10 +1,10 @@
 """Working grids along the body's axes: a volume smoothed, resampled onto them, and answers carried back."""
 
-import numba
 import numpy as np
 from scipy import ndimage
 
 from marey.arrays import Floats, Mask
+from marey.kernels import kernel
 from marey.knee.space.volume import Grid, Volume
 
 _WITHIN = 0.999
@@ -96,7 +96,7 @@ def read_at(values: np.ndarray, grid: Grid, lps_mm: Floats, *, outside: float = 
     return found.reshape(np.shape(lps_mm)[:-1])
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _read_linearly(values, voxels, outside, found):  # pragma: no cover - compiled
     """Write what an array (k, j, i) is at fractional voxels (n, 3) i, j, k."""
     last_k, last_j, last_i = values.shape[0] - 1, values.shape[1] - 1, values.shape[2] - 1
