@@ -20,9 +20,7 @@ import numpy as np
 from marey.io.calibration.readers import write_cameras_toml
 from marey.io.shapes.measured_surface import read_surface
 from marey.io.trial.trial import read_trial
-from marey.pipelines.progress import RecordingProgress
-from marey.pipelines.surface.settings import SurfaceOptions
-from marey.pipelines.surface.surface import surface
+from marey.pipelines.surface.tasks import measure_surface
 from marey.process import tuned_process
 
 QUALITY = 50
@@ -97,7 +95,7 @@ def main() -> None:
     for name in sys.argv[3:] or WAYS:
         (folder, spacing), tracks = WAYS[name](trial, out), name == "default"
         started = time.perf_counter()
-        surface(folder, SurfaceOptions(out=out / name, spacing=spacing, tracks=tracks), RecordingProgress())
+        measure_surface(folder, out=out / name, spacing=spacing, tracks=tracks)
         seconds = time.perf_counter() - started
         found = scored(shared, out / name / "surface.npz", truth)
         took = json.loads((out / name / "run.json").read_text())["timings_s"]

@@ -13,6 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from marey.fit.recipes.sequence import SequenceSettings
+from marey.io.trial.trial import read_trial
 from marey.pipelines.capture import capture
 from marey.pipelines.capture.settings import CaptureSettings
 from marey.pipelines.progress import RecordingProgress
@@ -61,7 +62,7 @@ def main() -> None:
     capture._refined, capture.write_capture = refined_by_choice(names, seconds)
     for take in asked.takes:
         trial, out = asked.shared / "data" / "people" / take, asked.out / take
-        capture.capture(trial, CaptureSettings(out=out, overlay=False), RecordingProgress())
+        capture.capture_trial(read_trial(trial), CaptureSettings(out=out, overlay=False), RecordingProgress())
         for name in names:
             where = out / name.replace(" ", "_")
             skip = ("--skip-empty", empty_frames(trial))

@@ -16,8 +16,7 @@ from marey.io.opensim.mot_sto import Table, write_table
 from marey.io.opensim.trc import PointPaths, write_trc
 from marey.motion.comparison import MotionComparison
 from marey.motion.recording import interpolated
-from marey.pipelines.compare import CompareOptions, compare
-from marey.pipelines.progress import RecordingProgress
+from marey.pipelines.compare import compare
 
 RATE, SHIFT, NOISE_M = 50.0, 0.2345, 5e-4
 OTHER_FROM_OWN = RigidTransform.from_vector(np.radians([2.0, -3.0, 130.0]), np.array([1.5, -0.8, 0.1]))
@@ -74,8 +73,9 @@ def tell(what: str, result: MotionComparison) -> None:
 def main(results: Path, truth: Path, out: Path) -> None:
     out.mkdir(parents=True, exist_ok=True)
     for path in write_other(truth, out):
-        options = CompareOptions(out=out / f"compared_{path.suffix[1:]}")
-        tell(path.name, compare(results, path, options, RecordingProgress())[1])
+        found = compare(results, path)
+        found.save(out / f"compared_{path.suffix[1:]}")
+        tell(path.name, found.data)
 
 
 if __name__ == "__main__":

@@ -20,9 +20,7 @@ from marey.images.matching.matching import MatchSettings, match
 from marey.images.matching.splines import SplinePicture, spline_of
 from marey.io.calibration.readers import read_rig
 from marey.io.shapes.measured_surface import read_surface
-from marey.pipelines.progress import RecordingProgress
-from marey.pipelines.surface.settings import SurfaceOptions
-from marey.pipelines.surface.surface import surface
+from marey.pipelines.surface.tasks import measure_surface
 from marey.process import tuned_process
 from marey.surface.points.measured import MeasuredPoints
 
@@ -47,7 +45,7 @@ def fitted_cylinder(points: np.ndarray, start: np.ndarray) -> tuple[float, np.nd
 def dense(folder: Path, out: Path, reference: np.lib.npyio.NpzFile) -> None:
     hull = cv2.convexHull(reference["points_left"][0].astype(np.float32))
     for size, spacing in ((13, 6), (21, 8)):
-        surface(folder, SurfaceOptions(out=out, patch=size, spacing=spacing, tracks=False), RecordingProgress())
+        measure_surface(folder, out=out, patch=size, spacing=spacing, tracks=False)
         measured = read_surface(out / "surface.npz")
         for position in range(5):
             points = measured.of_frame(position)

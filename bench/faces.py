@@ -19,9 +19,10 @@ from marey.cameras.rig import Rig
 from marey.cameras.triangulate import triangulate
 from marey.io.calibration.readers import read_rig
 from marey.io.shapes.measured_surface import read_surface
+from marey.io.trial.trial import read_trial
 from marey.pipelines.progress import RecordingProgress
 from marey.pipelines.surface.settings import SurfaceOptions
-from marey.pipelines.surface.surface import surface
+from marey.pipelines.surface.surface import surface_of_trial
 from marey.process import tuned_process
 from marey.surface.points.measured import MeasuredPoints
 
@@ -33,7 +34,7 @@ def main() -> None:
     data, out = Path(sys.argv[1]) / "data" / "surface" / "face1", Path(sys.argv[2])
     spacing = int(sys.argv[3]) if len(sys.argv) > 3 else 2
     for name, options, instants in runs(out, spacing):
-        surface(data, options, RecordingProgress())
+        surface_of_trial(read_trial(data, **options.changes()), options, RecordingProgress())
         rig = read_rig(data / "cameras.toml")
         corrected = out / name / "cameras.toml"
         points = read_surface(out / name / "surface.npz")

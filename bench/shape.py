@@ -26,9 +26,10 @@ from marey.body.metaballs.metaballs import PosedMetaballs
 from marey.fit.points.levenberg import LevenbergSettings, fit_points
 from marey.fit.points.surface_points import FramePoints, PersonPoints
 from marey.io.shapes.measured_surface import write_surface
+from marey.io.trial.trial import read_trial
 from marey.pipelines.capture.settings import CaptureSettings
 from marey.pipelines.progress import RecordingProgress
-from marey.pipelines.shape.shape import shape
+from marey.pipelines.shape.shape import shape_trial
 from marey.process import tuned_process
 from marey.surface.points.measured import MeasuredPoints
 
@@ -175,7 +176,7 @@ def arm(shared, out, trial, preset, frames):
         told("surface.py", "--tracks", out / "trajectories.npz", truth)
     began = time.perf_counter()
     options = CaptureSettings(out=out, preset=preset, frames=(0, frames) if frames else None, overlay=False)
-    shape(trial, options, RecordingProgress())
+    shape_trial(read_trial(trial, **options.changes()), options, RecordingProgress())
     took = json.loads((out / "run.json").read_text())["timings_s"]
     sys.stdout.write(f"marey shape {trial.name} --preset {preset}: {time.perf_counter() - began:.0f} s, {took}\n")
     told("surface.py", "--skin", out / "skin.npz", truth)
