@@ -4,7 +4,9 @@ import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from marey.cameras.rig import Rig
 from marey.errors import MareyWarning, SettingProblem
+from marey.io.calibration.readers import read_rig
 from marey.io.trial.trial import Trial, read_trial
 from marey.observations.observation import Observation
 from marey.pipelines.capture.capture import capture_trial
@@ -54,6 +56,27 @@ def open_trial(
         start=None if start is None else Path(start),
     )  # fmt: skip
     return read_trial(folder, **settings.changes())
+
+
+def read_cameras(path: Path | str) -> Rig:
+    """Read calibrated cameras: Pose2Sim, Anipose, Caliscope, OpenCV's pair of YAML files, or Qualisys.
+
+    Args:
+        path: The file, or a folder that holds one.
+
+    Returns:
+        The cameras by name; lengths in metres.
+
+    Raises:
+        FileProblem: There is no calibration, or it cannot be used; the message lists everything that is wrong in it.
+
+    Example:
+        >>> import marey
+        >>> rig = marey.read_cameras(marey.example_folder())
+        >>> rig["cam01"].size
+        (640, 480)
+    """
+    return read_rig(path)
 
 
 def capture(

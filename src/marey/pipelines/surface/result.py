@@ -9,7 +9,7 @@ import numpy as np
 from marey.arrays import Floats, Image, Integers
 from marey.errors import FileProblem
 from marey.extras import import_optional
-from marey.io.shapes.measured_surface import read_surface
+from marey.io.shapes.measured_surface import read_surface, write_ply, write_surface
 from marey.io.shapes.trajectories import read_trajectories
 from marey.pipelines.labelled import Described, Summary, count_of
 from marey.pipelines.result_files import ResultFiles
@@ -195,6 +195,9 @@ class Surface(Described):
     def save(self, folder: Path | str) -> Path:
         """Write the surface: the same files as `marey surface --out folder`.
 
+        Of a part of a surface, or of one that was matched in single images, only `surface.npz` and `surface.ply` are
+        written.
+
         Args:
             folder: Where; made if it is missing.
 
@@ -202,11 +205,15 @@ class Surface(Described):
             The folder.
 
         Raises:
-            FileProblem: This is a part of a surface, or the folder cannot be written to.
+            FileProblem: The folder cannot be written to.
         """
-        if self._files is None:
-            raise FileProblem(folder, "cannot take a part of a surface", "Save the whole surface.")
-        return self._files.save(folder, file=_FILE)
+        if self._files is not None:
+            return self._files.save(folder, file=_FILE)
+        folder = Path(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        write_surface(folder / _FILE, [self.data], self.cameras)
+        write_ply(folder / "surface.ply", self.data)
+        return folder
 
     def summary(self) -> Summary:
         """Return the readable description."""

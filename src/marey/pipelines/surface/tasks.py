@@ -1,15 +1,27 @@
-"""A surface measurement in one call."""
+"""A surface measurement in one call: of a trial, or of images of one instant."""
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
+from marey.arrays import Image, Mask
+from marey.cameras.rig import Rig
+from marey.errors import SettingProblem
 from marey.io.trial.trial import Trial
+from marey.io.video.video import read_picture
 from marey.pipelines.capture.tasks import Frames, first_and_end, issue_warnings, reopened
 from marey.pipelines.progress import Progress, RecordingProgress
 from marey.pipelines.result_files import ResultFiles
 from marey.pipelines.surface.result import Surface
 from marey.pipelines.surface.settings import SurfaceOptions
 from marey.pipelines.surface.surface import surface_of_trial
+from marey.surface.points.dense import match_tuples
+from marey.surface.points.intersection import intersect
+from marey.surface.points.measured import joined
+from marey.surface.points.settings import SurfaceSettings
+from marey.surface.points.views import comparisons, views_of
 
 
 def measure_surface(
@@ -69,3 +81,67 @@ def measure_surface(
     if progress is None:
         issue_warnings(reporter)
     return Surface(files)
+
+
+def match_images(
+    images: Sequence[Image | Path | str],
+    cameras: Rig,
+    *,
+    masks: Sequence[Mask | None] | None = None,
+    spacing: int = 2,
+    patch: int = 13,
+) -> Surface:
+    """Match images of one instant by least squares, and intersect the rays of the matches.
+
+    Patches of one image are found in its neighbours to a few hundredths of a pixel ([Plaenkers1999] section 2.1).
+    The cameras should stand 10 to 25 degrees apart, and the surface needs texture.
+
+    Args:
+        images: One image per camera, in the order of the cameras: arrays (height, width, 3) uint8 in blue, green, red,
+            or files.
+        cameras: The calibrated cameras, see `marey.read_cameras`.
+        masks: (height, width) per image, true where the surface is; None uses the whole image.
+        spacing: Distance of neighbouring points in the image [px].
+        patch: Width of the smallest patches that are compared, an odd number [px].
+
+    Returns:
+        The points of the surface, with covariances; `data.pixels` are the matched pixels. It may be empty.
+
+    Raises:
+        FileProblem: An image cannot be read.
+        SettingProblem: The images do not belong to the cameras, or no two cameras stand close enough to each other.
+
+    Example:
+        >>> import marey
+        >>> rig = marey.read_cameras("ball")
+        >>> surface = marey.match_images(["ball/left.png", "ball/middle.png", "ball/right.png"], rig, spacing=8)
+        >>> surface.cameras
+        ('left', 'middle', 'right')
+        >>> len(surface) > 100
+        True
+    """
+    settings = SurfaceSettings(spacing=spacing, patch=patch)
+    pictures = [image if isinstance(image, np.ndarray) else read_picture(Path(image)) for image in images]
+    _require_sizes(pictures, cameras)
+    compared = comparisons(cameras, angle=settings.angle)
+    if not compared:
+        limit = np.degrees(settings.angle)
+        raise SettingProblem(f"No two cameras have views that differ by less than {limit:.0f} degrees.")
+    views, threads = views_of(cameras, pictures, masks), os.cpu_count() or 1
+    tuples = [match_tuples(views, each, settings, threads=threads) for each in compared]
+    return Surface(None, joined(intersect(views, each, settings, frame=0) for each in tuples))
+
+
+def _require_sizes(pictures: Sequence[Image], cameras: Rig) -> None:
+    """Check that there is an image of the right size for each camera.
+
+    Raises:
+        SettingProblem: There is not.
+    """
+    if len(pictures) != len(cameras):
+        raise SettingProblem(f"There are {len(pictures)} images for {len(cameras)} cameras; give one per camera.")
+    for picture, camera in zip(pictures, cameras, strict=True):
+        height, width = picture.shape[:2]
+        if (width, height) != camera.size:
+            wanted = f"{camera.width} x {camera.height}"
+            raise SettingProblem(f"The image of {camera.name} has {width} x {height} pixels; its camera has {wanted}.")
