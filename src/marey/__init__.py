@@ -13,21 +13,11 @@ if TYPE_CHECKING:
     from marey.pipelines.progress import Progress, RecordingProgress
     from marey.process import tuned_process
 
+__version__: str
+"""Version of the installed package; read when it is first used."""
 UNKNOWN_VERSION = "0+unknown"
 """Version of a source tree that was never installed: its tags were not read."""
 
-
-def __getattr__(name: str) -> str:
-    """Read the version, which follows the repository's tags, from the installed package when it is first needed."""
-    if name != "__version__":
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from importlib.metadata import PackageNotFoundError, version
-
-    try:
-        globals()[name] = version("marey")
-    except PackageNotFoundError:
-        globals()[name] = UNKNOWN_VERSION
-    return str(globals()[name])
 
 __all__ = [
     "Camera",
@@ -65,10 +55,13 @@ _MODULES = {
 
 
 def __getattr__(name: str) -> object:
-    """Import a public name from its module."""
-    if name not in _MODULES:
+    """Import a public name from its module, or read the version of the installed package."""
+    if name == "__version__":
+        value: object = _installed_version()
+    elif name in _MODULES:
+        value = getattr(import_module(f"marey.{_MODULES[name]}"), name)
+    else:
         raise AttributeError(f"module 'marey' has no attribute {name!r}")
-    value = getattr(import_module(f"marey.{_MODULES[name]}"), name)
     globals()[name] = value
     return value
 
@@ -76,3 +69,13 @@ def __getattr__(name: str) -> object:
 def __dir__() -> list[str]:
     """List the public names, whether they are imported yet or not."""
     return sorted({*globals(), *__all__})
+
+
+def _installed_version() -> str:
+    """Give the version, which follows the tags of the repository, as it was when the package was installed."""
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version("marey")
+    except PackageNotFoundError:
+        return UNKNOWN_VERSION
