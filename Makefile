@@ -5,7 +5,7 @@ WORKERS ?= auto
 BIN := $(VENV)/bin
 INSTALL = $(BIN)/python -m pip install --quiet --constraint constraints.txt
 
-.PHONY: test quick demo knee lint docs dist clean
+.PHONY: test quick demo knee lint docs dist accuracy clean
 
 # A folder without .ready is left over from an interrupted set-up: start again. The checks need more than the program does.
 $(VENV)/.ready: pyproject.toml constraints.txt
@@ -55,6 +55,10 @@ dist: $(VENV)/.ready
 	build/dist-check/bin/python -m pip install --quiet --constraint constraints.txt dist/*.whl
 	cd build && dist-check/bin/python -c "from marey.cli.main import example_folder; print(example_folder())"
 	cd build && dist-check/bin/marey --version
+
+# The pages under docs/accuracy, from the records that `python -m bench run NAME` has written.
+accuracy:
+	$(PYTHON) -m bench report
 
 clean:
 	rm -rf .venv .venv-* build dist

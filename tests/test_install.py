@@ -16,7 +16,8 @@ def test_the_import_of_the_package_has_no_side_effects(tmp_path):
     code = (
         "import os, sys; before = dict(os.environ), set(sys.modules); import marey;"
         "new = set(sys.modules) - before[1];"
-        "print(dict(os.environ) == before[0], *(name for name in new if name.split('.')[0] not in sys.stdlib_module_names))"
+        "added = [name for name in new if name.split('.')[0] not in sys.stdlib_module_names];"
+        "print(dict(os.environ) == before[0], *added)"
     )
     environment = {**os.environ, "HOME": str(tmp_path / "none"), "TMPDIR": str(tmp_path)}
     shown = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)

@@ -10,16 +10,18 @@ if TYPE_CHECKING:
     from marey.errors import FileProblem, MareyError, SettingProblem
     from marey.io.trial.example import example_folder
     from marey.observations.observation import Linearization, Observation, SurfaceObservation
+    from marey.pipelines.markers.bones import Bones, load_bones
+    from marey.pipelines.markers.estimate import estimate_bones, open_markers
     from marey.pipelines.progress import Progress, RecordingProgress
     from marey.process import tuned_process
 
-__version__: str
-"""Version of the installed package; read when it is first used."""
+    __version__: str
 UNKNOWN_VERSION = "0+unknown"
 """Version of a source tree that was never installed: its tags were not read."""
 
 
 __all__ = [
+    "Bones",
     "Camera",
     "FileProblem",
     "Linearization",
@@ -31,12 +33,16 @@ __all__ = [
     "SettingProblem",
     "SurfaceObservation",
     "__version__",
+    "estimate_bones",
     "example_folder",
+    "load_bones",
+    "open_markers",
     "triangulate",
     "tuned_process",
 ]
 
 _MODULES = {
+    "Bones": "pipelines.markers.bones",
     "Camera": "cameras.camera",
     "FileProblem": "errors",
     "Linearization": "observations.observation",
@@ -47,7 +53,10 @@ _MODULES = {
     "Rig": "cameras.rig",
     "SettingProblem": "errors",
     "SurfaceObservation": "observations.observation",
+    "estimate_bones": "pipelines.markers.estimate",
     "example_folder": "io.trial.example",
+    "load_bones": "pipelines.markers.bones",
+    "open_markers": "pipelines.markers.estimate",
     "triangulate": "cameras.triangulate",
     "tuned_process": "process",
 }
@@ -55,27 +64,27 @@ _MODULES = {
 
 
 def __getattr__(name: str) -> object:
-    """Import a public name from its module, or read the version of the installed package."""
+    """Import a public name from its module, or read the version, when it is first used."""
     if name == "__version__":
         value: object = _installed_version()
     elif name in _MODULES:
         value = getattr(import_module(f"marey.{_MODULES[name]}"), name)
     else:
-        raise AttributeError(f"module 'marey' has no attribute {name!r}")
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     globals()[name] = value
     return value
 
 
-def __dir__() -> list[str]:
-    """List the public names, whether they are imported yet or not."""
-    return sorted({*globals(), *__all__})
-
-
 def _installed_version() -> str:
-    """Give the version, which follows the tags of the repository, as it was when the package was installed."""
+    """Return the version of the installed package, which follows the repository's tags."""
     from importlib.metadata import PackageNotFoundError, version
 
     try:
         return version("marey")
     except PackageNotFoundError:
         return UNKNOWN_VERSION
+
+
+def __dir__() -> list[str]:
+    """List the public names, whether they are imported yet or not."""
+    return sorted({*globals(), *__all__})

@@ -7,8 +7,8 @@ from tests.made_knees import made_grid, made_labels, made_volume
 from marey.cli.main import run
 from marey.io.mr.gadolinium import MarkersInScanner
 from marey.knee.bones.bones import BoneSegmentation
-from marey.knee.bones.surfacing import surface_of_labels
 from marey.knee.space.structures import BONES
+from marey.knee.space.surfacing import surface_of_labels
 from marey.pipelines.knee.report import write_page
 from marey.pipelines.progress import RecordingProgress
 

@@ -10,7 +10,8 @@ import typer
 
 import marey
 from marey.cli import knee
-from marey.cli.nonrigid_options import nonrigid
+from marey.cli.markers import markers
+from marey.cli.nonrigid import nonrigid
 from marey.cli.options import BodyFile, Cameras, FixedSizes, Frames, NoOverlay, Out, Preset, Quiet, Start, Stature
 from marey.cli.work import working
 from marey.errors import FileProblem, MareyError
@@ -228,89 +229,7 @@ def retarget(
     typer.echo(f"Written: {path}")
 
 
-@app.command()
-def markers(
-    trial: Annotated[Path, typer.Argument(metavar="TRIAL", help="A C3D, TRC or CSV with the paths of skin markers.")],
-    reference: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="NPZ: where the bones were in a frame of the trial, or in several."),
-    ] = None,
-    clusters: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="TOML: which markers ride on which segment, landmarks, joints, noise."),
-    ] = None,
-    static: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="A trial of the person standing, with the landmarks that the TOML names."),
-    ] = None,
-    functional: Annotated[
-        list[Path] | None,
-        typer.Option(metavar="FILE", help="A trial in which a hip or shoulder was moved about; several are allowed."),
-    ] = None,
-    exercise: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="A trial that tells how the skin moves, for the method `artefact`."),
-    ] = None,
-    exercise_reference: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="NPZ: where the bones were in frames of the exercise, where that is known."),
-    ] = None,
-    method: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME,...",
-            help="Methods set apart by commas, or `all`. The files hold the first one's. [default: skin]",
-        ),
-    ] = None,
-    model: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="An OpenSim model: all its bodies follow the markers at once."),
-    ] = None,
-    weights: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="XML: the model's tasks and weights. [default: all alike]")
-    ] = None,
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", "-o", metavar="DIR", help="Where the results go. [default: TRIAL_marey]"),
-    ] = None,
-    frames: Frames = None,
-    fill: Annotated[
-        str,
-        typer.Option(
-            metavar="WAY", help="Fill gaps: spline (over time), cluster (from the segment's other markers), best, none."
-        ),
-    ] = "none",
-    unit: Annotated[str | None, typer.Option(metavar="UNIT", help="mm, cm or m, where the file says it wrong.")] = None,
-    side: Annotated[
-        str | None, typer.Option(metavar="SIDE", help="left or right, where the segments' names do not tell.")
-    ] = None,
-    quiet: Quiet = False,
-) -> None:
-    """Estimate the motion of bones from the skin markers on them.
-
-    Markers called `thigh_01`, `thigh_02`, ... ride on the segment `thigh`; otherwise a TOML says which ride where.
-    Leaves the bones' poses, joint angles and translations with standard deviations, each marker's motion over its
-    bone, and a report with the curves of all methods that were asked for.
-
-    Examples:
-    * `marey markers walk.c3d --reference walk_frame0.npz`
-    * `marey markers walk.c3d --reference walk_frame0.npz --method all --out results/walk`
-    * `marey markers walk.c3d --clusters person.toml --static static.c3d --functional left_hip.c3d`
-    * `marey markers walk.trc --model scaled.osim --weights tasks.xml`
-    """
-    from marey.pipelines.markers.markers import markers as follow_markers
-    from marey.pipelines.markers.settings import MarkersOptions
-
-    options = MarkersOptions(
-        out=out, reference=reference, setup=clusters, static=static, functional=tuple(functional or ()),
-        exercise=exercise, exercise_reference=exercise_reference, methods=_method_names(method), model=model,
-        weights=weights, frames=_range(frames), fill=fill, unit=unit, side=side,
-    )  # fmt: skip
-    with working(quiet=quiet) as progress:
-        results = follow_markers(trial, options, progress)
-    typer.echo(f"Report: {results / 'report.html'}")
-
-
+app.command()(markers)
 app.command()(nonrigid)
 
 
@@ -408,10 +327,6 @@ def _capture(trial: Path, settings: CaptureSettings, *, quiet: bool) -> None:
     with working(quiet=quiet, parallel_cameras=True) as progress:
         results = capture_trial(trial, settings, progress)
     typer.echo(f"Report: {results / 'report.html'}")
-
-
-def _method_names(text: str | None) -> tuple[str, ...] | None:
-    return None if text is None else parse_names(text, option="--method", example="rigid,interval")
 
 
 def _names(text: str | None) -> tuple[str, ...] | None:
