@@ -21,25 +21,15 @@ import typer
 DOCS = Path(__file__).parents[1]
 BIBLIOGRAPHY = "reference/bibliography.md"
 
-MOVED = {
-    "body.md": "explanation/body.md",
-    "retarget.md": "how-to/retarget.md",
-    "tracking.md": "explanation/tracking.md",
-    "surface.md": "how-to/surface.md",
-    "markers.md": "how-to/markers.md",
-    "nonrigid-methods.md": "explanation/nonrigid.md",
-}
-"""Links of docs/accuracy.md that name pages as they were called before the site."""
-
 _CITATION = re.compile(r"\[([A-Z][A-Za-z]+\d{4}[a-z]?)\](?![(\[:])")
 _CODE = re.compile(r"(^ *```.*?^ *```[^\n]*$|^(?: {4}|\t)[^\n]*$|`[^`\n]+`)", re.MULTILINE | re.DOTALL)
 _FORMULA = re.compile(r'<(span|div) class="arithmatex">(.*?)</\1>', re.DOTALL)
 
 
 def on_config(config: Any) -> Any:
-    """Add the pages of docs/accuracy/ behind docs/accuracy.md."""
-    folder = DOCS / "accuracy"
-    pages = sorted(path.relative_to(DOCS).as_posix() for path in folder.rglob("*.md"))
+    """Add the pages that the benchmarks write, and the log of what was rejected, behind docs/accuracy.md."""
+    folders = (DOCS / "accuracy", DOCS / "development")
+    pages = [path.relative_to(DOCS).as_posix() for folder in folders for path in sorted(folder.rglob("*.md"))]
     for entry in config["nav"]:
         if "Accuracy" in entry and pages:
             entry["Accuracy"] = ["accuracy.md", *pages]
@@ -59,10 +49,6 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
         if marker in markdown:
             markdown = markdown.replace(marker, make())
     path = page.file.src_uri
-    if path == "accuracy.md":
-        markdown = re.sub(
-            r"\]\(([a-z-]+\.md)", lambda found: f"]({MOVED.get(found.group(1), found.group(1))}", markdown
-        )
     return markdown if path == BIBLIOGRAPHY else linked_citations(markdown, path)
 
 
