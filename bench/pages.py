@@ -38,7 +38,7 @@ def write_pages(
         pages: The folder of the pages.
         benches: The folder of the benchmarks.
         records: The folder of the records.
-        project: The repository whose history tells how old a record is.
+        project: The repository whose history gives the age of a record.
 
     Returns:
         The pages.

@@ -150,7 +150,7 @@ def starts(run: Run, trial: Path) -> tuple[int, int, int]:
 
 
 def start_errors(out: Path, truth: "np.lib.npyio.NpzFile", frame: int, row: int) -> tuple[np.ndarray, float]:
-    """Give the limb joints' errors [m] of one frame, and the cosine between the hips' line and the true one."""
+    """The limb joints' errors [m] of one frame, and the cosine between the hips' line and the true one."""
     motion = np.load(out / "motion.npz")
     own = dict(zip(motion["joint_names"], motion["joint_centres"][frame], strict=True))
     if "joints" in truth:
