@@ -4,7 +4,6 @@ import argparse
 import inspect
 
 import pytest
-
 from bench.declaration import find_benches
 
 BENCHES = find_benches()
