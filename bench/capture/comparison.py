@@ -16,7 +16,7 @@ from bench.recording import Column, Run
 from marey.geometry.rigid import RigidTransform
 from marey.io.opensim.mot_sto import Table, write_table
 from marey.io.opensim.trc import PointPaths, write_trc
-from marey.motion.comparison import Comparison
+from marey.motion.comparison import MotionComparison
 from marey.motion.recording import interpolated
 from marey.pipelines.compare import CompareOptions, compare
 from marey.pipelines.progress import Progress
@@ -60,7 +60,7 @@ def flexion(near: np.ndarray, middle: np.ndarray, far: np.ndarray) -> np.ndarray
     return np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), (a * b).sum(1))
 
 
-def laboratories(result: Comparison) -> tuple[float | None, ...]:
+def laboratories(result: MotionComparison) -> tuple[float | None, ...]:
     """Turn [deg] and shift [mm] of the estimated laboratory from the true one, each with its stated deviation."""
     found = result.alignment
     if not result.first.point_names:

@@ -26,10 +26,10 @@ from bench.recording import Column, Run, Table
 from marey.io.mr.meshes import write_mesh
 from marey.io.mr.volumes import read_template, read_volume, simple_itk, write_labels, write_volume
 from marey.knee.bones.bones import segment_bones
-from marey.knee.bones.surfacing import surface_of_field
 from marey.knee.space.resampling import part_of
 from marey.knee.space.structures import LABELS
 from marey.knee.space.surface import Surface
+from marey.knee.space.surfacing import surface_of_field
 from marey.knee.space.volume import Volume
 
 BENCH = Bench(

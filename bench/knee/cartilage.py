@@ -23,12 +23,12 @@ from marey.arrays import Floats
 from marey.io.mr.meshes import read_mesh
 from marey.io.mr.volumes import read_labels, read_volume
 from marey.io.npz import read_arrays
-from marey.knee.bones.surfacing import surface_of_labels
 from marey.knee.cartilage.knee_cartilage import find_knee_cartilage, knee_template, seen_share
 from marey.knee.cartilage.labels import with_cartilage
 from marey.knee.cartilage.thickness import cartilage_thickness
 from marey.knee.space.structures import BONES, CARTILAGE_OF_BONE, LABELS
 from marey.knee.space.surface import Surface
+from marey.knee.space.surfacing import surface_of_labels
 from marey.knee.space.volume import Labels
 
 BENCH = Bench(

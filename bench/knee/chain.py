@@ -28,13 +28,13 @@ from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
 from marey.io.markers.readers import read_markers
 from marey.io.mr.volumes import read_volume
-from marey.knee.bones.surfacing import surface_of_labels
 from marey.knee.markers.anatomical_frames import bone_frame
 from marey.knee.markers.correspondence import KneeCorrespondence, bone_chain, correspond, mean_error_quantile
 from marey.knee.markers.gadolinium import find_gadolinium
 from marey.knee.markers.marker_naming import ScannerMarkers
 from marey.knee.markers.reference_posture import Activity, reference_posture
 from marey.knee.space.surface import Surface
+from marey.knee.space.surfacing import surface_of_labels
 from marey.knee.space.volume import Labels
 from marey.markers.data.bone_motion import BoneMotion
 from marey.markers.data.clusters import AnatomicalCalibration

@@ -25,7 +25,6 @@ from bench.recording import Column, Run
 from marey.arrays import Floats, Mask
 from marey.io.mr.volumes import read_template, read_volume
 from marey.knee.bones.bones import segment_bones
-from marey.knee.bones.region_growing import signed_distance
 from marey.knee.bones.template import checked_template
 from marey.knee.outlines.boundary_elements import LearnedCosts, learned_costs
 from marey.knee.outlines.contours import (
@@ -40,6 +39,7 @@ from marey.knee.outlines.contours import (
 )
 from marey.knee.outlines.live_wire import LiveWire
 from marey.knee.outlines.outlining import drawn
+from marey.knee.space.distances import signed_distance
 from marey.knee.space.structures import BONES, LABELS
 from marey.knee.space.volume import Labels, Volume
 from marey.pipelines.knee.outline import serve

@@ -18,13 +18,13 @@ from bench.declaration import Bench
 from bench.knee.cartilage import begin, fill, surfaces_of
 from bench.recording import Run
 from marey.io.mr.volumes import read_template
-from marey.knee.bones.region_growing import signed_distance
-from marey.knee.bones.surfacing import surface_of_labels
 from marey.knee.cartilage.knee_cartilage import find_knee_cartilage, knee_template
 from marey.knee.cartilage.labels import with_cartilage
 from marey.knee.cartilage.thickness import cartilage_thickness
+from marey.knee.space.distances import signed_distance
 from marey.knee.space.resampling import part_of, read_at, resampled, smoothed, upright_grid
 from marey.knee.space.structures import BONES, CARTILAGE_OF_BONE, LABELS
+from marey.knee.space.surfacing import surface_of_labels
 from marey.knee.space.volume import Grid, Labels, Volume
 
 BENCH = Bench(

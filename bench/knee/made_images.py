@@ -14,7 +14,7 @@ from scipy import ndimage
 
 from marey.geometry import rotations
 from marey.io.mr.volumes import read_volume
-from marey.knee.bones.region_growing import signed_distance
+from marey.knee.space.distances import signed_distance
 from marey.knee.space.resampling import on_grid, resampled, upright_grid
 from marey.knee.space.structures import BONES, CARTILAGE_OF_BONE, LABELS
 from marey.knee.space.volume import Grid, Labels, Volume

@@ -35,7 +35,6 @@ from marey.io.mr.meshes import read_mesh, write_mesh
 from marey.io.mr.volumes import read_template
 from marey.io.npz import read_arrays, write_arrays
 from marey.io.opensim.trc import PointPaths
-from marey.knee.bones.surfacing import surface_of_labels
 from marey.knee.markers.anatomical_frames import bone_frame
 from marey.knee.motion.joint_motion import KneeMotion, joint_proximities, joint_sides, knee_angles, motion_of_chains
 from marey.knee.motion.joint_surface import JointSurface, joint_surface
@@ -43,6 +42,7 @@ from marey.knee.motion.proximity import RelativePoses, proximity
 from marey.knee.space.sides import MIRROR, mirrored
 from marey.knee.space.structures import BONE_OF_CARTILAGE, LABELS
 from marey.knee.space.surface import Surface
+from marey.knee.space.surfacing import surface_of_labels
 from marey.markers.kinematics.transform_chain import (
     CAPTURE_ANATOMIC,
     CAPTURE_BONE,
@@ -55,9 +55,8 @@ from marey.markers.kinematics.transform_chain import (
     identity,
 )
 from marey.pipelines.knee.animate import AnimateOptions, animate
-from marey.pipelines.markers.markers import markers
-from marey.pipelines.markers.settings import MarkersOptions
-from marey.pipelines.progress import Progress
+from marey.pipelines.markers.estimate import estimate_bones, open_markers
+from marey.pipelines.progress import RecordingProgress
 
 BENCH = Bench(
     measures="Gap, proximity and angles of a simulated knee moved by real skin markers, against the true bones.",
@@ -161,14 +160,12 @@ def trial(table: Table, shared: Path, name: str, work: Path) -> None:
         f"{s}_{k}": truth[f"{s}_{k}"][at] for s in SEGMENT.values() for k in ("rotation", "origin")
     }
     np.savez(work / "reference.npz", **known)
-    quiet = Progress(quiet=True)
-    options = MarkersOptions(
-        out=work / "motion",
-        reference=work / "reference.npz",
-        methods=("skin", "rigid"),
-        side="left" if left else "right",
-    )
-    motion = markers(sta / f"{name}.c3d", options, quiet)
+    quiet = RecordingProgress()
+    motion = work / "motion"
+    walk = open_markers(
+        sta / f"{name}.c3d", reference=work / "reference.npz", side="left" if left else "right", progress=quiet
+    )  # fmt: skip
+    estimate_bones(walk, ("skin", "rigid"), out=motion, progress=quiet)
     out = animate(
         knee_folder, motion, AnimateOptions(reference=work / "standing.c3d", compare="rigid", out=work / "out"), quiet
     )

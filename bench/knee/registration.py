@@ -30,7 +30,6 @@ from marey.geometry.rigid import RigidTransform
 from marey.io.mr.meshes import read_mesh
 from marey.io.mr.volumes import read_labels, simple_itk
 from marey.io.npz import write_arrays
-from marey.knee.bones.surfacing import surface_of_labels
 from marey.knee.cartilage.thickness import cartilage_thickness
 from marey.knee.registration.deformation import Deformation
 from marey.knee.registration.elastic import ElasticSettings, _images, register_elastically, surface_distances
@@ -41,6 +40,7 @@ from marey.knee.space.mesh_mending import with_holes_closed
 from marey.knee.space.sides import mirrored
 from marey.knee.space.structures import CARTILAGE_OF_BONE
 from marey.knee.space.surface import Surface
+from marey.knee.space.surfacing import surface_of_labels
 from marey.knee.space.triangle_tree import TriangleTree, corner_weights
 from marey.knee.space.volume import Grid, Labels
 from marey.pipelines.knee.meshes import SMALL_HOLE

@@ -9,7 +9,9 @@ import argparse
 from bench.declaration import Bench
 from bench.provenance import PROJECT
 from bench.recording import Column, Run
-from marey.pipelines.speed.speeds import bench
+from marey.pipelines.progress import RecordingProgress
+from marey.pipelines.speed.speeds import measure_speeds
+from marey.process import tuned_process
 
 BENCH = Bench(
     measures="Times of `marey bench`: pose solve, drawing, silhouettes, surface, live wire, and the whole capture.",
@@ -34,5 +36,7 @@ def run(run: Run) -> None:
     """Time."""
     trial = run.shared / "data" / "people" / run.arguments.take if run.arguments.take else None
     table = run.table("Speeds", "what", Column("measured"), Column("beside"), Column("remark"))
-    for speed in bench(trial, example=PROJECT / "examples" / "reach"):
+    with tuned_process():
+        speeds = measure_speeds(trial, example=PROJECT / "examples" / "reach", progress=RecordingProgress())
+    for speed in speeds:
         table.row(speed.what, speed.measured, speed.beside, speed.remark)

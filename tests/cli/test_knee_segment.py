@@ -19,12 +19,13 @@ from marey.errors import SettingProblem
 from marey.io.mr.meshes import read_mesh
 from marey.io.mr.volumes import write_labels, write_volume
 from marey.io.npz import read_arrays
-from marey.knee.bones.bones import Bone, BoneSegmentation
-from marey.knee.bones.surfacing import surface_of_labels
+from marey.knee.bones.bones import BoneSegmentation
+from marey.knee.bones.refined_bones import Bone
 from marey.knee.bones.template_fit import Placement, TemplateFit
 from marey.knee.cartilage.thickness import cartilage_thickness
 from marey.knee.space.resampling import part_of
 from marey.knee.space.structures import LABELS
+from marey.knee.space.surfacing import surface_of_labels
 from marey.knee.space.volume import Grid, Labels, Volume
 from marey.pipelines.knee.segment import SegmentOptions, given_seeds, parse_seed, title_of
 

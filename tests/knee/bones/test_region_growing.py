@@ -3,8 +3,9 @@ import pytest
 
 from marey.errors import SettingProblem
 from marey.knee.bones.marrow import Knee
-from marey.knee.bones.region_growing import Level, grow, marrow_level, outgrowth, signed_distance, thin_share
+from marey.knee.bones.region_growing import Level, grow, marrow_level, outgrowth, thin_share
 from marey.knee.bones.seeds import seed_voxel
+from marey.knee.space.distances import signed_distance
 from marey.knee.space.volume import Grid
 
 

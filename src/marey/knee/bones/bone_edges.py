@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 from marey.arrays import Floats
 from marey.knee.bones.marrow import Kind
 from marey.knee.bones.outer_edge import at_half_level
-from marey.knee.bones.region_growing import signed_distance
+from marey.knee.space.distances import signed_distance
 from marey.knee.space.minimal_cut import minimal_cut
 from marey.knee.space.resampling import smoothed
 from marey.knee.space.volume import Grid

@@ -21,8 +21,6 @@ _REGROWN_MM = 0.5
 _THIN_MM = 6.0
 _CORE_MM, _CORNER_MM = 8.0, 6.0
 """A femur or tibia is all within so much of where a ball of such a radius fits into it, but a third of a cm3."""
-_FARTHEST_MM = 1e3
-"""What is given for the distance to an edge that is not there."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -131,11 +129,3 @@ def thin_share(mask: Mask) -> float:
         return 1.0
     thick = ndimage.distance_transform_edt(~core) * WORK_MM <= _THIN_MM + _REGROWN_MM
     return float((whole & ~thick).sum() / whole.sum())
-
-
-def signed_distance(mask: Mask, spacing_mm: tuple[float, ...]) -> np.ndarray:
-    """(k, j, i), or (rows, columns), distance [mm] to a mask's edge, positive inside; at the image's end it goes on."""
-    inside, outside = distance_within(mask, spacing_mm), distance_within(~mask, spacing_mm)
-    # The edge lies between the last voxel inside and the first outside; less than half a distance keeps the signs.
-    signed = np.where(mask, inside, -outside) - 0.5 * min(spacing_mm) * np.where(mask, 1, -1)
-    return np.clip(signed, -_FARTHEST_MM, _FARTHEST_MM).astype(np.float32)

@@ -9,11 +9,11 @@ from scipy import ndimage
 
 from marey.arrays import Mask
 from marey.errors import MareyError
-from marey.knee.bones.surfacing import surface_of_labels
 from marey.knee.space.distances import distance_within
 from marey.knee.space.sides import is_left
 from marey.knee.space.structures import BONES, CARTILAGE_OF_BONE, LABELS
 from marey.knee.space.surface import Surface
+from marey.knee.space.surfacing import surface_of_labels
 from marey.knee.space.volume import Labels
 
 _CRUMB = 0.02

@@ -12,8 +12,7 @@ from marey.arrays import Floats, Mask
 from marey.errors import MareyError
 from marey.geometry import rotations
 from marey.knee.bones.marrow import WORK_MM
-from marey.knee.bones.region_growing import signed_distance
-from marey.knee.space.distances import distance_within
+from marey.knee.space.distances import distance_within, signed_distance
 from marey.knee.space.resampling import part_of, read_at, resampled, upright_grid
 from marey.knee.space.structures import BONES
 from marey.knee.space.volume import Grid, Labels

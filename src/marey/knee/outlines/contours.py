@@ -9,8 +9,8 @@ from scipy.interpolate import PchipInterpolator
 
 from marey.arrays import Floats, Mask, freeze_fields
 from marey.errors import MareyError
-from marey.knee.bones.region_growing import signed_distance
 from marey.knee.outlines.outlines import filled
+from marey.knee.space.distances import signed_distance
 from marey.knee.space.structures import LABELS
 from marey.knee.space.volume import Grid, Labels
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from marey.arrays import Floats
-from marey.knee.space.resampling import on_grid, reach, resampled, upright_grid
+from marey.knee.space.resampling import on_grid, reach, resampled, smoothed, upright_grid
 from marey.knee.space.volume import Grid, Volume
 
 _WORK_MM = 3.0
@@ -48,6 +48,23 @@ def bias_field(volume: Volume) -> BiasField:
     if volume not in _FOUND:
         _FOUND[volume] = _bias_field(volume)
     return _FOUND[volume]
+
+
+def corrected_intensity(volume: Volume, grid: Grid) -> np.ndarray:
+    """Return an image without bias on another grid; not smoothed where that grid is a part of its own.
+
+    Args:
+        volume: The image as it came from the scanner.
+        grid: Of the result.
+
+    Returns:
+        (k, j, i) intensity on `grid`.
+    """
+    if np.allclose(volume.grid.lps_from_voxel[:3, :3], grid.lps_from_voxel[:3, :3]):
+        values = volume.intensity
+    else:
+        values = smoothed(volume.intensity, volume.grid, 0.3 * float(grid.spacing_mm.min()))
+    return resampled(values, volume.grid, grid) / bias_field(volume).on(grid)
 
 
 def _bias_field(volume: Volume) -> BiasField:
