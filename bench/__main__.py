@@ -87,7 +87,7 @@ def run_bench(name: str, words: Sequence[str]) -> int:
         common.error(f"{given.shared} has no folder `data`. Give the folder of recordings with --shared.")
     typed = own_words(own, words)
     path = record_path(name, typed)
-    commit, dirty = current_commit(), is_dirty(["src", "bench"])
+    commit, dirty = current_commit(), is_dirty(["src", "bench", ":!bench/records"])
     with tempfile.TemporaryDirectory() as scratch:
         out = given.out or Path(scratch)
         out = out.resolve() / (commit[:7] + ("-dirty" if dirty else ""))
