@@ -43,7 +43,7 @@ CHOICES: dict[str, dict[str, object]] = {
 
 
 def refined_by_choice(names: list[str], seconds: dict[str, float]):
-    """Give stand-ins for the last two steps of a capture: refine and write once for each choice."""
+    """Return stand-ins for the last two steps of a capture: refine and write once for each choice."""
     refine, write = capture._refined, capture.write_capture
 
     def refined(run, *found):

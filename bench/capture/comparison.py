@@ -54,7 +54,7 @@ def write_other(truth: Path, out: Path) -> tuple[Path, Path]:
 
 
 def flexion(near: np.ndarray, middle: np.ndarray, far: np.ndarray) -> np.ndarray:
-    """Give the angle by which a limb is bent at its middle joint (F,) [rad]."""
+    """The angle by which a limb is bent at its middle joint (F,) [rad]."""
     a, b = middle - near, far - middle
     return np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), (a * b).sum(1))
 

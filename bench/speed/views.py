@@ -66,7 +66,7 @@ def expected(masks, cameras) -> list:
 
 
 def first_known(files, first: int, end: int, count: int) -> dict:
-    """Give the first frames in which every camera sees the surface: its silhouettes, one a camera."""
+    """The first frames in which every camera sees the surface: its silhouettes, one a camera."""
     found = {}
     for frame, masks in enumerate(zip(*(file.masks(range(first, end)) for file in files), strict=True), first):
         if all(mask.any() for mask in masks):
