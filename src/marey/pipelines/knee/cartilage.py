@@ -15,13 +15,13 @@ from marey.io.mr.tables import write_parts
 from marey.io.npz import write_arrays
 from marey.io.video.pictures import write_picture
 from marey.knee.bones.bones import BoneSegmentation
-from marey.knee.space.surfacing import surface_of_labels
 from marey.knee.cartilage.knee_cartilage import KneeCartilage, find_knee_cartilage, knee_template
 from marey.knee.cartilage.labels import with_cartilage
 from marey.knee.cartilage.subregions import Subregion, flat_map, subregion_names, subregions, whole
 from marey.knee.space.sides import MIRROR, is_left
 from marey.knee.space.structures import BONES, CARTILAGE_OF_BONE, LABELS
 from marey.knee.space.surface import Surface
+from marey.knee.space.surfacing import surface_of_labels
 from marey.knee.space.volume import Labels, Volume
 from marey.pipelines.progress import Progress
 from marey.view.pictures.flat_cartilage import flat_picture
