@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import ndimage
 
-from marey.knee.space.volume import VoxelGrid, Volume
+from marey.knee.space.volume import Volume, VoxelGrid
 
 LEVELS = {
     "dark": {"air": 4.0, "fat": 18.0, "muscle": 60.0, "ball": 230.0},

@@ -3,7 +3,7 @@
 import numpy as np
 
 from marey.knee.space.structures import BONES, CARTILAGE_OF_BONE, LABELS
-from marey.knee.space.volume import VoxelGrid, Labels, Volume
+from marey.knee.space.volume import Labels, Volume, VoxelGrid
 
 LEVELS = {
     "dark": {"air": 2.0, "fat": 30.0, "muscle": 70.0, "cartilage": 110.0, "marrow": 13.0, "cortex": 10.0},

@@ -1,23 +1,90 @@
 """Measures how a body moves and what shape it has, from what is seen at its surface."""
 
-import os
-import tempfile
-from pathlib import Path
+from importlib import import_module
+from typing import TYPE_CHECKING
 
-__version__ = "0.1.0"
+if TYPE_CHECKING:
+    from marey.cameras.camera import Camera
+    from marey.cameras.rig import Rig
+    from marey.cameras.triangulate import triangulate
+    from marey.errors import FileProblem, MareyError, SettingProblem
+    from marey.io.trial.example import example_folder
+    from marey.observations.observation import Linearization, Observation, SurfaceObservation
+    from marey.pipelines.markers.bones import Bones, load_bones
+    from marey.pipelines.markers.estimate import estimate_bones, open_markers
+    from marey.pipelines.progress import Progress, RecordingProgress
+    from marey.process import tuned_process
+
+    __version__: str
+UNKNOWN_VERSION = "0+unknown"
+"""Version of a source tree that was never installed: its tags were not read."""
 
 
-def _find_place_for_kernels() -> None:
-    """Give compiled kernels a folder where neither the program's nor the user's can be written to.
+__all__ = [
+    "Bones",
+    "Camera",
+    "FileProblem",
+    "Linearization",
+    "MareyError",
+    "Observation",
+    "Progress",
+    "RecordingProgress",
+    "Rig",
+    "SettingProblem",
+    "SurfaceObservation",
+    "__version__",
+    "estimate_bones",
+    "example_folder",
+    "load_bones",
+    "open_markers",
+    "triangulate",
+    "tuned_process",
+]
 
-    Numba keeps them beside the code, or else in the user's cache; where both are read-only, as in some containers,
-    it would refuse to start. A private folder, because what lies in it is run.
-    """
-    home = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~"))
-    places = [Path(__file__).parent, home, *home.parents]
-    nearest_home = next(place for place in places[1:] if place.exists())
-    if not any(os.access(place, os.W_OK) for place in (places[0], nearest_home)):
-        os.environ.setdefault("NUMBA_CACHE_DIR", tempfile.mkdtemp(prefix="marey-kernels-"))
+_MODULES = {
+    "Bones": "pipelines.markers.bones",
+    "Camera": "cameras.camera",
+    "FileProblem": "errors",
+    "Linearization": "observations.observation",
+    "MareyError": "errors",
+    "Observation": "observations.observation",
+    "Progress": "pipelines.progress",
+    "RecordingProgress": "pipelines.progress",
+    "Rig": "cameras.rig",
+    "SettingProblem": "errors",
+    "SurfaceObservation": "observations.observation",
+    "estimate_bones": "pipelines.markers.estimate",
+    "example_folder": "io.trial.example",
+    "load_bones": "pipelines.markers.bones",
+    "open_markers": "pipelines.markers.estimate",
+    "triangulate": "cameras.triangulate",
+    "tuned_process": "process",
+}
+"""The module of each public name; it is imported when the name is first used ([PEP 562])."""
 
 
-_find_place_for_kernels()
+def __getattr__(name: str) -> object:
+    """Import a public name from its module, or read the version, when it is first used."""
+    if name == "__version__":
+        value: object = _installed_version()
+    elif name in _MODULES:
+        value = getattr(import_module(f"marey.{_MODULES[name]}"), name)
+    else:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    globals()[name] = value
+    return value
+
+
+def _installed_version() -> str:
+    """Return the version of the installed package, which follows the repository's tags."""
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version("marey")
+    except PackageNotFoundError:
+        return UNKNOWN_VERSION
+
+
+def __dir__() -> list[str]:
+    """List the public names, whether they are imported yet or not."""
+    return sorted({*globals(), *__all__})

@@ -25,3 +25,7 @@ class FileProblem(MareyError):
 
 class SettingProblem(MareyError):
     """A setting or option whose value cannot be used."""
+
+
+class MissingPackage(MareyError):
+    """An optional package that is not installed."""

@@ -1,4 +1,3 @@
-import io
 import json
 import re
 
@@ -11,12 +10,12 @@ from marey.knee.bones.bones import BoneSegmentation
 from marey.knee.space.structures import BONES
 from marey.knee.space.surfacing import surface_of_labels
 from marey.pipelines.knee.report import write_page
-from marey.pipelines.progress import Progress
+from marey.pipelines.progress import RecordingProgress
 
 
 def test_bones_without_a_template_have_a_page_that_view_finds(tmp_path, capsys):
     grid = made_grid((2.0, 2.0, 4.0))
-    labels, progress = made_labels(grid), Progress(io.StringIO())
+    labels, progress = made_labels(grid), RecordingProgress()
     bones = BoneSegmentation(labels=labels, bones={}, kinds=("dark",), template_fit=None, notes=())
     surfaces = {bone: surface_of_labels(labels, bone, edge_mm=3.0) for bone in BONES}
     progress.warn("A note of the run.")

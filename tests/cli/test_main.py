@@ -9,6 +9,9 @@ from marey.cli.main import run
 from marey.errors import FileProblem
 from marey.pipelines.capture.settings import CaptureSettings
 from marey.pipelines.progress import Progress
+from marey.pipelines.speed.speeds import Speed
+
+SPEED = Speed(what="pose", measured="2.00 ms", beside="limit [1] ms")
 
 
 class FakeCapture:
@@ -145,3 +148,11 @@ def test_the_demo_of_an_installed_program_leaves_its_results_where_it_was_called
     assert run(["demo"]) == 0
     assert capture.calls[0][0] == example
     assert capture.calls[0][1].out == Path("marey-demo")
+
+
+def test_bench_prints_a_table_of_the_machine_and_every_speed(capsys, monkeypatch):
+    monkeypatch.setattr("marey.pipelines.speed.speeds.measure_speeds", lambda *given, **more: [SPEED])
+    assert run(["bench"]) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "cores" in shown
+    assert "pose 2.00 ms limit [1] ms" in shown

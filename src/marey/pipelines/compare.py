@@ -11,7 +11,7 @@ from marey.arrays import Floats
 from marey.errors import FileProblem, MareyError
 from marey.io.markers.recordings import motion_in, read_recording
 from marey.io.results.comparison import write_comparison
-from marey.motion.comparison import Comparison
+from marey.motion.comparison import MotionComparison
 from marey.motion.comparison import compare as compare_motions
 from marey.motion.names import apply_map, known_angle, known_point, known_segment, one_sign
 from marey.motion.recording import Recording
@@ -38,7 +38,7 @@ class CompareOptions:
     """Whether both are in one laboratory already."""
 
 
-def compare(first: Path, second: Path, options: CompareOptions, progress: Progress) -> tuple[Path, Comparison]:
+def compare(first: Path, second: Path, options: CompareOptions, progress: Progress) -> tuple[Path, MotionComparison]:
     """Compare two motions and write compare.csv and report.html.
 
     Args:
@@ -77,7 +77,7 @@ def compare(first: Path, second: Path, options: CompareOptions, progress: Progre
         )  # fmt: skip
         write_record(folder, command="compare", settings=asked, inputs=inputs, root=Path.cwd(), progress=progress)
     for line in told(result):
-        progress.say(line)
+        progress.report(line)
     return out, result
 
 
@@ -178,7 +178,7 @@ def _renamed(recording: Recording, field: str, names: Sequence[str], signs: Sequ
     return replace(recording, **changes)  # type: ignore[arg-type]
 
 
-def notes_of(result: Comparison) -> list[str]:
+def notes_of(result: MotionComparison) -> list[str]:
     """Say what a reader of the numbers should know."""
     alignment = result.alignment
     notes = list(alignment.notes)
@@ -196,7 +196,7 @@ def notes_of(result: Comparison) -> list[str]:
     return notes
 
 
-def told(result: Comparison) -> list[str]:
+def told(result: MotionComparison) -> list[str]:
     """Say in a few lines what was found."""
     alignment, lines = result.alignment, []
     lines.append(f"{len(result.time)} frames in common, {result.time[-1] - result.time[0]:.2f} s.")
@@ -225,7 +225,7 @@ def shift_text(shift: float, sd: float) -> str:
     return f"Time shift (second clock less first): {1e3 * shift + 0.0:.1f} ms{_spread(1e3 * sd, ' ms')}."
 
 
-def offset_text(result: Comparison) -> list[str]:
+def offset_text(result: MotionComparison) -> list[str]:
     """Say how the laboratories lie."""
     alignment = result.alignment
     if not (result.first.point_names or result.first.segment_names):

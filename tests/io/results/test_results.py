@@ -1,11 +1,11 @@
 """Every file of the results holds the same motion, also for the programs that others read it with."""
 
-import importlib.util
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from bench.capture import formats
 from tests import people, performer
 
 from marey.arrays import Floats
@@ -42,15 +42,6 @@ def results(person: Body, motion: Motion, skin: Floats, tmp_path_factory) -> Pat
     return folder
 
 
-@pytest.fixture(scope="module")
-def checks():
-    path = Path(__file__).parents[2] / "bench" / "check_formats.py"
-    spec = importlib.util.spec_from_file_location("check_formats", path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 def test_every_file_is_there_and_nothing_else(results: Path):
     assert {path.name for path in results.iterdir()} == FILES
 
@@ -62,12 +53,12 @@ def test_every_file_is_there_and_nothing_else(results: Path):
         ("xarray", "check_netcdf"), ("bpy", "check_blender"),
     ],
 )  # fmt: skip
-def test_other_programs_see_the_same_motion(results: Path, motion: Motion, checks, program: str, check: str):
+def test_other_programs_see_the_same_motion(results: Path, motion: Motion, program: str, check: str):
     pytest.importorskip(program)
-    found = getattr(checks, check)(results, motion.arrays())
+    found = getattr(formats, check)(results, motion.arrays())
     assert found
     for name, difference in found.items():
-        assert difference <= checks.LIMITS[name.rsplit("[", 1)[1][:-1]], name
+        assert difference <= formats.LIMITS[name.rsplit("[", 1)[1][:-1]], name
 
 
 def test_the_motion_comes_back_array_by_array(results: Path, motion: Motion):

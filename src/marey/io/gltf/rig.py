@@ -16,7 +16,7 @@ from marey.io.gltf.character import named_joints, posed_skin, skin_joints
 from marey.io.gltf.gltf import Additions, Gltf, local_matrix
 from marey.io.gltf.rig_shape import place_joints
 from marey.io.gltf.rig_twists import find_twists
-from marey.motion.motion import Motion
+from marey.motion.motion import BodyMotion
 from marey.motion.retarget import NEEDED, Rig, RigMotion, retarget
 
 _LISTED = 40
@@ -153,7 +153,7 @@ def _skin_at_rest(gltf: Gltf) -> list[tuple[Floats, Floats]] | None:
 
 
 def write_retargeted(
-    path: Path | str, gltf: Gltf, rig: Rig, motion: Motion, *, floor: float | None, grounded: bool = True,
+    path: Path | str, gltf: Gltf, rig: Rig, motion: BodyMotion, *, floor: float | None, grounded: bool = True,
     planted: bool = False,
 ) -> RigMotion:  # fmt: skip
     """Write a copy of a character's file that has a motion as one more animation; nothing else of it changes.

@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 
 from marey.arrays import Floats
-from marey.errors import FileProblem, MareyError
+from marey.errors import FileProblem
+from marey.extras import missing_package
 from marey.io.atomic import replacing
 from marey.knee.space.structures import LABELS, structure_named
 from marey.knee.space.volume import Labels, Volume, VoxelGrid
@@ -183,7 +184,7 @@ def simple_itk() -> Any:
     try:
         import SimpleITK
     except ModuleNotFoundError as error:
-        raise MareyError('Volumes are read by SimpleITK, which is missing: pip install "marey[knee]".') from error
+        raise missing_package("SimpleITK", extra="knee", purpose="MR volumes") from error
     finally:
         _KEPT.extend(_tables().values())
         sys.modules.update(tables)

@@ -3,12 +3,12 @@
 import math
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from scipy import ndimage
 from scipy.special import ndtr
 
 from marey.arrays import Floats, Mask
+from marey.kernels import kernel
 from marey.knee.space.mesh_graph import MeshGraph
 from marey.knee.space.volume import Volume
 
@@ -171,7 +171,7 @@ def measured_blur(profiles: Profiles, seen: Tissues, thickness_mm: Floats, sure:
     return float(_FACTORS[int(np.argmin(misfit))])
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _layer_costs(  # pragma: no cover - compiled
     values, over, cartilage, over_bins, marrow, blur, share, begins, begins_sd, ends, spread, levels, depths, constants
 ):
@@ -227,7 +227,7 @@ def _layer_costs(  # pragma: no cover - compiled
     return costs
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _farther(  # pragma: no cover - compiled
     over, cartilage, depths, begins, begins_sd, ends, share, farther, theirs
 ):

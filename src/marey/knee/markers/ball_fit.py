@@ -35,7 +35,7 @@ _BANDWIDTH = 2
 
 _FAULT, _FAULT_IN_TISSUE = 0.03, 0.07
 """Standard deviations of what the model cannot follow, as shares of the width of an edge: of any ball, and of one in
-tissue as bright as itself. Made balls ask for them (bench/knee_gadolinium.py); noise alone would give microns."""
+tissue as bright as itself. Made balls ask for them (bench/knee/gadolinium.py); noise alone would give microns."""
 
 _BALL = 7
 """Numbers of the ball and the air: centre, radius, blur, level, level of the air."""

@@ -4,12 +4,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from marey.arrays import Floats, Mask, freeze_fields
+from marey.kernels import kernel
 from marey.knee.outlines.wire_tree import MOST_COST, Costs
 
 FEATURES = ("inside", "outside", "across", "magnitude")
@@ -174,7 +174,7 @@ def _log_odds(on: Floats, off: Floats, ends: Floats) -> Floats:
     return np.asarray(np.log(shares[0]) - np.log(shares[1]))
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _unlikely(features, ends, log_odds, out):  # type: ignore[no-untyped-def]
     """Probability that a step is not on an outline: the features' odds taken together, and how rare outlines are."""
     for step in range(len(features)):

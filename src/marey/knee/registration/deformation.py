@@ -3,12 +3,12 @@
 from dataclasses import dataclass
 from functools import cached_property
 
-import numba
 import numpy as np
 from scipy import ndimage
 
 from marey.arrays import Floats, freeze_fields
 from marey.errors import MareyError
+from marey.kernels import kernel
 from marey.knee.space.surface import Surface
 
 _NEWTON_STEPS = 40
@@ -101,7 +101,7 @@ class Deformation:
         return values.reshape(nodes.shape), slopes.reshape(*nodes.shape, 3) / self.step_mm
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _read_spline(coefficients, nodes, values, slopes):  # pragma: no cover - compiled
     """Write a cubic spline's values (n, 3) at nodes (n, 3), and its derivatives (n, 3, 3), value by axis.
 

@@ -10,12 +10,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
-import numba
 import numpy as np
 from scipy import ndimage
 
 from marey.arrays import Floats, Integers, Mask
 from marey.errors import MareyError
+from marey.kernels import kernel
 from marey.knee.registration.deformation import Deformation
 from marey.knee.space.cut_ends import CutPlane, cut_planes, known_faces
 from marey.knee.space.surface import Surface
@@ -284,7 +284,7 @@ class _Stabiliser:
         return (42.0 + 6.0 * self.tension) / (self.step_mm**2 * self.bend_sd) ** 2
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _pull_by_bends(field, out):  # pragma: no cover - compiled
     """Add to out what second and mixed differences of a field (X, Y, Z) pull at its nodes, axis by axis."""
     for axis in range(3):
@@ -318,7 +318,7 @@ def _pull_by_bends(field, out):  # pragma: no cover - compiled
                     to_here[k] += twist
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _pull_by_rises(field, tension, out):  # pragma: no cover - compiled
     """Add to out what first differences of a field (X, Y, Z) pull at its nodes, as the tension about them says."""
     for axis in range(3):

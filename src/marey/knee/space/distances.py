@@ -2,10 +2,10 @@
 
 from collections.abc import Sequence
 
-import numba
 import numpy as np
 
 from marey.arrays import Floats, Mask
+from marey.kernels import kernel
 
 _FARTHEST_MM = 1e3
 """Largest signed distance [mm]; also returned where the mask has no edge. Larger than any image; chosen by hand."""
@@ -51,7 +51,7 @@ def signed_distance(mask: Mask, spacing_mm: Sequence[float]) -> np.ndarray:
     return np.clip(signed, -_FARTHEST_MM, _FARTHEST_MM).astype(np.float32)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _along_lines(inside, step, squared):  # pragma: no cover - compiled
     """Write the squared distances (lines, n) from the nearest place outside in the same line."""
     lines, count = inside.shape
@@ -66,7 +66,7 @@ def _along_lines(inside, step, squared):  # pragma: no cover - compiled
             squared[line, i] = min(squared[line, i], (away * step) ** 2)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _across_lines(squared, step, given, lowest, begins):  # pragma: no cover - compiled
     """Lower squared distances (outer, n, inner) to what the other places along the middle axis allow.
 

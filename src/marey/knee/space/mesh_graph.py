@@ -3,11 +3,11 @@
 from dataclasses import dataclass
 from functools import cached_property
 
-import numba
 import numpy as np
 from scipy import sparse
 
 from marey.arrays import Floats, Integers, Mask
+from marey.kernels import kernel
 from marey.knee.space.surface import Surface
 
 _ROUNDS, _DAMPING = 30, 0.3
@@ -87,7 +87,7 @@ class MeshGraph:
         return np.asarray(beliefs - beliefs.min(1, keepdims=True))
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _beliefs(costs, levels, edges, stiffness, most, rounds, damping):  # pragma: no cover - compiled
     """Pass messages; message 2 e + b is sent from end b of edge e to its other end."""
     number = costs.shape[1]

@@ -1,9 +1,9 @@
 """Segmentation of a volume by minimal cut: the voxels' evidence against the area of the surface, solved exactly."""
 
 import numpy as np
-from numba import njit
 
 from marey.arrays import Integers, Mask
+from marey.kernels import kernel
 
 _ITERATIONS = 150
 """Number of iterations; chosen by hand."""
@@ -55,7 +55,7 @@ def _moving_and_flowing(open_: Mask) -> tuple[Integers, Integers]:
     return np.argwhere(open_).astype(np.int32), np.argwhere(flowing).astype(np.int32)
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def _primal_dual(evidence, inside, moving, flowing, price, spacing, iterations):  # type: ignore[no-untyped-def]
     """Compute the solution in place in `inside`; only the moving voxels change."""
     deep, high, wide = evidence.shape

@@ -1,10 +1,10 @@
 """Grids along the body's axes, and resampling of volumes between grids."""
 
-import numba
 import numpy as np
 from scipy import ndimage
 
 from marey.arrays import Floats, Mask
+from marey.kernels import kernel
 from marey.knee.space.volume import Volume, VoxelGrid
 
 _WITHIN = 0.999
@@ -99,7 +99,7 @@ def read_at(values: np.ndarray, grid: VoxelGrid, lps_mm: Floats, *, outside: flo
     return found.reshape(np.shape(lps_mm)[:-1])
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _read_linearly(values, voxels, outside, found):  # pragma: no cover - compiled
     """Write the values of an array (k, j, i) at fractional voxels (n, 3) i, j, k."""
     last_k, last_j, last_i = values.shape[0] - 1, values.shape[1] - 1, values.shape[2] - 1

@@ -1,6 +1,5 @@
 """Closed surfaces of bones and cartilage from signed distances in a volume, without the steps of slices."""
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -8,6 +7,7 @@ from scipy import ndimage, sparse
 
 from marey.arrays import Floats, Integers
 from marey.errors import MareyError
+from marey.extras import import_optional
 from marey.knee.space.distances import signed_distance
 from marey.knee.space.resampling import resampled, upright_grid
 from marey.knee.space.structures import BONE_OF_CARTILAGE
@@ -104,17 +104,10 @@ def _padded(grid: VoxelGrid, rim: int) -> VoxelGrid:
 
 
 def _marched(field: np.ndarray) -> tuple[Floats, Integers]:
-    measure = _imported(lambda: __import__("skimage.measure", fromlist=["measure"]), "scikit-image")
+    measure: Any = import_optional("skimage.measure", extra="knee", purpose="Surfaces of bones")
     # A distance of exactly zero would be crossed by several edges at one point, and pinch the surface.
     vertices, faces, _, _ = measure.marching_cubes(np.where(field == 0, np.float32(_OFF_LEVEL), field), 0.0)
     return vertices.astype(np.float64), faces.astype(np.int64)
-
-
-def _imported(load: Callable[[], Any], name: str) -> Any:
-    try:
-        return load()
-    except ModuleNotFoundError as error:
-        raise MareyError(f'Surfaces need {name}, which is missing: pip install "marey[knee]".') from error
 
 
 def _oriented_outward(vertices: Floats, faces: Integers) -> Surface:
@@ -151,7 +144,7 @@ def _thinned(surface: Surface, edge_mm: float) -> Surface:
     """
     wanted = int(surface.area_mm2 / (0.433 * edge_mm**2))
     while wanted < len(surface.faces):
-        simplify = _imported(lambda: __import__("fast_simplification"), "fast-simplification")
+        simplify = import_optional("fast_simplification", extra="knee", purpose="Surfaces of bones")
         vertices, faces = simplify.simplify(
             surface.vertices_mm.astype(np.float32), surface.faces.astype(np.int32), 1 - wanted / len(surface.faces)
         )

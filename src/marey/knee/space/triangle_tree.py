@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 from weakref import WeakKeyDictionary
 
-import numba
 import numpy as np
 
 from marey.arrays import Floats, Integers, frozen
+from marey.kernels import kernel
 from marey.knee.space.surface import Surface
 
 MOST_CROSSINGS = 16
@@ -131,13 +131,13 @@ def _readable(points: Floats) -> Floats:
     return view
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _share(part, whole):  # pragma: no cover - compiled
     """Divide; 0 / 0 is 0, for triangles without area."""
     return part / whole if whole != 0.0 else 0.0
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _nearest_on_triangle(point, corners, out):  # pragma: no cover - compiled
     """Write the point of a triangle (3, 3) nearest to another and give its squared distance ([Ericson2005] 5.1.5)."""
     d1 = d2 = d3 = d4 = d5 = d6 = 0.0
@@ -185,7 +185,7 @@ def corner_weights(corners_mm: Floats, places_mm: Floats) -> Floats:
     return np.clip(np.stack([1 - v - w, v, w], -1), 0, 1)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _to_box(point, low, high):  # pragma: no cover - compiled
     """Return the squared distance of a point from a box."""
     squared = 0.0
@@ -194,14 +194,14 @@ def _to_box(point, low, high):  # pragma: no cover - compiled
     return squared
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _keep(trial, found):  # pragma: no cover - compiled
     """Copy a point by elements: for a slice Numba would also compile error handling, which takes seconds."""
     for i in range(3):
         found[i] = trial[i]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def nearest_triangle(point, corners, low, high, starts, guess, reach, found, scratch):  # pragma: no cover - compiled
     """Write the nearest point (3,) of a tree's triangles and give the triangle's number; -1 where none is in reach.
 
@@ -237,7 +237,7 @@ def nearest_triangle(point, corners, low, high, starts, guess, reach, found, scr
     return face
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _nearest(points, corners, low, high, starts, reach, found, face):  # pragma: no cover - compiled
     """Find the nearest point of each, one after the other."""
     scratch = np.empty(SCRATCH)
@@ -245,7 +245,7 @@ def _nearest(points, corners, low, high, starts, reach, found, face):  # pragma:
         face[n] = nearest_triangle(points[n], corners, low, high, starts, -1, reach, found[n], scratch)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _meet(start, along, corners):  # pragma: no cover - compiled
     """Return the distance along a ray to a triangle, and 1 or -1 by its side; 0 where it misses ([Moeller1997])."""
     slope = squared = height = u = v = 0.0
@@ -268,7 +268,7 @@ def _meet(start, along, corners):  # pragma: no cover - compiled
     return height / slope, 1 if slope > 0 else -1
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _passes(start, along, reach, low, high):  # pragma: no cover - compiled
     """Return whether a ray crosses a box."""
     entry, last = 0.0, reach
@@ -282,7 +282,7 @@ def _passes(start, along, reach, low, high):  # pragma: no cover - compiled
     return entry <= last + _SAME_MM
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _crossings(begin, along, reach, corners, low, high, starts, distance, leaving):  # pragma: no cover - compiled
     """Test the triangles of each box that a ray crosses."""
     leaves = len(starts) - 1
@@ -307,7 +307,7 @@ def _crossings(begin, along, reach, corners, low, high, starts, distance, leavin
                     found = _record(distance[n], leaving[n], found, away, sign)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _record(distance, leaving, found, away, sign):  # pragma: no cover - compiled
     """Insert a crossing in order, unless it is already there."""
     place = found

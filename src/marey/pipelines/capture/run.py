@@ -6,7 +6,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from marey.body.articulation.presets import GENERIC_BODIES, PRESETS
 from marey.body.articulation.surface import Body
@@ -26,7 +25,6 @@ from marey.io.results.body import open_body
 from marey.io.stages import FrameLog, file_fingerprint
 from marey.io.trial.start_joints import read_start_joints
 from marey.io.trial.trial import Trial, read_trial
-from marey.pipelines.capture import stages
 from marey.pipelines.capture.settings import CaptureSettings
 from marey.pipelines.progress import Progress
 from marey.pipelines.run_record import StageCache
@@ -66,21 +64,18 @@ def opened(
     out = settings.out or folder / "marey"
     for note in trial.take.notes:
         progress.warn(note)
-    stages.quiet_threads()
-    stages.keep_memory()
-    with threadpool_limits(1):
-        bodies = open_bodies(trial, settings)
-        named = [*trial.input_files, *([settings.body_file] if settings.body_file else []), *more]
-        how = f"{settings.body if settings.body_file is None else ''}, {settings.fixed_sizes}"
-        cache = StageCache(out, [*(file_fingerprint(path) for path in named), how])
-        scope = (trial.rig.names, trial.take.first, trial.take.end, trial.settings.model_dump_json())
-        with (
-            cache,
-            cache.frames("silhouettes", depends=scope) as log,
-            cache.frames("common", depends=scope) as common,
-            cache.frames("outlines", depends=scope) as better,
-        ):
-            yield Run(trial, settings, progress, cache, scope, out), bodies, Logs(log, common, better)
+    bodies = open_bodies(trial, settings)
+    named = [*trial.input_files, *([settings.body_file] if settings.body_file else []), *more]
+    how = f"{settings.body if settings.body_file is None else ''}, {settings.fixed_sizes}"
+    cache = StageCache(out, [*(file_fingerprint(path) for path in named), how])
+    scope = (trial.rig.names, trial.take.first, trial.take.end, trial.settings.model_dump_json())
+    with (
+        cache,
+        cache.frames("silhouettes", depends=scope) as log,
+        cache.frames("common", depends=scope) as common,
+        cache.frames("outlines", depends=scope) as better,
+    ):
+        yield Run(trial, settings, progress, cache, scope, out), bodies, Logs(log, common, better)
 
 
 @dataclass(frozen=True, eq=False)

@@ -115,7 +115,7 @@ def write_cartilage(
     if left is None:
         progress.warn("The knee's side is not known: give --side to have medial and lateral parts measured.")
     elif side is None:
-        progress.say(f"Taken for a {'left' if left else 'right'} knee, by its patella.")
+        progress.report(f"Taken for a {'left' if left else 'right'} knee, by its patella.")
     parts: dict[str, list[Subregion]] = {}
     pictures: dict[str, Image] = {}
     for bone, sheet in cartilage.sheets.items():
@@ -139,7 +139,7 @@ def write_cartilage(
             write_picture(folder / f"{name}_flat.png", pictures[name])
             parts[name] = subregions(bone, sheet, left=left)
         write_arrays(folder / f"{bone}_thickness.npz", arrays)
-        progress.say(f"{name}: {sheet.outer.volume_mm3 / 1000:.1f} cm3, mean {whole(sheet).mean_mm:.2f} mm")
+        progress.report(f"{name}: {sheet.outer.volume_mm3 / 1000:.1f} cm3, mean {whole(sheet).mean_mm:.2f} mm")
     if parts:
         write_parts(folder / "cartilage.csv", parts)
     return CartilageMaps(parts=parts, pictures=pictures)

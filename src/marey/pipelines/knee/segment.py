@@ -100,7 +100,7 @@ def segment(paths: Sequence[Path], options: SegmentOptions, progress: Progress) 
     except TemplateProblem as problem:
         raise _of_template(options.template or out, problem) from problem
     for name, surface in found.surfaces.items():
-        progress.say(f"{name}: {surface.volume_mm3 / 1000:.1f} cm3, {surface.area_mm2 / 100:.0f} cm2")
+        progress.report(f"{name}: {surface.volume_mm3 / 1000:.1f} cm3, {surface.area_mm2 / 100:.0f} cm2")
     return Segmented(folder=out, missing=found.missing)
 
 

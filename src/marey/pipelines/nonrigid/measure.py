@@ -91,7 +91,7 @@ def _found_in_all(given: NonRigidInput, cache: StageCache, progress: Progress) -
     seen = np.array([video.found.visible.any(0).sum() for video in videos])
     shared = int((np.sum([video.found.visible.any(0) for video in videos], axis=0) > 1).sum())
     each = ", ".join(f"{name} {count}" for name, count in zip(given.names, seen, strict=True))
-    progress.say(f"Points found: {each}; {shared} of them in two cameras or more.")
+    progress.report(f"Points found: {each}; {shared} of them in two cameras or more.")
     return _of_videos(videos, probability)
 
 

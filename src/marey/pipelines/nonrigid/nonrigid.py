@@ -76,7 +76,7 @@ def nonrigid(paths: Sequence[Path], options: NonRigidOptions, progress: Progress
             found = known_distance(found, *options.distance)
         write_results(given, measured, found, options, out, progress)
     for line in told(found):
-        progress.say(line)
+        progress.report(line)
     return out
 
 

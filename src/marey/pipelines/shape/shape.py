@@ -307,7 +307,7 @@ def find_lost_points(run: Run, folder: Path, skin: stages.PosedSkin, found: Fitt
         expected=expected,
     )  # fmt: skip
     write_tracks(folder, followed, trial.take, trial.rig)
-    run.progress.say(told(followed))
+    run.progress.report(told(followed))
 
 
 def write_skin_glb(folder: Path, body: Body, warn: Callable[[str], None]) -> None:

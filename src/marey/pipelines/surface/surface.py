@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from marey.arrays import Floats
 from marey.cameras.rig import Rig
@@ -15,7 +14,6 @@ from marey.io.stages import FrameLog, file_fingerprint
 from marey.io.trial.seeds import read_seeds
 from marey.io.trial.trial import Trial, read_trial
 from marey.io.video.pictures import write_picture
-from marey.pipelines.capture import stages
 from marey.pipelines.capture.run import require_two_cameras
 from marey.pipelines.progress import Progress
 from marey.pipelines.run_record import StageCache, finished_together, write_record
@@ -67,16 +65,14 @@ def surface(folder: Path, options: SurfaceOptions, progress: Progress) -> Path:
     out = options.out or folder / "marey"
     for note in trial.take.notes:
         progress.warn(note)
-    stages.quiet_threads()
     named = [*trial.input_files, *([options.seeds] if options.seeds else [])]
     scope = (trial.rig.names, trial.take.first, trial.take.end, trial.settings.model_dump_json(), settings)
-    with threadpool_limits(1):
-        run = measurement(trial, settings, clicks, progress)
-        with StageCache(out, [file_fingerprint(path) for path in named]) as cache:
-            refined = _refined(run, options, cache, scope)
-            rig = trial.rig if refined is None else refined.rig
-            with cache.frames("surface", depends=(scope, refined is not None)) as log:
-                _measure(run, rig, cache, log, out, options, refined, scope)
+    run = measurement(trial, settings, clicks, progress)
+    with StageCache(out, [file_fingerprint(path) for path in named]) as cache:
+        refined = _refined(run, options, cache, scope)
+        rig = trial.rig if refined is None else refined.rig
+        with cache.frames("surface", depends=(scope, refined is not None)) as log:
+            _measure(run, rig, cache, log, out, options, refined, scope)
     return out
 
 
@@ -159,10 +155,10 @@ def write_results(
             folder, command="surface", settings=asked, inputs=trial.input_files, root=trial.folder, progress=progress,
         )  # fmt: skip
     if refined is not None:
-        progress.say(correction_text(rig, refined))
-    progress.say(summary(parts))
+        progress.report(correction_text(rig, refined))
+    progress.report(summary(parts))
     if followed is not None:
-        progress.say(told(followed))
+        progress.report(told(followed))
 
 
 def _named(rig: Rig, template: int, searched: Sequence[int]) -> dict[str, object]:
