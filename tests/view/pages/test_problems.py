@@ -10,7 +10,9 @@ def test_every_doubt_of_a_motion_is_named_with_its_frames(rng):
     cut = np.zeros((len(motion), 2), bool)
     cut[3:5, 0] = True
     problems = find_problems(motion, cut=cut, warnings=["cam01 is dark"])
-    assert [p.severity for p in problems] == sorted((p.severity for p in problems), key=("bad", "doubt", "note").index)
+    assert [p.severity for p in problems] == sorted(
+        (p.severity for p in problems), key=("problem", "caution", "note").index
+    )
     told = {p.where: p.what for p in problems}
     assert "lost" in told["frame 8"]
     assert "filled" in told["frame 5"]
@@ -31,7 +33,7 @@ def test_a_flawless_motion_has_nothing_to_tell(rng):
 def test_a_motion_without_any_measured_frame_is_bad(rng):
     motion, _ = small_take(rng)
     problems = find_problems(motion.frames([0, 1]))
-    assert any(p.severity == "bad" and p.where == "whole take" for p in problems)
+    assert any(p.severity == "problem" and p.where == "whole take" for p in problems)
 
 
 def test_frames_are_told_in_stretches():
