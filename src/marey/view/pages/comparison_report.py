@@ -22,24 +22,24 @@ from marey.view.pages.problems import readable
 _FILES = {"compare.csv": "the table below as numbers", "run.json": "version, settings, inputs, timings"}
 """Files beside the report and their content."""
 _MEANING = {
-    "Difference": "The first motion minus the second, frame by frame, after the second was transformed to the clock and the "
-    "laboratory frame of the first.",
-    "Time shift": "How much later the second clock shows the same instant, estimated with a resolution below one frame from all "
-    "quantities that both motions have. Its standard deviation includes differences that persist over frames, but not "
-    "differences that resemble a shift, such as the lag of a filter.",
-    "Laboratories": "The rotation and translation that best align the points of the second system with those of the first. A "
-    "joint centre that the two systems place differently in the body changes it slightly.",
+    "Difference": "The first motion minus the second, frame by frame, after the second was transformed to the clock "
+    "and the laboratory frame of the first.",
+    "Time shift": "How much later the second clock shows the same instant, estimated with a resolution below one "
+    "frame from all quantities that both motions have. Its standard deviation includes differences that persist over "
+    "frames, but not differences that resemble a shift, such as the lag of a filter.",
+    "Laboratories": "The rotation and translation that best align the points of the second system with those of the "
+    "first. A joint centre that the two systems place differently in the body changes it slightly.",
     "RMS, bias": "Root mean square and mean of the differences. A constant bias of an angle is often a difference in "
     "definition: other segment axes or another zero.",
     "Limits of agreement": "Bias plus and minus 1.96 standard deviations of the differences (Bland and Altman 1986): "
     "95 % of normally distributed differences lie between them. Frames of one trial are not independent, so the limits "
     "describe this trial and not other people.",
-    "Correlation": "Pearson correlation over the frames. It measures whether the curves rise and fall together, not whether they "
-    "agree, and it grows with the range of motion.",
+    "Correlation": "Pearson correlation over the frames. It measures whether the curves rise and fall together, not "
+    "whether they agree, and it grows with the range of motion.",
     "Within stated": "Share of the differences within 1.96 standard deviations as stated by the motions; 95 % if the "
     "standard deviations are correct and the definitions are equal.",
-    "Turn": "Angle between the two orientations of a segment; `less constant`: after removal of the mean rotation between "
-    "their frames, which is a matter of definition.",
+    "Turn": "Angle between the two orientations of a segment; `less constant`: after removal of the mean rotation "
+    "between their frames, which is a matter of definition.",
 }
 """Explanations of the terms on the page."""
 
