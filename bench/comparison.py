@@ -14,7 +14,7 @@ import numpy as np
 from marey.geometry.rigid import RigidTransform
 from marey.io.opensim.mot_sto import Table, write_table
 from marey.io.opensim.trc import PointPaths, write_trc
-from marey.motion.comparison import Comparison
+from marey.motion.comparison import MotionComparison
 from marey.motion.recording import interpolated
 from marey.pipelines.compare import CompareOptions, compare
 from marey.pipelines.progress import Progress
@@ -53,7 +53,7 @@ def flexion(near: np.ndarray, middle: np.ndarray, far: np.ndarray) -> np.ndarray
     return np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), (a * b).sum(1))
 
 
-def tell(what: str, result: Comparison) -> None:
+def tell(what: str, result: MotionComparison) -> None:
     found = result.alignment
     print(f"{what}: shift off by {1e3 * (found.shift_s - SHIFT):+.2f} ms, stated sd {1e3 * found.shift_sd_s:.2f} ms")
     if result.first.point_names:

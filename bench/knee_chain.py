@@ -39,7 +39,7 @@ from marey.markers.data.labels import find_clusters
 from marey.markers.data.problem import MarkerProblem
 from marey.markers.data.trajectories import MarkerTrajectories, trajectories
 from marey.markers.kinematics.transform_chain import CAPTURE_GLOBAL, MR_GLOBAL
-from marey.markers.methods.methods import DEFAULT, choose_methods
+from marey.markers.methods.methods import DEFAULT_METHOD, choose_methods
 
 PHANTOMS = ("phantom_a", "phantom_spl", "phantom_spl_t1")
 TRIALS = {"left": ("lmam_treadmill_walking",), "right": ("ottawa_walking", "unibo_step_up")}
@@ -321,7 +321,7 @@ def motion(shared: Path) -> None:
     for name, trial in scenes(shared):
         scene = placed(shared, phantom(shared, name), trial)
         stood = standing(scene, NOISE_MM, np.random.default_rng(7))
-        for method in ("truth", "rigid", DEFAULT):
+        for method in ("truth", "rigid", DEFAULT_METHOD):
             driven = scene.motion if method == "truth" else estimated(scene, method)
             found = joined(scene, scene.knee.found, with_balls(activity(scene, driven), stood, scene.frame), None)
             frames = np.flatnonzero((scene.motion.answered & driven.answered).all(1))

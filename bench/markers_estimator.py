@@ -24,9 +24,9 @@ from marey.markers.data.bone_motion import BoneMotion
 from marey.markers.data.problem import MarkerProblem
 from marey.markers.data.rigid_fit import rigid
 from marey.markers.methods import estimator, joint_constraints, skin_motion
-from marey.markers.methods.joint_constraints import Give
+from marey.markers.methods.joint_constraints import JointVariation
 from marey.markers.methods.multiple_calibration import multiple_calibration
-from marey.markers.methods.skin_motion import SkinForm
+from marey.markers.methods.skin_motion import SkinVarianceShares
 from marey.motion.anatomical import euler_angles
 
 TRIALS = ("lmam_treadmill_walking", "ottawa_walking", "unibo_step_up")
@@ -129,7 +129,7 @@ def scaled(joint: float, skin: float) -> Iterator[None]:
     table, pair = joint_constraints._LAXITY, KNEE
     before = table[pair], estimator._COMMON_TURN, estimator._COMMON_SHIFT
     table[pair] = replace(
-        before[0], **{name: Give(anyway=g.anyway * joint, turned=g.turned * joint)
+        before[0], **{name: JointVariation(anyway=g.anyway * joint, turned=g.turned * joint)
                       for name in ("adduction", "rotation") if (g := getattr(before[0], name))},
     )  # fmt: skip
     estimator._COMMON_TURN, estimator._COMMON_SHIFT = before[1] * skin, before[2] * skin
@@ -142,7 +142,7 @@ def scaled(joint: float, skin: float) -> Iterator[None]:
 def without(shared: Path) -> None:
     """Take one part away at a time, on the real trials."""
     trials = [real_trial(shared, name) for name in TRIALS]
-    table, forms, skin = joint_constraints._LAXITY, skin_motion.FORMS, estimator.skin_and_joints
+    table, forms, skin = joint_constraints._LAXITY, skin_motion.CANDIDATE_SHARES, estimator.skin_and_joints
     knee = table[KNEE]
 
     def alone(problem: MarkerProblem) -> BoneMotion:
@@ -152,17 +152,17 @@ def without(shared: Path) -> None:
         "all of it": (skin, knee, forms),
         "no joint": (alone, knee, forms),
         "joint's centre only": (skin, replace(knee, adduction=None, rotation=None), forms),
-        "joint's small turns only": (skin, replace(knee, translation=Give(anyway=1.0, turned=1.0)), forms),
-        "one form for every skin": (skin, knee, (SkinForm(),)),
+        "joint's small turns only": (skin, replace(knee, translation=JointVariation(anyway=1.0, turned=1.0)), forms),
+        "one form for every skin": (skin, knee, (SkinVarianceShares(),)),
     }
     print("| | " + " | ".join(f"{name}: one, two" for name in TRIALS) + " | mean: one, two |")
     print("| --- | --- | --- | --- | --- |")
     for name, (method, joint, offered) in cases.items():
-        table[KNEE], skin_motion.FORMS = joint, offered
+        table[KNEE], skin_motion.CANDIDATE_SHARES = joint, offered
         both = np.array([[each.against_rigid for each in judge(trial, method)] for trial in trials])
         cells = " | ".join(f"{one:.2f}, {two:.2f}" for one, two in [*both, both.mean(0)])
         print(f"| {name} | {cells} |", flush=True)
-    table[KNEE], skin_motion.FORMS = knee, forms
+    table[KNEE], skin_motion.CANDIDATE_SHARES = knee, forms
 
 
 def leave_one_out(shared: Path) -> None:

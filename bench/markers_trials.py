@@ -147,7 +147,7 @@ def rows_of(shared: Path, name: str, methods: list[str]) -> list[Row]:
     baseline, rows = rms(first), list[Row]()
     for entry in choose_methods(methods):
         for problem in problems:
-            if entry.lacks(problem):
+            if entry.missing_requirement(problem):
                 continue
             started = time.perf_counter()
             motion = entry.run(problem)

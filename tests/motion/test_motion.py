@@ -47,7 +47,7 @@ def test_gaps_are_the_runs_between_the_first_and_the_last_answer(motion: Motion)
     assert replace(motion, segment_rotation=rotation * np.nan).gaps() == []
 
 
-def test_a_name_that_is_not_there_is_answered_with_those_that_are(motion: Motion):
+def test_an_unknown_name_lists_the_known_ones(motion: Motion):
     with pytest.raises(MareyError, match="left_knee"):
         motion.joint("left_nee")
     assert motion.joint("left_knee").shape == (len(motion), 3)

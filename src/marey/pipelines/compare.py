@@ -11,9 +11,9 @@ from marey.arrays import Floats
 from marey.errors import FileProblem, MareyError
 from marey.io.markers.recordings import motion_in, read_recording
 from marey.io.results.comparison import write_comparison
-from marey.motion.comparison import Comparison
+from marey.motion.comparison import MotionComparison
 from marey.motion.comparison import compare as compare_motions
-from marey.motion.names import apply_map, known_angle, known_point, known_segment, one_sign
+from marey.motion.names import hinge_sign, known_angle, known_point, known_segment, rename_columns
 from marey.motion.recording import Recording
 from marey.pipelines.progress import Progress
 from marey.pipelines.run_record import StageCache, finished_together, write_record
@@ -38,7 +38,7 @@ class CompareOptions:
     """Whether both are in one laboratory already."""
 
 
-def compare(first: Path, second: Path, options: CompareOptions, progress: Progress) -> tuple[Path, Comparison]:
+def compare(first: Path, second: Path, options: CompareOptions, progress: Progress) -> tuple[Path, MotionComparison]:
     """Compare two motions and write compare.csv and report.html.
 
     Args:
@@ -144,7 +144,7 @@ def same_names(
                 has = f"There are: {', '.join(names) or 'none'}."
                 raise FileProblem(path, f"names the {kind} {', '.join(missing)}, which are not in the motion", has)
         back = {other.removeprefix("-"): ("-" if other.startswith("-") else "") + own for own, other in given.items()}
-        second = _renamed(second, field, *apply_map(getattr(second, field), back))
+        second = _renamed(second, field, *rename_columns(getattr(second, field), back))
         common = set(getattr(first, field)) & set(getattr(second, field))
         first, second = (_known_names(r, field, common) for r in (first, second))
     return first, second
@@ -167,7 +167,7 @@ def _known(recording: Recording, field: str, k: int) -> tuple[str, float]:
     name = getattr(recording, field)[k]
     if field == "angle_names":
         own, sign = known_angle(name) or (name, 1.0)
-        return own, sign * (one_sign(own, recording.angles[:, k]) if own != name else 1.0)
+        return own, sign * (hinge_sign(own, recording.angles[:, k]) if own != name else 1.0)
     return (known_point(name) if field == "point_names" else known_segment(name)) or name, 1.0
 
 
@@ -178,7 +178,7 @@ def _renamed(recording: Recording, field: str, names: Sequence[str], signs: Sequ
     return replace(recording, **changes)  # type: ignore[arg-type]
 
 
-def notes_of(result: Comparison) -> list[str]:
+def notes_of(result: MotionComparison) -> list[str]:
     """Say what a reader of the numbers should know."""
     alignment = result.alignment
     notes = list(alignment.notes)
@@ -196,7 +196,7 @@ def notes_of(result: Comparison) -> list[str]:
     return notes
 
 
-def told(result: Comparison) -> list[str]:
+def told(result: MotionComparison) -> list[str]:
     """Say in a few lines what was found."""
     alignment, lines = result.alignment, []
     lines.append(f"{len(result.time)} frames in common, {result.time[-1] - result.time[0]:.2f} s.")
@@ -225,7 +225,7 @@ def shift_text(shift: float, sd: float) -> str:
     return f"Time shift (second clock less first): {1e3 * shift + 0.0:.1f} ms{_spread(1e3 * sd, ' ms')}."
 
 
-def offset_text(result: Comparison) -> list[str]:
+def offset_text(result: MotionComparison) -> list[str]:
     """Say how the laboratories lie."""
     alignment = result.alignment
     if not (result.first.point_names or result.first.segment_names):

@@ -135,7 +135,7 @@ def test_nothing_to_compose_is_an_error():
         compose()
 
 
-def test_a_frame_without_an_answer_stays_empty(rng):
+def test_a_frame_without_an_estimate_stays_empty(rng):
     moving = any_transform(rng, "b", "a", 3)
     rotation = moving.rotation.copy()
     rotation[1] = np.nan

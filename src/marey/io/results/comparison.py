@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from marey.io.atomic import replacing
-from marey.motion.comparison import Agreement, Comparison
+from marey.motion.comparison import Agreement, MotionComparison
 
 UNITS = {"angle": ("deg", 180 / np.pi), "turn": ("deg", 180 / np.pi), "place": ("mm", 1e3), "distance": ("mm", 1e3)}
 """Unit in files, and what it is of the own one, by kind of quantity."""
@@ -16,7 +16,7 @@ _HEAD = (
 )  # fmt: skip
 
 
-def write_comparison(path: Path | str, comparison: Comparison) -> None:
+def write_comparison(path: Path | str, comparison: MotionComparison) -> None:
     """Write a row a quantity; a cell without an answer is empty.
 
     A distance or turn is never below zero: limits and correlation say nothing of it and stay empty.

@@ -30,7 +30,7 @@ from marey.fit.search.search import Candidate
 from marey.io.results.results import write_results
 from marey.io.stages import Arrays
 from marey.io.trial.start_joints import read_start_joints
-from marey.motion.from_fit import Measured, measured, motion_of
+from marey.motion.from_fit import MeasuredPiece, measure_piece, motion_of
 from marey.pipelines.capture import stages
 from marey.pipelines.capture.kept_candidates import KeptArrays, KeptCandidates
 from marey.pipelines.capture.mask_store import MaskStore
@@ -232,7 +232,7 @@ class Refined:
 
     body: Body
     poses: Mapping[int, Pose]
-    pieces: Sequence[Measured]
+    pieces: Sequence[MeasuredPiece]
     filled: frozenset[int]
     """Frames of which only their neighbours speak."""
 
@@ -262,7 +262,7 @@ def refined_person(run: Run, followed: Followed, bodies: Bodies) -> Refined:
             height=person.fine_height, rounds=FINE_ROUNDS, blind=blind, done=lambda frame: step(), memory=memory,
         ):  # fmt: skip
             found |= fit.by_frame
-            pieces.append(measured(fit))
+            pieces.append(measure_piece(fit))
     return Refined(fit.body, found, pieces, frozenset(blind))
 
 

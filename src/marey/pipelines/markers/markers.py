@@ -18,7 +18,7 @@ from marey.markers.data.marker_motion import marker_motion
 from marey.markers.data.problem import MarkerProblem
 from marey.markers.data.trajectories import MarkerTrajectories
 from marey.markers.kinematics.joint_angles import joint_kinematics, joint_of, turns_since
-from marey.markers.methods.methods import DEFAULT, MethodEntry, choose_methods
+from marey.markers.methods.methods import DEFAULT_METHOD, MethodEntry, choose_methods
 from marey.pipelines.markers.events import Gait, find_gait
 from marey.pipelines.markers.model import read_model_trial
 from marey.pipelines.markers.results import MarkersResults, MethodRun, write_results
@@ -47,7 +47,7 @@ def markers(path: Path, options: MarkersOptions, progress: Progress) -> Path:
         raise FileProblem(path, "is a folder" if path.is_dir() else "does not exist", "Give a C3D, TRC or CSV.")
     if options.model is not None:
         return follow_model(path, options, progress)
-    entries = choose_methods(options.methods or (DEFAULT,))
+    entries = choose_methods(options.methods or (DEFAULT_METHOD,))
     out = options.out or path.with_name(f"{path.stem}_marey")
     named = [path, *options.files]
     with threadpool_limits(1), StageCache(out, [file_fingerprint(each) for each in named]) as cache:
@@ -80,11 +80,11 @@ def run_methods(
         MareyError: No method could be run.
     """
     runs, problem = [], trial.problem
-    lacking = {entry.name: entry.lacks(problem) for entry in entries}
+    lacking = {entry.name: entry.missing_requirement(problem) for entry in entries}
     for name, what in lacking.items():
         if what and not many:
             raise SettingProblem(f"--method {name} {what}. {_remedy(what)}")
-    for entry in sorted(entries, key=lambda e: many and e.name != DEFAULT):
+    for entry in sorted(entries, key=lambda e: many and e.name != DEFAULT_METHOD):
         if lacking[entry.name]:
             progress.warn(f"Method {entry.name}: {lacking[entry.name]}; passed over.")
             continue

@@ -85,7 +85,7 @@ class ModelTrial:
         )  # fmt: skip
         return FollowedModel(
             bones=bones, coordinates=_coordinates(found), table=_table(found, self.measured.time),
-            notes=tuple(found.passed_over) + _undetermined(found, self.asked), told=_told(found, self.asked),
+            notes=tuple(found.skipped) + _undetermined(found, self.asked), told=_told(found, self.asked),
         )  # fmt: skip
 
 

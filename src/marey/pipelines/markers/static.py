@@ -11,16 +11,16 @@ from marey.errors import FileProblem, MareyError
 from marey.io.markers.readers import read_markers
 from marey.io.markers.setup import read_reference
 from marey.markers.data.clusters import AnatomicalCalibration, Cluster
-from marey.markers.data.labels import clusters_named, find_clusters
+from marey.markers.data.labels import clusters_from_names, find_clusters
 from marey.markers.data.problem import MarkerProblem
 from marey.markers.data.rigid_fit import fit_rigid
 from marey.markers.data.setup import MarkerSetup
 from marey.markers.data.trajectories import MarkerTrajectories
 from marey.markers.kinematics.joint_angles import usual_joints
-from marey.markers.preprocessing.exchanges import exchanged_since
-from marey.markers.preprocessing.functional import FunctionalCentre, carried, score
+from marey.markers.preprocessing.exchanges import exchanges_against_posture
+from marey.markers.preprocessing.functional import FunctionalCentre, score, transfer_point
 from marey.markers.preprocessing.landmarks import static_bones
-from marey.markers.preprocessing.own_frames import BonesAndMarkers, CarriedCalibration, carried_calibration
+from marey.markers.preprocessing.own_frames import BonesAndMarkers, TransferredCalibration, transfer_calibration
 from marey.pipelines.markers.settings import MarkersOptions
 
 LANDMARK_SD_M = 5e-3
@@ -36,7 +36,7 @@ _ACROSS = (("KJC", "LE", "ME"), ("AJC", "LM", "MM"), ("EJC", "EL", "EM"), ("WJC"
 class StaticBones:
     """The bones as a static trial gives them, carried into the trial."""
 
-    carried: CarriedCalibration
+    transfer_point: TransferredCalibration
     notes: tuple[str, ...]
 
 
@@ -82,13 +82,13 @@ def from_static(
         f"a bone's axes are known to (degrees): {told}. This error is constant and is in no stated deviation."
     ]
     try:
-        moved = carried_calibration(bones, trajectories, clusters)
+        moved = transfer_calibration(bones, trajectories, clusters)
     except MareyError as problem:
         raise FileProblem(options.static, f"does not fit the trial: {problem}".rstrip(".")) from None
     notes += [*found.notes, *moved.notes, _carried_text(moved)]
     notes += [
         f"Against {options.static.name}, {exchange.note}"
-        for exchange in exchanged_since(trajectories, clusters, bones.labels, bones.points)
+        for exchange in exchanges_against_posture(trajectories, clusters, bones.labels, bones.points)
     ]
     return StaticBones(carried=moved, notes=tuple(notes))
 
@@ -131,7 +131,7 @@ def _mean_place(static: MarkerTrajectories, labels: Sequence[str]) -> Floats:
     return np.asarray(np.where(known.any(0), total / counts, np.nan).mean(0))
 
 
-def _carried_text(moved: CarriedCalibration) -> str:
+def _carried_text(moved: TransferredCalibration) -> str:
     frame = int(moved.calibration.frames[0])
     each = ", ".join(
         f"{name} {1e3 * off:.1f}" for name, off in zip(moved.calibration.segments, moved.residual_m, strict=True)
@@ -178,7 +178,7 @@ def functional_centres(
 def _moved_joint(path: Path, trial: MarkerTrajectories, setup: MarkerSetup) -> tuple[Cluster, Cluster]:
     """Find the joint of a functional trial: among those with a centre, the one that turns most."""
     try:
-        named = clusters_named(setup.segments, trial.labels) if setup.segments else find_clusters(trial.labels)
+        named = clusters_from_names(setup.segments, trial.labels) if setup.segments else find_clusters(trial.labels)
     except MareyError as problem:
         raise FileProblem(path, f"does not fit the segments ({str(problem).rstrip('.')})") from None
     clusters = {cluster.segment: cluster for cluster in named.clusters}
@@ -220,7 +220,7 @@ def _in_static(found: FunctionalCentre, parent: Cluster, static: MarkerTrajector
     if not shared:
         raise FileProblem(path, f"shares no marker of {parent.segment} with the static trial")
     shape = found.parent_shape[[parent.labels.index(label) for label in shared]]
-    moved = carried(shape, found.in_parent, static.select(shared).points)
+    moved = transfer_point(shape, found.in_parent, static.select(shared).points)
     known = moved[np.isfinite(moved).all(1)]
     if not len(known):
         raise FileProblem(path, f"shares less than three markers of {parent.segment} with the static trial")
@@ -248,7 +248,7 @@ def read_exercise(problem: MarkerProblem, options: MarkersOptions) -> tuple[Mark
         calibration, notes = read_reference(options.exercise_reference, segments, frames=len(trial))
     else:
         try:
-            moved = carried_calibration(_posture(problem), trial, clusters)
+            moved = transfer_calibration(_posture(problem), trial, clusters)
         except MareyError as fault:
             raise FileProblem(options.exercise, f"does not fit the trial: {fault}".rstrip(".")) from None
         calibration, notes = moved.calibration, moved.notes

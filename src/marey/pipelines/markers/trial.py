@@ -12,14 +12,14 @@ from marey.io.markers.readers import read_markers
 from marey.io.markers.setup import read_marker_setup, read_reference
 from marey.io.npz import read_arrays
 from marey.markers.data.clusters import AnatomicalCalibration, Cluster
-from marey.markers.data.labels import NEEDED, FoundClusters, clusters_named, find_clusters
+from marey.markers.data.labels import MINIMUM_MARKERS, FoundClusters, clusters_from_names, find_clusters
 from marey.markers.data.problem import MarkerProblem
 from marey.markers.data.setup import MarkerSetup
 from marey.markers.data.trajectories import MarkerTrajectories
 from marey.markers.kinematics.joint_angles import usual_joints
 from marey.markers.preprocessing.faults import find_faults
 from marey.markers.preprocessing.gaps import FROM_CLUSTER, SPLINE, FilledGaps, fill_gaps
-from marey.markers.preprocessing.own_frames import own_calibration
+from marey.markers.preprocessing.own_frames import calibration_from_cluster_axes
 from marey.pipelines.markers.settings import MarkersOptions
 from marey.pipelines.markers.static import StaticBones, from_static, read_exercise
 
@@ -109,7 +109,7 @@ def read_trial(path: Path, options: MarkersOptions) -> MarkersTrial:
 
 def _seen(trajectories: MarkerTrajectories, clusters: Sequence[Cluster]) -> tuple[Cluster, ...]:
     """Give the clusters of which some frame shows enough markers; the others have no answer in any."""
-    return tuple(c for c in clusters if (trajectories.select(c.labels).present.sum(1) >= NEEDED).any())
+    return tuple(c for c in clusters if (trajectories.select(c.labels).present.sum(1) >= MINIMUM_MARKERS).any())
 
 
 def found_clusters(
@@ -122,7 +122,7 @@ def found_clusters(
     """
     if setup.segments:
         try:
-            return clusters_named(setup.segments, trajectories.labels)
+            return clusters_from_names(setup.segments, trajectories.labels)
         except MareyError as problem:
             assert options.setup is not None
             raise FileProblem(options.setup, f"does not fit {path.name} ({str(problem).rstrip('.')})") from problem
@@ -193,7 +193,7 @@ def _calibration(
     if static is not None:
         return static.carried.calibration, True, list(static.notes)
     try:
-        own = own_calibration(used, clusters)
+        own = calibration_from_cluster_axes(used, clusters)
     except MareyError as problem:
         raise FileProblem(path, str(problem).rstrip("."), "Give a --reference, or name other segments.") from problem
     note = (

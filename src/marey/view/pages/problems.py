@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from marey.arrays import Mask
-from marey.motion.motion import FILLED, LOST, MEASURED, NOBODY, Motion
+from marey.motion.motion import FILLED, LOST, MEASURED, NO_PERSON, Motion
 
 Severity = Literal["bad", "doubt", "note"]
 LOW_AGREEMENT = 0.80
@@ -57,7 +57,7 @@ def _states(motion: Motion, usable: Mask) -> list[Problem]:
     texts: tuple[tuple[int, Severity, str], ...] = (
         (LOST, "bad", "The person was lost here; the results have no answer."),
         (FILLED, "doubt", "Not measured but filled from the neighbouring frames, and flagged as such."),
-        (NOBODY, "note", "Nobody is seen; the results have no answer."),
+        (NO_PERSON, "note", "Nobody is seen; the results have no answer."),
     )
     found = []
     for state, severity, what in texts:
