@@ -12,7 +12,8 @@ from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
 from marey.knee.markers.marker_bones import BONE_OF_SEGMENT, bone_of_segment
 from marey.markers.data.bone_motion import BoneMotion
-from marey.markers.data.rigid_fit import MINIMUM_MARKERS, RigidFit, fit_rigid
+from marey.markers.data.clusters import MINIMUM_MARKERS
+from marey.markers.data.rigid_fit import RigidFit, fit_rigid
 from marey.markers.data.trajectories import MarkerTrajectories
 
 NOISE_MM = 0.5

@@ -8,8 +8,9 @@ from marey.arrays import Floats, Mask
 from marey.geometry import rotations
 from marey.markers.data.bone_motion import BoneMotion, combine_bones
 from marey.markers.data.cluster_data import ClusterData, cluster_data, frame_count_note
+from marey.markers.data.clusters import MINIMUM_MARKERS
 from marey.markers.data.problem import MarkerProblem
-from marey.markers.data.rigid_fit import MINIMUM_MARKERS, RigidFit, fit_rigid, one_bone, rigid_bone
+from marey.markers.data.rigid_fit import RigidFit, fit_rigid, one_bone, rigid_bone
 from marey.markers.methods.joint_constraints import (
     ClusterPose,
     ConstraintRows,

@@ -36,7 +36,7 @@ _ACROSS = (("KJC", "LE", "ME"), ("AJC", "LM", "MM"), ("EJC", "EL", "EM"), ("WJC"
 class StaticBones:
     """The bones as a static trial gives them, carried into the trial."""
 
-    transfer_point: TransferredCalibration
+    carried: TransferredCalibration
     notes: tuple[str, ...]
 
 

@@ -11,8 +11,8 @@ from marey.errors import FileProblem, MareyError, SettingProblem
 from marey.io.markers.readers import read_markers
 from marey.io.markers.setup import read_marker_setup, read_reference
 from marey.io.npz import read_arrays
-from marey.markers.data.clusters import AnatomicalCalibration, Cluster
-from marey.markers.data.labels import MINIMUM_MARKERS, FoundClusters, clusters_from_names, find_clusters
+from marey.markers.data.clusters import MINIMUM_MARKERS, AnatomicalCalibration, Cluster
+from marey.markers.data.labels import FoundClusters, clusters_from_names, find_clusters
 from marey.markers.data.problem import MarkerProblem
 from marey.markers.data.setup import MarkerSetup
 from marey.markers.data.trajectories import MarkerTrajectories
