@@ -20,8 +20,10 @@ FORWARD, UP, RIGHT = np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 1.0]), np.a
 WORLD_FRAME = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """What the pelvis' and thorax' own angles refer to: X along world y (OpenSim's x), Y along world z, Z along world x."""
 _DISTAL = {"thigh": "shank", "shank": "foot", "upperarm": "forearm", "forearm": "hand"}
-_HAIR = 1e-6  # rad
-_SD_SAYS_NOTHING = np.pi  # rad; larger ones occur beside a singularity and mean no more than this
+_SINGULARITY_OFFSET = 1e-6
+"""Offset of the middle angle from a singularity of its sequence [rad]; numerical."""
+LARGEST_ANGLE_SD = np.pi
+"""Upper bound of an angle's standard deviation [rad]: half a rotation; larger values occur near a singularity."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -302,7 +304,7 @@ def angles_with_sd(
         wrt = _joint_derivative(body, segment_rotation, joint, side, turn_wrt_coordinates)
         variance = np.einsum("fad,fde,fae->fa", wrt, covariance, wrt, optimize=True)
         # NaN stays NaN: there is no answer; rounding may leave a variance of zero a little below zero.
-        sd = np.minimum(np.sqrt(np.where(variance < 0, 0.0, variance)), _SD_SAYS_NOTHING)
+        sd = np.minimum(np.sqrt(np.where(variance < 0, 0.0, variance)), LARGEST_ANGLE_SD)
         deviations += [sd[:, place] for place, _, _ in joint.angles]
     empty = np.zeros((len(segment_rotation), 0))
     return anatomical_angles(body, segment_rotation), np.stack(deviations, -1) if deviations else empty
@@ -328,7 +330,7 @@ def _off_singularity(angles: Floats, sequence: str) -> Floats:
     """Move the middle angle a hair off where the first and the last axis fall together."""
     middle = angles[..., 1]
     lever = np.sin(middle) if sequence[0] == sequence[2] else np.cos(middle)
-    nudged = np.where(np.abs(lever) < _HAIR, middle + _HAIR, middle)
+    nudged = np.where(np.abs(lever) < _SINGULARITY_OFFSET, middle + _SINGULARITY_OFFSET, middle)
     return np.stack([angles[..., 0], nudged, angles[..., 2]], -1)
 
 

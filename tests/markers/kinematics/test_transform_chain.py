@@ -66,7 +66,7 @@ def test_frames_that_do_not_meet_are_an_error_that_names_them(rng):
 
 
 def test_arrays_that_do_not_fit_are_an_error(rng):
-    with pytest.raises(MareyError, match="does not fit together"):
+    with pytest.raises(MareyError, match="do not agree"):
         NamedTransform(to="b", from_="a", rotation=np.eye(3), translation=np.zeros((2, 3)))
 
 
