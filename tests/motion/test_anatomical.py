@@ -231,7 +231,7 @@ def test_a_limb_without_its_end_is_refused():
 
 
 def test_the_page_lists_every_angle_and_no_other(anatomy: anatomical.Anatomy):
-    page = (Path(__file__).parents[2] / "docs" / "angles.md").read_text()
+    page = (Path(__file__).parents[2] / "docs" / "explanation" / "angles.md").read_text()
     listed = re.findall(r"^\| `([a-z_]+)` \|", page, re.MULTILINE)
     assert len(listed) == len(set(listed))
     assert set(listed) == {re.sub("^(left|right)_", "", name) for name in anatomy.angle_names}

@@ -1,8 +1,9 @@
 """Anatomical angles after the ISB, from the rotations of segments, with their standard deviations.
 
 Every segment gets an anatomical frame in the rest posture: X anterior, Y proximal (up), Z to the right ([Wu2002],
-[Wu2005]). Joint angles are the Cardan or Euler angles of the distal frame in the proximal one; docs/angles.md lists
-them all. Unlike the papers, no landmark is palpated: the frames come from joint centres and hinges of the body at rest.
+[Wu2005]). Joint angles are the Cardan or Euler angles of the distal frame in the proximal one;
+docs/explanation/angles.md lists them all. Unlike the papers, no landmark is palpated: the frames come from joint
+centres and hinges of the body at rest.
 """
 
 from collections.abc import Callable, Mapping
@@ -247,7 +248,8 @@ def anatomical_angles(body: Anatomy, segment_rotation: Floats) -> Floats:
         segment_rotation: (F, S, 3, 3) world from segment, the identity at rest; NaN where there is no answer.
 
     Returns:
-        (F, A) [rad], positive as in docs/angles.md; pelvis' and thorax' turns in the world are continuous over time.
+        (F, A) [rad], positive as in docs/explanation/angles.md; pelvis' and thorax' turns in the world are continuous
+        over time.
     """
     values = [
         sign * _joint_angles(body, segment_rotation, joint, side)[..., place]

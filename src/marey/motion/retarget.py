@@ -11,7 +11,7 @@ from marey.arrays import Floats, Integers, freeze_fields
 from marey.body.articulation.skeleton import PARENTS
 from marey.errors import MareyError
 from marey.geometry import rotations
-from marey.motion.motion import Motion
+from marey.motion.motion import BodyMotion
 from marey.motion.planted_feet import LegJoints, leg_rotations, planted_feet, standing
 from marey.motion.twist import reduce_twist
 
@@ -148,7 +148,7 @@ def pose_rig(rig: CharacterRig, frames: int, turns: Mapping[int, Floats], moved:
     return PosedRig(linear=linear, position=position, local=local, shift=shift)
 
 
-def rest_joints(motion: Motion) -> Floats:
+def rest_joints(motion: BodyMotion) -> Floats:
     """Give the joint centres (S, 3) of a motion's body in the rest posture, from the pelvis [m].
 
     They are fixed in the parent segment, so that every answered frame tells them.
@@ -177,7 +177,7 @@ class _RestAlignment:
     """How a rig at rest stands beside the motion's body at rest."""
 
     rig: CharacterRig
-    motion: Motion
+    motion: BodyMotion
     floor: float | None
     """Height of the body's lowest skin above its pelvis at rest [m], below 0."""
 
@@ -264,7 +264,7 @@ class _RestAlignment:
 
 
 def retarget(
-    motion: Motion, rig: CharacterRig, *, floor: float | None = None, grounded: bool = True, planted: bool = False
+    motion: BodyMotion, rig: CharacterRig, *, floor: float | None = None, grounded: bool = True, planted: bool = False
 ) -> RigMotion:
     """Carry a motion over to a rig.
 
@@ -350,7 +350,7 @@ def _turns(fit: _RestAlignment, known: Integers) -> dict[int, Floats]:
     return turned
 
 
-def _feet(rig: CharacterRig, motion: Motion) -> dict[str, str]:
+def _feet(rig: CharacterRig, motion: BodyMotion) -> dict[str, str]:
     """Give by side the joint on which a foot stands: the toes', or the ankle where one of the two lacks toes."""
     toes = {side: f"{side}_toes" for side in _SIDES}
     return {s: t if t in rig.nodes and t in motion.segment_names else f"{s}_foot" for s, t in toes.items()}

@@ -16,7 +16,7 @@ from marey.io.gltf.character import named_joints, posed_skin, skin_joints
 from marey.io.gltf.gltf import Additions, Gltf, local_matrix
 from marey.io.gltf.rig_shape import place_joints
 from marey.io.gltf.rig_twists import find_twists
-from marey.motion.motion import Motion
+from marey.motion.motion import BodyMotion
 from marey.motion.retarget import REQUIRED_SEGMENTS, CharacterRig, RigMotion, retarget
 
 _LISTED = 40
@@ -154,31 +154,45 @@ def _skin_at_rest(gltf: Gltf) -> list[tuple[Floats, Floats]] | None:
         return None
 
 
-def write_retargeted(
-    path: Path | str, gltf: Gltf, rig: CharacterRig, motion: Motion, *, floor: float | None, grounded: bool = True,
+def retargeted(
+    gltf: Gltf, rig: CharacterRig, motion: BodyMotion, *, floor: float | None, grounded: bool = True,
     planted: bool = False,
 ) -> RigMotion:  # fmt: skip
-    """Write a copy of a character's file that has a motion as one more animation; nothing else of it changes.
+    """Transfer a motion to the skeleton of a character's file.
 
-    Frames without an answer have no key: a viewer turns evenly over them. Where they are stands in the animation's
-    `extras`: `gaps`, pairs of the times [s] between which nothing was measured.
+    Args:
+        gltf: The character.
+        rig: Its skeleton.
+        motion: The motion.
+        floor: see `marey.motion.retarget.retarget`.
+        grounded: see there.
+        planted: see there.
+
+    Returns:
+        The motion of the character's nodes.
+
+    Raises:
+        FileProblem: The motion cannot be transferred to this skeleton.
+    """
+    try:
+        return retarget(motion, rig, floor=floor, grounded=grounded, planted=planted)
+    except MareyError as error:
+        wrong = f"cannot take the motion ({str(error).rstrip('.')})"
+        raise FileProblem(gltf.path, wrong, _HOW_TO_NAME) from error
+
+
+def write_rig_motion(path: Path | str, gltf: Gltf, rig: CharacterRig, moved: RigMotion) -> None:
+    """Write a copy of a character's file with a further animation; nothing else of it changes.
+
+    Frames without an answer have no key: a viewer interpolates over them. Their times are in the animation's `extras`:
+    `gaps`, pairs of the times [s] between which nothing was measured.
 
     Args:
         path: The copy; GLB or glTF as the character.
         gltf: The character.
         rig: Its skeleton.
-        motion: What it shall do.
-        floor: see `retarget`.
-        grounded: see `retarget`.
-        planted: see `retarget`.
-
-    Raises:
-        FileProblem: The motion cannot be carried over.
+        moved: The motion of its nodes.
     """
-    try:
-        moved = retarget(motion, rig, floor=floor, grounded=grounded, planted=planted)
-    except MareyError as error:
-        raise FileProblem(gltf.path, f"cannot take up the motion ({str(error).rstrip('.')})", _HOW_TO_NAME) from error
     additions = Additions(gltf)
     time = additions.add(moved.time[:, None], "SCALAR", bounds=True)
     samplers: list[dict[str, Any]] = []
@@ -198,7 +212,6 @@ def write_retargeted(
         animation["extras"] = {"gaps": [list(gap) for gap in moved.gaps]}
     additions.document.setdefault("animations", []).append(animation)
     additions.write(path)
-    return moved
 
 
 def _without_matrix(node: dict[str, Any], rig: CharacterRig, number: int) -> None:

@@ -1,9 +1,9 @@
 """Kernels of inverse kinematics: one posture by weighted least squares over all markers."""
 
-import numba
 import numpy as np
 
 from marey.body.articulation.jointed_kinematics import follow, place_bodies
+from marey.kernels import kernel
 
 _LONGEST = 0.6
 """Longest step of a coordinate [rad or m]; longer ones are scaled down. Chosen by hand."""
@@ -12,7 +12,7 @@ _FLOOR = 1e-10
 numerical."""
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def evaluate(packed, markers, tasks, values, variable, slope, state, hessian, gradient):
     """Compute the cost of a posture and, unless hessian is empty, its derivatives.
 
@@ -74,7 +74,7 @@ def evaluate(packed, markers, tasks, values, variable, slope, state, hessian, gr
     return cost, total
 
 
-@numba.njit(inline="always", cache=True, nogil=True)
+@kernel(inline="always")
 def _posed(rotation, origin, body, place):
     if body < 0:
         return place[0], place[1], place[2]
@@ -86,7 +86,7 @@ def _posed(rotation, origin, body, place):
     )
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def marker_rows(packed, body, p, axes, points, motion_slope, variable, slope, rows, used):
     """Write a point's derivatives by the coordinates into rows (N, 3), list them in used, and return their number."""
     number = 0
@@ -119,7 +119,7 @@ def marker_rows(packed, body, p, axes, points, motion_slope, variable, slope, ro
     return number
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def new_state(packed):
     """Allocate the arrays that `place_bodies` fills."""
     bodies, motions = packed.parents.shape[0], packed.turns.shape[0]
@@ -129,7 +129,7 @@ def new_state(packed):
     )  # fmt: skip
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def descend(packed, markers, tasks, free, lower, upper, values, most, stop):
     """Minimise the cost from values (N,), which are overwritten, by damped Gauss-Newton within the limits.
 
@@ -173,7 +173,7 @@ def descend(packed, markers, tasks, free, lower, upper, values, most, stop):
     return cost, False
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _step(hessian, gradient, free, lower, upper, values, damping, floor):
     """Solve for a damped step (N,) of the free coordinates."""
     count = values.shape[0]
@@ -214,7 +214,7 @@ def _step(hessian, gradient, free, lower, upper, values, damping, floor):
     return step
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def linearised(packed, body, place, values):
     """Linearise the markers and bodies of a posture for the covariance.
 

@@ -77,9 +77,8 @@ def joint_of(parent: str, child: str, side: str | None = None) -> BoneJoint:
             if parent in wanted:
                 joint = row.angles[0][1].partition("_")[0]
                 named = {place: (f"{own}{name}", sign) for place, name, sign in row.angles}
-                angles = tuple(
-                    named.get(k, (f"{own}{joint}_{word}", sign)) for k, (word, sign) in enumerate(_DEFAULT_ANGLES)
-                )
+                words = enumerate(_DEFAULT_ANGLES)
+                angles = tuple(named.get(k, (f"{own}{joint}_{word}", sign)) for k, (word, sign) in words)
                 return BoneJoint(parent=parent, child=child, name=f"{own}{joint}", left=at_left, angles=angles)
     name = f"{child}_on_{parent}"
     angles = tuple((f"{name}_{word}", sign) for word, sign in _DEFAULT_ANGLES)

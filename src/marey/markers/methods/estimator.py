@@ -50,7 +50,8 @@ class SkinAndJointsSettings:
     """Gauss-Newton steps of the common motions. Chosen by hand."""
     common_rotation_ratio: float = 0.75
     """Displacement by the rotation common to all markers as a multiple of their relative motion. From three trials with
-    known bones, rounded (docs/marker-methods.md); factors of 0.7 and 1.4 are measured in docs/accuracy.md."""
+    known bones, rounded (docs/explanation/markers.md); factors of 0.7 and 1.4 are measured in
+    docs/accuracy/markers.md."""
     common_translation_ratio: float = 1.5
     """The same for the translation common to all markers, from the same trials."""
     outlier_variance_ratio: float = 5.0

@@ -12,7 +12,7 @@ from marey.nonrigid.in_space.factorisation import HomogeneousShapes, factorise_p
 
 _MAXIMUM_SHAPES = 3
 """Most basis shapes of a cluster. On made clusters after table 3 of [Alexander2003] the error falls up to three
-(docs/accuracy.md)."""
+(docs/accuracy/markers.md)."""
 
 
 def homogeneous(problem: MarkerProblem) -> BoneMotion:

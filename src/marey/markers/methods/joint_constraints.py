@@ -99,7 +99,7 @@ _LAXITY = {
 """Laxity by parent and child segment. Knees with known bones ([Cereatti2017]): over a trial adduction ranges over 4 to
 11 degrees, rotation over 5 to 24 degrees, and the centre stays within 1 to 3 mm. The values for the knee allow for
 about twice as much, because a tighter knee made 12 % of 60 made trials more than 5 % worse than the rigid fit
-(docs/accuracy.md). The values of the other joints are judgement in the same manner, without measurement."""
+(docs/accuracy/markers.md). The values of the other joints are judgement in the same manner, without measurement."""
 _OTHER_JOINTS = JointLaxity(translation=_millimetres(10.0, 10.0))
 """Laxity of all other pairs of segments. Chosen by hand."""
 

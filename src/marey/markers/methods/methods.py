@@ -113,7 +113,7 @@ METHODS: dict[str, MethodEntry] = {
 """All methods by name."""
 
 DEFAULT_METHOD = "skin"
-"""The default method, which has the smallest errors of all on trials with known bones (docs/accuracy.md)."""
+"""The default method, which has the smallest errors of all on trials with known bones (docs/accuracy/markers.md)."""
 
 
 def choose_methods(names: Iterable[str]) -> tuple[MethodEntry, ...]:

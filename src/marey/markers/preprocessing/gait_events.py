@@ -13,7 +13,7 @@ from marey.motion.gait import OFF, STRIKE, GaitEvent
 
 _CUTOFF_HZ = 20.0
 """Cut-off of the low-pass filter for heel and toe [Hz]. Chosen by hand; the errors of the events are in
-docs/accuracy.md (gait events), other values were not measured."""
+docs/accuracy/markers.md (gait events), other values were not measured."""
 _SHORTEST_CYCLE_S = 0.5
 """Shortest gait cycle [s]. Chosen by hand."""
 _MINIMUM_PROMINENCE = 0.4

@@ -2,13 +2,13 @@
 
 from collections.abc import Sequence
 
-import numba
 import numpy as np
 
 from marey.arrays import Floats, Mask
 from marey.cameras.camera import Camera
 from marey.cameras.triangulate import triangulate
 from marey.geometry import rotations
+from marey.kernels import kernel
 
 FAR = 9.0
 """Squared distance, in variances, beyond which a pixel loses its weight as its square."""
@@ -165,7 +165,7 @@ class PixelPlaces:
         return found
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def add_rays(
     residual: Floats, slope: Floats, weight: Floats, variance: float, normal: Floats, pull: Floats
 ) -> None:  # pragma: no cover - compiled
@@ -194,7 +194,7 @@ def add_rays(
                 normal[i, j, k] += w * (a[j] * a[k] + b[j] * b[k])
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def see_through(variance: float, normal: Floats, pull: Floats) -> None:  # pragma: no cover - compiled
     """Turn equations of the points' own places into such of the model's, about which points spread.
 

@@ -6,11 +6,11 @@ programme has one minimum, so no start is needed, and perspective tells the sign
 """
 
 import numpy as np
-from numba import njit
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from marey.arrays import Floats, Integers, Mask
+from marey.kernels import kernel
 
 FEWEST_TOGETHER = 3
 """Frames in which two points must be seen together to be neighbours."""
@@ -124,7 +124,7 @@ def _inverses(rays: Floats, used: Mask, first: Integers, second: Integers) -> Fl
     return np.linalg.inv(square + ridge[:, None, None] * np.eye(points))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _rounds(
     rays, used, tied, first, second, inverse, depth, distance, push, dearest, rounds, still
 ):  # pragma: no cover - compiled
@@ -159,7 +159,7 @@ def _rounds(
     return depth, distance
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _mean_distances(own, own_dual, used, times, distance):  # pragma: no cover - compiled
     """Each tie's distance: the mean over its frames, the mean of all being 1; into `distance` (E,)."""
     frames, edges = own.shape
@@ -175,7 +175,7 @@ def _mean_distances(own, own_dual, used, times, distance):  # pragma: no cover -
         distance[e] += 1.0 - total / edges
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _solve_depths(
     rays, used, tied, first, second, inverse, depth, push, apart, apart_dual
 ):  # pragma: no cover - compiled
@@ -199,7 +199,7 @@ def _solve_depths(
     return moved
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _keep_short(
     rays, used, first, second, depth, distance, dearest, apart, apart_dual, own, own_dual
 ):  # pragma: no cover - compiled
