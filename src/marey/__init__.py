@@ -8,8 +8,11 @@ if TYPE_CHECKING:
     from marey.cameras.rig import Rig
     from marey.cameras.triangulate import triangulate
     from marey.errors import FileProblem, MareyError, SettingProblem
+    from marey.io.mr.volumes import read_volume
     from marey.io.trial.example import example_folder
     from marey.observations.observation import Linearization, Observation, SurfaceObservation
+    from marey.pipelines.knee.knee import Knee, load_knee
+    from marey.pipelines.knee.segment import segment_knee
     from marey.pipelines.markers.bones import Bones, load_bones
     from marey.pipelines.markers.estimate import estimate_bones, open_markers
     from marey.pipelines.nonrigid.factorise import factorise, read_tracks
@@ -26,6 +29,7 @@ __all__ = [
     "Bones",
     "Camera",
     "FileProblem",
+    "Knee",
     "Linearization",
     "MareyError",
     "Observation",
@@ -40,9 +44,12 @@ __all__ = [
     "example_folder",
     "factorise",
     "load_bones",
+    "load_knee",
     "load_shapes",
     "open_markers",
     "read_tracks",
+    "read_volume",
+    "segment_knee",
     "triangulate",
     "tuned_process",
 ]
@@ -51,6 +58,7 @@ _MODULES = {
     "Bones": "pipelines.markers.bones",
     "Camera": "cameras.camera",
     "FileProblem": "errors",
+    "Knee": "pipelines.knee.knee",
     "Linearization": "observations.observation",
     "MareyError": "errors",
     "Observation": "observations.observation",
@@ -64,9 +72,12 @@ _MODULES = {
     "example_folder": "io.trial.example",
     "factorise": "pipelines.nonrigid.factorise",
     "load_bones": "pipelines.markers.bones",
+    "load_knee": "pipelines.knee.knee",
     "load_shapes": "pipelines.nonrigid.shapes",
     "open_markers": "pipelines.markers.estimate",
     "read_tracks": "pipelines.nonrigid.factorise",
+    "read_volume": "io.mr.volumes",
+    "segment_knee": "pipelines.knee.segment",
     "triangulate": "cameras.triangulate",
     "tuned_process": "process",
 }
