@@ -83,6 +83,6 @@ def nonrigid(
             frames=None if frames is None else parse_frames(frames), basis_shapes=basis_shapes,
             overlay=not no_overlay, out=folder, progress=progress,
         )  # fmt: skip
-        for line in shapes.summary():
-            progress.report(line)
+        for label, text in shapes.summary().lines.items():
+            progress.report(f"{label}: {text}")
     typer.echo(f"Report: {folder / 'report.html'}")

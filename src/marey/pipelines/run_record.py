@@ -126,6 +126,8 @@ def finished_together(out: Path) -> Iterator[Path]:
         _move_in(staging, out)
     finally:
         shutil.rmtree(staging, ignore_errors=True)
+        with suppress(OSError):  # checkpoints of the run may be beside it
+            staging.parent.rmdir()
 
 
 def _move_in(staging: Path, out: Path) -> None:
