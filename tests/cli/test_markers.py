@@ -92,7 +92,7 @@ def test_all_methods_stand_side_by_side(folder, capsys):
     names = record["settings"]["methods"]
     assert names[0] == DEFAULT_METHOD
     assert {"rigid", "pct", "calibration"} <= set(names)
-    assert f"the files have the result of {names[0]}" in told
+    assert f"the values are those of {names[0]}" in told
     page = (folder / "all" / "report.html").read_text()
     for name in names:
         assert name in page
