@@ -36,13 +36,13 @@ from marey.knee.registration.elastic import ElasticSettings, _images, register_e
 from marey.knee.registration.rigid import RigidRegistration, register_rigidly
 from marey.knee.registration.sided import register_on_either_side
 from marey.knee.space.cut_ends import cut_planes
-from marey.knee.space.mesh_mending import with_holes_closed
+from marey.knee.space.mesh_repair import with_holes_closed
 from marey.knee.space.sides import mirrored
 from marey.knee.space.structures import CARTILAGE_OF_BONE
 from marey.knee.space.surface import Surface
 from marey.knee.space.surfacing import surface_of_labels
 from marey.knee.space.triangle_tree import TriangleTree, corner_weights
-from marey.knee.space.volume import Grid, Labels
+from marey.knee.space.volume import Labels, VoxelGrid
 from marey.pipelines.knee.meshes import SMALL_HOLE
 
 BENCH = Bench(
@@ -106,7 +106,7 @@ def shortened(labels: Labels, bone: str) -> Labels:
     cut = np.zeros_like(labels.labels)
     spots = tuple(filled[keep].T)
     cut[spots] = labels.labels[spots]
-    return Labels(labels=cut, grid=Grid(shape=labels.grid.shape, lps_from_voxel=labels.grid.lps_from_voxel))
+    return Labels(labels=cut, grid=VoxelGrid(shape=labels.grid.shape, lps_from_voxel=labels.grid.lps_from_voxel))
 
 
 def bones() -> list[tuple[str, str]]:

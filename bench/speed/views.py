@@ -18,7 +18,7 @@ from marey.images.silhouettes.interior import InteriorEdges
 from marey.io.trial.masks import open_masks
 from marey.io.trial.trial import read_trial
 from marey.pipelines.capture import stages
-from marey.pipelines.progress import Progress
+from marey.pipelines.progress import RecordingProgress
 from marey.pipelines.speed.speeds import LEVEL_SET_LIMIT_MS
 
 BENCH = Bench(
@@ -42,7 +42,7 @@ def run(run: Run) -> None:
     )  # fmt: skip
     for name in run.arguments.takes or ("reach", "walk", "stealth", "jacks"):
         folder, results = program.take(run, name)
-        trial, progress = read_trial(folder), Progress(quiet=True)
+        trial, progress = read_trial(folder), RecordingProgress()
         files = [open_masks(results / "surface_masks" / f"{camera.name}.npz") for camera in trial.rig]
         models, small = stages.backgrounds(trial, progress)
         surface = first_known(files, trial.take.first, trial.take.end, run.arguments.frames)

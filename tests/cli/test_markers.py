@@ -232,7 +232,7 @@ def test_an_interrupted_run_leaves_no_results_and_goes_on(folder, monkeypatch, c
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("marey.pipelines.markers.results.write_results", interrupted)
+        patch.setattr("marey.pipelines.markers.bones.write_results", interrupted)
         assert run(["markers", "walk.c3d", "--reference", "frame0.npz", "--method", "rigid", "-q"]) == 130
     assert [path.name for path in (folder / "walk_marey").iterdir()] == [".work"]
     assert run(["markers", "walk.c3d", "--reference", "frame0.npz", "--method", "rigid", "-q"]) == 0

@@ -14,7 +14,7 @@ from marey.markers.data.marker_motion import marker_motion
 from marey.markers.data.problem import MarkerProblem
 from marey.markers.kinematics.joint_angles import joint_kinematics, joint_of, turns_since
 from marey.markers.methods.methods import DEFAULT, MethodEntry, choose_methods
-from marey.pipelines.markers.bones import MethodRun
+from marey.pipelines.markers.estimated_bones import MethodRun
 from marey.pipelines.markers.trial import ClusterTrial
 from marey.pipelines.progress import Progress
 from marey.pipelines.run_record import StageCache

@@ -9,12 +9,12 @@ from marey.io.results.comparison import UNITS
 from marey.motion.comparison import Agreement, MotionComparison, worst
 from marey.view.pages.curves import (
     COLOURS,
-    Curve,
     CurvePlot,
     CurvesContent,
     NumberTable,
     PlotGroup,
     ScatterPlot,
+    Trace,
     write_curves_page,
 )
 from marey.view.pages.problems import readable
@@ -129,7 +129,7 @@ def _angle_curves(result: MotionComparison, keys: Sequence[tuple[str, str]]) -> 
         CurvePlot(
             title=readable(name),
             curves=[
-                Curve(label=label, colour=colour, values=np.degrees(r.angles[:, k]), sd=np.degrees(r.angles_sd[:, k]))
+                Trace(label=label, colour=colour, values=np.degrees(r.angles[:, k]), sd=np.degrees(r.angles_sd[:, k]))
                 for (label, colour), r in zip(keys, pair, strict=True)
             ],
         )
@@ -157,7 +157,7 @@ def _point_curves(result: MotionComparison) -> list[CurvePlot]:
     return [
         CurvePlot(
             title=readable(name), unit=" mm", least=2.0,
-            curves=[Curve(label="distance", colour=COLOURS[0], values=apart[:, k])],
+            curves=[Trace(label="distance", colour=COLOURS[0], values=apart[:, k])],
         )
         for k, name in enumerate(result.first.point_names)
     ]  # fmt: skip
