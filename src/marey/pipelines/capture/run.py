@@ -20,7 +20,7 @@ from marey.fit.recipes.person import (
     PersonSettings,
     with_shape,
 )
-from marey.fit.recipes.pick_up import of_one_shape
+from marey.fit.recipes.pick_up import with_fixed_shape
 from marey.io.calibration.readers import read_rig
 from marey.io.results.body import open_body
 from marey.io.stages import FrameLog, file_fingerprint
@@ -118,7 +118,7 @@ class Bodies:
 
     def held(self) -> "Bodies":
         """The same bodies, whose sizes nothing changes."""
-        return Bodies(of_one_shape(self.fine), of_one_shape(self.coarse))
+        return Bodies(with_fixed_shape(self.fine), with_fixed_shape(self.coarse))
 
 
 def require_two_cameras(trial: Trial) -> None:
