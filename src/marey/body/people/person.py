@@ -61,7 +61,9 @@ JOINT_SHARE = 0.3
 only by its motion, and other errors bias it if it is free (docs/accuracy.md)."""
 
 VARYING = 0.8
+"""Share of a joint centre's distance from its place in the skin that varies with the posture (docs/accuracy.md)."""
 CONSTANT = 0.6
+"""Share of a joint centre's distance from its place in the skin that is constant over postures (docs/accuracy.md)."""
 
 
 def person_space(family: BodyFamily, *, numbers: int) -> ShapeSpace:
