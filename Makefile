@@ -5,7 +5,7 @@ WORKERS ?= auto
 BIN := $(VENV)/bin
 INSTALL = $(BIN)/python -m pip install --quiet --constraint constraints.txt
 
-.PHONY: test quick demo knee lint dist clean
+.PHONY: test quick demo knee lint docs dist accuracy clean
 
 # A folder without .ready is left over from an interrupted set-up: start again. The checks need more than the program does.
 $(VENV)/.ready: pyproject.toml constraints.txt
@@ -16,7 +16,7 @@ $(VENV)/.ready: pyproject.toml constraints.txt
 	touch $@
 
 $(VENV)/.checks: $(VENV)/.ready
-	$(INSTALL) --editable ".[test,knee,plot,xarray]"
+	$(INSTALL) --editable ".[test,knee,plot,xarray,docs]"
 	touch $@
 
 lint: $(VENV)/.checks
@@ -29,6 +29,15 @@ test: lint
 # Everything but the tests marked slow: for the loop of editing and trying.
 quick: $(VENV)/.checks
 	$(BIN)/python -m pytest -n $(WORKERS) -m "not slow"
+
+$(VENV)/.docs: $(VENV)/.ready
+	$(INSTALL) --editable ".[docs]"
+	touch $@
+
+# The site in site/. A warning, such as a link that leads nowhere, is an error.
+docs: $(VENV)/.docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+	@echo "Documentation: site/index.html"
 
 demo: $(VENV)/.ready
 	$(BIN)/marey demo
@@ -46,6 +55,10 @@ dist: $(VENV)/.ready
 	build/dist-check/bin/python -m pip install --quiet --constraint constraints.txt dist/*.whl
 	cd build && dist-check/bin/python -c "from marey.cli.main import example_folder; print(example_folder())"
 	cd build && dist-check/bin/marey --version
+
+# The pages under docs/accuracy, from the records that `python -m bench run NAME` has written.
+accuracy:
+	$(PYTHON) -m bench report
 
 clean:
 	rm -rf .venv .venv-* build dist

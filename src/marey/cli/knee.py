@@ -7,6 +7,8 @@ from typing import Annotated
 import typer
 
 from marey.cli.options import Quiet
+from marey.cli.work import working
+from marey.errors import SettingProblem
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode="markdown", help="Bones and cartilage of a knee from MR.")
 
@@ -28,6 +30,26 @@ def with_seeds_joined(arguments: Sequence[str]) -> list[str]:
             joined.append(" ".join(words[:_SEED_WORDS]))
             del words[:_SEED_WORDS]
     return joined
+
+
+def parse_seed(text: str, option: str) -> tuple[str, float, float, float]:
+    """Read a bone and three numbers, for example "femur 10 -3.5 20".
+
+    Args:
+        text: The value of the option.
+        option: Its name, for the error.
+
+    Raises:
+        SettingProblem: It is something else.
+    """
+    words = text.replace(",", " ").split()
+    try:
+        name, x, y, z = words
+        return name, float(x), float(y), float(z)
+    except ValueError as error:
+        raise SettingProblem(
+            f"{option} is '{text}'; it should be a bone and three numbers, for example {option} femur 10 -3.5 20."
+        ) from error
 
 
 _Out = Annotated[Path | None, typer.Option("--out", "-o", metavar="DIR", help="Where the results go.")]
@@ -76,22 +98,22 @@ def segment(
     * `marey knee segment fat_saturated.nii.gz plain.nii.gz --out knee`
     * `marey knee segment series --seed femur 12 -30 40`
     """
-    from marey.pipelines.knee.segment import SegmentOptions, parse_seed
-    from marey.pipelines.knee.segment import segment as segment_knee
-    from marey.pipelines.progress import Progress
+    from marey.pipelines.knee.segment import segment_knee, stem
 
-    options = SegmentOptions(
-        out=out,
-        template=template,
-        seeds=tuple(parse_seed(each, "--seed") for each in seed or ()),
-        seed_voxels=tuple(parse_seed(each, "--seed-voxel") for each in seed_voxel or ()),
-        side=side,
-    )
-    left = segment_knee(volumes, options, Progress(quiet=quiet))
-    typer.echo(f"Labels: {left.folder / 'labels.nii.gz'}")
-    typer.echo(f"Report: {left.folder / 'report.html'}")
-    if left.missing:
-        typer.echo(f"Not found: {', '.join(left.missing)} (see missing in labels.json).", err=True)
+    seeds = [parse_seed(each, "--seed") for each in seed or ()]
+    seed_voxels = [parse_seed(each, "--seed-voxel") for each in seed_voxel or ()]
+    folder = out or volumes[0].with_name(f"{stem(volumes[0])}_marey")
+    with working(quiet=quiet) as progress:
+        knee = segment_knee(
+            volumes, template=template, seeds=seeds, seed_voxels=seed_voxels, side=side, out=folder, progress=progress
+        )
+        for name in knee.bones:
+            surface = knee.surfaces[name]
+            progress.report(f"{name}: {surface.volume_mm3 / 1000:.1f} cm3, {surface.area_mm2 / 100:.0f} cm2")
+    typer.echo(f"Labels: {folder / 'labels.nii.gz'}")
+    typer.echo(f"Report: {folder / 'report.html'}")
+    if knee.missing:
+        typer.echo(f"Not found: {', '.join(knee.missing)} (labels.json gives the reasons).", err=True)
         raise typer.Exit(INCOMPLETE)
 
 
@@ -111,9 +133,9 @@ def thickness(
     * `marey knee thickness tibia.ply medial.ply lateral.ply --out tibia`
     """
     from marey.pipelines.knee.thickness import measure_thickness
-    from marey.pipelines.progress import Progress
 
-    folder, found = measure_thickness(bone, cartilages, out, Progress())
+    with working() as progress:
+        folder, found = measure_thickness(bone, cartilages, out, progress)
     typer.echo(found)
     typer.echo(f"Thickness: {folder / 'thickness.npz'}")
 
@@ -142,9 +164,9 @@ def register(
     * `marey knee register left_patella.ply right_patella.ply --mirror --out patella`
     """
     from marey.pipelines.knee.register import register as register_bones
-    from marey.pipelines.progress import Progress
 
-    folder = register_bones(template, subject, out, mirror=mirror, progress=Progress(quiet=quiet))
+    with working(quiet=quiet) as progress:
+        folder = register_bones(template, subject, out, mirror=mirror, progress=progress)
     typer.echo(f"Registered: {folder / 'registered.ply'}")
 
 
@@ -200,13 +222,13 @@ def animate(
     from marey.io.npz import read_arrays
     from marey.pipelines.knee.animate import AnimateOptions
     from marey.pipelines.knee.animate import animate as animate_knee
-    from marey.pipelines.progress import Progress
 
     options = AnimateOptions(
         out=out, reference=reference, method=method, compare=compare, landmarks=landmarks, side=side, frame=frame,
         views=tuple(name.strip() for name in view.split(",") if name.strip()), limit_mm=limit, noise_mm=noise,
     )  # fmt: skip
-    folder = animate_knee(knee, motion, options, Progress(quiet=quiet))
+    with working(quiet=quiet) as progress:
+        folder = animate_knee(knee, motion, options, progress)
     typer.echo(f"Page: {folder / 'knee.html'}")
     moved = read_arrays(folder / "knee_motion.npz")["bones"].tolist()
     still = [bone for bone in ("femur", "tibia") if bone not in moved]
@@ -239,10 +261,10 @@ def template(
     * `marey knee template contours.json knee.nii.gz --out my_template`
     """
     from marey.pipelines.knee.template import make_template
-    from marey.pipelines.progress import Progress
 
     folder = out or sources[0].with_name(f"{sources[0].name.split('.')[0]}_template")
-    made = make_template(sources, folder, Progress(quiet=quiet))
+    with working(quiet=quiet) as progress:
+        made = make_template(sources, folder, progress)
     typer.echo(f"{'A' if made.side is None else f'A {made.side}'} knee with {', '.join(made.surfaces)}: {folder}")
 
 
@@ -271,8 +293,8 @@ def outline(
     * `marey knee outline series --out contours.json --no-browser`
     """
     from marey.pipelines.knee.outline import outline_server, serve
-    from marey.pipelines.progress import Progress
 
-    server = outline_server(volume, out, port, Progress(quiet=quiet))
-    typer.echo(f"Outlining at {server.address}; kept in {server.session.path}. Ctrl-C ends it.")
-    serve(server, browser=not no_browser)
+    with working(quiet=quiet) as progress:
+        server = outline_server(volume, out, port, progress)
+        typer.echo(f"Outlining at {server.address}; kept in {server.session.path}. Ctrl-C ends it.")
+        serve(server, browser=not no_browser)

@@ -27,18 +27,18 @@ GIRTH_SEGMENTS = (
 CLOTHED_SEGMENTS = ("pelvis", "abdomen", "thorax", "clavicle", "upperarm", "thigh")
 """Segments covered by clothes, without the side."""
 LENGTH_SD = 0.04
-"""Standard deviation of a segment's length from the value expected from the rest of the body, as a share. Its source
-is not recorded; see docs/body.md."""
+"""Standard deviation of a segment's length from the value expected from the rest of the body, as a share. An
+estimate without a source (docs/explanation/body.md)."""
 GIRTH_SD = 0.06
-"""Standard deviation of a segment's girth from the value expected from the rest of the body, as a share. Its source
-is not recorded; see docs/body.md."""
+"""Standard deviation of a segment's girth from the value expected from the rest of the body, as a share. An estimate
+without a source (docs/explanation/body.md)."""
 CLOTHES_SD = 0.010
-"""Standard deviation of the thickness of clothes [m]. An estimate without a source (docs/body.md)."""
+"""Standard deviation of the thickness of clothes [m]. An estimate without a source (docs/explanation/body.md)."""
 SKIN_LAYER_SD = 0.005
-"""Standard deviation of a layer over the whole skin [m]. An estimate without a source (docs/body.md)."""
+"""Standard deviation of a layer over the whole skin [m]. An estimate without a source (docs/explanation/body.md)."""
 JOINT_SD = {"hip": (0.015, 0.012, 0.012), "shoulder": (0.012, 0.012, 0.020), "knee": (0.008, 0.008, 0.012)}
 """Standard deviation of joint centres along `AXIS_NAMES` [m]: half the distance of the rig's joints from published
-ones (docs/body.md), at least 0.008 m."""
+ones (docs/explanation/body.md), at least 0.008 m."""
 SEGMENT_OF_JOINT = {"hip": "thigh", "shoulder": "upperarm", "knee": "shank"}
 """Segment that rotates about a joint, without the side."""
 AXIS_NAMES = ("lateral", "backward", "up")

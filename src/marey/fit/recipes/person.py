@@ -12,7 +12,13 @@ from marey.body.articulation.surface import Body
 from marey.body.metaballs.metaball_person import reshaped
 from marey.cameras.camera import Camera
 from marey.fit.recipes.pick_up import PickUpSettings, best_per_frame, pick_up, restart, weak_frames
-from marey.fit.recipes.sequence import RefineCheckpoint, SequenceFit, SequenceSettings, refine_in_pieces
+from marey.fit.recipes.sequence import (
+    FrameTermsFactory,
+    RefineCheckpoint,
+    SequenceFit,
+    SequenceSettings,
+    refine_in_pieces,
+)
 from marey.fit.recipes.track import TrackSettings, repair, track
 from marey.fit.search.levels import FrameLevels, level_factor
 from marey.fit.search.search import Candidate, Search, StartSettings
@@ -385,6 +391,7 @@ def refine_person(
     height: float,
     rounds: int,
     ignored_frames: Container[int] = (),
+    extra_terms: FrameTermsFactory | None = None,
     progress: FrameProgress = no_progress,
     checkpoint: RefineCheckpoint | None = None,
 ) -> Iterator[SequenceFit]:
@@ -399,12 +406,13 @@ def refine_person(
         height: Height of the person in the pictures [px].
         rounds: Number of iterations.
         ignored_frames: Frames whose silhouettes are ignored; their poses follow from their neighbours.
+        extra_terms: Further observations, for example of surface points.
         progress: Called with each frame in each round.
         checkpoint: Results of an interrupted run, which are reused; receives every new result.
     """
     return refine_in_pieces(
         list(poses), list(poses.values()), body, take.levels(height), rate=take.rate, rounds=rounds,
-        shape_frames=for_shape, settings=settings.sequence, ignored_frames=ignored_frames,
+        shape_frames=for_shape, settings=settings.sequence, ignored_frames=ignored_frames, extra_terms=extra_terms,
         progress=progress, checkpoint=checkpoint,
     )  # fmt: skip
 

@@ -28,13 +28,13 @@ def visual_hull(cameras: Sequence[Camera], masks: Sequence[Mask], *, cell: float
     seeing = [(camera, mask) for camera, mask in zip(cameras, masks, strict=True) if mask.any()]
     if not seeing:
         return np.zeros((0, 3))
-    grid = VoxelGrid.about(meeting_point(seeing), reach, cell)
+    grid = HullGrid.about(meeting_point(seeing), reach, cell)
     # A cell must be in view of at least two cameras.
     return grid.centres(filled(seeing, grid, witnesses=min(2, len(seeing))))
 
 
 @dataclass(frozen=True, eq=False)
-class VoxelGrid:
+class HullGrid:
     """Cells of space in rows, columns and layers along the world's axes."""
 
     origin: Floats
@@ -45,24 +45,24 @@ class VoxelGrid:
     """Number of cells along each axis."""
 
     @staticmethod
-    def about(centre: Floats, reach: float, cell: float) -> "VoxelGrid":
+    def about(centre: Floats, reach: float, cell: float) -> "HullGrid":
         """Return a cube of cells, given its middle (3,) and half its edge [m]."""
         half = round(reach / cell)
-        return VoxelGrid(centre - half * cell, cell, (2 * half + 1,) * 3)
+        return HullGrid(centre - half * cell, cell, (2 * half + 1,) * 3)
 
     @staticmethod
-    def holding(points: Floats, margin: float, cell: float) -> "VoxelGrid":
+    def holding(points: Floats, margin: float, cell: float) -> "HullGrid":
         """Return a grid that contains points (n, 3) with a margin on all sides [m]."""
         origin = points.min(0) - margin
         x, y, z = np.ceil((points.max(0) + margin - origin) / cell).astype(int) + 1
-        return VoxelGrid(origin, cell, (int(x), int(y), int(z)))
+        return HullGrid(origin, cell, (int(x), int(y), int(z)))
 
     def centres(self, chosen: Mask) -> Floats:
         """Return the centres (n, 3) of chosen cells [m]."""
         return np.asarray(self.origin + np.argwhere(chosen) * self.cell, float)
 
 
-def filled(seeing: Sequence[tuple[Camera, Mask]], grid: VoxelGrid, *, witnesses: int) -> Mask:
+def filled(seeing: Sequence[tuple[Camera, Mask]], grid: HullGrid, *, witnesses: int) -> Mask:
     """Return the cells of a grid that lie in the silhouette of every camera that has them in view.
 
     Args:
@@ -117,11 +117,11 @@ def common_parts(cameras: Sequence[Camera], masks: Sequence[Mask], *, cell: floa
     if witnesses < 2:
         return [np.asarray(mask) for mask in masks]
     centre, reach = room_between([camera for camera, _ in seeing])
-    rough = VoxelGrid.about(centre, reach, 3 * cell)
+    rough = HullGrid.about(centre, reach, 3 * cell)
     somewhere = rough.centres(largest_part(filled(seeing, rough, witnesses=witnesses)))
     if len(somewhere) == 0:
         return [np.zeros_like(mask) for mask in masks]
-    grid = VoxelGrid.holding(somewhere, 0.5, cell)
+    grid = HullGrid.holding(somewhere, 0.5, cell)
     cells = grid.centres(largest_part(filled(seeing, grid, witnesses=witnesses)))
     return [mask & drawn_cells(camera, cells, cell) for camera, mask in zip(cameras, masks, strict=True)]
 

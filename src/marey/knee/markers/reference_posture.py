@@ -12,7 +12,8 @@ from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
 from marey.knee.markers.marker_bones import BONE_OF_SEGMENT, bone_of_segment
 from marey.markers.data.bone_motion import BoneMotion
-from marey.markers.data.rigid_fit import FEWEST, RigidFit, fit_rigid
+from marey.markers.data.clusters import MINIMUM_MARKERS
+from marey.markers.data.rigid_fit import RigidFit, fit_rigid
 from marey.markers.data.trajectories import MarkerTrajectories
 
 NOISE_MM = 0.5
@@ -46,7 +47,7 @@ class Activity:
             freeze_fields(self, "reference_frames", dtype=np.int64)
 
     def places(self, segment: str, labels: tuple[str, ...]) -> Floats:
-        """Give the places (M, 3) of markers in a bone's frame in the reference posture [m]; NaN where not seen.
+        """Return the places (M, 3) of markers in a bone's frame in the reference posture [m]; NaN where not seen.
 
         Of several postures, or where none is told of all frames, the mean.
         """
@@ -150,9 +151,10 @@ def _standing_bone(
     """Lay one bone's cluster over itself in the standing trial."""
     riding = [label for label, name in activity.segment_of_label.items() if name == segment]
     shared = tuple(label for label in riding if label in standing.labels)
-    if len(shared) < FEWEST:
+    if len(shared) < MINIMUM_MARKERS:
         raise MareyError(
-            f"the standing trial has {len(shared)} of the activity's markers ({', '.join(riding)}), and needs {FEWEST}."
+            f"the standing trial has {len(shared)} of the activity's markers ({', '.join(riding)}), "
+            f"and needs {MINIMUM_MARKERS}."
         )
     shape = activity.places(segment, shared)
     fit = fit_rigid(shape, standing.select(shared).points, noise_mm / _MM)
@@ -177,7 +179,7 @@ def _standing_bone(
 
 
 def _cluster_gain(fit: RigidFit, shape_mm: Floats, answered: Integers) -> tuple[Floats, float]:
-    """Give what a bone's turn and shift along its own axes take from its markers, and how far these are from rigid.
+    """Return what a bone's turn and shift along its own axes take from its markers, and how far these are from rigid.
 
     Only the markers that are there in at least half of the frames count. What they are off counts as of all frames
     alike, as skin that lies elsewhere is.
