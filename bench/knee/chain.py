@@ -42,7 +42,7 @@ from marey.markers.data.labels import find_clusters
 from marey.markers.data.problem import MarkerProblem
 from marey.markers.data.trajectories import MarkerTrajectories, trajectories
 from marey.markers.kinematics.transform_chain import CAPTURE_GLOBAL, MR_GLOBAL
-from marey.markers.methods.methods import DEFAULT, choose_methods
+from marey.markers.methods.methods import DEFAULT_METHOD, choose_methods
 
 BENCH = Bench(
     measures="Bones of a scanned knee placed in the laboratory and moved, against simulated truth on real trials.",
@@ -171,7 +171,7 @@ def joined(
     scene: Placed, scanner: ScannerMarkers, done: Activity, stood: MarkerTrajectories | None
 ) -> KneeCorrespondence:
     posture = reference_posture(done, stood, noise_mm=NOISE_MM)
-    # The activity's labels would tell which bone a ball rides on only if a ball were one of its markers.
+    # The activity's labels would give the bone that a ball rides on only if a ball were one of its markers.
     return correspond(scanner, posture, scene.knee.bones, segment_of_label=done.segment_of_label, left=scene.knee.left)
 
 
@@ -357,7 +357,7 @@ def motion(run: Run) -> None:
     for name, trial in scenes(shared):
         scene = placed(shared, phantom(shared, name), trial)
         stood = standing(scene, NOISE_MM, np.random.default_rng(7))
-        for method in ("true bones", "rigid", DEFAULT):
+        for method in ("true bones", "rigid", DEFAULT_METHOD):
             driven = scene.motion if method == "true bones" else estimated(scene, method)
             found = joined(scene, scene.knee.found, with_balls(activity(scene, driven), stood, scene.frame), None)
             frames = np.flatnonzero((scene.motion.answered & driven.answered).all(1))

@@ -84,12 +84,12 @@ CASES = {
 """Whose labels, whose template, the seed, what is changed, and the images."""
 
 
-def made_anatomy(labels: Labels, random: np.random.Generator, asked: Anatomy) -> Labels:
-    """Give the made knee's labels on cubes of `FINE_MM`."""
-    cubes = upright_grid(_kept(labels, asked.margin_mm), FINE_MM)
+def made_anatomy(labels: Labels, random: np.random.Generator, anatomy: Anatomy) -> Labels:
+    """The made knee's labels on cubes of `FINE_MM`."""
+    cubes = upright_grid(_kept(labels, anatomy.margin_mm), FINE_MM)
     places = _places(cubes)
     for axis in range(3):
-        places[..., axis] += asked.warp_mm * _smooth_noise(random, cubes, asked.warp_length_mm)
+        places[..., axis] += anatomy.warp_mm * _smooth_noise(random, cubes, anatomy.warp_length_mm)
     fields = {
         name: read_at(
             signed_distance(labels.mask(name), labels.grid.array_spacing_mm), labels.grid, places, outside=-9.0
@@ -107,12 +107,12 @@ def made_anatomy(labels: Labels, random: np.random.Generator, asked: Anatomy) ->
     for bone in BONES:
         cartilage = CARTILAGE_OF_BONE[bone]
         before = np.where((fields[cartilage] > 0) & (bones == 0), LABELS[cartilage], bones)
-        _lay(Labels(labels=before, grid=cubes), bone, random, asked, made, share)
+        _lay(Labels(labels=before, grid=cubes), bone, random, anatomy, made, share)
     return Labels(labels=made, grid=cubes)
 
 
 def _lay(
-    before: Labels, bone: str, random: np.random.Generator, asked: Anatomy, made: np.ndarray, share: np.ndarray
+    before: Labels, bone: str, random: np.random.Generator, anatomy: Anatomy, made: np.ndarray, share: np.ndarray
 ) -> None:
     """Lay cartilage of the made thickness on a bone; where two meet, each has its share."""
     surface = surface_of_labels(before, bone)
@@ -121,11 +121,11 @@ def _lay(
     grid = before.grid
     tree = cKDTree(vertices)
     moved = np.stack([_read_noise(random, grid, 10.0, vertices) for _ in range(3)], axis=-1)
-    thickness = thickness[tree.query(vertices + asked.shift_mm * moved)[1]]
-    factor = asked.thickness * np.exp(asked.varied * _read_noise(random, grid, asked.varied_mm, vertices))
+    thickness = thickness[tree.query(vertices + anatomy.shift_mm * moved)[1]]
+    factor = anatomy.thickness * np.exp(anatomy.varied * _read_noise(random, grid, anatomy.varied_mm, vertices))
     thickness = thickness * factor
     if bone != "patella":
-        for _ in range(asked.lesions):
+        for _ in range(anatomy.lesions):
             middle = vertices[random.choice(np.flatnonzero(thickness > 1.5))]
             thickness[np.linalg.norm(vertices - middle, axis=1) < 4.0] = 0.0
     height = -signed_distance(before.mask(bone), grid.array_spacing_mm)
@@ -143,7 +143,7 @@ def _lay(
 
 
 def made_image(fine: Labels, random: np.random.Generator, scan: Scan) -> tuple[Volume, Labels]:
-    """Give the image of a made knee and its labels on the image's grid."""
+    """The image of a made knee and its labels on the image's grid."""
     grid = _image_grid(fine.grid, scan)
     levels = _tissue_levels(fine, random, scan.kind)
     image, votes = np.zeros(grid.shape), np.zeros((max(LABELS.values()) + 1, *grid.shape), np.float32)

@@ -1,68 +1,69 @@
-"""The command `marey nonrigid` as it is typed."""
+"""The command `marey nonrigid`."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from marey.cli.options import Frames, NoOverlay, Quiet
+from marey.cli.options import Frames, NoOverlay, Quiet, frame_range, parse_names
 from marey.cli.work import working
-from marey.pipelines.capture.settings import parse_frames, parse_names
 
 
 def nonrigid(
     inputs: Annotated[
         list[Path],
-        typer.Argument(metavar="INPUT...", help="Videos, one a camera; or an NPZ of tracks or points; or a C3D."),
+        typer.Argument(metavar="INPUT...", help="Videos, one per camera; or an NPZ with tracks or points; or a C3D."),
     ],
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", metavar="DIR", help="Where the results go. [default: INPUT_marey]"),
+        typer.Option("--out", "-o", metavar="DIR", help="Folder for the results. [default: INPUT_marey]"),
     ] = None,
     points: Annotated[
         list[Path] | None,
         typer.Option(
             metavar="FILE",
-            help="NPZ: `points` (P, 2) to follow and their `frame`; for the first video, or once for each.",
+            help="NPZ with `points` (P, 2) to follow and their `frame`: for the first video, or one per video.",
         ),
     ] = None,
     mask: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Picture of the first frame, white where points may be chosen."),
+        typer.Option(metavar="FILE", help="Picture that is white where points may be selected in the first frame."),
     ] = None,
     matrix: Annotated[
         str | None,
         typer.Option(
-            metavar="FILE|NUMBERS", help="The one camera's known intrinsics: a file, fx,fy,cx,cy or nine numbers."
+            metavar="FILE|NUMBERS", help="Known camera matrix of a single camera: a file, fx,fy,cx,cy or nine numbers."
         ),
     ] = None,
     scaled: Annotated[
-        bool, typer.Option("--scaled", help="The one camera shows the thing larger and smaller as it comes and goes.")
+        bool, typer.Option("--scaled", help="Estimate the scale of a single camera in each frame.")
     ] = False,
     cameras: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="The cameras' calibration, such as cameras.toml.")
+        Path | None, typer.Option(metavar="FILE", help="Calibration of the cameras, such as cameras.toml.")
     ] = None,
     distance: Annotated[
         tuple[int, int, float] | None,
-        typer.Option(metavar="I J METRES", help="Two points, counted from 0, and how far they are apart."),
+        typer.Option(metavar="I J METRES", help="Two points, counted from 0, and their known distance."),
     ] = None,
     only: Annotated[
         str | None,
-        typer.Option(metavar="LABEL,...", help="The points to keep of a file: labels, or patterns such as thigh_*."),
+        typer.Option(metavar="LABEL,...", help="Labels of the points to use, or patterns such as thigh_*."),
     ] = None,
     basis_shapes: Annotated[
         int | None,
-        typer.Option(metavar="K", help="Number of basis shapes, of points in space. [default: the data choose it]"),
+        typer.Option(
+            metavar="K", help="Number of basis shapes of points in space or calibrated cameras. [default: estimated]"
+        ),
     ] = None,
     frames: Frames = None,
     no_overlay: NoOverlay = False,
     quiet: Quiet = False,
 ) -> None:
-    """Recover the moving 3-D shape of a surface that deforms, without a model of it.
+    """Recover the moving 3-D shape of a deforming surface, without a model of it.
 
-    INPUT is a video, in which points are followed, or several videos of one surface at the same time; an NPZ with
-    `tracks` (frames, 2, points), or (cameras, frames, 2, points), NaN where a point is missing; or points in space: an
-    NPZ with `points` (frames, 3, points), or a C3D with markers. Interrupted with Ctrl-C, the same command goes on.
+    INPUT is a video in which points are followed, or several videos of one surface at the same time; an NPZ with
+    `tracks` (frames, 2, points) or (cameras, frames, 2, points), NaN where a point is missing; or points in space: an
+    NPZ with `points` (frames, 3, points), or a C3D with markers. After Ctrl-C, the same command resumes the run.
 
     Examples:
     * `marey nonrigid face.mp4`
@@ -71,15 +72,16 @@ def nonrigid(
     * `marey nonrigid walk.c3d --only "thigh_*"`
     * `marey nonrigid left.mp4 right.mp4 --cameras cameras.toml`
     """
-    from marey.pipelines.nonrigid.nonrigid import nonrigid as recover
-    from marey.pipelines.nonrigid.settings import NonRigidOptions
+    from marey.pipelines.nonrigid.factorise import factorise
 
-    options = NonRigidOptions(
-        out=out, points=tuple(points or ()), mask=mask, matrix=matrix, scaled=scaled, cameras=cameras,
-        distance=distance,
-        only=None if only is None else parse_names(only, option="--only", example="thigh_*"),
-        frames=None if frames is None else parse_frames(frames), basis_shapes=basis_shapes, overlay=not no_overlay,
-    )  # fmt: skip
+    folder = out or inputs[0].with_name(f"{inputs[0].stem}_marey")
     with working(quiet=quiet) as progress:
-        results = recover(inputs, options, progress)
-    typer.echo(f"Report: {results / 'report.html'}")
+        shapes = factorise(
+            inputs, points=points or (), mask=mask, matrix=matrix, scaled=scaled, cameras=cameras, distance=distance,
+            only=None if only is None else parse_names(only, option="--only", example="thigh_*"),
+            frames=frame_range(frames), basis_shapes=basis_shapes,
+            overlay=not no_overlay, out=folder, progress=progress,
+        )  # fmt: skip
+        for label, text in shapes.summary().lines.items():
+            progress.report(f"{label}: {text}")
+    typer.echo(f"Report: {folder / 'report.html'}")

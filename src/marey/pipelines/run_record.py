@@ -126,6 +126,9 @@ def finished_together(out: Path) -> Iterator[Path]:
         _move_in(staging, out)
     finally:
         shutil.rmtree(staging, ignore_errors=True)
+        for folder in (staging.parent, out):
+            with suppress(OSError):
+                folder.rmdir()
 
 
 def _move_in(staging: Path, out: Path) -> None:
@@ -153,6 +156,24 @@ def _carry_over(staging: Path, out: Path) -> set[Path]:
     kept = {name for record in earlier.values() for name in record.get("files", [])}
     names = {Path(name) for name in last.get("files", []) if name not in kept}
     return {name for name in names if not name.is_absolute() and ".." not in name.parts}
+
+
+def record_of(folder: Path, file: str) -> dict[str, Any]:
+    """Return the record of the run that wrote a file of a folder, as `run.json` holds it.
+
+    Args:
+        folder: A folder with results of one or several commands.
+        file: Name of the file.
+
+    Returns:
+        The record without those of other commands; empty if no run lists the file.
+    """
+    record = _record_in(folder)
+    earlier = record.pop("earlier", {})
+    for each in (record, *earlier.values()):
+        if isinstance(each, dict) and file in each.get("files", []):
+            return each
+    return {}
 
 
 def _record_in(folder: Path) -> dict[str, Any]:

@@ -7,8 +7,9 @@ from pathlib import Path
 from marey.errors import SettingProblem
 from marey.io.markers.trial_file import read_marker_file
 from marey.markers.data.marker_motion import marker_motion
-from marey.markers.methods.methods import DEFAULT
-from marey.pipelines.markers.bones import COMMAND, Bones, MethodRun
+from marey.markers.methods.methods import DEFAULT_METHOD
+from marey.pipelines.markers.bones import COMMAND, Bones
+from marey.pipelines.markers.estimated_bones import MethodRun
 from marey.pipelines.markers.events import find_gait
 from marey.pipelines.markers.method_runs import run_methods
 from marey.pipelines.markers.model import ModelTrial, follow_model, model_trial
@@ -16,8 +17,7 @@ from marey.pipelines.markers.settings import MarkerSettings
 from marey.pipelines.markers.trial import ClusterTrial, MarkerTrial, cluster_trial
 from marey.pipelines.progress import Progress, RecordingProgress
 from marey.pipelines.run_details import RunDetails, checkpoints
-
-PathLike = str | Path
+from marey.pipelines.values import FrameRange, PathLike, frame_limits, optional_path, path_tuple
 
 
 def open_markers(
@@ -31,7 +31,7 @@ def open_markers(
     exercise_reference: PathLike | None = None,
     model: PathLike | None = None,
     weights: PathLike | None = None,
-    frames: range | tuple[int, int] | None = None,
+    frames: FrameRange | None = None,
     fill: str = "none",
     unit: str | None = None,
     side: str | None = None,
@@ -70,26 +70,15 @@ def open_markers(
         ('thigh', 'shank')
     """
     settings = MarkerSettings(
-        reference=_path(reference), clusters=_path(clusters), static=_path(static),
-        functional=tuple(Path(each) for each in functional), exercise=_path(exercise),
-        exercise_reference=_path(exercise_reference), model=_path(model), weights=_path(weights),
-        frames=_limits(frames), fill=fill, unit=unit, side=side,
+        reference=optional_path(reference), clusters=optional_path(clusters), static=optional_path(static),
+        functional=path_tuple(functional), exercise=optional_path(exercise),
+        exercise_reference=optional_path(exercise_reference), model=optional_path(model),
+        weights=optional_path(weights),
+        frames=frame_limits(frames), fill=fill, unit=unit, side=side,
     )  # fmt: skip
     with (progress or RecordingProgress()).stage("Reading"):
         file = read_marker_file(Path(path), unit=unit)
         return cluster_trial(file, settings) if model is None else model_trial(file, settings)
-
-
-def _path(path: PathLike | None) -> Path | None:
-    return None if path is None else Path(path)
-
-
-def _limits(frames: range | tuple[int, int] | None) -> tuple[int, int] | None:
-    if isinstance(frames, range):
-        if frames.step != 1 or not len(frames):
-            raise SettingProblem(f"frames is {frames}; it should be successive frames, such as range(40, 100).")
-        return frames.start, frames.stop
-    return frames
 
 
 def estimate_bones(
@@ -131,7 +120,7 @@ def estimate_bones(
         if isinstance(trial, ModelTrial):
             bones = _by_model(trial, progress)
         elif isinstance(trial, ClusterTrial):
-            names = (method,) if isinstance(method, str) else tuple(method or (DEFAULT,))
+            names = (method,) if isinstance(method, str) else tuple(method or (DEFAULT_METHOD,))
             bones = _by_methods(trial, run_methods(trial, names, progress, cache), progress)
         else:
             raise TypeError(f"estimate_bones takes what open_markers returns, not a {type(trial).__name__}")

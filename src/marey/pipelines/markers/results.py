@@ -20,7 +20,7 @@ from marey.io.markers.results import (
 )
 from marey.io.opensim.mot_sto import write_table
 from marey.markers.data.trajectories import MarkerTrajectories
-from marey.pipelines.markers.bones import COMMAND, Bones, MethodRun
+from marey.pipelines.markers.estimated_bones import EstimatedBones, MethodRun
 from marey.pipelines.markers.events import CycleCurves, cycle_curves
 from marey.pipelines.markers.trial import MarkerTrial
 from marey.pipelines.progress import Progress
@@ -29,7 +29,7 @@ from marey.view.pages.curves import PlotGroup
 from marey.view.pages.markers_report import MethodView, cycle_plots, write_markers_report
 
 
-def write_results(bones: Bones, out: Path, progress: Progress) -> None:
+def write_results(bones: EstimatedBones, out: Path, progress: Progress) -> None:
     """Write all files at once: those of the first method, and the bones of every other one beside them.
 
     Args:
@@ -59,12 +59,12 @@ def write_results(bones: Bones, out: Path, progress: Progress) -> None:
                 timings=progress.timings, settings=bones.details.settings, of_model=bones.coordinates is not None,
             )  # fmt: skip
         write_record(
-            folder, command=COMMAND, settings=bones.details.settings, inputs=bones.details.inputs,
+            folder, command=bones.details.command, settings=bones.details.settings, inputs=bones.details.inputs,
             root=bones.details.root, progress=progress,
         )  # fmt: skip
 
 
-def _write_bones(folder: Path, bones: Bones) -> None:
+def _write_bones(folder: Path, bones: EstimatedBones) -> None:
     for run in bones.runs:
         name = "bones.npz" if run is bones.runs[0] else f"bones_{run.name}.npz"
         held = BoneFile(
@@ -73,7 +73,7 @@ def _write_bones(folder: Path, bones: Bones) -> None:
         write_bones(folder / name, held)
 
 
-def _write_tables(folder: Path, bones: Bones) -> None:
+def _write_tables(folder: Path, bones: EstimatedBones) -> None:
     if bones.coordinates is not None:
         write_table(folder / "angles.mot", bones.coordinates)
     elif bones.joints.angle_names:
@@ -93,12 +93,12 @@ def _all_points(trial: MarkerTrial) -> MarkerTrajectories:
     return replace(used, points=np.where(np.isfinite(used.points), used.points, measured.points))
 
 
-def _over_cycles(run: MethodRun, bones: Bones) -> CycleCurves | None:
+def _over_cycles(run: MethodRun, bones: EstimatedBones) -> CycleCurves | None:
     """Average one method's joint angles over the gait cycles; None if there are no cycles."""
     return cycle_curves(run.joints, bones.time, bones.gait.cycles, side=bones.side) if bones.gait.cycles else None
 
 
-def _cycle_group(bones: Bones, cycles: Sequence[CycleCurves | None]) -> list[PlotGroup]:
+def _cycle_group(bones: EstimatedBones, cycles: Sequence[CycleCurves | None]) -> list[PlotGroup]:
     """Draw the mean curves over the gait cycle, those of all methods in one plot."""
     first = cycles[0]
     if first is None:
