@@ -95,6 +95,6 @@ def markers(
             progress=progress,
         )  # fmt: skip
         bones = estimate_bones(opened, methods, out=folder, progress=progress)
-        for line in bones.summary():
-            progress.report(line)
+        for label, text in bones.summary().lines.items():
+            progress.report(f"{label}: {text}")
     typer.echo(f"Report: {folder / 'report.html'}")

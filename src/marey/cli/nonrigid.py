@@ -82,6 +82,6 @@ def nonrigid(
             frames=frame_range(frames), basis_shapes=basis_shapes,
             overlay=not no_overlay, out=folder, progress=progress,
         )  # fmt: skip
-        for line in shapes.summary():
-            progress.report(line)
+        for label, text in shapes.summary().lines.items():
+            progress.report(f"{label}: {text}")
     typer.echo(f"Report: {folder / 'report.html'}")
