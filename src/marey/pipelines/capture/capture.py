@@ -91,7 +91,7 @@ def capture_trial(
 
 
 @dataclass(frozen=True, eq=False)
-class Followed:
+class FollowedPerson:
     """A person tracked through the take, and the silhouettes with the person as prior."""
 
     tracked: Tracked
@@ -114,7 +114,7 @@ def _capture(run: Run, bodies: Bodies, logs: Logs) -> None:
     write_capture(run, refined, followed.outlines, followed.frames)
 
 
-def follow_person(run: Run, bodies: Bodies, logs: Logs) -> Followed:
+def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
     """Find silhouettes, a person's poses in every frame, and silhouettes with the person as prior."""
     trial, progress = run.trial, run.progress
     cameras, first = list(trial.rig), trial.take.first
@@ -141,7 +141,7 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> Followed:
         views = [stages.Watched(model) for model in models]
         predicted = stages.expectations(tracked.body, known, cameras, small)
         stages.find_silhouettes(trial, views, cameras, outlines, progress, name="Outlines", predicted=predicted)
-    return Followed(replace(tracked, poses=known), filled, outlines, frames)
+    return FollowedPerson(replace(tracked, poses=known), filled, outlines, frames)
 
 
 def _tracked(run: Run, take: Take, bodies: Bodies) -> Tracked:
@@ -267,7 +267,7 @@ class Refined:
     """Frames whose pose depends on their neighbours only."""
 
 
-def refined_person(run: Run, followed: Followed, bodies: Bodies) -> Refined:
+def refined_person(run: Run, followed: FollowedPerson, bodies: Bodies) -> Refined:
     """Repair single frames and refine the whole motion, with the better body and silhouettes.
 
     Interpolated frames count as measured if the better silhouettes agree with them.

@@ -48,7 +48,7 @@ from marey.io.trial.trial import Trial, read_trial
 from marey.motion.from_fit import MeasuredPiece, measure_piece
 from marey.observations.observation import Observation
 from marey.pipelines.capture import stages
-from marey.pipelines.capture.capture import Followed, Refined, Tracked, follow_person, refined_person, rounds_of
+from marey.pipelines.capture.capture import FollowedPerson, Refined, Tracked, follow_person, refined_person, rounds_of
 from marey.pipelines.capture.capture import write_capture as write_results_of
 from marey.pipelines.capture.mask_store import MaskStore
 from marey.pipelines.capture.motion import Motion, load_motion
@@ -140,7 +140,7 @@ def points_of(run: Run, path: Path) -> dict[int, FramePoints]:
 
 def begin(
     run: Run, bodies: Bodies, logs: Logs, points: Mapping[int, FramePoints], tracks: Trajectories | None
-) -> tuple[Followed, Shaped, Clicked]:
+) -> tuple[FollowedPerson, Shaped, Clicked]:
     """Find the person's motion, a first shape, and the clicked joints.
 
     With silhouettes this is done as in `marey capture`. Without a background, but with clicked joints, the motion is
@@ -166,7 +166,7 @@ def begin(
 
 def begin_by_points(
     run: Run, bodies: Bodies, logs: Logs, points: Mapping[int, FramePoints], tracks: Trajectories | None
-) -> tuple[Followed, Shaped, Clicked]:
+) -> tuple[FollowedPerson, Shaped, Clicked]:
     """Start from clicked joints, and follow the trajectories from there.
 
     Args:
@@ -204,7 +204,7 @@ def begin_by_points(
                 begun, tracks.frames[inside], position, points, settings, done=lambda frame: step()
             )  # fmt: skip
     tracked = Tracked(begun.body, begun.poses, dict.fromkeys(begun.poses, 1.0))
-    return Followed(tracked, {}, outlines, tuple(points)), begun, clicked
+    return FollowedPerson(tracked, {}, outlines, tuple(points)), begun, clicked
 
 
 def no_outlines(run: Run, logs: Logs) -> MaskStore:
@@ -227,7 +227,7 @@ class Fitted:
     shaped: Shaped
 
 
-def fitted(run: Run, followed: Followed, begun: Shaped, given: OnSurface) -> Fitted:
+def fitted(run: Run, followed: FollowedPerson, begun: Shaped, given: OnSurface) -> Fitted:
     """Fit the whole body, then single metaballs; refine the motion a last time."""
     settings = ShapeSettings()
     take = Take(
@@ -300,7 +300,7 @@ def _unpacked(arrays: Arrays, begun: Shaped) -> Shaped:
     return Shaped(reshaped(begun.body, arrays["numbers"]), poses, *map(float, arrays["sds"]))
 
 
-def write_shape(run: Run, followed: Followed, found: Fitted, points: Mapping[int, FramePoints]) -> None:
+def write_shape(run: Run, followed: FollowedPerson, found: Fitted, points: Mapping[int, FramePoints]) -> None:
     """Write the files of a capture, the skin with its measured part, and the table of segments."""
     skin = posed_skin(found.body, found.poses)
     refined = Refined(found.body, found.poses, found.pieces, frozenset())

@@ -24,7 +24,7 @@ from marey.surface.points.intersection import FLOOR_PX, intersect
 from marey.surface.points.measured import MeasuredPoints, joined, shapes
 from marey.surface.points.refine_rig import RigRefinement, Sighting, refine_rig
 from marey.surface.points.settings import SurfaceSettings
-from marey.surface.points.views import Comparison, View, comparisons, views_of
+from marey.surface.points.views import TemplateSearch, View, comparisons, views_of
 
 SAMPLES = 5
 """Frames whose matches are used to correct the cameras.
@@ -48,7 +48,7 @@ class Measurement:
     """Matches by frame that were already found to correct the cameras."""
 
     @cached_property
-    def compared(self) -> tuple[Comparison, ...]:
+    def compared(self) -> tuple[TemplateSearch, ...]:
         """Each template camera with the cameras in which its patches are searched."""
         return comparisons(self.trial.rig, angle=self.settings.angle)
 
