@@ -134,7 +134,7 @@ def followed_with(monkeypatch, tmp_path, body, poses, *, names):
     asked, warned = {}, []
     monkeypatch.setattr(shape, "follow_measured", lambda *given, **named: asked.update(named, parts=given[2]))
     monkeypatch.setattr(shape, "write_tracks", lambda *given: None)
-    monkeypatch.setattr(shape, "told", lambda result: "")
+    monkeypatch.setattr(shape, "tracks_text", lambda result: "")
     none = MeasuredPoints(
         frame=np.zeros(1, int), points=np.zeros((1, 3)), covariance=np.eye(3)[None] * 1e-6, camera_names=("a", "b"),
         pixels=np.zeros((1, 2, 2)), correlation=np.ones((1, 2)), residual_px=np.zeros(1),
