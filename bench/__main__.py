@@ -7,6 +7,7 @@ import time
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
+from types import ModuleType
 
 from bench.declaration import GROUPS, Bench, find_benches
 from bench.pages import write_pages
@@ -59,47 +60,70 @@ def state(bench: Bench, record: Record) -> str:
 
 
 def run_bench(name: str, words: Sequence[str]) -> int:
-    """Run one benchmark with its own arguments; the exit code."""
+    """Run one benchmark with its own arguments, and write its record; the exit code."""
     bench = find_benches().get(name)
     if bench is None:
         print(f"There is no benchmark {name!r}: see `python -m bench list`.", file=sys.stderr)
         return 2
+    module = bench.module()
+    parser = parser_of(bench, module)
+    given = parser.parse_args(words)
+    if bench.data and not (given.shared / "data").is_dir():
+        parser.error(f"{given.shared} has no folder `data`. Give the folder of recordings with --shared.")
+    record = measure(bench, module, given, own_words(words))
+    if not given.no_record:
+        path = record_path(name, own_words(words))
+        write_record(record, path)
+        print(f"\n{path.relative_to(PROJECT)}, {record.seconds:.0f} s")
+    return 0
+
+
+def parser_of(bench: Bench, module: ModuleType) -> argparse.ArgumentParser:
+    """The arguments of a benchmark: the runner's and its own."""
+    parser = argparse.ArgumentParser(
+        prog=f"python -m bench run {bench.name}",
+        description=module.__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        parents=[runner_parser()],
+    )
+    if hasattr(module, "arguments"):
+        module.arguments(parser)
+    return parser
+
+
+def runner_parser() -> argparse.ArgumentParser:
+    """The arguments of every run."""
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    parser.add_argument("--shared", type=Path, default=PROJECT.parent / "shared", help="the folder of recordings")
+    parser.add_argument("--out", type=Path, help="a folder that keeps the results; otherwise they are deleted")
+    parser.add_argument("--note", default="", help="circumstances to record, such as other work on the machine")
+    parser.add_argument("--no-record", action="store_true", help="only print the figures")
+    return parser
+
+
+def own_words(words: Sequence[str]) -> list[str]:
+    """The arguments of the benchmark itself, without places on this machine: they name the record."""
+    return [
+        Path(word).name if Path(word).is_absolute() else word for word in runner_parser().parse_known_args(words)[1]
+    ]
+
+
+def measure(bench: Bench, module: ModuleType, given: argparse.Namespace, words: Sequence[str]) -> Record:
+    """Run a benchmark on one thread; its figures, with what is needed to judge and to repeat them."""
     from threadpoolctl import threadpool_limits  # Imported here so that `list` and `report` need only Python.
 
-    module = bench.module()
-    own, common = (
-        argparse.ArgumentParser(add_help=False),
-        argparse.ArgumentParser(
-            prog=f"python -m bench run {name}",
-            description=module.__doc__,
-            formatter_class=argparse.RawDescriptionHelpFormatter,
-        ),
-    )
-    common.add_argument("--shared", type=Path, default=PROJECT.parent / "shared", help="the folder of recordings")
-    common.add_argument("--out", type=Path, help="a folder that keeps the results; otherwise they are deleted")
-    common.add_argument("--note", default="", help="circumstances to record, such as other work on the machine")
-    common.add_argument("--no-record", action="store_true", help="only print the figures")
-    if hasattr(module, "arguments"):
-        module.arguments(own)
-        module.arguments(common)
-    given = common.parse_args(words)
-    if bench.data and not (given.shared / "data").is_dir():
-        common.error(f"{given.shared} has no folder `data`. Give the folder of recordings with --shared.")
-    typed = own_words(own, words)
-    path = record_path(name, typed)
-    commit, dirty = current_commit(), is_dirty(["src", "bench"])
+    commit, dirty = current_commit(), is_dirty(["src", "bench", ":!bench/records"])
     with tempfile.TemporaryDirectory() as scratch:
-        out = given.out or Path(scratch)
-        out = out.resolve() / (commit[:7] + ("-dirty" if dirty else ""))
+        out = (given.out or Path(scratch)).resolve() / (commit[:7] + ("-dirty" if dirty else ""))
         out.mkdir(parents=True, exist_ok=True)
         run = Run(given, given.shared.resolve(), out)
         began = time.perf_counter()
         with threadpool_limits(1):
             module.run(run)
         seconds = time.perf_counter() - began
-    record = Record(
-        bench=name,
-        command=" ".join(["python -m bench run", name, *typed]),
+    return Record(
+        bench=bench.name,
+        command=" ".join(["python -m bench run", bench.name, *words]),
         commit=commit,
         dirty=is_dirty([*bench.sources, bench.file]),
         date=datetime.now(UTC).date().isoformat(),
@@ -108,20 +132,6 @@ def run_bench(name: str, words: Sequence[str]) -> int:
         note=given.note,
         tables=tuple(run.tables),
     )
-    if not given.no_record:
-        write_record(record, path)
-        print(f"\n{path.relative_to(PROJECT)}, {seconds:.0f} s")
-    return 0
-
-
-def own_words(own: argparse.ArgumentParser, words: Sequence[str]) -> list[str]:
-    """The arguments without those of the runner and without places on this machine, to name and to repeat the run."""
-    runner = argparse.ArgumentParser(add_help=False)
-    for option in ("--shared", "--out", "--note"):
-        runner.add_argument(option)
-    runner.add_argument("--no-record", action="store_true")
-    kept = runner.parse_known_args(words)[1]
-    return [Path(word).name if Path(word).is_absolute() else word for word in kept]
 
 
 if __name__ == "__main__":

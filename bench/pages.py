@@ -38,7 +38,7 @@ def write_pages(
         pages: The folder of the pages.
         benches: The folder of the benchmarks.
         records: The folder of the records.
-        project: The repository whose history tells how old a record is.
+        project: The repository whose history gives the age of a record.
 
     Returns:
         The pages.
@@ -69,12 +69,16 @@ def page(
         kept = records.get(bench.name, [])
         if kept:
             parts.append(f"## {bench.name}\n\n{bench.measures}\n")
-            parts += [section(bench, record, project) for _, record in kept]
+            parts += [section(bench, record, project) for record in sorted((each for _, each in kept), key=_command)]
         else:
             missing.append(f"- `{bench.name}` (about {bench.minutes:g} min): {bench.measures}")
     if missing:
         parts.append("## Not measured yet\n\nThese benchmarks have no record.\n\n" + "\n".join(missing) + "\n")
     return "\n".join(parts)
+
+
+def _command(record: Record) -> str:
+    return record.command
 
 
 def section(bench: Bench, record: Record, project: Path = PROJECT) -> str:

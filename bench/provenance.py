@@ -116,7 +116,7 @@ def _code(commit: str, name: str, project: Path) -> str | None:
     for node in ast.walk(tree):
         body = getattr(node, "body", None)
         if isinstance(body, list):
-            node.body = [each for each in body if not _is_text(each)]
+            body[:] = [each for each in body if not _is_text(each)]
     return ast.dump(tree)
 
 

@@ -39,7 +39,8 @@ def test_the_version_of_a_tree_that_was_not_installed_is_unknown(monkeypatch):
     monkeypatch.delitem(vars(marey), "__version__", raising=False)
     monkeypatch.setattr(importlib.metadata, "version", missing)
     assert marey.__version__ == marey.UNKNOWN_VERSION
-    monkeypatch.delitem(vars(marey), "__version__")
+    # What was just read is not to stay for other tests.
+    del marey.__version__
 
 
 def test_the_program_answers_without_loading_what_it_does_not_need():

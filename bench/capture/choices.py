@@ -13,9 +13,10 @@ from bench.common.program import empty_frames, score, truth_of
 from bench.declaration import Bench
 from bench.recording import Run
 from marey.fit.recipes.sequence import SequenceSettings
+from marey.io.trial.trial import read_trial
 from marey.pipelines.capture import capture
 from marey.pipelines.capture.settings import CaptureSettings
-from marey.pipelines.progress import Progress
+from marey.pipelines.progress import RecordingProgress
 
 BENCH = Bench(
     measures=(
@@ -42,7 +43,7 @@ CHOICES: dict[str, dict[str, object]] = {
 
 
 def refined_by_choice(names: list[str], seconds: dict[str, float]):
-    """Give stand-ins for the last two steps of a capture: refine and write once for each choice."""
+    """Return stand-ins for the last two steps of a capture: refine and write once for each choice."""
     refine, write = capture._refined, capture.write_capture
 
     def refined(run, *found):
@@ -74,7 +75,7 @@ def run(run: Run) -> None:
     table = begin(run, "One choice changed at a time", ("take", "choice"), MOTION)
     for take in run.arguments.takes or ("reach", "walk", "stealth", "jacks"):
         trial, out = run.shared / "data" / "people" / take, run.out / "choices" / take
-        capture.capture(trial, CaptureSettings(out=out, overlay=False), Progress(quiet=True))
+        capture.capture_trial(read_trial(trial), CaptureSettings(out=out, overlay=False), RecordingProgress())
         for name in names:
             skip = ("--skip-empty", empty_frames(trial))
             numbers = score(run, "capture.py", out / name.replace(" ", "_"), truth_of(trial), *skip)

@@ -18,8 +18,7 @@ from marey.io.opensim.mot_sto import Table, write_table
 from marey.io.opensim.trc import PointPaths, write_trc
 from marey.motion.comparison import MotionComparison
 from marey.motion.recording import interpolated
-from marey.pipelines.compare import CompareOptions, compare
-from marey.pipelines.progress import Progress
+from marey.pipelines.compare import compare
 
 BENCH = Bench(
     measures="Estimated clock and laboratory of a second, made system, and the agreement of joint angles with it.",
@@ -55,7 +54,7 @@ def write_other(truth: Path, out: Path) -> tuple[Path, Path]:
 
 
 def flexion(near: np.ndarray, middle: np.ndarray, far: np.ndarray) -> np.ndarray:
-    """Give the angle by which a limb is bent at its middle joint (F,) [rad]."""
+    """The angle by which a limb is bent at its middle joint (F,) [rad]."""
     a, b = middle - near, far - middle
     return np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), (a * b).sum(1))
 
@@ -94,8 +93,9 @@ def run(run: Run) -> None:
         out = run.out / "comparison" / take
         out.mkdir(parents=True, exist_ok=True)
         for path in write_other(program.truth_of(trial), out):
-            options = CompareOptions(out=out / f"compared_{path.suffix[1:]}")
-            result = compare(results, path, options, Progress(quiet=True))[1]
+            comparison = compare(results, path)
+            comparison.save(out / f"compared_{path.suffix[1:]}")
+            result = comparison.data
             found, kind = result.alignment, "points" if path.suffix == ".trc" else "elbows and knees alone"
             where.row((take, kind), 1e3 * (found.shift_s - SHIFT), 1e3 * found.shift_sd_s, *laboratories(result))
             for row in result.agreements:

@@ -42,7 +42,7 @@ RATE, SIZE, FOCAL, DISTANCE, ROUNDS = 30.0, (160, 200), 220.0, 3.2, 3
 
 
 def cameras(count: int = 4) -> tuple[Camera, ...]:
-    """Give small cameras all round."""
+    """Return small cameras all round."""
     matrix = np.array([[FOCAL, 0, (SIZE[0] - 1) / 2], [0, FOCAL, (SIZE[1] - 1) / 2], [0, 0, 1]])
     ring = []
     for i in range(count):
@@ -53,7 +53,7 @@ def cameras(count: int = 4) -> tuple[Camera, ...]:
 
 
 def pose_at(body: Body, frame: int) -> Pose:
-    """Give a smooth motion: the person turns slowly, and arms and legs swing."""
+    """Return a smooth motion: the person turns slowly, and arms and legs swing."""
     phase = 2 * np.pi * frame / 40
     names = [c.name for c in body.skeleton.coordinates]
     angles = np.zeros(len(names))
@@ -67,7 +67,7 @@ def pose_at(body: Body, frame: int) -> Pose:
 
 
 class Seen:
-    """Silhouettes of the motion, drawn when they are asked for."""
+    """Silhouettes of the motion, drawn on demand."""
 
     def __init__(self, body: Body):
         self.body, self.cameras = body, cameras()
@@ -79,7 +79,7 @@ class Seen:
 
 
 def begun(body: Body, count: int) -> tuple[list[Pose], list[int]]:
-    """Give poses near the truth, and the frames that speak of the shape."""
+    """Return poses near the truth, and the frames that speak of the shape."""
     rng = np.random.default_rng(1)
     start = [pose_at(body, f).step(rng.normal(size=len(body.skeleton)) * 0.01) for f in range(count)]
     return start, np.linspace(0, count - 1, 25).astype(int).tolist()

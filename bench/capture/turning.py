@@ -43,7 +43,7 @@ LIMBS = [f"{s}_{j}" for s in ("left", "right") for j in ("shoulder", "elbow", "w
 
 
 def cameras(count: int = 3) -> tuple[Camera, ...]:
-    """Give cameras that look level at the middle of the room, none opposite another."""
+    """Return cameras that look level at the middle of the room, none opposite another."""
     matrix = np.array([[FOCAL, 0, (SIZE[0] - 1) / 2], [0, FOCAL, (SIZE[1] - 1) / 2], [0, 0, 1]])
     upright = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
     ring = []
@@ -55,7 +55,7 @@ def cameras(count: int = 3) -> tuple[Camera, ...]:
 
 
 def pose_at(body: Body, frame: int, rng_phase: float) -> Pose:
-    """Give the pose of a frame: a turn about the vertical, arms and legs swinging."""
+    """The pose of a frame: a turn about the vertical, arms and legs swinging."""
     phase = rng_phase + 2 * np.pi * frame / 36
     names = [c.name for c in body.skeleton.coordinates]
     angles = np.zeros(len(names))
@@ -111,13 +111,13 @@ def captured(take: Take) -> list[PosedBody]:
 
 
 def limbs(posed: PosedBody) -> Floats:
-    """Give the limbs' joint centres (12, 3)."""
+    """The limbs' joint centres (12, 3)."""
     names = list(posed.body.joint_names)
     return posed.segment_origin[posed.body.joint_segments[[names.index(name) for name in LIMBS]]]
 
 
 def turn_error(found: PosedBody, true: PosedBody) -> float:
-    """Give the angle between the pelves' headings [degrees]."""
+    """The angle between the pelves' headings [degrees]."""
     ahead = [p.pose.rotation[:2, 1] for p in (found, true)]
     return float(np.degrees(abs(np.arctan2(np.linalg.det(ahead), ahead[0] @ ahead[1]))))
 

@@ -171,7 +171,7 @@ def joined(
     scene: Placed, scanner: ScannerMarkers, done: Activity, stood: MarkerTrajectories | None
 ) -> KneeCorrespondence:
     posture = reference_posture(done, stood, noise_mm=NOISE_MM)
-    # The activity's labels would tell which bone a ball rides on only if a ball were one of its markers.
+    # The activity's labels would give the bone that a ball rides on only if a ball were one of its markers.
     return correspond(scanner, posture, scene.knee.bones, segment_of_label=done.segment_of_label, left=scene.knee.left)
 
 

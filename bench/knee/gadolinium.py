@@ -20,7 +20,7 @@ from bench.recording import Column, Run
 from marey.io.mr.volumes import read_volume
 from marey.knee.markers.gadolinium import Gadolinium, find_gadolinium, joined
 from marey.knee.space.resampling import part_of
-from marey.knee.space.volume import Grid, Volume
+from marey.knee.space.volume import Volume, VoxelGrid
 
 BENCH = Bench(
     measures="Centres of gadolinium balls in magnetic resonance images, against true centres.",
@@ -141,7 +141,7 @@ def coarser(volume: Volume) -> Volume:
     means = volume.intensity[:, : 2 * j, : 2 * i].reshape(k, j, 2, i, 2).mean(axis=(2, 4))
     lps_from_voxel = volume.grid.lps_from_voxel @ np.diag([2.0, 2, 1, 1])
     lps_from_voxel[:3, 3] = volume.grid.lps(np.array([0.5, 0.5, 0]))
-    return Volume(intensity=means, grid=Grid(shape=(k, j, i), lps_from_voxel=lps_from_voxel))
+    return Volume(intensity=means, grid=VoxelGrid(shape=(k, j, i), lps_from_voxel=lps_from_voxel))
 
 
 def made(run: Run) -> None:

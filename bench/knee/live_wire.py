@@ -108,11 +108,11 @@ def speed(run: Run) -> None:
     learned = learned_costs([(wire.elements, mask)])
     started = time.perf_counter()
     wire.learn(learned)
-    taught = time.perf_counter() - started
+    trained = time.perf_counter() - started
     table = run.table(
         f"Time of the wire's moves, a slice of {image.shape[0]} x {image.shape[1]}", "wire",
         *(Column(f"{move} move, {what}", "ms", 1) for move in ("first", "every next") for what in ("median", "worst")),
-        note=f"The slice is prepared in {1e3 * made:.0f} ms, and trained in {1e3 * taught:.0f} ms.",
+        note=f"The slice is prepared in {1e3 * made:.0f} ms, and trained in {1e3 * trained:.0f} ms.",
     )  # fmt: skip
     for name, costs in (("not trained", None), ("trained on another slice", learned)):
         wire.learn(costs)
@@ -215,11 +215,11 @@ def measured(
     wire.learn(None)
     plain = distance_mm(wire.closed(anchors).outline, true, spacing)
     wire.learn(learned)
-    taught = distance_mm(wire.closed(anchors).outline, true, spacing)
+    trained = distance_mm(wire.closed(anchors).outline, true, spacing)
     contour = drawn(wire, anchors, structure="femur", axis="k", index=0)
     whole = outlined_mask([Contour(structure="femur", axis="k", index=0, anchors=anchors, outline=true)], shape)
     overlap = dice(outlined_mask([contour], shape), whole)
-    return plain, taught, distance_mm(contour.outline, true, spacing), overlap
+    return plain, trained, distance_mm(contour.outline, true, spacing), overlap
 
 
 def between(run: Run) -> None:
@@ -277,7 +277,7 @@ def template(run: Run) -> None:
 
 
 def outlined(volume: Volume, truth: Labels, axis: str, bone: str) -> list[Contour]:
-    """Outline a bone as a person would: slice by slice, each taught by the nearest three before."""
+    """Outline a bone as a person would: slice by slice, each trained on the nearest three before."""
     draw, spacing = np.random.default_rng(LABELS[bone]), slice_spacing_mm(volume.grid, axis)
     masks = np.moveaxis(truth.mask(bone), len(AXES) - 1 - AXES.index(axis), 0)
     filled = np.flatnonzero([bool(true_outlines(mask)) for mask in masks])

@@ -25,7 +25,7 @@ from marey.knee.space.distances import signed_distance
 from marey.knee.space.resampling import part_of, read_at, resampled, smoothed, upright_grid
 from marey.knee.space.structures import BONES, CARTILAGE_OF_BONE, LABELS
 from marey.knee.space.surfacing import surface_of_labels
-from marey.knee.space.volume import Grid, Labels, Volume
+from marey.knee.space.volume import Labels, Volume, VoxelGrid
 
 BENCH = Bench(
     measures="Cartilage and its thickness of made knees, against exact truth.",
@@ -84,12 +84,12 @@ CASES = {
 """Whose labels, whose template, the seed, what is changed, and the images."""
 
 
-def made_anatomy(labels: Labels, random: np.random.Generator, asked: Anatomy) -> Labels:
-    """Give the made knee's labels on cubes of `FINE_MM`."""
-    cubes = upright_grid(_kept(labels, asked.margin_mm), FINE_MM)
+def made_anatomy(labels: Labels, random: np.random.Generator, anatomy: Anatomy) -> Labels:
+    """The made knee's labels on cubes of `FINE_MM`."""
+    cubes = upright_grid(_kept(labels, anatomy.margin_mm), FINE_MM)
     places = _places(cubes)
     for axis in range(3):
-        places[..., axis] += asked.warp_mm * _smooth_noise(random, cubes, asked.warp_length_mm)
+        places[..., axis] += anatomy.warp_mm * _smooth_noise(random, cubes, anatomy.warp_length_mm)
     fields = {
         name: read_at(
             signed_distance(labels.mask(name), labels.grid.array_spacing_mm), labels.grid, places, outside=-9.0
@@ -107,12 +107,12 @@ def made_anatomy(labels: Labels, random: np.random.Generator, asked: Anatomy) ->
     for bone in BONES:
         cartilage = CARTILAGE_OF_BONE[bone]
         before = np.where((fields[cartilage] > 0) & (bones == 0), LABELS[cartilage], bones)
-        _lay(Labels(labels=before, grid=cubes), bone, random, asked, made, share)
+        _lay(Labels(labels=before, grid=cubes), bone, random, anatomy, made, share)
     return Labels(labels=made, grid=cubes)
 
 
 def _lay(
-    before: Labels, bone: str, random: np.random.Generator, asked: Anatomy, made: np.ndarray, share: np.ndarray
+    before: Labels, bone: str, random: np.random.Generator, anatomy: Anatomy, made: np.ndarray, share: np.ndarray
 ) -> None:
     """Lay cartilage of the made thickness on a bone; where two meet, each has its share."""
     surface = surface_of_labels(before, bone)
@@ -121,11 +121,11 @@ def _lay(
     grid = before.grid
     tree = cKDTree(vertices)
     moved = np.stack([_read_noise(random, grid, 10.0, vertices) for _ in range(3)], axis=-1)
-    thickness = thickness[tree.query(vertices + asked.shift_mm * moved)[1]]
-    factor = asked.thickness * np.exp(asked.varied * _read_noise(random, grid, asked.varied_mm, vertices))
+    thickness = thickness[tree.query(vertices + anatomy.shift_mm * moved)[1]]
+    factor = anatomy.thickness * np.exp(anatomy.varied * _read_noise(random, grid, anatomy.varied_mm, vertices))
     thickness = thickness * factor
     if bone != "patella":
-        for _ in range(asked.lesions):
+        for _ in range(anatomy.lesions):
             middle = vertices[random.choice(np.flatnonzero(thickness > 1.5))]
             thickness[np.linalg.norm(vertices - middle, axis=1) < 4.0] = 0.0
     height = -signed_distance(before.mask(bone), grid.array_spacing_mm)
@@ -143,7 +143,7 @@ def _lay(
 
 
 def made_image(fine: Labels, random: np.random.Generator, scan: Scan) -> tuple[Volume, Labels]:
-    """Give the image of a made knee and its labels on the image's grid."""
+    """The image of a made knee and its labels on the image's grid."""
     grid = _image_grid(fine.grid, scan)
     levels = _tissue_levels(fine, random, scan.kind)
     image, votes = np.zeros(grid.shape), np.zeros((max(LABELS.values()) + 1, *grid.shape), np.float32)
@@ -152,7 +152,7 @@ def made_image(fine: Labels, random: np.random.Generator, scan: Scan) -> tuple[V
         offset = np.array([(n + 0.5) / count - 0.5 for n, count in zip(step, parts, strict=True)])
         moved = grid.lps_from_voxel.copy()
         moved[:3, 3] = grid.lps(offset)
-        here = Grid(shape=grid.shape, lps_from_voxel=moved)
+        here = VoxelGrid(shape=grid.shape, lps_from_voxel=moved)
         image += resampled(levels, fine.grid, here, order=0) / np.prod(parts)
         label = resampled(fine.labels, fine.grid, here, order=0)
         for value in range(len(votes)):
@@ -178,7 +178,7 @@ def _tissue_levels(fine: Labels, random: np.random.Generator, kind: str) -> np.n
     return np.asarray(image * (1 + 0.05 * _smooth_noise(random, fine.grid, 0.6)), np.float32)
 
 
-def _kept(labels: Labels, margin_mm: float | None) -> Grid:
+def _kept(labels: Labels, margin_mm: float | None) -> VoxelGrid:
     if margin_mm is None:
         return labels.grid
     wanted = np.argwhere(np.isin(labels.labels, [LABELS[each] for each in CARTILAGE_OF_BONE.values()]))
@@ -188,7 +188,7 @@ def _kept(labels: Labels, margin_mm: float | None) -> Grid:
     return part_of(labels.grid, tuple(slice(int(a), int(b)) for a, b in zip(low, high, strict=True)))
 
 
-def _image_grid(fine: Grid, scan: Scan) -> Grid:
+def _image_grid(fine: VoxelGrid, scan: Scan) -> VoxelGrid:
     """Lay slices over the cubes: sagittal from right to left, or axial from foot to head."""
     a, b, c = scan.spacing_mm
     columns = {"sagittal": ((0, b, 0), (0, 0, -a), (c, 0, 0)), "axial": ((a, 0, 0), (0, b, 0), (0, 0, c))}[scan.slices]
@@ -198,29 +198,29 @@ def _image_grid(fine: Grid, scan: Scan) -> Grid:
     lps_from_voxel = np.eye(4)
     lps_from_voxel[:3, :3] = axes
     lps_from_voxel[:3, 3] = fine.lps(np.zeros(3)) + np.where(axes.sum(1) < 0, size, 0.0)
-    return Grid(shape=(counts[2], counts[1], counts[0]), lps_from_voxel=lps_from_voxel)
+    return VoxelGrid(shape=(counts[2], counts[1], counts[0]), lps_from_voxel=lps_from_voxel)
 
 
-def _places(grid: Grid) -> np.ndarray:
+def _places(grid: VoxelGrid) -> np.ndarray:
     k, j, i = np.meshgrid(*(np.arange(n, dtype=float) for n in grid.shape), indexing="ij")
     return grid.lps(np.stack([i, j, k], axis=-1))
 
 
-def _smooth_noise(random: np.random.Generator, grid: Grid, sigma_mm: float) -> np.ndarray:
+def _smooth_noise(random: np.random.Generator, grid: VoxelGrid, sigma_mm: float) -> np.ndarray:
     """Draw (k, j, i) of standard deviation 1, smooth by a Gaussian."""
     coarse = upright_grid(grid, max(sigma_mm / 2, FINE_MM))
-    coarse = Grid(shape=tuple(n + 2 for n in coarse.shape), lps_from_voxel=coarse.lps_from_voxel)
+    coarse = VoxelGrid(shape=tuple(n + 2 for n in coarse.shape), lps_from_voxel=coarse.lps_from_voxel)
     noise = smoothed(random.normal(size=coarse.shape), coarse, sigma_mm)
     return resampled(noise / noise.std(), coarse, grid)
 
 
-def _read_noise(random: np.random.Generator, grid: Grid, sigma_mm: float, places: np.ndarray) -> np.ndarray:
+def _read_noise(random: np.random.Generator, grid: VoxelGrid, sigma_mm: float, places: np.ndarray) -> np.ndarray:
     coarse = upright_grid(grid, sigma_mm / 3)
     noise = smoothed(random.normal(size=coarse.shape), coarse, sigma_mm)
     return read_at(noise / noise.std(), coarse, places)
 
 
-def _slow(random: np.random.Generator, grid: Grid) -> np.ndarray:
+def _slow(random: np.random.Generator, grid: VoxelGrid) -> np.ndarray:
     """Draw a field of low order, between about -1 and 1."""
     k, j, i = np.meshgrid(*(np.linspace(-1, 1, n) for n in grid.shape), indexing="ij")
     a, b, c, d, e = random.uniform(-0.6, 0.6, 5)

@@ -17,7 +17,7 @@ from marey.io.mr.volumes import read_volume
 from marey.knee.space.distances import signed_distance
 from marey.knee.space.resampling import on_grid, resampled, upright_grid
 from marey.knee.space.structures import BONES, CARTILAGE_OF_BONE, LABELS
-from marey.knee.space.volume import Grid, Labels, Volume
+from marey.knee.space.volume import Labels, Volume, VoxelGrid
 
 SOURCE_MM = 0.6
 CORTEX_MM = 1.0
@@ -70,7 +70,7 @@ class Tissues:
     """(k, j, i) numbers of `LABELS`."""
     levels: dict[str, np.ndarray]
     """Kind of marrow to (k, j, i) signal."""
-    grid: Grid
+    grid: VoxelGrid
 
 
 @cache
@@ -99,7 +99,7 @@ def tissues(shared: Path, source: str) -> Tissues:
     return Tissues(labels=labels, levels=levels, grid=grid)
 
 
-def _with_atlas(folder: Path, kind: str, grid: Grid, level: np.ndarray) -> np.ndarray:
+def _with_atlas(folder: Path, kind: str, grid: VoxelGrid, level: np.ndarray) -> np.ndarray:
     """(k, j, i) with the atlas' muscles, tendons and vessels: their medians in the shared images."""
     atlas = read_volume(folder / "atlas" / "labels.nii.gz")
     image = read_volume(folder / ("phantom_spl" if kind == "dark" else "phantom_spl_t1") / "image.nii.gz")
@@ -162,7 +162,7 @@ def _labels_at(masks: dict[int, np.ndarray], at: np.ndarray) -> np.ndarray:
 class _Bend:
     """Where in the source each place of the made person lies."""
 
-    def __init__(self, grid: Grid, make: Make) -> None:
+    def __init__(self, grid: VoxelGrid, make: Make) -> None:
         self._grid, self._mirror = grid, make.mirror
         self._middle = grid.lps((np.array(grid.shape[::-1]) - 1) / 2)
         draw = np.random.default_rng([make.seed, 5])
@@ -193,12 +193,12 @@ def _patches(shape: tuple[int, ...] | list[int], sigma: float, draw: np.random.G
     return np.asarray(rough / rough.std())
 
 
-def _slice_places(grid: Grid, slice_: float) -> np.ndarray:
+def _slice_places(grid: VoxelGrid, slice_: float) -> np.ndarray:
     j, i = np.meshgrid(np.arange(grid.shape[1]), np.arange(grid.shape[2]), indexing="ij")
     return grid.lps(np.stack([i, j, np.full(i.shape, slice_)], axis=-1).astype(float))
 
 
-def _image_grid(source: Grid, make: Make) -> Grid:
+def _image_grid(source: VoxelGrid, make: Make) -> VoxelGrid:
     """The image's grid about the source's extent, less what is cut."""
     extent = (np.array(source.shape[::-1]) - 1.0) * source.spacing_mm
     low = source.lps(np.zeros(3))
@@ -212,10 +212,10 @@ def _image_grid(source: Grid, make: Make) -> Grid:
     lps_from_voxel[:3, :3] = axes * make.spacing_mm
     lps_from_voxel[:3, 3] = middle - lps_from_voxel[:3, :3] @ ((counts - 1) / 2)
     i, j, k = counts.tolist()
-    return Grid(shape=(k, j, i), lps_from_voxel=lps_from_voxel)
+    return VoxelGrid(shape=(k, j, i), lps_from_voxel=lps_from_voxel)
 
 
-def _scanned(signal: np.ndarray, grid: Grid, make: Make, draw: np.random.Generator) -> np.ndarray:
+def _scanned(signal: np.ndarray, grid: VoxelGrid, make: Make, draw: np.random.Generator) -> np.ndarray:
     coarse = _patches([6, 6, 6], 1.2, draw)
     places = np.stack(np.meshgrid(*[np.linspace(1, 4, n) for n in grid.shape], indexing="ij"))
     bias = 1 + make.bias * np.clip(ndimage.map_coordinates(coarse, places, order=3) / 2, -1, 1)
@@ -225,7 +225,7 @@ def _scanned(signal: np.ndarray, grid: Grid, make: Make, draw: np.random.Generat
     return np.hypot(signal * bias + real, imaginary).astype(np.float32)
 
 
-def _sensitivity(grid: Grid, make: Make) -> np.ndarray:
+def _sensitivity(grid: VoxelGrid, make: Make) -> np.ndarray:
     """(k, j, i) of a coil about the middle: a Gaussian along the body."""
     k, j, i = np.meshgrid(*[np.arange(n) for n in grid.shape], indexing="ij")
     height = grid.lps(np.stack([i, j, k], axis=-1).astype(float))[..., 2]

@@ -101,13 +101,13 @@ def functional_centre(truth: dict[str, np.ndarray], places: np.ndarray, at: int)
 
 
 def true_chains(
-    truth: dict[str, np.ndarray], laid: RigidTransform, at: int, frames: dict[str, RigidTransform]
+    truth: dict[str, np.ndarray], laboratory_from_scanner: RigidTransform, at: int, frames: dict[str, RigidTransform]
 ) -> dict[str, TransformChain]:
-    """The scanner's bones on the true ones: laid into one frame, and carried."""
+    """The scanner's bones on the true ones: placed into one frame, and carried along."""
     chains = {}
     for bone, segment in SEGMENT.items():
         turn, place = truth[f"{segment}_rotation"], truth[f"{segment}_origin"]
-        own = RigidTransform(turn[at], place[at]).inverse() @ laid @ frames[bone]
+        own = RigidTransform(turn[at], place[at]).inverse() @ laboratory_from_scanner @ frames[bone]
         back = frames[bone].inverse()
         chains[bone] = TransformChain(
             mr_anatomic_from_mr_global=NamedTransform(
@@ -138,8 +138,10 @@ def trial(table: Table, shared: Path, name: str, work: Path) -> None:
     frames = {bone: bone_frame(bone, parts[bone], np.zeros((0, 3)), left=left).scanner_from_bone for bone in SEGMENT}
     at = straightest(truth)
     turn = truth["shank_rotation"][at] @ ANATOMIC_FROM_LPS
-    laid = RigidTransform(turn, functional_centre(truth, places, at) - turn @ frames["femur"].translation)
-    standing = np.concatenate([places[at], laid.apply(balls)])
+    laboratory_from_scanner = RigidTransform(
+        turn, functional_centre(truth, places, at) - turn @ frames["femur"].translation
+    )
+    standing = np.concatenate([places[at], laboratory_from_scanner.apply(balls)])
     standing = standing + rng.normal(0, STANDING_SD_MM, standing.shape)
     write_c3d(
         work / "standing.c3d",
@@ -167,7 +169,7 @@ def trial(table: Table, shared: Path, name: str, work: Path) -> None:
     out = animate(
         knee_folder, motion, AnimateOptions(reference=work / "standing.c3d", compare="rigid", out=work / "out"), quiet
     )
-    chains = true_chains(truth, laid, at, frames)
+    chains = true_chains(truth, laboratory_from_scanner, at, frames)
     moved = motion_of_chains(chains, np.arange(len(places)) / float(truth["rate"]), left=left)
     sides, _ = joint_sides(parts, ["femur", "tibia"], left=left)
     true = KneeMotion(

@@ -36,13 +36,13 @@ from marey.knee.registration.elastic import ElasticSettings, _images, register_e
 from marey.knee.registration.rigid import RigidRegistration, register_rigidly
 from marey.knee.registration.sided import register_on_either_side
 from marey.knee.space.cut_ends import cut_planes
-from marey.knee.space.mesh_mending import with_holes_closed
+from marey.knee.space.mesh_repair import with_holes_closed
 from marey.knee.space.sides import mirrored
 from marey.knee.space.structures import CARTILAGE_OF_BONE
 from marey.knee.space.surface import Surface
 from marey.knee.space.surfacing import surface_of_labels
 from marey.knee.space.triangle_tree import TriangleTree, corner_weights
-from marey.knee.space.volume import Grid, Labels
+from marey.knee.space.volume import Labels, VoxelGrid
 from marey.pipelines.knee.meshes import SMALL_HOLE
 
 BENCH = Bench(
@@ -65,7 +65,7 @@ class Rows:
         self.run, self.title, self.labels = run, title, labels
         self.table: Table | None = None
 
-    def say(self, **values: float | str | bool | None) -> None:
+    def add(self, **values: float | str | bool | None) -> None:
         """Append a row."""
         names = [name for name in values if name not in self.labels]
         if self.table is None:
@@ -106,7 +106,7 @@ def shortened(labels: Labels, bone: str) -> Labels:
     cut = np.zeros_like(labels.labels)
     spots = tuple(filled[keep].T)
     cut[spots] = labels.labels[spots]
-    return Labels(labels=cut, grid=Grid(shape=labels.grid.shape, lps_from_voxel=labels.grid.lps_from_voxel))
+    return Labels(labels=cut, grid=VoxelGrid(shape=labels.grid.shape, lps_from_voxel=labels.grid.lps_from_voxel))
 
 
 def bones() -> list[tuple[str, str]]:
@@ -184,7 +184,7 @@ def rigid(run: Run, draw: Draw = exact_draw, title: str = "Moved and found again
             errors.append((np.degrees(np.linalg.norm(left.rotation_vector)), np.linalg.norm(off)))
             whitened.append(np.r_[left.rotation_vector, off] / np.sqrt(np.diag(found.covariance)))
         turn, shift = np.array(errors).T
-        rows.say(bone=f"{name} {bone}", draws=draws, median_deg=np.median(turn), worst_deg=turn.max(),
+        rows.add(bone=f"{name} {bone}", draws=draws, median_deg=np.median(turn), worst_deg=turn.max(),
             median_mm=np.median(shift), worst_mm=shift.max(), within_95=(np.abs(whitened) < 1.96).mean(),
             off_by_sd=np.sqrt(np.mean(np.square(whitened))), seconds=np.median(spent))  # fmt: skip
 
@@ -200,11 +200,11 @@ def sides(run: Run) -> None:
         found = register_on_either_side(surface_of(shared, first, bone), surface_of(shared, second, bone))
         true = (first in LEFT) != (second in LEFT)
         right, wrong = (found.other_side_mm, found.same_side_mm)[:: 1 if true else -1]
-        rows.say(pair=f"{bone}: {first} to {second}", found=found.mirrored == true, told_as_clear=found.clear,
+        rows.add(pair=f"{bone}: {first} to {second}", found=found.mirrored == true, stated_as_clear=found.clear,
             right_side_mm=right, wrong_side_mm=wrong)  # fmt: skip
 
 
-def laid(template: Surface, subject: Surface) -> tuple[Surface, RigidRegistration]:
+def aligned(template: Surface, subject: Surface) -> tuple[Surface, RigidRegistration]:
     found = register_rigidly(template, subject)
     return moved(template, found.subject_from_template), found
 
@@ -216,7 +216,7 @@ def elastic(run: Run) -> None:
         template, subject = surface_of(shared, first, bone), surface_of(shared, second, bone)
         template = mirrored(template) if (first in LEFT) != (second in LEFT) else template
         began = time.process_time()
-        start, _ = laid(template, subject)
+        start, _ = aligned(template, subject)
         before = surface_distances(start, subject, cut_planes(start), cut_planes(subject))
         bent = register_elastically(start, subject)
         spent = time.process_time() - began
@@ -224,7 +224,7 @@ def elastic(run: Run) -> None:
         there = bent.deformation.subject_points(start.vertices_mm)
         inverse = np.linalg.norm(bent.deformation.template_points(there) - start.vertices_mm, axis=1)
         again = np.linalg.norm(back.deformation.subject_points(there) - start.vertices_mm, axis=1)
-        rows.say(pair=f"{bone}: {first} to {second}", rigid_mm=before.mean(), mean_mm=bent.surface_distance_mm,
+        rows.add(pair=f"{bone}: {first} to {second}", rigid_mm=before.mean(), mean_mm=bent.surface_distance_mm,
             within_95_mm=bent.farthest_mm, least_determinant=bent.least_determinant, seconds=spent,
             back_mean_mm=back.surface_distance_mm, back_within_95_mm=back.farthest_mm,
             back_least_determinant=back.least_determinant, inverse_mm=inverse.max(),
@@ -232,7 +232,7 @@ def elastic(run: Run) -> None:
 
 
 def known_field(surface: Surface, rng: np.random.Generator, mm: float, length_mm: float) -> Callable[[Floats], Floats]:
-    """Give a smooth motion of space: waves of some length, mm in each direction on the average."""
+    """Return a smooth motion of space: waves of some length, mm in each direction on the average."""
     waves, phases = rng.normal(0, 1 / length_mm, (3, 30, 3)), rng.uniform(0, 2 * np.pi, (3, 30))
     middle = surface.vertices_mm.mean(0)
     turn = rotations.exp(rng.normal(0, np.radians(5), 3))
@@ -254,7 +254,7 @@ def known(run: Run) -> None:
             for seed in range(max(draws // 10, 1)):
                 field = known_field(template, np.random.default_rng(seed), 2.0, length)
                 subject = Surface(vertices_mm=field(other.vertices_mm), faces=other.faces)
-                start, _ = laid(template, subject)
+                start, _ = aligned(template, subject)
                 bent = register_elastically(start, subject)
                 true = field(template.vertices_mm)
                 own = np.ones(len(true), bool)
@@ -266,7 +266,7 @@ def known(run: Run) -> None:
                              np.linalg.norm(off, axis=1).mean(), np.abs((off * normals).sum(1)).mean(),
                              bent.least_determinant])  # fmt: skip
             rigid_mm, bent_mm, across_mm, _ = np.mean(rows, 0)
-            rows.say(bone=f"{name} {bone}", waves_mm=length, draws=len(rows), rigid_mm=rigid_mm, bent_mm=bent_mm,
+            rows.add(bone=f"{name} {bone}", waves_mm=length, draws=len(rows), rigid_mm=rigid_mm, bent_mm=bent_mm,
                 along_normal_mm=across_mm, least_determinant=min(row[3] for row in rows))  # fmt: skip
 
 
@@ -277,13 +277,13 @@ def normals(run: Run) -> None:
         template, subject = mirrored(surface_of(shared, "atlas", bone)), surface_of(shared, "template_a", bone)
         cartilage = mirrored(surface_of(shared, "atlas", CARTILAGE_OF_BONE[bone]))
         covered = cartilage_thickness(template, [cartilage]) > 0
-        bent = register_elastically(laid(template, subject)[0], subject)
+        bent = register_elastically(aligned(template, subject)[0], subject)
         near = TriangleTree.of(subject).nearest(bent.registered.vertices_mm)
         weights = corner_weights(subject.corners_mm[near.face], near.points_mm)
         own = np.einsum("nk,nki->ni", weights, subject.vertex_normals[subject.faces[near.face]])
         cosine = (bent.normals * own).sum(1) / np.linalg.norm(own, axis=1)
         off = np.degrees(np.arccos(np.clip(cosine, -1, 1)))[covered]
-        rows.say(
+        rows.add(
             bone=f"{bone}: atlas to template_a", median_deg=np.median(off), tenth_more_than_deg=np.percentile(off, 90)
         )
 
@@ -296,11 +296,11 @@ def peer(run: Run) -> None:
     sitk.ProcessObject.SetGlobalDefaultNumberOfThreads(1)
     for bone, first, second in (("femur", "thickness", "dess"), ("tibia", "template_a", "dess")):
         subject = surface_of(shared, second, bone)
-        start, _ = laid(surface_of(shared, first, bone), subject)
+        start, _ = aligned(surface_of(shared, first, bone), subject)
         settings, cuts = ElasticSettings(), (cut_planes(start), cut_planes(subject))
         began = time.process_time()
         bent = register_elastically(start, subject, settings)
-        rows.say(pair=f"{bone}: {first} to {second}", by="marey", mean_mm=bent.surface_distance_mm,
+        rows.add(pair=f"{bone}: {first} to {second}", by="marey", mean_mm=bent.surface_distance_mm,
             within_95_mm=bent.farthest_mm, least_determinant=bent.least_determinant,
             seconds=time.process_time() - began)  # fmt: skip
         pictures = _images(start, subject, cuts, settings)
@@ -315,7 +315,7 @@ def peer(run: Run) -> None:
                 there = found.subject_surface(start)
                 off = surface_distances(there, subject, cuts[0], cuts[1])
                 row |= {"mean_mm": off.mean(), "within_95_mm": np.percentile(off, 95)}
-            rows.say(**row, seconds=spent)
+            rows.add(**row, seconds=spent)
 
 
 def picture_of(sitk, image, band):
@@ -365,7 +365,7 @@ def thickness(run: Run) -> None:
         write_arrays(run.out / f"thickness_{bone}.npz", {"thickness_mm": found})
         for by, answer in (("marey", found), ("closest point", closest(surface, surfaces))):
             both = (true > 0.01) & (answer > 0.01)
-            rows.say(
+            rows.add(
                 bone=bone,
                 by=by,
                 map_mm=np.abs(answer - true)[both].mean(),
@@ -390,17 +390,17 @@ def spoilt(run: Run, bone: Surface, cartilage: Surface, true: Floats) -> None:
     holed = Surface(vertices_mm=cartilage.vertices_mm, faces=cartilage.faces[keep])
     for by, sheet in (("holes left", holed), ("holes closed", with_holes_closed(holed, SMALL_HOLE)[0])):
         answer = cartilage_thickness(bone, [sheet])
-        rows.say(bone="femur", by=by, found=((true > 0.01) & (answer > 0.01)).sum() / (true > 0.01).sum())
+        rows.add(bone="femur", by=by, found=((true > 0.01) & (answer > 0.01)).sum() / (true > 0.01).sum())
     vertices, faces = trimesh.remesh.subdivide(*trimesh.remesh.subdivide(bone.vertices_mm, bone.faces))
     began = time.process_time()
     cartilage_thickness(Surface(vertices_mm=vertices, faces=faces), [cartilage])
     gigabytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
     dense = Rows(run, "Duration with many vertices", "bone")
-    dense.say(bone="femur", vertices=len(vertices), seconds=time.process_time() - began, gigabytes=gigabytes)
+    dense.add(bone="femur", vertices=len(vertices), seconds=time.process_time() - began, gigabytes=gigabytes)
 
 
 def closest(bone: Surface, cartilages: list[Surface]) -> Floats:
-    """Give the distance from where the bone has cartilage to the nearest place of its outer sheet."""
+    """The distance from where the bone has cartilage to the nearest place of its outer sheet."""
     answer = np.zeros(len(bone.vertices_mm))
     tree = TriangleTree.of(bone)
     for cartilage in cartilages:

@@ -8,7 +8,7 @@ from marey.markers.data.bone_motion import BoneMotion
 
 
 def true_bones(truth: Mapping[str, np.ndarray], segments: Sequence[str]) -> BoneMotion:
-    """Give the poses that a trial's NPZ holds (mm), known exactly."""
+    """The poses that a trial's NPZ holds (mm), known exactly."""
     rotation = np.stack([truth[f"{s}_rotation"] for s in segments], 1)
     return BoneMotion(
         segments=tuple(segments), rotation=rotation, origin=np.stack([truth[f"{s}_origin"] for s in segments], 1) / 1e3,

@@ -1,7 +1,7 @@
 """Random trials of a thigh and a shank with known bones and skin that moves over them, to judge methods on.
 
 Sizes, ranks and ranges are drawn from the span of those measured on real legs with known bones (Cereatti et al. 2017,
-J Biomech, doi 10.1016/j.jbiomech.2017.02.004); nothing here is shared with what a method believes.
+J Biomech, doi 10.1016/j.jbiomech.2017.02.004); nothing here is shared with the assumptions of a method.
 """
 
 from dataclasses import dataclass
@@ -31,7 +31,7 @@ class MadeTrial:
     """(F,) of the knee [rad]."""
 
     def problem(self, postures: int) -> MarkerProblem:
-        """Give the trial with the bones known in the first frame, or also in the one farthest from it in flexion."""
+        """The trial with the bones known in the first frame, or also in the one farthest from it in flexion."""
         frames = [0, int(np.abs(self.flexion - self.flexion[0]).argmax())][:postures]
         labels = {name: tuple(f"{name}_{i:02d}" for i in range(p.shape[1])) for name, p in self.points.items()}
         poses = list(self.bones.values())

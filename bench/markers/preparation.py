@@ -130,7 +130,7 @@ def exchanges(run: Run) -> None:
 def drawn(
     clusters: list[Cluster], how: str, count: int, rng: np.random.Generator
 ) -> tuple[tuple[str, str], np.ndarray]:
-    """Draw a pair of labels and the frames in which they are exchanged: a tenth of the trial, or all of it."""
+    """Draw a pair of labels and the frames in which they are exchanged: 10 % of the trial, or all of it."""
     frames = np.zeros(count, bool)
     start = int(rng.integers(0, max(1, count - count // 10)))
     frames[start : start + max(1, count // 10)] = True

@@ -114,7 +114,7 @@ def interval(run: Run, markers: int = 12) -> None:
 
 
 def interval_errors(form: str, frames: int, markers: int) -> tuple[Floats, str]:
-    """Give the turn error of rigid fit and interval deformation [rad], the origin's [m], and what is not seen."""
+    """The turn error of rigid fit and interval deformation [rad], the origin's [m], and what is not seen."""
     errors, unseen = [], ""
     for seed in range(SETS):
         trial, rotation, origin, assumed, moving = made(seed, form, frames, markers)
@@ -138,7 +138,7 @@ def one_slips(shape: Floats, frames: int, rng: np.random.Generator) -> Floats:
 
 
 def bulge(shape: Floats, frames: int, rng: np.random.Generator) -> Floats:
-    """All markers move out from the axis by up to a tenth, those of one side more."""
+    """All markers move out from the axis by up to 10 %, those of one side more."""
     outward = shape * [1, 0, 1]
     side = 0.6 + 0.4 * np.sign(shape[:, :1])
     return 0.12 * np.sin(np.pi * np.arange(frames) / frames)[:, None, None] * side * outward
@@ -192,7 +192,7 @@ def masses(run: Run, frames: int = 60, markers: int = 12) -> None:
 
 
 def turn_errors(seed: int, cluster: Callable, skin: Callable, frames: int, markers: int) -> list[float]:
-    """Give the error of the rigid fit, of the point cluster technique, and of it with redistributed masses [rad]."""
+    """The error of the rigid fit, of the point cluster technique, and of it with redistributed masses [rad]."""
     rng = np.random.default_rng(seed)
     rotation, origin = smooth_motion(rng, frames)
     shape = cluster(rng, markers)
@@ -206,7 +206,7 @@ def turn_errors(seed: int, cluster: Callable, skin: Callable, frames: int, marke
 
 
 def contaminated(rng: np.random.Generator, frames: int = 100, markers: int = 20) -> tuple[Floats, ...]:
-    """A limb with muscle deformation, skin sliding, jiggling skin, and random error, as the paper's section 3.4 says.
+    """A limb with muscle deformation, skin sliding, jiggling skin, and random error, as in section 3.4 of the paper.
 
     Its sizes are not in the paper; here they are chosen so that the rigid fit comes to the paper's 6.8 mm.
 
@@ -244,7 +244,7 @@ RANDOM_M = 2.4e-3
 
 
 def reconstructions(rng: np.random.Generator) -> list[list[float]]:
-    """Give the errors of the rigid fit and of the factorisations with K shapes, of one made set."""
+    """The errors of the rigid fit and of the factorisations with K shapes, of one made set."""
     rotation, origin, places, points = contaminated(rng)
     at_rest = np.einsum("ji,mj->mi", rotation[0], points[0] - origin[0])
     fit = fit_rigid(at_rest, points, RANDOM_M)

@@ -34,7 +34,7 @@ UPRIGHT = rotations.exp(np.array([-np.pi / 2, 0, 0])) @ np.eye(3)
 
 
 def objects(data: Path, names: list[str]) -> Iterator[tuple[str, Floats]]:
-    """Give names and shapes (F, 3, P), centred."""
+    """Return names and shapes (F, 3, P), centred."""
     for name in names:
         if name in SEQUENCES:
             shapes = np.asarray(np.load(data / "nonrigid" / f"{name}.npz")["shape"], float)
@@ -49,7 +49,7 @@ def objects(data: Path, names: list[str]) -> Iterator[tuple[str, Floats]]:
 
 
 def leg(trial: dict, name: str) -> Floats:
-    """Give the markers of thigh and shank, or of the thigh alone, in the room; markers with gaps are left out."""
+    """The markers of thigh and shank, or of the thigh alone, in the room; markers with gaps are left out."""
     parts = []
     for segment in ("thigh", "shank")[: 2 if name == "leg" else 1]:
         turned = trial[f"{segment}_markers"] @ np.swapaxes(trial[f"{segment}_rotation"], 1, 2)
@@ -59,7 +59,7 @@ def leg(trial: dict, name: str) -> Floats:
 
 
 def cameras(frames: int) -> Iterator[tuple[str, Floats]]:
-    """Give names and rotations (F, 3, 3), camera from object."""
+    """Return names and rotations (F, 3, 3), camera from object."""
     time, rng = np.arange(frames)[:, None], np.random.default_rng(0)
     start = rotations.exp(np.array([0.3, 0.2, 0.1]))
 
@@ -79,7 +79,7 @@ def cameras(frames: int) -> Iterator[tuple[str, Floats]]:
 
 
 def in_camera(found: NonRigidShapes, shapes: Floats, rotation: Floats) -> float:
-    """Give the mean distance in the camera's frame over the mean standard deviation, the sign of depth free."""
+    """The mean distance in the camera's frame over the mean standard deviation, the sign of depth free."""
     truth, got = rotation @ shapes, found.rotation @ found.shape
     got = got - got.mean(2, keepdims=True)
     mirror = np.array([1.0, 1.0, -1.0])[:, None]

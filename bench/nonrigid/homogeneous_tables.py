@@ -59,13 +59,13 @@ def carried_bone(rotation: Floats, translation: Floats, bone: Poses) -> Poses:
 
 
 def rigidly(points: Floats) -> tuple[Floats, Poses]:
-    """Fit the first frame's shape to every frame ([Spoor1980]); give its points (F, P, 3) and motion."""
+    """Fit the first frame's shape to every frame ([Spoor1980]): its points (F, P, 3) and motion."""
     fit = fit_rigid(points[0], points, RANDOM_M)
     return np.einsum("fij,pj->fpi", fit.rotation, points[0]) + fit.translation[:, None], (fit.rotation, fit.translation)
 
 
 def solved(factorise: Callable[[int | None], HomogeneousShapes], points: Floats) -> list[tuple[Floats, Poses, int]]:
-    """Give points, motion and K of the rigid fit to points (F, P, 3), of K = 1 to 5, and of the chosen K."""
+    """Return points, motion and K of the rigid fit to points (F, P, 3), of K = 1 to 5, and of the chosen K."""
     answers = [(*rigidly(points), 0)]
     for rank in RANKS:
         found = factorise(rank)
@@ -74,14 +74,14 @@ def solved(factorise: Callable[[int | None], HomogeneousShapes], points: Floats)
 
 
 def pose_errors(answers: Sequence[tuple[Floats, Poses, int]], bone: Poses) -> list[list[float]]:
-    """Give the bone's turn [degrees] and origin [mm] of each answer."""
+    """The bone's turn [degrees] and origin [mm] of each answer."""
     bones = [carried_bone(*motion, bone) for _, motion, _ in answers]
     turned = [float(np.degrees(rms(turns(rotation, bone[0])))) for rotation, _ in bones]
     return [turned, [MM * rms(np.linalg.norm(origin - bone[1], axis=-1)) for _, origin in bones]]
 
 
 def off(answers: Sequence[tuple[Floats, Poses, int]], points: Floats, where: Mask) -> list[float]:
-    """Give how far the answers' points lie from points (F, P, 3), where asked [mm]."""
+    """Distances of the answers' points from points (F, P, 3), in the places of the mask [mm]."""
     return [MM * rms(np.linalg.norm(model - points, axis=-1)[where]) for model, _, _ in answers]
 
 
@@ -180,7 +180,7 @@ def arm(run: Run) -> None:
 
 
 def arm_errors(tracks: Floats, tracks_sd: Floats, rig: Rig, true: Floats, rank: int) -> list[list[float]]:
-    """Give the errors of some points [mm]; the rigid shape is that of the first frame's points, where rays meet."""
+    """The errors of some points [mm]; the rigid shape is that of the first frame's points, where rays meet."""
     seen = np.isfinite(tracks[:, :, 0]).sum(0)
     flat = np.moveaxis(tracks, 2, 3).reshape(len(rig), -1, 2)
     points = triangulate(rig.cameras, flat, sigma_px=PIXEL_SD).points.reshape(true.shape)

@@ -61,7 +61,7 @@ def deforming_body(rng: np.random.Generator, frames: int = FRAMES, points: int =
 
 
 def recorded(shared: Path, name: str, frames: int = 150) -> Floats:
-    """Give recorded people or a face, every second frame, the mean size 1."""
+    """Return recorded people or a face, every second frame, the mean size 1."""
     with np.load(shared / "data" / "nonrigid" / f"{name}.npz") as data:
         shapes = np.asarray(data["shape"], float)[: 2 * frames : 2]
     shapes = shapes - shapes.mean((0, 2))[:, None]
@@ -107,7 +107,7 @@ def hidden(rng: np.random.Generator, tracks: Floats, share: float, *, together: 
         rng: Chooses them.
         tracks: Some may be missing already.
         share: Of all places.
-        together: A sixth of the points, neighbours, for a tenth of the frames, as things before the object do; else
+        together: A sixth of the points, neighbours, for 10 % of the frames, as things before the object do; else
             single points for ten frames.
     """
     tracks = tracks.copy()

@@ -42,7 +42,7 @@ SHARES = (0.05, 0.1, 0.2)
 
 
 def percent(points: Floats, truth: Floats) -> float:
-    """Give the mean distance after one scale and a motion a frame, in percent of the greatest extent."""
+    """The mean distance after one scale and a motion a frame, in percent of the greatest extent."""
     a, b = (x - x.mean(2, keepdims=True) for x in (points, truth))
     turned = rotations.nearest(b @ np.swapaxes(a, 1, 2)) @ a
     scale = (turned * b).sum() / (turned**2).sum()
@@ -68,7 +68,7 @@ def row(
 
 
 def held(found: PerspectiveShapes, truth: Floats, frames: Floats | slice) -> tuple[float, float]:
-    """Give the shares of coordinates and turns that 95 % intervals hold, the truth parted and scaled as the answer."""
+    """The shares of coordinates and turns that 95 % intervals hold, the truth parted and scaled as the answer."""
     shape, rotation = found.shape[frames], found.rotation[frames]
     shape = shape - shape.mean(2, keepdims=True)
     points = np.swapaxes(truth - truth.mean(2, keepdims=True), 1, 2)

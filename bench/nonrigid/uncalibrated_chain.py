@@ -54,7 +54,7 @@ class Surface(NamedTuple):
     """(F, V, 3) m, world."""
 
     def points(self) -> Floats:
-        """Give them (F, P, 3) [m]; NaN where the mesh is in no picture, or where no surface was hit."""
+        """Return them (F, P, 3) [m]; NaN where the mesh is in no picture, or where no surface was hit."""
         return np.einsum("pk,fpki->fpi", self.weights, self.vertices[:, self.corners])
 
 
@@ -80,14 +80,14 @@ def surface_at(rig: Rig, pixels: Floats, vertices: Floats, faces: np.ndarray) ->
 
 
 def judged(found: ViewTracks) -> tuple[Mask, Mask]:
-    """Tell which frames (F,) and points (P,) hold enough."""
+    """Which frames (F,) and points (P,) hold enough."""
     seen = np.isfinite(found.tracks[:, :, 0])
     frames = (seen.sum(axis=2) >= FEWEST).sum(axis=0) >= 2
     return frames, np.asarray(seen[:, frames].any(axis=0).sum(axis=0) >= FEWEST)
 
 
 def error(shape: Floats, truth: Floats, seen: Mask) -> float:
-    """Give the root mean square distance [mm] after centring each frame and one similarity for all.
+    """The root mean square distance [mm] after centring each frame and one similarity for all.
 
     Args:
         shape: (F, P, 3) in the first camera's axes, any unit.
@@ -107,7 +107,7 @@ def centred(points: Floats, known: Mask) -> Floats:
 
 
 def in_camera(shapes: ManyViewShapes, count: int | None = None) -> Floats:
-    """Give shapes (F, P, 3) in the first camera's axes, of the first basis shapes only where asked."""
+    """Return shapes (F, P, 3) in the first camera's axes, of the first `count` basis shapes or of all."""
     shape = np.einsum("fk,kip->fip", shapes.coefficients[:, :count], shapes.basis[:count])
     return np.einsum("fij,fjp->fpi", shapes.rotation, shape)
 

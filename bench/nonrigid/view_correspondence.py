@@ -41,7 +41,7 @@ class Take(NamedTuple):
 
 
 def markers(shared: Path, trial: str, segments: tuple[str, ...]) -> np.ndarray:
-    """Give the markers (F, P, 3) of a trial in the laboratory [mm], as they are in each frame with a known bone."""
+    """The markers (F, P, 3) of a trial in the laboratory [mm], as they are in each frame with a known bone."""
     parts = []
     with np.load(shared / "data" / "markers" / "sta" / f"{trial}.npz") as file:
         for name in segments:
@@ -57,7 +57,7 @@ def people(shared: Path, name: str) -> np.ndarray:
 
 
 def camera(azimuth: float, tilt: float, roll: float) -> np.ndarray:
-    """Give the rows (2, 3) of a camera that looks along the horizon, then is tilted and rolled."""
+    """The rows (2, 3) of a camera that looks along the horizon, then is tilted and rolled."""
     forward = np.array([np.cos(azimuth) * np.cos(tilt), np.sin(azimuth) * np.cos(tilt), np.sin(tilt)])
     right = np.cross(forward, (0, 0, 1)) / np.cos(tilt)
     c, s = np.cos(roll), np.sin(roll)

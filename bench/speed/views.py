@@ -18,7 +18,7 @@ from marey.images.silhouettes.interior import InteriorEdges
 from marey.io.trial.masks import open_masks
 from marey.io.trial.trial import read_trial
 from marey.pipelines.capture import stages
-from marey.pipelines.progress import Progress
+from marey.pipelines.progress import RecordingProgress
 from marey.pipelines.speed.speeds import LEVEL_SET_LIMIT_MS
 
 BENCH = Bench(
@@ -42,7 +42,7 @@ def run(run: Run) -> None:
     )  # fmt: skip
     for name in run.arguments.takes or ("reach", "walk", "stealth", "jacks"):
         folder, results = program.take(run, name)
-        trial, progress = read_trial(folder), Progress(quiet=True)
+        trial, progress = read_trial(folder), RecordingProgress()
         files = [open_masks(results / "surface_masks" / f"{camera.name}.npz") for camera in trial.rig]
         models, small = stages.backgrounds(trial, progress)
         surface = first_known(files, trial.take.first, trial.take.end, run.arguments.frames)
@@ -66,7 +66,7 @@ def expected(masks, cameras) -> list:
 
 
 def first_known(files, first: int, end: int, count: int) -> dict:
-    """Give the first frames in which every camera sees the surface: its silhouettes, one a camera."""
+    """The first frames in which every camera sees the surface: its silhouettes, one a camera."""
     found = {}
     for frame, masks in enumerate(zip(*(file.masks(range(first, end)) for file in files), strict=True), first):
         if all(mask.any() for mask in masks):

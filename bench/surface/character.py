@@ -134,7 +134,7 @@ def volume(skin: Skin) -> float:
 
 
 def carried(run: Run, table: Table, take: str) -> None:
-    """Give a motion to the character."""
+    """Return a motion to the character."""
     sys.path.insert(0, str(PROJECT / "bodies"))
     folder = program.take(run, take)[1]
     from character import foreign, stocky, with_arms_out

@@ -34,7 +34,7 @@ SIZE = 13
 def pictures(
     rng: np.random.Generator, noise: float, contrast: float = 30.0
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Give both pictures, the patches' centres in the first one, and where they lie in the second one."""
+    """Return both pictures, the patches' centres in the first one, and where they lie in the second one."""
     length, direction = np.exp(rng.uniform(np.log(5), np.log(30), 60)), rng.uniform(0, 2 * np.pi, 60)
     waves = 2 * np.pi / length[:, None] * np.stack([np.cos(direction), np.sin(direction)], axis=-1)
     phases = rng.uniform(0, 2 * np.pi, 60)

@@ -220,7 +220,7 @@ def cylinder(run: Run) -> None:
 
 
 def rigid(start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Give the rotation and translation that carry points best."""
+    """The rotation and translation that carry points best."""
     middle, arrived = start.mean(axis=0), end.mean(axis=0)
     left, _, right = np.linalg.svd((end - arrived).T @ (start - middle))
     left[:, 2] *= np.sign(np.linalg.det(left @ right))

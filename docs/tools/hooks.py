@@ -1,11 +1,13 @@
 """What MkDocs does beside its own work: pages made from the program, formulas, citations.
 
 Four markers in the pages are replaced: `<!-- commands -->` by the help of every command, `<!-- public names -->` by
-the documentation of everything that `marey` exports, and `<!-- bibliography -->` by docs/references.bib. A citation
+the documentation of everything that `marey` exports, `<!-- examples -->` by the scripts in examples/, and
+`<!-- bibliography -->` by docs/references.bib. A citation
 such as `[Rosenhahn2006]` becomes a link to the bibliography. Formulas between dollar signs become MathML, which
 browsers show without a script.
 """
 
+import ast
 import html
 import importlib
 import inspect
@@ -19,25 +21,15 @@ import typer
 DOCS = Path(__file__).parents[1]
 BIBLIOGRAPHY = "reference/bibliography.md"
 
-MOVED = {
-    "body.md": "explanation/body.md",
-    "retarget.md": "how-to/retarget.md",
-    "tracking.md": "explanation/tracking.md",
-    "surface.md": "how-to/surface.md",
-    "markers.md": "how-to/markers.md",
-    "nonrigid-methods.md": "explanation/nonrigid.md",
-}
-"""Links of docs/accuracy.md that name pages as they were called before the site."""
-
 _CITATION = re.compile(r"\[([A-Z][A-Za-z]+\d{4}[a-z]?)\](?![(\[:])")
 _CODE = re.compile(r"(^ *```.*?^ *```[^\n]*$|^(?: {4}|\t)[^\n]*$|`[^`\n]+`)", re.MULTILINE | re.DOTALL)
 _FORMULA = re.compile(r'<(span|div) class="arithmatex">(.*?)</\1>', re.DOTALL)
 
 
 def on_config(config: Any) -> Any:
-    """Add the pages of docs/accuracy/ behind docs/accuracy.md."""
-    folder = DOCS / "accuracy"
-    pages = sorted(path.relative_to(DOCS).as_posix() for path in folder.rglob("*.md"))
+    """Add the pages that the benchmarks write, and the log of what was rejected, behind docs/accuracy.md."""
+    folders = (DOCS / "accuracy", DOCS / "development")
+    pages = [path.relative_to(DOCS).as_posix() for folder in folders for path in sorted(folder.rglob("*.md"))]
     for entry in config["nav"]:
         if "Accuracy" in entry and pages:
             entry["Accuracy"] = ["accuracy.md", *pages]
@@ -46,16 +38,17 @@ def on_config(config: Any) -> Any:
 
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
     """Replace the markers, and link citations to the bibliography."""
-    makers = {"commands": commands, "public names": public_names, "bibliography": bibliography}
+    makers = {
+        "commands": commands,
+        "public names": public_names,
+        "examples": examples,
+        "bibliography": bibliography,
+    }
     for name, make in makers.items():
         marker = f"<!-- {name} -->"
         if marker in markdown:
             markdown = markdown.replace(marker, make())
     path = page.file.src_uri
-    if path == "accuracy.md":
-        markdown = re.sub(
-            r"\]\(([a-z-]+\.md)", lambda found: f"]({MOVED.get(found.group(1), found.group(1))}", markdown
-        )
     return markdown if path == BIBLIOGRAPHY else linked_citations(markdown, path)
 
 
@@ -150,17 +143,42 @@ def _cell(text: str) -> str:
 
 
 def public_names() -> str:
-    """Document everything that `marey` exports, in the order of its list."""
+    """Document everything that `marey` exports: a table of all names, then functions, classes and errors."""
     marey = importlib.import_module("marey")
     names = [name for name in getattr(marey, "__all__", ()) if not name.startswith("__")]
-    return "\n\n".join(_public(marey, name) for name in names)
+    values = {name: getattr(marey, name) for name in names}
+    kinds: dict[str, list[str]] = {"Functions": [], "Classes": [], "Errors": []}
+    for name, value in values.items():
+        error = inspect.isclass(value) and issubclass(value, BaseException)
+        kinds["Errors" if error else "Classes" if inspect.isclass(value) else "Functions"].append(name)
+    lines = ["| name | |", "| --- | --- |"]
+    for found in kinds.values():
+        lines += [f"| [`{name}`][{_full_name(values[name], name)}] | {_summary(values[name])} |" for name in found]
+    for kind, found in kinds.items():
+        lines += ["", f"## {kind}"] if found else []
+        for name in found:
+            lines += ["", f"::: {_full_name(values[name], name)}", "    options:", "      heading_level: 3"]
+    return "\n".join(lines)
 
 
-def _public(package: Any, name: str) -> str:
-    value = getattr(package, name)
-    home = getattr(value, "__module__", "marey")
-    own = getattr(value, "__qualname__", name)
-    return f"::: {home}.{own}\n    options:\n      heading_level: 2\n      show_root_toc_entry: true"
+def _full_name(value: Any, name: str) -> str:
+    return f"{getattr(value, '__module__', 'marey')}.{getattr(value, '__qualname__', name)}"
+
+
+def _summary(value: Any) -> str:
+    return _cell((inspect.getdoc(value) or "").split("\n\n")[0])
+
+
+def examples() -> str:
+    """Show every script in examples/, with its docstring as text and the rest as code."""
+    parts = []
+    for path in sorted((DOCS.parent / "examples").glob("*.py")):
+        source = path.read_text(encoding="utf-8")
+        title, _, text = (ast.get_docstring(ast.parse(source)) or path.stem).partition("\n")
+        code = re.sub(r'^("""|\'\'\').*?\1\n+', "", source, count=1, flags=re.DOTALL)
+        name = f"`examples/{path.name}`"
+        parts.append(f"### {title.rstrip('.')}\n\n{name}\n\n{text.strip()}\n\n```python\n{code.rstrip()}\n```")
+    return "\n\n".join(parts)
 
 
 def entries() -> dict[str, str]:

@@ -7,10 +7,13 @@ if TYPE_CHECKING:
     from marey.cameras.camera import Camera
     from marey.cameras.rig import Rig
     from marey.cameras.triangulate import triangulate
-    from marey.errors import FileProblem, MareyError, SettingProblem
+    from marey.errors import FileProblem, MareyError, MareyWarning, SettingProblem
     from marey.io.mr.volumes import read_volume
     from marey.io.trial.example import example_folder
     from marey.observations.observation import Linearization, Observation, SurfaceObservation
+    from marey.pipelines.capture.motion import Motion, load_body, load_motion
+    from marey.pipelines.capture.tasks import capture, open_trial, read_cameras
+    from marey.pipelines.compare import Comparison, compare
     from marey.pipelines.knee.knee import Knee, load_knee
     from marey.pipelines.knee.segment import segment_knee
     from marey.pipelines.markers.bones import Bones, load_bones
@@ -18,6 +21,10 @@ if TYPE_CHECKING:
     from marey.pipelines.nonrigid.factorise import factorise, read_tracks
     from marey.pipelines.nonrigid.shapes import Shapes, load_shapes
     from marey.pipelines.progress import Progress, RecordingProgress
+    from marey.pipelines.retarget import retarget
+    from marey.pipelines.shape.tasks import fit_shape
+    from marey.pipelines.surface.result import Surface, load_surface
+    from marey.pipelines.surface.tasks import match_images, measure_surface
     from marey.process import tuned_process
 
     __version__: str
@@ -28,27 +35,42 @@ UNKNOWN_VERSION = "0+unknown"
 __all__ = [
     "Bones",
     "Camera",
+    "Comparison",
     "FileProblem",
     "Knee",
     "Linearization",
     "MareyError",
+    "MareyWarning",
+    "Motion",
     "Observation",
     "Progress",
     "RecordingProgress",
     "Rig",
     "SettingProblem",
     "Shapes",
+    "Surface",
     "SurfaceObservation",
     "__version__",
+    "capture",
+    "compare",
     "estimate_bones",
     "example_folder",
     "factorise",
+    "fit_shape",
+    "load_body",
     "load_bones",
     "load_knee",
+    "load_motion",
     "load_shapes",
+    "load_surface",
+    "match_images",
+    "measure_surface",
     "open_markers",
+    "open_trial",
+    "read_cameras",
     "read_tracks",
     "read_volume",
+    "retarget",
     "segment_knee",
     "triangulate",
     "tuned_process",
@@ -57,26 +79,41 @@ __all__ = [
 _MODULES = {
     "Bones": "pipelines.markers.bones",
     "Camera": "cameras.camera",
+    "Comparison": "pipelines.compare",
     "FileProblem": "errors",
     "Knee": "pipelines.knee.knee",
     "Linearization": "observations.observation",
     "MareyError": "errors",
+    "MareyWarning": "errors",
+    "Motion": "pipelines.capture.motion",
     "Observation": "observations.observation",
     "Progress": "pipelines.progress",
     "RecordingProgress": "pipelines.progress",
     "Rig": "cameras.rig",
     "SettingProblem": "errors",
     "Shapes": "pipelines.nonrigid.shapes",
+    "Surface": "pipelines.surface.result",
     "SurfaceObservation": "observations.observation",
+    "capture": "pipelines.capture.tasks",
+    "compare": "pipelines.compare",
     "estimate_bones": "pipelines.markers.estimate",
     "example_folder": "io.trial.example",
     "factorise": "pipelines.nonrigid.factorise",
+    "fit_shape": "pipelines.shape.tasks",
+    "load_body": "pipelines.capture.motion",
     "load_bones": "pipelines.markers.bones",
     "load_knee": "pipelines.knee.knee",
+    "load_motion": "pipelines.capture.motion",
     "load_shapes": "pipelines.nonrigid.shapes",
+    "load_surface": "pipelines.surface.result",
+    "match_images": "pipelines.surface.tasks",
+    "measure_surface": "pipelines.surface.tasks",
     "open_markers": "pipelines.markers.estimate",
+    "open_trial": "pipelines.capture.tasks",
+    "read_cameras": "pipelines.capture.tasks",
     "read_tracks": "pipelines.nonrigid.factorise",
     "read_volume": "io.mr.volumes",
+    "retarget": "pipelines.retarget",
     "segment_knee": "pipelines.knee.segment",
     "triangulate": "cameras.triangulate",
     "tuned_process": "process",

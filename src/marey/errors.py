@@ -29,3 +29,7 @@ class SettingProblem(MareyError):
 
 class MissingPackage(MareyError):
     """An optional package that is not installed."""
+
+
+class MareyWarning(UserWarning):
+    """Something in the data or the results that the user should check; see the `warnings` of each result."""

@@ -4,7 +4,7 @@ import errno
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -15,10 +15,12 @@ from marey.cli.nonrigid import nonrigid
 from marey.cli.options import BodyFile, Cameras, FixedSizes, Frames, NoOverlay, Out, Preset, Quiet, Start, Stature
 from marey.cli.work import working
 from marey.errors import FileProblem, MareyError
-from marey.pipelines.capture.settings import CaptureSettings, parse_frames, parse_names
+from marey.pipelines.capture.settings import parse_frames, parse_names
 
 INTERRUPTED = 130
 WRONG_INPUT = 2
+RESULTS = "marey"
+"""Folder of the results in a trial."""
 _PAGES = ("report.html", "surface.html", "knee.html")
 _USERS_ERRNO = (errno.EACCES, errno.EPERM, errno.ENOSPC, errno.EROFS, errno.ENOTDIR, errno.EDQUOT, errno.EFBIG)
 
@@ -73,11 +75,10 @@ def capture(
     * `marey capture walk01 --stature 1.80 --frames 100:400 --out results/walk01`
     * `marey capture walk01 --cameras cam01,cam02,cam04 --preset upper --no-overlay`
     """
-    settings = CaptureSettings(
-        out=out, cameras=_names(cameras), frames=_range(frames), preset=preset, stature_m=stature, start=start,
-        body=body, fixed_sizes=fixed_sizes, overlay=not no_overlay,
+    _capture(
+        trial, out=out, cameras=_names(cameras), frames=_range(frames), preset=preset, stature=stature, start=start,
+        body=body, fixed_sizes=fixed_sizes, overlay=not no_overlay, quiet=quiet,
     )  # fmt: skip
-    _capture(trial, settings, quiet=quiet)
 
 
 @app.command()
@@ -123,25 +124,16 @@ def surface(
     * `marey surface arm3 --spacing 4 --frames 0:10`
     * `marey surface face1 --seeds clicked.csv --keep-rig`
     """
-    from marey.pipelines.surface.settings import SurfaceOptions
-    from marey.pipelines.surface.surface import surface as measure_surface
+    from marey.pipelines.surface.tasks import measure_surface
 
     _require_folder(trial)
-    options = SurfaceOptions(
-        out=out,
-        cameras=_names(cameras),
-        frames=_range(frames),
-        seeds=seeds,
-        spacing=spacing,
-        patch=patch,
-        refine_rig=refine_rig,
-        tracks=tracks,
-        max_speed=max_speed,
-        max_acceleration=max_acceleration,
-    )
     with working(quiet=quiet, parallel_cameras=True) as progress:
-        results = measure_surface(trial, options, progress)
-    typer.echo(f"Surface: {results / 'surface.npz'}")
+        found = measure_surface(
+            trial, out=out or trial / RESULTS, cameras=_names(cameras), frames=_range(frames), seeds=seeds,
+            spacing=spacing, patch=patch, refine_rig=refine_rig, tracks=tracks, max_speed=max_speed,
+            max_acceleration=max_acceleration, progress=progress,
+        )  # fmt: skip
+    typer.echo(f"Surface: {found.path}")
 
 
 @app.command()
@@ -166,16 +158,15 @@ def shape(
     * `marey shape arm --preset right_arm`
     * `marey shape walk01 --stature 1.80 --out results/walk01`
     """
-    settings = CaptureSettings(
-        out=out, cameras=_names(cameras), frames=_range(frames), preset=preset, stature_m=stature, start=start,
-        body=body, overlay=not no_overlay,
-    )  # fmt: skip
-    _require_folder(trial)
-    from marey.pipelines.shape.shape import shape as shape_trial
+    from marey.pipelines.shape.tasks import fit_shape
 
+    _require_folder(trial)
     with working(quiet=quiet, parallel_cameras=True) as progress:
-        results = shape_trial(trial, settings, progress)
-    typer.echo(f"Report: {results / 'report.html'}")
+        found = fit_shape(
+            trial, out=out or trial / RESULTS, cameras=_names(cameras), frames=_range(frames), preset=preset,
+            stature=stature, start=start, body=body, overlay=not no_overlay, progress=progress,
+        )  # fmt: skip
+    typer.echo(f"Report: {found.report}")
 
 
 @app.command()
@@ -187,7 +178,7 @@ def demo(out: Out = None, quiet: Quiet = False) -> None:
     if out is None and Path(sys.prefix) in example.parents:
         # Results do not belong into the folder of an installed program.
         out = Path("marey-demo")
-    _capture(example, CaptureSettings(out=out), quiet=quiet)
+    _capture(example, out=out, quiet=quiet)
 
 
 @app.command()
@@ -219,12 +210,15 @@ def retarget(
     * `marey retarget walk01/marey knight.glb`
     * `marey retarget walk01/marey knight.glb --map knight.toml --out knight_walks.glb`
     """
-    from marey.pipelines.retarget import retarget as carry_over
+    from marey.pipelines.retarget import check_copy, copy_beside
+    from marey.pipelines.retarget import retarget as transfer
 
-    path, notes = carry_over(
-        motion, character, out=out, named=named, grounded=not no_ground, planted=plant_feet
-    )  # fmt: skip
-    for note in notes if not quiet else []:
+    with working(quiet=quiet):
+        path = out or copy_beside(motion, character)
+        check_copy(path, character)
+        moved = transfer(motion, character, names=named, grounded=not no_ground, planted=plant_feet)
+        moved.save(path)
+    for note in moved.notes if not quiet else []:
         typer.echo(note)
     typer.echo(f"Written: {path}")
 
@@ -262,12 +256,14 @@ def compare(
     * `marey compare walk01/marey walk01_ik.mot`
     * `marey compare walk01_marey walk02_marey --same-laboratory --shift 0`
     """
-    from marey.pipelines.compare import CompareOptions
-    from marey.pipelines.compare import compare as compare_files
+    from marey.pipelines.compare import CompareOptions, compare_files, comparison_text
 
-    options = CompareOptions(out=out, named=named, shift_s=shift, same_laboratory=same_laboratory)
+    options = CompareOptions(named=named, shift_s=shift, same_laboratory=same_laboratory)
     with working(quiet=quiet) as progress:
-        results, _ = compare_files(first, second, options, progress)
+        found = compare_files(first, second, options, progress)
+        results = found.save(out or Path(f"{found.labels[0]}_compared_with_{found.labels[1]}"))
+        for line in comparison_text(found.data):
+            progress.report(line)
     typer.echo(f"Report: {results / 'report.html'}")
 
 
@@ -319,14 +315,14 @@ def bench(
     Console(width=None if sys.stdout.isatty() else 200).print(table)
 
 
-def _capture(trial: Path, settings: CaptureSettings, *, quiet: bool) -> None:
-    # Imported here, so that help and wrong input answer at once.
-    from marey.pipelines.capture.capture import capture as capture_trial
+def _capture(trial: Path, *, out: Path | None, quiet: bool, **settings: Any) -> None:
+    # Imported here, so that help and errors in the arguments appear at once.
+    from marey.pipelines.capture.tasks import capture as capture_motion
 
     _require_folder(trial)
     with working(quiet=quiet, parallel_cameras=True) as progress:
-        results = capture_trial(trial, settings, progress)
-    typer.echo(f"Report: {results / 'report.html'}")
+        found = capture_motion(trial, out=out or trial / RESULTS, progress=progress, **settings)
+    typer.echo(f"Report: {found.report}")
 
 
 def _names(text: str | None) -> tuple[str, ...] | None:

@@ -37,6 +37,11 @@ class Agreement:
     """Share of the differences that 1.96 of the stated standard deviations of both hold."""
 
     @property
+    def unit(self) -> str:
+        """Unit of the figures: rad or m."""
+        return "rad" if self.kind in ("angle", "turn") else "m"
+
+    @property
     def limits(self) -> tuple[float, float]:
         """The limits of agreement: 95 % of differences lie between, were they normal ([BlandAltman1986])."""
         return self.bias - _WITHIN * self.sd, self.bias + _WITHIN * self.sd

@@ -2,15 +2,15 @@ import numpy as np
 import pytest
 
 from marey.knee.bones.located_bones import in_line, thick_end
-from marey.knee.space.volume import Grid
+from marey.knee.space.volume import VoxelGrid
 
 
-def column(gap_mm: int) -> tuple[np.ndarray, Grid]:
+def column(gap_mm: int) -> tuple[np.ndarray, VoxelGrid]:
     """Marrow 60 mm high, with a gap in its middle."""
     likeness = np.zeros((60, 30, 30), dtype=np.float32)
     likeness[:, 5:25, 5:25] = 1
     likeness[30 : 30 + gap_mm] = 0
-    return likeness, Grid(shape=likeness.shape, lps_from_voxel=np.eye(4))
+    return likeness, VoxelGrid(shape=likeness.shape, lps_from_voxel=np.eye(4))
 
 
 @pytest.mark.parametrize(("gap_mm", "one"), [(0, True), (2, True), (6, False)])

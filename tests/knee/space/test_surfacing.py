@@ -5,19 +5,19 @@ from marey.errors import MareyError
 from marey.knee.space.structures import LABELS
 from marey.knee.space.surface import Surface
 from marey.knee.space.surfacing import smoothed_surface, surface_of_field, surface_of_labels
-from marey.knee.space.volume import Grid, Labels
+from marey.knee.space.volume import Labels, VoxelGrid
 
 pytest.importorskip("skimage")
 pytest.importorskip("fast_simplification")
 RADIUS = 12.0
 
 
-def ball(spacing: tuple[float, float, float], *, flip: bool) -> tuple[np.ndarray, Grid]:
+def ball(spacing: tuple[float, float, float], *, flip: bool) -> tuple[np.ndarray, VoxelGrid]:
     """Distance inside a ball about the origin, on a grid whose first axis may run to the right."""
     count = [int(36 / each) for each in spacing]
     lps_from_voxel = np.diag([-spacing[0] if flip else spacing[0], spacing[1], spacing[2], 1.0])
     lps_from_voxel[:3, 3] = [18.0 if flip else -18.0, -18.0, -18.0]
-    grid = Grid(shape=(count[2], count[1], count[0]), lps_from_voxel=lps_from_voxel)
+    grid = VoxelGrid(shape=(count[2], count[1], count[0]), lps_from_voxel=lps_from_voxel)
     k, j, i = np.meshgrid(*[np.arange(n) for n in grid.shape], indexing="ij")
     place = grid.lps(np.stack([i, j, k], axis=-1).astype(float))
     return RADIUS - np.linalg.norm(place, axis=-1), grid
@@ -68,7 +68,7 @@ def test_smoothing_keeps_the_volume_and_takes_noise_away(rng):
 
 def test_what_the_image_cuts_is_closed_flat():
     distance, grid = ball((0.5, 0.5, 0.5), flip=False)
-    half = Grid(shape=(36, *grid.shape[1:]), lps_from_voxel=grid.lps_from_voxel)
+    half = VoxelGrid(shape=(36, *grid.shape[1:]), lps_from_voxel=grid.lps_from_voxel)
     surface = surface_of_field(distance[:36], half)
     edges = np.sort(surface.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     _, shared = np.unique(edges, axis=0, return_counts=True)
@@ -80,7 +80,7 @@ def test_what_the_image_cuts_is_closed_flat():
 def test_a_thick_shaft_is_closed_where_the_image_ends(depth_mm):
     """A shaft that ends at both faces of an image of thick slices is a closed prism, however deep its inside is."""
     count = int(depth_mm) * 2 + 12
-    grid = Grid(shape=(8, count, count), lps_from_voxel=np.diag([1.0, 1.0, 4.0, 1.0]))
+    grid = VoxelGrid(shape=(8, count, count), lps_from_voxel=np.diag([1.0, 1.0, 4.0, 1.0]))
     j, i = np.meshgrid(np.arange(count) - count / 2, np.arange(count) - count / 2, indexing="ij")
     distance = np.broadcast_to(depth_mm - np.hypot(j, i), grid.shape)
     surface = surface_of_field(distance, grid, edge_mm=2.0)
@@ -96,7 +96,7 @@ def test_a_thick_shaft_is_closed_where_the_image_ends(depth_mm):
 def test_a_sheet_thinner_than_the_edges_asked_for_is_closed_and_not_pinched(edge_mm):
     """Half a shell that thins out towards its rim, as cartilage on a condyle: its two sides may not meet in an edge."""
     count = 56
-    grid = Grid(shape=(count, count, count), lps_from_voxel=np.diag([0.8, 0.8, 0.8, 1.0]))
+    grid = VoxelGrid(shape=(count, count, count), lps_from_voxel=np.diag([0.8, 0.8, 0.8, 1.0]))
     k, j, i = np.meshgrid(*[0.8 * (np.arange(count) - count / 2)] * 3, indexing="ij")
     half = np.interp(i, [0.0, 15.0], [0.2, 1.3])
     surface = surface_of_field(half - np.abs(np.sqrt(i**2 + j**2 + k**2) - 17.0), grid, edge_mm=edge_mm, several=True)
@@ -107,7 +107,7 @@ def test_a_sheet_thinner_than_the_edges_asked_for_is_closed_and_not_pinched(edge
 
 def test_nothing_gives_no_surface():
     distance, grid = ball((1.0, 1.0, 1.0), flip=False)
-    with pytest.raises(MareyError, match="nothing to make"):
+    with pytest.raises(MareyError, match="there is no surface"):
         surface_of_field(np.full(distance.shape, -1.0), grid)
     with pytest.raises(MareyError, match="no femoral cartilage"):
         surface_of_labels(Labels(labels=np.zeros(distance.shape), grid=grid), "femoral_cartilage")
@@ -116,7 +116,7 @@ def test_nothing_gives_no_surface():
 def test_cartilage_keeps_both_of_its_pieces_and_a_bone_the_largest():
     labels = np.zeros((30, 30, 60), dtype=np.uint8)
     labels[10:20, 10:20, 5:25] = labels[10:20, 10:20, 35:50] = 4
-    grid = Grid(shape=labels.shape, lps_from_voxel=np.eye(4))
+    grid = VoxelGrid(shape=labels.shape, lps_from_voxel=np.eye(4))
     both = surface_of_labels(Labels(labels=labels, grid=grid), "tibial_cartilage")
     assert np.ptp(both.vertices_mm[:, 0]) > 40
     one = surface_of_labels(Labels(labels=np.where(labels == 4, 3, 0), grid=grid), "tibia")

@@ -21,7 +21,7 @@ from marey.errors import FileProblem
 from marey.extras import missing_package
 from marey.io.atomic import replacing
 from marey.knee.space.structures import LABELS, structure_named
-from marey.knee.space.volume import Grid, Labels, Volume
+from marey.knee.space.volume import Labels, Volume, VoxelGrid
 
 _KEPT: list[ModuleType] = []
 """Tables of types that SimpleITK uses on; they go when nobody holds them."""
@@ -211,15 +211,15 @@ def _quiet() -> Iterator[None]:
         locale.setlocale(locale.LC_ALL, spoken)
 
 
-def _grid(image: Any) -> Grid:
+def _grid(image: Any) -> VoxelGrid:
     lps_from_voxel = np.eye(4)
     lps_from_voxel[:3, :3] = np.reshape(image.GetDirection(), (3, 3)) * image.GetSpacing()
     lps_from_voxel[:3, 3] = image.GetOrigin()
     i, j, k = image.GetSize()
-    return Grid(shape=(k, j, i), lps_from_voxel=lps_from_voxel)
+    return VoxelGrid(shape=(k, j, i), lps_from_voxel=lps_from_voxel)
 
 
-def _image(array: np.ndarray, grid: Grid) -> Any:
+def _image(array: np.ndarray, grid: VoxelGrid) -> Any:
     image = simple_itk().GetImageFromArray(array)
     image.SetSpacing(grid.spacing_mm.tolist())
     image.SetDirection((grid.lps_from_voxel[:3, :3] / grid.spacing_mm).ravel().tolist())

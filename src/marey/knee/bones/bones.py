@@ -72,7 +72,7 @@ def segment_bones(
         MareyError: No knee is found, the template does not fit, or the two images do not lie in one place.
     """
     report("bias and body", 0.0)
-    bones = {} if template is None else template_bones(template)
+    bones = {} if template is None else template_bones(template, settings=settings.template_fit)
     images = prepare_images(tuple(volumes), bones, dict(seeds_mm or {}), settings)
     located = locate_bones(images)
     report("growing", 0.15)

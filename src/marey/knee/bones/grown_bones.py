@@ -7,7 +7,7 @@ import numpy as np
 
 from marey.arrays import Integers, Mask
 from marey.errors import MareyError, SettingProblem
-from marey.knee.bones.bright_marrow import BrightImage, followed
+from marey.knee.bones.bright_marrow import BrightImage, extended_bone
 from marey.knee.bones.located_bones import LocatedBones
 from marey.knee.bones.marrow import WORK_MM
 from marey.knee.bones.partial_view import LONG_BONES
@@ -16,8 +16,8 @@ from marey.knee.bones.seeds import patella_seeds, seed_voxel
 from marey.knee.bones.template_fit import joint_centre, positions_of, shaft_distance
 from marey.knee.space.bias_field import corrected_intensity
 from marey.knee.space.distances import signed_distance
-from marey.knee.space.resampling import onward, part_of, resampled
-from marey.knee.space.volume import Grid
+from marey.knee.space.resampling import extrapolated, part_of, resampled
+from marey.knee.space.volume import VoxelGrid
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -33,12 +33,12 @@ class GrownBones:
     """Bones that were extended to where marrow is dimmer than at the seed."""
 
     @property
-    def grid(self) -> Grid:
+    def grid(self) -> VoxelGrid:
         """The upright grid of the masks."""
         return self.located.images.grid
 
     @property
-    def image_grid(self) -> Grid:
+    def image_grid(self) -> VoxelGrid:
         """The first image's own grid."""
         return self.located.images.volumes[0].grid
 
@@ -61,7 +61,7 @@ class GrownBones:
         likeness = self.located.likeness(self.seeds[name])
         return np.where(self.masks[name] & ~np.isnan(likeness), 1, likeness) if name in self.extended else likeness
 
-    def bright_image(self, name: str, grid: Grid) -> BrightImage:
+    def bright_image(self, name: str, grid: VoxelGrid) -> BrightImage:
         """Return a part of the first image with the places where a bone may be: in the body and in no other bone."""
         others = np.logical_or.reduce([mask for other, mask in self.masks.items() if other != name])
         images = self.located.images
@@ -78,7 +78,7 @@ class GrownBones:
         Returns:
             (k, j, i) signed distance [mm], and the slices of the box in it.
         """
-        mask = onward(mask, self.located.images.knees[0].within)
+        mask = extrapolated(mask, self.located.images.knees[0].within)
         spacing = self.grid.array_spacing_mm
         distance = resampled(signed_distance(mask, spacing), self.grid, self.image_grid, outside=-50.0)
         reach = [(np.flatnonzero((distance > -margin_mm).any(axis=axes))) for axes in ((1, 2), (0, 2), (0, 1))]
@@ -103,6 +103,7 @@ def grow_long_bones(located: LocatedBones) -> GrownBones:
     Raises:
         MareyError: Nothing grows from a seed.
     """
+    settings = located.images.settings
     masks: dict[str, Mask] = {}
     if len(located.seeds) == 1:
         (name,) = located.seeds
@@ -110,13 +111,16 @@ def grow_long_bones(located: LocatedBones) -> GrownBones:
         masks[name] = _within_template(located, name, whole)
     else:
         for name, other in (("femur", "tibia"), ("tibia", "femur")):
-            keep_out = masks.get(other, seed_ball(located.images.knees[0], located.seeds[other]))
+            keep_out = masks.get(
+                other, seed_ball(located.images.knees[0], located.seeds[other], settings=settings.growing)
+            )
             masks[name] = _grown_from_seed(located, name, keep_out)
     return GrownBones(located=located, seeds=located.seeds, masks=masks)
 
 
 def _grown_from_seed(located: LocatedBones, name: str, keep_out: Mask | None) -> Mask:
-    grown = grow(located.likeness(located.seeds[name]), located.seeds[name], keep_out=keep_out)
+    seed = located.seeds[name]
+    grown = grow(located.likeness(seed), seed, keep_out=keep_out, settings=located.images.settings.growing)
     if not grown.any():
         raise MareyError(
             f"Nothing grows from the seed of the {name} at LPS {located.lps(name)} mm, which was"
@@ -141,11 +145,11 @@ def extend_into_dim_marrow(grown: GrownBones) -> GrownBones:
     """
     if not grown.all_bright:
         return grown
+    settings = grown.located.images.settings
     for name in LONG_BONES:
-        margin_mm = grown.located.images.settings.dim_marrow_margin_mm
-        distance, box = grown.distance_and_box(grown.masks[name], margin_mm)
+        distance, box = grown.distance_and_box(grown.masks[name], settings.dim_marrow_margin_mm)
         image = grown.bright_image(name, part_of(grown.image_grid, box))
-        further = followed(image, distance[box] > 0)
+        further = extended_bone(image, distance[box] > 0, settings=settings.bright_marrow)
         if further is not None:
             mask = resampled(further.astype(np.float32), image.grid, grown.grid) > 0.5
             grown = replace(grown.with_mask(name, mask), extended=grown.extended | {name})
@@ -171,14 +175,17 @@ def grow_patella(grown: GrownBones, limit_mm: np.ndarray | None = None) -> Grown
         places = [seed_voxel(images.knees[0], "patella", images.seeds_mm["patella"])]
         likeness = grown.located.likeness(places[0], 4.0)
     else:
-        joint = joint_centre({name: positions_of(grown.masks[name], grown.grid) for name in grown.long_bones})
+        joint = joint_centre(
+            {name: positions_of(grown.masks[name], grown.grid) for name in grown.long_bones},
+            settings=settings.template_fit,
+        )
         likeness = grown.located.likeness(grown.seeds[grown.long_bones[0]])
-        places = patella_seeds(images.knees[0], likeness, taken, joint)
+        places = patella_seeds(images.knees[0], likeness, taken, joint, settings=settings.seeds)
     keep_out = taken
     if limit_mm is not None:
         keep_out = taken | (np.nan_to_num(limit_mm, nan=-100.0) < -settings.outside_template_mm)
     for place in places:
-        mask = grow(likeness, place, keep_out=keep_out)
+        mask = grow(likeness, place, keep_out=keep_out, settings=settings.growing)
         if settings.patella_cm3[0] <= mask.sum() * WORK_MM**3 / 1000 <= settings.patella_cm3[1]:
             return replace(grown.with_mask("patella", mask), seeds={**grown.seeds, "patella": place})
     if "patella" in images.seeds_mm:

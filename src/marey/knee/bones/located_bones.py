@@ -7,14 +7,14 @@ import numpy as np
 
 from marey.arrays import Floats, Integers, Mask
 from marey.errors import MareyError, SettingProblem
-from marey.knee.bones.marrow import WORK_MM, Kind, Knee, NoPairFound, prepare
+from marey.knee.bones.marrow import WORK_MM, Kind, NoPairFound, PreparedImage, prepare
 from marey.knee.bones.partial_view import LONG_BONES, SeenBone, in_view, partial_view, seen_bones
 from marey.knee.bones.region_growing import grow, marrow_level, seed_ball
 from marey.knee.bones.seeds import find_seeds, kind_at
 from marey.knee.bones.settings import BONE_DEFAULTS, BoneSettings
 from marey.knee.bones.template_fit import TemplateBone
 from marey.knee.space.resampling import read_at
-from marey.knee.space.volume import Grid, Volume
+from marey.knee.space.volume import Volume, VoxelGrid
 
 _REMEDIES = {
     False: "If it shows only one of the two, give --template, or a --seed in that bone.",
@@ -29,7 +29,7 @@ class PreparedImages:
 
     volumes: tuple[Volume, ...]
     """One or two images of the same knee."""
-    knees: tuple[Knee, ...]
+    knees: tuple[PreparedImage, ...]
     """The same images, prepared, all on the grid of the first."""
     template: Mapping[str, TemplateBone] = field(default_factory=dict)
     """Bones of the template by name; empty without a template."""
@@ -38,7 +38,7 @@ class PreparedImages:
     settings: BoneSettings = BONE_DEFAULTS
 
     @property
-    def grid(self) -> Grid:
+    def grid(self) -> VoxelGrid:
         """The upright grid of all prepared images."""
         return self.knees[0].grid
 
@@ -57,19 +57,19 @@ class LocatedBones:
     single: Mask | None = None
     """(k, j, i) the only long bone in view, when it was already grown to find that out."""
 
-    def likeness(self, voxel: Integers, radius_mm: float = 8.0) -> np.ndarray:
+    def likeness(self, voxel: Integers, radius_mm: float | None = None) -> np.ndarray:
         """Return the similarity of each voxel to the marrow about a seed.
 
         Args:
             voxel: (3,) k, j, i of the seed.
-            radius_mm: Radius of the ball in which the marrow's level is measured.
+            radius_mm: Radius of the ball in which the marrow's level is measured; by default that of the settings.
 
         Returns:
             (k, j, i) from 0 to 1, the least over the images; NaN outside one of them.
         """
         each = []
         for knee, kind in zip(self.images.knees, self.kinds, strict=True):
-            level = marrow_level(knee, kind, voxel, radius_mm)
+            level = marrow_level(knee, kind, voxel, radius_mm, settings=self.images.settings.growing)
             each.append(np.where(knee.within, level.likeness(knee.intensity) * knee.body, np.float32(np.nan)))
         return np.asarray(np.minimum.reduce(each))
 
@@ -99,8 +99,8 @@ def prepare_images(
     """
     if not 1 <= len(volumes) <= 2:
         raise SettingProblem(f"Expected one volume, or two of the same knee, not {len(volumes)}.")
-    first = prepare(volumes[0])
-    knees = (first, *[prepare(other, first.grid) for other in volumes[1:]])
+    first = prepare(volumes[0], settings=settings.marrow)
+    knees = (first, *[prepare(other, first.grid, settings=settings.marrow) for other in volumes[1:]])
     for knee in knees[1:]:
         shared = (knee.body & first.body).sum() / max(1, min(knee.body.sum(), first.body.sum()))
         if shared < settings.least_shared_body:
@@ -120,8 +120,9 @@ def locate_bones(images: PreparedImages) -> LocatedBones:
         return located
     single = _bone_of_both_seeds(located)
     if single is not None:
-        view = seen_bones(images.knees[0], images.template, kinds=located.kinds[:1])
-        seen = {**located.seen, **in_view(view, images.template, images.grid)}
+        settings = images.settings.partial_view
+        view = seen_bones(images.knees[0], images.template, kinds=located.kinds[:1], settings=settings)
+        seen = {**located.seen, **in_view(view, images.template, images.grid, settings=settings)}
         if len(seen) < 2:
             return _single_bone(located, seen, single)
         moved = {name: each.seed for name, each in seen.items() if name not in images.seeds_mm}
@@ -137,24 +138,25 @@ def locate_bones(images: PreparedImages) -> LocatedBones:
 def _located_in_images(images: PreparedImages) -> LocatedBones:
     """Find the seeds from a femur above a tibia, or else from what a template or a seed shows of either."""
     first = images.knees[0]
+    settings = images.settings
     seen: Mapping[str, SeenBone] = {}
     seeds: Mapping[str, Integers]
     try:
-        found = find_seeds(first, images.seeds_mm)
+        found = find_seeds(first, images.seeds_mm, settings=settings.seeds, marrow=settings.marrow)
         kind, seeds = found.kind, {"femur": found.femur, "tibia": found.tibia}
     except NoPairFound as problem:
-        view = partial_view(first, images.template, images.seeds_mm)
+        view = partial_view(first, images.template, images.seeds_mm, settings=settings.partial_view)
         if view is None:
             raise NoPairFound(f"{problem} {_REMEDIES[bool(images.template)]}") from problem
-        kind, seeds, seen = view.kind, view.seeds, view.laid
-    kinds = (kind, *[_kind_of(knee, seeds) for knee in images.knees[1:]])
+        kind, seeds, seen = view.kind, view.seeds, view.seen
+    kinds = (kind, *[_kind_of(knee, seeds, settings) for knee in images.knees[1:]])
     return LocatedBones(images=images, kinds=kinds, seeds=seeds, seen=seen)
 
 
-def _kind_of(knee: Knee, seeds: Mapping[str, Integers]) -> Kind:
+def _kind_of(knee: PreparedImage, seeds: Mapping[str, Integers], settings: BoneSettings) -> Kind:
     """Return a further image's kind of marrow by its own femur and tibia, or else by the first image's seeds."""
     try:
-        return find_seeds(knee, {}).kind
+        return find_seeds(knee, {}, settings=settings.seeds, marrow=settings.marrow).kind
     except NoPairFound:
         return kind_at(knee, list(seeds.values()))
 
@@ -165,7 +167,7 @@ def _bone_of_both_seeds(located: LocatedBones) -> Mask | None:
     likeness = located.likeness(first)
     if not in_line(likeness, located.images.grid, first, second, settings=located.images.settings):
         return None
-    whole = grow(likeness, first)
+    whole = grow(likeness, first, settings=located.images.settings.growing)
     return whole if whole[seed_ball(located.images.knees[0], second, 4.0)].mean() > 0.5 else None
 
 
@@ -187,7 +189,7 @@ def _single_bone(located: LocatedBones, seen: Mapping[str, SeenBone], whole: Mas
 
 
 def in_line(
-    likeness: np.ndarray, grid: Grid, first: Integers, second: Integers, *, settings: BoneSettings = BONE_DEFAULTS
+    likeness: np.ndarray, grid: VoxelGrid, first: Integers, second: Integers, *, settings: BoneSettings = BONE_DEFAULTS
 ) -> bool:
     """Return whether marrow continues from one seed to another without a gap as wide as a joint.
 

@@ -7,8 +7,8 @@ import numpy as np
 from scipy import ndimage
 
 from marey.arrays import Floats, Mask
-from marey.knee.bones.bone_edges import Piece, marrow_odds, refined, soft_tissue_odds
-from marey.knee.bones.bright_marrow import cut_along_line, evened, goes_on, template_odds
+from marey.knee.bones.bone_edges import BoneImage, marrow_odds, refine_edge, soft_tissue_odds
+from marey.knee.bones.bright_marrow import continued_limit, cut_along_line, evened, template_odds
 from marey.knee.bones.grown_bones import GrownBones
 from marey.knee.bones.marrow import WORK_MM, air_level
 from marey.knee.bones.partial_view import LONG_BONES
@@ -19,7 +19,7 @@ from marey.knee.bones.template_limits import LimitedBones
 from marey.knee.space.bias_field import corrected_intensity
 from marey.knee.space.distances import signed_distance
 from marey.knee.space.resampling import part_of, resampled
-from marey.knee.space.volume import Grid
+from marey.knee.space.volume import VoxelGrid
 
 Report = Callable[[str, float], None]
 """Called with the name of a step and the share of the work that is done."""
@@ -31,7 +31,7 @@ class Bone:
 
     distance_mm: np.ndarray
     """(k, j, i) signed distance to its surface, positive inside, on `grid`."""
-    grid: Grid
+    grid: VoxelGrid
     """The image's own voxels about the bone."""
     seed_mm: Floats
     """(3,) LPS."""
@@ -85,6 +85,7 @@ def _marrow_share(grown: GrownBones, name: str, inside: Mask) -> float:
 def _refined_bone(grown: GrownBones, name: str, limit_mm: np.ndarray | None) -> tuple[Bone, tuple[slice, ...]]:
     """Refine a grown bone on the first image's own voxels; return it and its box in the first image."""
     settings = grown.located.images.settings
+    bright = settings.bright_marrow
     coarse = _coarse(grown, name, limit_mm)
     along_line = grown.all_bright and limit_mm is not None
     margin_mm = settings.bright_margin_mm if along_line else settings.margin_mm
@@ -93,10 +94,10 @@ def _refined_bone(grown: GrownBones, name: str, limit_mm: np.ndarray | None) -> 
     prior = np.zeros(grid.shape, dtype=np.float32)
     if limit_mm is not None and along_line:
         # The template's edges were moved to where all is marrow: the bone's lie farther out.
-        limit_there = goes_on(limit_mm + settings.prior_from_mm, WORK_MM)
+        limit_there = continued_limit(limit_mm + settings.prior_from_mm, WORK_MM, settings=bright)
         known = resampled(limit_there, grown.grid, grid, outside=np.nan)
-        inside = cut_along_line(grown.bright_image(name, grid), distance > 0, known)
-        distance, prior = signed_distance(inside, grid.array_spacing_mm), template_odds(known)
+        inside = cut_along_line(grown.bright_image(name, grid), distance > 0, known, settings=bright)
+        distance, prior = signed_distance(inside, grid.array_spacing_mm), template_odds(known, settings=bright)
     elif limit_mm is not None:
         known = resampled(np.nan_to_num(limit_mm, nan=0.0), grown.grid, grid, outside=0.0)
         prior = np.clip(known + settings.prior_from_mm, -settings.prior_nats, 0)
@@ -114,27 +115,28 @@ def _coarse(grown: GrownBones, name: str, limit_mm: np.ndarray | None) -> Mask:
     if limit_mm is not None:
         surely_inside = (limit_mm > settings.inside_template_mm) & grown.located.images.knees[0].body
         return np.asarray((coarse & ~(limit_mm < -settings.outside_template_mm)) | surely_inside)
-    return np.asarray(coarse & ~outgrowth(coarse)) if name in LONG_BONES else coarse
+    return np.asarray(coarse & ~outgrowth(coarse, settings=settings.growing)) if name in LONG_BONES else coarse
 
 
 def _edge(
-    grown: GrownBones, distance: np.ndarray, prior: np.ndarray, grid: Grid, *, rough: bool, small: bool
+    grown: GrownBones, distance: np.ndarray, prior: np.ndarray, grid: VoxelGrid, *, rough: bool, small: bool
 ) -> np.ndarray:
     """(k, j, i) the edge by the image with dark marrow if there is one: it shows the outside of the cortex."""
     volumes, knees = grown.located.images.volumes, grown.located.images.knees
+    settings = grown.located.images.settings
     images = [corrected_intensity(volume, grid) for volume in volumes]
     if not rough:
         # Then marrow is dim nowhere: the edge stays about where the cut along the line placed it.
-        images = [evened(image, distance > 0, grid) for image in images]
+        images = [evened(image, distance > 0, grid, settings=settings.bright_marrow) for image in images]
     pieces = [
-        Piece(
+        BoneImage(
             intensity=image,
             distance_mm=distance,
             prior_nats=prior,
             grid=grid,
             rough=rough,
             small=small,
-            no_signal=air_level(knee),
+            no_signal=air_level(knee, settings=settings.marrow),
         )
         for image, knee in zip(images, knees, strict=True)
     ]
@@ -143,8 +145,13 @@ def _edge(
     others = []
     for index, (piece, kind) in enumerate(zip(pieces, kinds, strict=True)):
         if index != lead:
-            others.append(marrow_odds(piece, kind) if kind == kinds[lead] else soft_tissue_odds(piece))
-    return refined(pieces[lead], kinds[lead], others)
+            same = kind == kinds[lead]
+            others.append(
+                marrow_odds(piece, kind, settings=settings.edges)
+                if same
+                else soft_tissue_odds(piece, settings=settings.edges)
+            )
+    return refine_edge(pieces[lead], kinds[lead], others, settings=settings.edges)
 
 
 def fit_note(fit: TemplateFit) -> str:
@@ -153,7 +160,7 @@ def fit_note(fit: TemplateFit) -> str:
     return f"The template is {side}; {100 * fit.fit:.0f} % of its edges lie on edges of bone."
 
 
-def outgrowth_note(name: str, inside: Mask, grid: Grid, *, settings: BoneSettings = BONE_DEFAULTS) -> list[str]:
+def outgrowth_note(name: str, inside: Mask, grid: VoxelGrid, *, settings: BoneSettings = BONE_DEFAULTS) -> list[str]:
     """Describe a part of a femur or tibia that no such bone has: the bone may have leaked there.
 
     Args:
@@ -167,7 +174,7 @@ def outgrowth_note(name: str, inside: Mask, grid: Grid, *, settings: BoneSetting
     """
     if name not in LONG_BONES:
         return []
-    part = outgrowth(inside)
+    part = outgrowth(inside, settings=settings.growing)
     pieces, count = ndimage.label(part)
     if not count:
         return []
@@ -195,7 +202,7 @@ def thin_note(name: str, inside: Mask, *, settings: BoneSettings = BONE_DEFAULTS
     """
     if name not in LONG_BONES:
         return []
-    share = thin_share(inside)
+    share = thin_share(inside, settings=settings.growing)
     if share < settings.largest_thin_share:
         return []
     return [

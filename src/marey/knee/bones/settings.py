@@ -2,13 +2,29 @@
 
 from dataclasses import dataclass
 
+from marey.knee.bones.bone_edges import BONE_EDGE_DEFAULTS, BoneEdgeSettings
+from marey.knee.bones.bright_marrow import BRIGHT_MARROW_DEFAULTS, BrightMarrowSettings
+from marey.knee.bones.marrow import MARROW_DEFAULTS, MarrowSettings
+from marey.knee.bones.partial_view import PARTIAL_VIEW_DEFAULTS, PartialViewSettings
+from marey.knee.bones.region_growing import GROWING_DEFAULTS, GrowingSettings
+from marey.knee.bones.seeds import SEED_DEFAULTS, SeedSettings
+from marey.knee.bones.template_fit import TEMPLATE_FIT_DEFAULTS, TemplateFitSettings
+
 
 @dataclass(frozen=True, kw_only=True)
 class BoneSettings:
-    """Settings of the stages of `segment_bones`.
+    """Settings of the stages of `segment_bones`, and of the algorithms they use.
 
-    Values without a source were chosen by hand; results were not measured against other values.
+    Values without a stated source were chosen by hand.
     """
+
+    marrow: MarrowSettings = MARROW_DEFAULTS
+    seeds: SeedSettings = SEED_DEFAULTS
+    growing: GrowingSettings = GROWING_DEFAULTS
+    partial_view: PartialViewSettings = PARTIAL_VIEW_DEFAULTS
+    template_fit: TemplateFitSettings = TEMPLATE_FIT_DEFAULTS
+    bright_marrow: BrightMarrowSettings = BRIGHT_MARROW_DEFAULTS
+    edges: BoneEdgeSettings = BONE_EDGE_DEFAULTS
 
     least_shared_body: float = 0.8
     """Two volumes show one knee when at least this share of the smaller body lies in the other."""

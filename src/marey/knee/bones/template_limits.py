@@ -47,17 +47,19 @@ def limit_bones(grown: GrownBones) -> LimitedBones:
     bones, long_bones = located.images.template, grown.long_bones
     if not bones or (len(long_bones) == 1 and long_bones[0] not in located.seen):
         return LimitedBones(grown=grown, template_fit=None, limits_mm={})
+    settings = located.images.settings.template_fit
     likeness = _likenesses(grown)
     if len(long_bones) == 2:
-        fit = place_template(bones, grown.masks, likeness, grown.grid)
+        fit = place_template(bones, grown.masks, likeness, grown.grid, settings=settings)
     else:
         seen = located.seen[long_bones[0]]
         start = TemplateFit(
             placements=dict.fromkeys(likeness, seen.placement), mirrored=seen.mirrored, fit=seen.contrast
         )
-        fit = place_alone(long_bones[0], bones, start, likeness, grown.grid)
+        fit = place_alone(long_bones[0], bones, start, likeness, grown.grid, settings=settings)
     limits = {
-        name: template_distance(bones[name], fit.placements[name], likeness[name], grown.grid) for name in likeness
+        name: template_distance(bones[name], fit.placements[name], likeness[name], grown.grid, settings=settings)
+        for name in likeness
     }
     if len(long_bones) == 1:
         # Nothing else keeps a single bone from leaking beyond the template's end: its shaft is continued there.
@@ -81,8 +83,11 @@ def _likenesses(grown: GrownBones) -> dict[str, np.ndarray]:
 def _evenness(grown: GrownBones) -> np.ndarray:
     """(k, j, i) small in dark lines: only they separate a patella from the fat about it."""
     images, own = grown.located.images, grown.image_grid
-    level = marrow_level(images.knees[0], "bright", grown.seeds["femur"]).median
-    even = evenness(corrected_intensity(images.volumes[0], own) / np.float32(level), own)
+    settings = images.settings
+    level = marrow_level(images.knees[0], "bright", grown.seeds["femur"], settings=settings.growing).median
+    even = evenness(
+        corrected_intensity(images.volumes[0], own) / np.float32(level), own, settings=settings.bright_marrow
+    )
     return resampled(even, own, grown.grid, outside=1.0)
 
 

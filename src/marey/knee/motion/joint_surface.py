@@ -87,7 +87,7 @@ class JointSurface:
         return np.asarray(np.arctan2(across, (ahead * back).sum(2)))
 
     def heights(self, points_mm: Floats, guess: Integers | None = None) -> Heights:
-        """Tell how far points lie above the surface, or below it.
+        """Return how far points lie above the surface, or below it.
 
         Args:
             points_mm: (N, 3).

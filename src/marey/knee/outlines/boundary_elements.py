@@ -56,7 +56,7 @@ class BoundaryElements:
         return some[np.isfinite(some).all(axis=1)]
 
     def around(self, mask: Mask) -> NDArray[np.float32]:
-        """Give the features (N, 4) of the steps round what a mask (rows, columns) marks; at the border it goes on."""
+        """Return the features (N, 4) of the steps round what a mask (rows, columns) marks; at the border it goes on."""
         here, below, beside = mask[:-1], mask[1:], mask[:, 1:]
         right, left = here & ~below, below & ~here
         down, up = beside & ~mask[:, :-1], mask[:, :-1] & ~beside
@@ -124,7 +124,7 @@ def learned_costs(examples: Sequence[tuple[BoundaryElements, Mask]]) -> LearnedC
 
 
 def step_costs(elements: BoundaryElements, learned: LearnedCosts | None = None) -> Costs:
-    """Give each step its cost: small on an outline, in proportion to its length in mm.
+    """Return each step its cost: small on an outline, in proportion to its length in mm.
 
     Args:
         elements: The steps.

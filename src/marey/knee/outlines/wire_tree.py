@@ -42,7 +42,7 @@ class WireTree:
         _settle(start, self._columns, *self._arrays)
 
     def cost(self, corner: tuple[int, int]) -> int:
-        """Give the sum of the costs of the cheapest path from the root to a corner.
+        """Return the sum of the costs of the cheapest path from the root to a corner.
 
         Raises:
             ValueError: No path leads there.
@@ -76,7 +76,7 @@ class WireTree:
 
 
 def reversed_costs(costs: Costs) -> Costs:
-    """Give the costs of going every step the other way about: a tree on them holds the paths that end at its root."""
+    """Return the costs of going every step the other way about: a tree on them holds the paths that end at its root."""
     turned = np.zeros_like(costs)
     turned[:, 1:, 2], turned[:, :-1, 0] = costs[:, :-1, 0], costs[:, 1:, 2]
     turned[1:, :, 3], turned[:-1, :, 1] = costs[:-1, :, 1], costs[1:, :, 3]

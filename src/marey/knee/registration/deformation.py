@@ -54,7 +54,7 @@ class Deformation:
         raise MareyError("The deformation cannot be inverted everywhere: it folds.")
 
     def jacobians(self, subject_mm: Floats) -> Floats:
-        """Give the derivatives (..., 3, 3) of the template's points by the subject's: of positive determinants."""
+        """Return the derivatives (..., 3, 3) of the template's points by the subject's: of positive determinants."""
         return np.asarray(np.eye(3) - self._read(subject_mm)[1])
 
     def subject_normals(self, subject_mm: Floats, template_normals: Floats) -> Floats:
@@ -93,7 +93,7 @@ class Deformation:
         return self._read(places_mm)[0]
 
     def _read(self, places_mm: Floats) -> tuple[Floats, Floats]:
-        """Give the displacements (..., 3) at places (..., 3), and their derivatives (..., 3, 3) by these."""
+        """Return the displacements (..., 3) at places (..., 3), and their derivatives (..., 3, 3) by these."""
         nodes = (np.asarray(places_mm, float) - self.origin_mm) / self.step_mm
         flat = np.ascontiguousarray(nodes.reshape(-1, 3))
         values, slopes = np.empty((len(flat), 3)), np.empty((len(flat), 3, 3))

@@ -1,4 +1,4 @@
-"""How far each place of a mask lies from its edge: exact distances, whatever the voxels, line by line."""
+"""Exact Euclidean distances within masks, for voxels of any shape."""
 
 from collections.abc import Sequence
 
@@ -12,14 +12,14 @@ _FARTHEST_MM = 1e3
 
 
 def distance_within(mask: Mask, spacing_mm: Sequence[float] = (1.0, 1.0, 1.0)) -> Floats:
-    """Give the distance of each place of a mask from the nearest one outside it.
+    """Return the distance of each voxel of a mask from the nearest voxel outside it.
 
-    One axis after the other, each line by the lower envelope of parabolas ([Felzenszwalb2012]): the same numbers as
+    One axis after the other, each line by the lower envelope of parabolas ([Felzenszwalb2012]): the same result as
     SciPy's `distance_transform_edt`, in less time and without its arrays of indices.
 
     Args:
         mask: (k, j, i), or (rows, columns).
-        spacing_mm: Between places along each axis of the mask.
+        spacing_mm: Spacing [mm] along each axis of the mask.
 
     Returns:
         The same shape [mm]; 0 outside the mask, infinite where nothing is outside.

@@ -1,4 +1,4 @@
-"""Closed surfaces of bones and cartilage from where their edges lie in a volume, without the staircase of slices."""
+"""Closed surfaces of bones and cartilage from signed distances in a volume, without the steps of slices."""
 
 from typing import Any
 
@@ -12,73 +12,77 @@ from marey.knee.space.distances import signed_distance
 from marey.knee.space.resampling import resampled, upright_grid
 from marey.knee.space.structures import BONE_OF_CARTILAGE
 from marey.knee.space.surface import Surface
-from marey.knee.space.volume import Grid, Labels
+from marey.knee.space.volume import Labels, VoxelGrid
 
 _FINEST_MM = 0.6
+"""Least edge [mm] of the cubes of marching cubes; chosen by hand."""
 _BLUR = 0.4
-"""Standard deviation of the smoothing, in distances of slices: just enough that the slices are not seen."""
+"""Standard deviation of the smoothing, in slice spacings: just enough that the slices are not visible."""
 _LAMBDA, _MU = 0.5, -0.53
-"""Steps of [Taubin1995]: inward, and outward again by a little more, so that nothing shrinks."""
+"""Steps of [Taubin1995]: inward, and outward again by a little more, so that the surface does not shrink."""
 _ROUNDS = 10
+"""Number of pairs of such steps; chosen by hand."""
 _CRUMB = 0.1
+"""Pieces with a smaller share of the largest one's vertices are removed; chosen by hand."""
 _OFF_LEVEL = 1e-4
-"""In millimetres: nothing, but no zero."""
+"""Distance [mm] that replaces zero at a vertex of a cube: negligible, but not zero."""
 _FINER = 1.25
-"""By so much more triangles stay where fewer would not leave a closed surface."""
+"""Factor by which the number of triangles is raised until the thinned surface is closed; chosen by hand."""
 
 
 def surface_of_field(
-    distance_mm: np.ndarray, grid: Grid, *, edge_mm: float = 1.0, several: bool = False
+    distance_mm: np.ndarray, grid: VoxelGrid, *, edge_mm: float = 1.0, several: bool = False
 ) -> Surface:  # fmt: skip
-    """Make a closed surface where a signed distance is zero: each edge has two faces.
+    """Return the closed surface where a signed distance is zero, on which each edge has two faces.
 
     Args:
-        distance_mm: (k, j, i) positive inside; where the array ends, so does the body, by a flat cut.
+        distance_mm: (k, j, i) positive inside; where the array ends, the body ends in a flat cut.
         grid: Of the distance; its determinant may be negative.
-        edge_mm: Length of the triangles' edges to which the surface is thinned out; shorter where a sheet is too thin
-            for them, as cartilage of 2 mm is for 3 mm.
-        several: Keep all pieces but crumbs, as of cartilage, which lies on a tibia in two; otherwise the largest alone.
+        edge_mm: Length of the triangles' edges to which the surface is thinned; shorter where a sheet is too thin, as
+            cartilage of 2 mm is for 3 mm.
+        several: Keep all pieces except very small ones, as for the cartilage on a tibia, which has two; otherwise only
+            the largest piece.
 
     Raises:
         MareyError: The field has no inside, or scikit-image or fast-simplification are not installed.
     """
     cube_mm = max(_FINEST_MM, 0.6 * edge_mm)
     sigma = _BLUR * grid.spacing_mm.max() / cube_mm
-    # Deep inside is no deeper than the smoothing reaches: otherwise what the image cuts off would stay open.
+    # Distances are limited to the reach of the smoothing: otherwise ends cut off by the image would stay open.
     reach = int(np.ceil(3 * sigma)) + 1
     cubes = _padded(upright_grid(grid, cube_mm), reach + 1)
     most = reach * cube_mm
     field = resampled(np.clip(distance_mm, -most, most).astype(np.float32), grid, cubes, outside=-most)
     smooth = ndimage.gaussian_filter(field, sigma, truncate=3.0)
     if smooth.max() <= 0:
-        raise MareyError("There is nothing to make a surface of.")
+        raise MareyError("The signed distance has no inside: there is no surface.")
     vertices, faces = _marched(smooth)
-    surface = _pieces(_turned_out(cubes.lps(vertices[:, ::-1]), faces), _CRUMB if several else 1.0)
+    surface = _pieces(_oriented_outward(cubes.lps(vertices[:, ::-1]), faces), _CRUMB if several else 1.0)
     return _thinned(smoothed_surface(surface), edge_mm)
 
 
 def surface_of_labels(labels: Labels, structure: str, *, edge_mm: float = 1.0) -> Surface:
-    """Make a surface of a structure in a volume of labels.
+    """Return the surface of a structure in a volume of labels.
 
     Raises:
-        MareyError: The structure is not in it.
+        MareyError: The labels do not contain the structure.
     """
     mask = labels.mask(structure)
     if not mask.any():
-        raise MareyError(f"The labels hold no {structure.replace('_', ' ')}.")
+        raise MareyError(f"The labels contain no {structure.replace('_', ' ')}.")
     filled = np.argwhere(mask)
     low, high = np.maximum(filled.min(axis=0) - 3, 0), np.minimum(filled.max(axis=0) + 4, mask.shape)
     box = tuple(slice(int(a), int(b)) for a, b in zip(low, high, strict=True))
     lps_from_voxel = labels.grid.lps_from_voxel.copy()
     lps_from_voxel[:3, 3] = labels.grid.lps(low[::-1].astype(float))
     part = mask[box]
-    grid = Grid(shape=(part.shape[0], part.shape[1], part.shape[2]), lps_from_voxel=lps_from_voxel)
+    grid = VoxelGrid(shape=(part.shape[0], part.shape[1], part.shape[2]), lps_from_voxel=lps_from_voxel)
     several = structure in BONE_OF_CARTILAGE
     return surface_of_field(signed_distance(part, grid.array_spacing_mm), grid, edge_mm=edge_mm, several=several)
 
 
 def smoothed_surface(surface: Surface, rounds: int = _ROUNDS) -> Surface:
-    """Smooth a surface without shrinking it, after [Taubin1995]; its volume is kept to the last digit."""
+    """Smooth a surface without shrinking it, after [Taubin1995]; its volume is kept exactly."""
     neighbours = _neighbour_mean(surface.faces, len(surface.vertices_mm))
     vertices = surface.vertices_mm.copy()
     for _ in range(rounds):
@@ -92,27 +96,27 @@ def smoothed_surface(surface: Surface, rounds: int = _ROUNDS) -> Surface:
     return Surface(vertices_mm=middle + scale * (vertices - middle), faces=surface.faces)
 
 
-def _padded(grid: Grid, rim: int) -> Grid:
+def _padded(grid: VoxelGrid, rim: int) -> VoxelGrid:
     lps_from_voxel = grid.lps_from_voxel.copy()
     lps_from_voxel[:3, 3] = grid.lps(np.full(3, -float(rim)))
     k, j, i = (count + 2 * rim for count in grid.shape)
-    return Grid(shape=(k, j, i), lps_from_voxel=lps_from_voxel)
+    return VoxelGrid(shape=(k, j, i), lps_from_voxel=lps_from_voxel)
 
 
 def _marched(field: np.ndarray) -> tuple[Floats, Integers]:
     measure: Any = import_optional("skimage.measure", extra="knee", purpose="Surfaces of bones")
-    # Where the level is met on the spot, several edges meet it there at once, and the surface would be pinched.
+    # A distance of exactly zero would be crossed by several edges at one point, and pinch the surface.
     vertices, faces, _, _ = measure.marching_cubes(np.where(field == 0, np.float32(_OFF_LEVEL), field), 0.0)
     return vertices.astype(np.float64), faces.astype(np.int64)
 
 
-def _turned_out(vertices: Floats, faces: Integers) -> Surface:
+def _oriented_outward(vertices: Floats, faces: Integers) -> Surface:
     surface = Surface(vertices_mm=vertices, faces=faces)
     return surface if surface.volume_mm3 > 0 else Surface(vertices_mm=vertices, faces=faces[:, ::-1])
 
 
 def _pieces(surface: Surface, least: float) -> Surface:
-    """Keep the pieces with at least such a share of the largest one's vertices: crumbs and inner bubbles go."""
+    """Keep the pieces with at least a given share of the largest one's vertices: no specks and inner bubbles."""
     count = len(surface.vertices_mm)
     ends = surface.faces[:, [0, 1]], surface.faces[:, [1, 2]]
     pairs = np.concatenate(ends)
@@ -134,9 +138,9 @@ def _neighbour_mean(faces: Integers, count: int) -> sparse.csr_matrix:
 
 
 def _thinned(surface: Surface, edge_mm: float) -> Surface:
-    """Take triangles away where they are finer than asked, the flattest places first, as long as no sheet is pinched.
+    """Reduce the number of triangles to the wanted edge length, flattest places first, while the surface stays closed.
 
-    Thinned too far, the two sides of cartilage meet in an edge or a face. Then it stays finer, at most as it was.
+    If it is thinned too far, the two sides of cartilage meet in an edge or a face. Then more triangles are kept.
     """
     wanted = int(surface.area_mm2 / (0.433 * edge_mm**2))
     while wanted < len(surface.faces):
@@ -151,7 +155,7 @@ def _thinned(surface: Surface, edge_mm: float) -> Surface:
 
 
 def _is_closed(faces: Integers) -> bool:
-    """Tell whether each edge has one face on either side, neither less nor more."""
+    """Return whether each edge has exactly two faces."""
     edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1).astype(np.int64)
     shared = np.unique(edges @ [int(faces.max(initial=0)) + 1, 1], return_counts=True)[1]
     return bool((shared == 2).all())

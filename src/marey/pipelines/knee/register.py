@@ -11,7 +11,7 @@ from marey.io.mr.tables import write_rigid
 from marey.knee.registration.elastic import ElasticRegistration, register_elastically
 from marey.knee.registration.rigid import RigidRegistration
 from marey.knee.registration.sided import SidedRegistration, register_on_either_side
-from marey.knee.space.mesh_mending import joined
+from marey.knee.space.mesh_repair import joined
 from marey.knee.space.sides import MIRROR, mirrored
 from marey.knee.space.surface import Surface
 from marey.knee.space.triangle_tree import TriangleTree

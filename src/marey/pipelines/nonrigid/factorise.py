@@ -265,9 +265,7 @@ def _left_out(frames: Mask, points: Mask, labels: Sequence[str]) -> list[str]:
     notes = []
     if frames.any():
         numbers = np.flatnonzero(frames)
-        notes.append(
-            f"{len(numbers)} frames have too few points and no result: {_listed([str(n) for n in numbers])}."
-        )
+        notes.append(f"{len(numbers)} frames have too few points and no result: {_listed([str(n) for n in numbers])}.")
     if points.any():
         names = [labels[int(p)] for p in np.flatnonzero(points)]
         notes.append(f"{len(names)} points are seen in too few frames and have no result: {_listed(names)}.")

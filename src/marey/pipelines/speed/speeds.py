@@ -253,13 +253,13 @@ def _peer_level_set(picture: Image, start: Mask) -> Callable[[], object] | None:
 
 def capture_speeds(trial: Path, progress: Progress) -> list[Speed]:
     """Capture a trial without overlays; give frames a second without the start, and the memory."""
-    from marey.pipelines.capture.capture import capture
+    from marey.io.trial.trial import read_trial
+    from marey.pipelines.capture.capture import capture_trial
 
     begun = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
-        results = capture(trial, CaptureSettings(out=Path(folder) / "marey", overlay=False), progress)
-        with np.load(results / "motion.npz") as motion:
-            frames = len(motion["state"])
+        settings = CaptureSettings(out=Path(folder) / "marey", overlay=False)
+        frames = len(capture_trial(read_trial(trial), settings, progress))
     whole = time.perf_counter() - begun
     start, after = (sum(progress.timings.get(name, 0.0) for name in names) for names in (["Start"], AFTER_POSE))
     to_pose = sum(progress.timings.values()) - start - after

@@ -12,11 +12,13 @@ from marey.io.calibration.readers import read_rig, write_cameras_toml
 from marey.io.shapes.measured_surface import write_ply, write_surface
 from marey.io.stages import FrameLog, file_fingerprint
 from marey.io.trial.seeds import read_seeds
-from marey.io.trial.trial import Trial, read_trial
+from marey.io.trial.trial import Trial
 from marey.io.video.pictures import write_picture
 from marey.pipelines.capture.run import require_two_cameras
 from marey.pipelines.progress import Progress
+from marey.pipelines.result_files import ResultFiles
 from marey.pipelines.run_record import StageCache, finished_together, write_record
+from marey.pipelines.surface.result import Surface
 from marey.pipelines.surface.settings import SurfaceOptions
 from marey.pipelines.surface.stages import (
     KeptFrames,
@@ -31,7 +33,6 @@ from marey.pipelines.surface.stages import (
 from marey.pipelines.surface.tracks import follow_measured, told, write_tracks
 from marey.surface.points.measured import MeasuredPoints
 from marey.surface.points.refine_rig import RigRefinement
-from marey.surface.points.settings import SurfaceSettings
 from marey.surface.tracks.filters import Filtered
 from marey.view.pages.html import Still
 from marey.view.pages.surface_report import SurfaceReport, write_surface_report
@@ -41,28 +42,26 @@ _LEAST_CAMERAS = 3
 """Two cameras tell too little of themselves to be corrected unasked."""
 
 
-def surface(folder: Path, options: SurfaceOptions, progress: Progress) -> Path:
-    """Measure the surface that the pictures of a trial show.
+def surface_of_trial(trial: Trial, options: SurfaceOptions, progress: Progress) -> Surface:
+    """Measure the surface that the images of a trial show.
 
     Args:
-        folder: The trial.
-        options: What is asked for; what it leaves open, trial.toml may say.
-        progress: Is shown, and keeps timings and warnings.
+        trial: The trial, opened with `options.changes()`.
+        options: Settings of the run.
+        progress: Progress reporter; it keeps timings and warnings.
 
     Returns:
-        The folder with the results.
+        The surface, whose files are in `options.out`, or in `marey/` in the trial.
 
     Raises:
-        FileProblem: Something in the trial cannot be used, or its cameras show no surface in common. Frames that were
+        FileProblem: Something in the trial cannot be used, or its cameras show no common surface. Frames that were
             measured before a damaged one are written all the same.
         SettingProblem: A setting is impossible.
     """
-    settings = SurfaceSettings(spacing=options.spacing, patch=options.patch)
-    options.filters()
-    trial = read_trial(folder, **options.changes())
+    settings = options.settings()
     require_two_cameras(trial)
     clicks = None if options.seeds is None else _clicks(options.seeds, trial)
-    out = options.out or folder / "marey"
+    out = options.out or trial.folder / "marey"
     for note in trial.take.notes:
         progress.warn(note)
     named = [*trial.input_files, *([options.seeds] if options.seeds else [])]
@@ -73,7 +72,7 @@ def surface(folder: Path, options: SurfaceOptions, progress: Progress) -> Path:
         rig = trial.rig if refined is None else refined.rig
         with cache.frames("surface", depends=(scope, refined is not None)) as log:
             _measure(run, rig, cache, log, out, options, refined, scope)
-    return out
+    return Surface(ResultFiles(out))
 
 
 def _clicks(path: Path, trial: Trial) -> Floats:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from marey.arrays import Floats
+from marey.arrays import Floats, Image
 from marey.extras import import_optional
 
 BAND_OPACITY = 0.2
@@ -57,4 +57,30 @@ def draw_lines(lines: Sequence[Line], *, unit: str = "", axes: Any = None) -> An
     axes.set_ylabel(f"{single} ({unit})" if single and unit else single or unit)
     if len(lines) > 1:
         axes.legend()
+    return axes
+
+
+def draw_points(points: Floats, *, colour: Image | None = None, axes: Any = None) -> Any:
+    """Draw points in space.
+
+    Args:
+        points: (N, 3) [m].
+        colour: (N, 3) red, green and blue from 0 to 255; one colour for all by default.
+        axes: Matplotlib's axes in three dimensions to draw on; new ones by default.
+
+    Returns:
+        The axes.
+
+    Raises:
+        MissingPackage: Matplotlib is not installed.
+    """
+    if axes is None:
+        pyplot: Any = import_optional("matplotlib.pyplot", extra="plot", purpose="Plots")
+        axes = pyplot.subplots(layout="constrained", subplot_kw={"projection": "3d"})[1]
+    known = np.isfinite(points).all(axis=1)
+    shades = None if colour is None else colour[known] / 255.0
+    axes.scatter(*np.asarray(points)[known].T, c=shades, s=1.0)
+    axes.set_aspect("equal")
+    for name in "xyz":
+        getattr(axes, f"set_{name}label")(f"{name} (m)")
     return axes

@@ -1,4 +1,4 @@
-"""Meshes as people have them: single triangles joined, faces turned alike, small holes closed."""
+"""Repair of meshes: single triangles joined, faces oriented consistently, small holes closed."""
 
 from itertools import pairwise
 
@@ -12,21 +12,21 @@ from marey.knee.space.triangle_tree import TriangleTree
 
 
 def joined(surface: Surface) -> Surface:
-    """Join vertices at one place, as a mesh of single triangles has them; they are sorted anew."""
+    """Join vertices at the same position, as in a mesh of single triangles; the vertices are sorted."""
     places, number = np.unique(surface.vertices_mm, axis=0, return_inverse=True)
     if len(places) == len(surface.vertices_mm):
         return surface
     return Surface(vertices_mm=places, faces=number.reshape(-1)[surface.faces])
 
 
-def turned_alike(surface: Surface) -> tuple[Surface, Mask]:
-    """Turn faces so that neighbours agree and each piece turns outward; one within another, a hollow, turns inward.
+def consistently_oriented(surface: Surface) -> tuple[Surface, Mask]:
+    """Orient faces so that neighbours agree and each piece faces outward; a piece within another one faces inward.
 
     Args:
-        surface: Closed or open; its vertices stay.
+        surface: Closed or open; its vertices are kept.
 
     Returns:
-        The surface, and which faces (T,) were turned.
+        The surface, and which faces (T,) were reversed.
     """
     ring = joined(surface).faces
     edges = np.concatenate([ring[:, [0, 1]], ring[:, [1, 2]], ring[:, [2, 0]]])
@@ -61,7 +61,12 @@ def turned_alike(surface: Surface) -> tuple[Surface, Mask]:
 
 
 def _within_others(surface: Surface, piece: Integers) -> Mask:
-    """Tell which pieces (of each face its number) lie within others, by what lies beyond their utmost points."""
+    """Return which pieces lie within others, by the surfaces beyond their extreme points.
+
+    Args:
+        surface: All pieces.
+        piece: (T,) number of the piece of each face.
+    """
     corner = surface.corners_mm[..., 0]
     order = np.lexsort((-corner.max(1), piece))
     utmost = order[np.unique(piece[order], return_index=True)[1]]
@@ -75,7 +80,7 @@ def with_holes_closed(surface: Surface, most_edges: int) -> tuple[Surface, int, 
     """Close holes of few edges by triangles about one of their corners.
 
     Args:
-        surface: Faces turned alike; its vertices stay.
+        surface: With consistently oriented faces; its vertices are kept.
         most_edges: A hole with more edges stays open.
 
     Returns:
@@ -87,7 +92,7 @@ def with_holes_closed(surface: Surface, most_edges: int) -> tuple[Surface, int, 
     edges = np.concatenate([ring[:, [0, 1]], ring[:, [1, 2]], ring[:, [2, 0]]])
     code, back = edges @ [len(places), 1], edges @ [1, len(places)]
     open_edges = edges[~np.isin(code, back)]
-    # The hole's rim goes the other way about than the faces along it.
+    # The rim of a hole runs in the direction opposite to the faces along it.
     onward: dict[int, list[int]] = {}
     for first, second in open_edges.tolist():
         onward.setdefault(second, []).append(first)

@@ -2,7 +2,7 @@ import numpy as np
 import trimesh
 from tests.made_bones import made_bone
 
-from marey.knee.space.mesh_mending import joined, turned_alike, with_holes_closed
+from marey.knee.space.mesh_repair import consistently_oriented, joined, with_holes_closed
 from marey.knee.space.surface import Surface
 
 
@@ -13,9 +13,9 @@ def test_single_faces_and_whole_pieces_that_turn_inward_are_turned_outward(rng):
     wrong = rng.random(len(faces)) < 0.2
     wrong[len(bone.faces) :] |= True  # the second piece is inside out
     mixed = np.where(wrong[:, None], faces[:, ::-1], faces)
-    mended, turned = turned_alike(Surface(vertices_mm=vertices, faces=mixed))
+    repaired, turned = consistently_oriented(Surface(vertices_mm=vertices, faces=mixed))
     np.testing.assert_array_equal(turned, wrong)
-    np.testing.assert_array_equal(mended.faces, faces)
+    np.testing.assert_array_equal(repaired.faces, faces)
 
 
 def test_single_triangles_know_their_neighbours_by_place():
@@ -23,16 +23,16 @@ def test_single_triangles_know_their_neighbours_by_place():
     soup = Surface(vertices_mm=bone.corners_mm.reshape(-1, 3), faces=np.arange(3 * len(bone.faces)).reshape(-1, 3))
     faces = soup.faces.copy()
     faces[7] = faces[7, ::-1]
-    mended, turned = turned_alike(Surface(vertices_mm=soup.vertices_mm, faces=faces))
+    repaired, turned = consistently_oriented(Surface(vertices_mm=soup.vertices_mm, faces=faces))
     assert np.flatnonzero(turned).tolist() == [7]
-    np.testing.assert_array_equal(mended.faces, soup.faces)
+    np.testing.assert_array_equal(repaired.faces, soup.faces)
     assert len(joined(soup).vertices_mm) == len(np.unique(bone.vertices_mm, axis=0))
     np.testing.assert_allclose(joined(soup).volume_mm3, bone.volume_mm3)
 
 
 def test_a_sound_mesh_stays_as_it_is():
     bone = made_bone(fine=3)
-    same, turned = turned_alike(bone)
+    same, turned = consistently_oriented(bone)
     assert not turned.any()
     np.testing.assert_array_equal(same.faces, bone.faces)
 
@@ -41,7 +41,7 @@ def test_a_hollow_within_turns_inward():
     ball = trimesh.creation.icosphere(subdivisions=2)
     faces = np.concatenate([ball.faces, ball.faces + len(ball.vertices)])
     vertices = np.concatenate([18.0 * ball.vertices, 20.0 * ball.vertices])
-    _, turned = turned_alike(Surface(vertices_mm=vertices, faces=faces))
+    _, turned = consistently_oriented(Surface(vertices_mm=vertices, faces=faces))
     np.testing.assert_array_equal(turned, np.arange(len(faces)) < len(ball.faces))
 
 
