@@ -27,7 +27,7 @@ from marey.fit.solver.banded import windows
 from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
 from marey.io.stages import FrameLog
-from marey.motion.from_fit import measured
+from marey.motion.from_fit import measure_piece
 from marey.observations.correspondence import view_of
 from marey.pipelines.capture.kept_candidates import KeptArrays
 
@@ -97,7 +97,7 @@ def grow(table: Table, count: int) -> None:
         with FrameLog(folder / "rounds.log") as rounds, FrameLog(folder / "windows.log") as parts:
             memory = RefineMemory(KeptArrays(rounds), KeptArrays(parts))
             kept = [
-                measured(piece)
+                measure_piece(piece)
                 for piece in refine_in_pieces(
                     range(count), start, body, levels, rate=RATE, rounds=ROUNDS, shape_frames=shape_frames,
                     memory=memory,

@@ -62,7 +62,7 @@ class Alignment:
 
 
 @dataclass(frozen=True, eq=False)
-class _Pair:
+class _RecordingPair:
     """Two recordings as two sets of columns: scalars with a constant between them, and vectors in two laboratories."""
 
     time: tuple[Floats, Floats]
@@ -121,11 +121,11 @@ def align(
     return result
 
 
-def _pair(first: Recording, second: Recording) -> _Pair:
+def _pair(first: Recording, second: Recording) -> _RecordingPair:
     scalars = (continuous_angles(first.angles), continuous_angles(second.angles))
     if first.point_names or not first.segment_names:
-        return _Pair((first.time, second.time), scalars, (first.points, second.points), True)
-    return _Pair((first.time, second.time), scalars, (_turning(first), _turning(second)), False)
+        return _RecordingPair((first.time, second.time), scalars, (first.points, second.points), True)
+    return _RecordingPair((first.time, second.time), scalars, (_turning(first), _turning(second)), False)
 
 
 def _turning(recording: Recording) -> Floats:
@@ -144,7 +144,7 @@ def _smooth(values: Floats, rate: float) -> Floats:
     return low_pass(values, rate=rate, cutoff_hz=SMOOTH_HZ) if rate > 2.2 * SMOOTH_HZ else values
 
 
-def _search(pair: _Pair) -> tuple[float, float] | None:
+def _search(pair: _RecordingPair) -> tuple[float, float] | None:
     """Look for the shift [s] on a grid, and for one that is nearly as good; None where nothing is in common."""
     step = 1 / min(SEARCH_HZ, *(1 / float(np.median(np.diff(t))) for t in pair.time if len(t) > 1))
     grids = [np.arange(a, b + 0.5 * step, step) for a, b in pair.spans]
@@ -184,7 +184,7 @@ def _kabsch(p: Floats, q: Floats, places: bool) -> RigidTransform | None:
     return RigidTransform(turn, mean_p - turn @ mean_q)
 
 
-def _offset(pair: _Pair, shift: float) -> RigidTransform | None:
+def _offset(pair: _RecordingPair, shift: float) -> RigidTransform | None:
     time = _common_time(pair, shift)
     p = interpolated(pair.time[0], pair.vectors[0], time)
     q = interpolated(pair.time[1], pair.vectors[1], time + shift)
@@ -192,7 +192,7 @@ def _offset(pair: _Pair, shift: float) -> RigidTransform | None:
     return _kabsch(p[both], q[both], pair.places) if both.sum() >= _LEAST_FRAMES else None
 
 
-def _common_time(pair: _Pair, shift: float) -> Floats:
+def _common_time(pair: _RecordingPair, shift: float) -> Floats:
     return common_time(*pair.time, shift)
 
 
@@ -204,7 +204,7 @@ def common_time(first: Floats, second: Floats, shift_s: float) -> Floats:
     return np.asarray(time[(time >= max(first[0], moved[0]) - 1e-9) & (time <= min(first[-1], moved[-1]) + 1e-9)])
 
 
-def _refined(pair: _Pair, start: Alignment, *, free_shift: bool, free_offset: bool) -> Alignment:
+def _refined(pair: _RecordingPair, start: Alignment, *, free_shift: bool, free_offset: bool) -> Alignment:
     """Estimate shift and offset together by Gauss and Newton, with the covariance of what was free."""
     shift, offset = start.shift_s, start.first_from_second
     smooth = _rates_of_change(pair)
@@ -231,14 +231,14 @@ def _refined(pair: _Pair, start: Alignment, *, free_shift: bool, free_offset: bo
     return start if final is None else _with_spread(start, final, shift, offset, free, places=pair.places)
 
 
-def _rates_of_change(pair: _Pair) -> tuple[Floats, Floats]:
+def _rates_of_change(pair: _RecordingPair) -> tuple[Floats, Floats]:
     """Give the second recording's scalars and vectors, smoothed, whose splines are differentiated."""
     rate = 1 / float(np.median(np.diff(pair.time[1]))) if len(pair.time[1]) > 1 else 0.0
     return _smooth(pair.scalars[1], rate), _smooth(pair.vectors[1], rate)
 
 
 @dataclass(frozen=True, eq=False)
-class _System:
+class _AlignmentEquations:
     """Normal equations of shift, turn and translation, frame by frame."""
 
     information: Floats
@@ -258,7 +258,9 @@ class _System:
     """Root mean square of the vectors' differences."""
 
 
-def _system(pair: _Pair, smooth: tuple[Floats, Floats], shift: float, offset: RigidTransform) -> _System | None:
+def _system(
+    pair: _RecordingPair, smooth: tuple[Floats, Floats], shift: float, offset: RigidTransform
+) -> _AlignmentEquations | None:
     time = _common_time(pair, shift)
     if len(time) < _LEAST_FRAMES:
         return None
@@ -287,7 +289,7 @@ def _system(pair: _Pair, smooth: tuple[Floats, Floats], shift: float, offset: Ri
     constant = _constant_share(residuals, varying * sigma, counts, columns / sigma[:, None] ** 2, a.shape[1], lasting)
     distance = float(np.sqrt(np.mean(np.sum((p - q)[known] ** 2, -1)))) if known.any() else np.nan
     used = max(np.count_nonzero(residuals), 1)
-    return _System(
+    return _AlignmentEquations(
         information=np.einsum("nrk,nrl->kl", wrt, wrt), gradient=gradient, constant=constant, lasting=lasting,
         disagreement=disagreement,
         scores=np.einsum("nrk,nr->nk", wrt, varying), middle=middle, distance=distance,
@@ -375,7 +377,7 @@ def _constant_share(
 
 
 def _with_spread(
-    start: Alignment, system: _System, shift: float, offset: RigidTransform, free: Mask, *, places: bool
+    start: Alignment, system: _AlignmentEquations, shift: float, offset: RigidTransform, free: Mask, *, places: bool
 ) -> Alignment:
     covariance = np.full((7, 7), np.nan)
     if free.any():

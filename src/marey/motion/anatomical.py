@@ -1,8 +1,9 @@
 """Anatomical angles after the ISB, from the rotations of segments, with their standard deviations.
 
 Every segment gets an anatomical frame in the rest posture: X anterior, Y proximal (up), Z to the right ([Wu2002],
-[Wu2005]). Joint angles are the Cardan or Euler angles of the distal frame in the proximal one; docs/angles.md lists
-them all. Unlike the papers, no landmark is palpated: the frames come from joint centres and hinges of the body at rest.
+[Wu2005]). Joint angles are the Cardan or Euler angles of the distal frame in the proximal one;
+docs/explanation/angles.md lists them all. Unlike the papers, no landmark is palpated: the frames come from joint
+centres and hinges of the body at rest.
 """
 
 from collections.abc import Callable, Mapping
@@ -20,12 +21,14 @@ FORWARD, UP, RIGHT = np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 1.0]), np.a
 WORLD_FRAME = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """What the pelvis' and thorax' own angles refer to: X along world y (OpenSim's x), Y along world z, Z along world x."""
 _DISTAL = {"thigh": "shank", "shank": "foot", "upperarm": "forearm", "forearm": "hand"}
-_HAIR = 1e-6  # rad
-_SD_SAYS_NOTHING = np.pi  # rad; larger ones occur beside a singularity and mean no more than this
+_SINGULARITY_OFFSET = 1e-6
+"""Offset of the middle angle from a singularity of its sequence [rad]; numerical."""
+LARGEST_ANGLE_SD = np.pi
+"""Upper bound of an angle's standard deviation [rad]: half a rotation; larger values occur near a singularity."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Joint:
+class AnatomicalJoint:
     """One row of the table of joints: what turns in what, in which sequence, and what the angles are called."""
 
     child: str
@@ -49,49 +52,51 @@ def _named(joint: str, *angles: tuple[int, str, float]) -> tuple[tuple[int, str,
 _ROOT = ((2, "tilt", -1.0), (1, "obliquity", 1.0), (0, "rotation", 1.0))
 _CARDAN = ((0, "flexion", 1.0), (1, "adduction", 1.0), (2, "rotation", 1.0))
 JOINTS = (
-    Joint(child="pelvis", parent=None, sequence="YXZ", angles=_named("pelvis", *_ROOT)),
-    Joint(child="thorax", parent=None, sequence="YXZ", angles=_named("thorax", *_ROOT)),
-    Joint(child="thorax", parent="pelvis", sequence="ZXY", angles=_named("trunk", *_TRUNK)),
-    Joint(child="head", parent="thorax", sequence="ZXY", angles=_named("head", *_TRUNK)),
-    Joint(child="thigh", parent="pelvis", sequence="ZXY", angles=_named("hip", *_CARDAN), sided=True),
-    Joint(
+    AnatomicalJoint(child="pelvis", parent=None, sequence="YXZ", angles=_named("pelvis", *_ROOT)),
+    AnatomicalJoint(child="thorax", parent=None, sequence="YXZ", angles=_named("thorax", *_ROOT)),
+    AnatomicalJoint(child="thorax", parent="pelvis", sequence="ZXY", angles=_named("trunk", *_TRUNK)),
+    AnatomicalJoint(child="head", parent="thorax", sequence="ZXY", angles=_named("head", *_TRUNK)),
+    AnatomicalJoint(child="thigh", parent="pelvis", sequence="ZXY", angles=_named("hip", *_CARDAN), sided=True),
+    AnatomicalJoint(
         child="shank",
         parent="thigh",
         sequence="ZXY",
         angles=_named("knee", (0, "flexion", -1.0), (1, "adduction", 1.0), (2, "rotation", 1.0)),
         sided=True,
     ),
-    Joint(
+    AnatomicalJoint(
         child="foot",
         parent="shank",
         sequence="ZXY",
         angles=_named("ankle", (0, "dorsiflexion", 1.0), (1, "inversion", 1.0), (2, "rotation", 1.0)),
         sided=True,
     ),
-    Joint(child="toes", parent="foot", sequence="ZXY", angles=_named("toe", (0, "extension", 1.0)), sided=True),
-    Joint(
+    AnatomicalJoint(
+        child="toes", parent="foot", sequence="ZXY", angles=_named("toe", (0, "extension", 1.0)), sided=True
+    ),
+    AnatomicalJoint(
         child="clavicle",
         parent="thorax",
         sequence="YXZ",
         angles=_named("clavicle", (0, "protraction", 1.0), (1, "elevation", -1.0)),
         sided=True,
     ),
-    Joint(
+    AnatomicalJoint(
         child="upperarm",
         parent="thorax",
         sequence="YXY",
         angles=_named("shoulder", (0, "plane", 1.0), (1, "elevation", -1.0), (2, "axial_rotation", 1.0)),
         sided=True,
     ),
-    Joint(child="upperarm", parent="thorax", sequence="ZXY", angles=_named("shoulder", *_CARDAN), sided=True),
-    Joint(
+    AnatomicalJoint(child="upperarm", parent="thorax", sequence="ZXY", angles=_named("shoulder", *_CARDAN), sided=True),
+    AnatomicalJoint(
         child="forearm",
         parent="upperarm",
         sequence="ZXY",
         angles=(*_named("elbow", (0, "flexion", 1.0), (1, "adduction", 1.0)), (2, "forearm_pronation", 1.0)),
         sided=True,
     ),
-    Joint(
+    AnatomicalJoint(
         child="hand",
         parent="forearm",
         sequence="ZXY",
@@ -125,13 +130,13 @@ class Anatomy:
         """Names of the segments whose turning the angles describe."""
         return tuple(_pair(joint, side)[0] for joint, side in self.joints() for _ in joint.angles)
 
-    def joints(self) -> list[tuple[Joint, str]]:
+    def joints(self) -> list[tuple[AnatomicalJoint, str]]:
         """List the rows of the table for which both segments are there, with the side's prefix."""
         rows = [(j, side) for j in JOINTS for side in (("left_", "right_") if j.sided else ("",))]
         return [(j, side) for j, side in rows if all(s is None or s in self.segment_names for s in _pair(j, side))]
 
 
-def _pair(joint: Joint, side: str) -> tuple[str, str | None]:
+def _pair(joint: AnatomicalJoint, side: str) -> tuple[str, str | None]:
     """Name the child and the parent segment of a joint on a side."""
     own = {"thigh", "shank", "foot", "toes", "clavicle", "upperarm", "forearm", "hand"}
     parent = f"{side}{joint.parent}" if joint.parent in own else joint.parent
@@ -243,7 +248,8 @@ def anatomical_angles(body: Anatomy, segment_rotation: Floats) -> Floats:
         segment_rotation: (F, S, 3, 3) world from segment, the identity at rest; NaN where there is no answer.
 
     Returns:
-        (F, A) [rad], positive as in docs/angles.md; pelvis' and thorax' turns in the world are continuous over time.
+        (F, A) [rad], positive as in docs/explanation/angles.md; pelvis' and thorax' turns in the world are continuous
+        over time.
     """
     values = [
         sign * _joint_angles(body, segment_rotation, joint, side)[..., place]
@@ -258,7 +264,9 @@ def anatomical_angles(body: Anatomy, segment_rotation: Floats) -> Floats:
     return angles
 
 
-def _frames_in_world(body: Anatomy, segment_rotation: Floats, joint: Joint, side: str) -> tuple[Floats, Floats]:
+def _frames_in_world(
+    body: Anatomy, segment_rotation: Floats, joint: AnatomicalJoint, side: str
+) -> tuple[Floats, Floats]:
     child, parent = _pair(joint, side)
     at = body.segment_names.index
     inner = segment_rotation[:, at(child)] @ body.frames[at(child)]
@@ -267,7 +275,7 @@ def _frames_in_world(body: Anatomy, segment_rotation: Floats, joint: Joint, side
     return segment_rotation[:, at(parent)] @ body.frames[at(parent)], inner
 
 
-def _joint_angles(body: Anatomy, segment_rotation: Floats, joint: Joint, side: str) -> Floats:
+def _joint_angles(body: Anatomy, segment_rotation: Floats, joint: AnatomicalJoint, side: str) -> Floats:
     """Give a joint's three turns (F, 3) [rad] before signs, the left side's mirrored."""
     outer, inner = _frames_in_world(body, segment_rotation, joint, side)
     relative = np.swapaxes(outer, -1, -2) @ inner
@@ -298,14 +306,14 @@ def angles_with_sd(
         wrt = _joint_derivative(body, segment_rotation, joint, side, turn_wrt_coordinates)
         variance = np.einsum("fad,fde,fae->fa", wrt, covariance, wrt, optimize=True)
         # NaN stays NaN: there is no answer; rounding may leave a variance of zero a little below zero.
-        sd = np.minimum(np.sqrt(np.where(variance < 0, 0.0, variance)), _SD_SAYS_NOTHING)
+        sd = np.minimum(np.sqrt(np.where(variance < 0, 0.0, variance)), LARGEST_ANGLE_SD)
         deviations += [sd[:, place] for place, _, _ in joint.angles]
     empty = np.zeros((len(segment_rotation), 0))
     return anatomical_angles(body, segment_rotation), np.stack(deviations, -1) if deviations else empty
 
 
 def _joint_derivative(
-    body: Anatomy, segment_rotation: Floats, joint: Joint, side: str, turn_wrt_coordinates: Floats
+    body: Anatomy, segment_rotation: Floats, joint: AnatomicalJoint, side: str, turn_wrt_coordinates: Floats
 ) -> Floats:
     """Give the derivative (F, 3, D) of a joint's three turns by the coordinates."""
     child, parent = _pair(joint, side)
@@ -324,7 +332,7 @@ def _off_singularity(angles: Floats, sequence: str) -> Floats:
     """Move the middle angle a hair off where the first and the last axis fall together."""
     middle = angles[..., 1]
     lever = np.sin(middle) if sequence[0] == sequence[2] else np.cos(middle)
-    nudged = np.where(np.abs(lever) < _HAIR, middle + _HAIR, middle)
+    nudged = np.where(np.abs(lever) < _SINGULARITY_OFFSET, middle + _SINGULARITY_OFFSET, middle)
     return np.stack([angles[..., 0], nudged, angles[..., 2]], -1)
 
 

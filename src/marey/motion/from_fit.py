@@ -12,7 +12,7 @@ from marey.body.articulation.surface import Body
 from marey.fit.recipes.sequence import SequenceFit
 from marey.geometry import rotations
 from marey.motion.anatomical import anatomy_of, angles_with_sd, turns_of_steps
-from marey.motion.motion import FILLED, LOST, MEASURED, NOBODY, BodyMotion
+from marey.motion.motion import FILLED, LOST, MEASURED, NO_PERSON, BodyMotion
 
 DETERMINED = 0.5
 """A coordinate is determined where its own frame fixes it to this share of the spread that people's joints have."""
@@ -21,7 +21,7 @@ ROOT_SPREAD = (0.2, 0.2, 0.2, 0.5, 0.5, 0.5)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Measured:
+class MeasuredPiece:
     """What a motion keeps of a piece of a fitted sequence, n frames of it."""
 
     frames: Integers
@@ -41,7 +41,7 @@ class Measured:
     angles_sd: Floats
 
 
-def measured(fit: SequenceFit) -> Measured:
+def measure_piece(fit: SequenceFit) -> MeasuredPiece:
     """Say what a piece of a fitted sequence measured; its covariances are not needed after."""
     body, skeleton = fit.body, fit.body.skeleton
     degrees = len(skeleton)
@@ -51,7 +51,7 @@ def measured(fit: SequenceFit) -> Measured:
     turns = turns_of_steps(skeleton, np.array([p.world_axes for p in posed]))
     angles, angles_sd = angles_with_sd(anatomy_of(skeleton, body.joint_centres), rotation, turns, covariance)
     to_root = np.array([root_coordinates_from_turn(pose.rotation) for pose in fit.poses])
-    return Measured(
+    return MeasuredPiece(
         frames=fit.frames,
         rotation=rotation,
         origin=np.array([p.segment_origin for p in posed]),
@@ -65,7 +65,7 @@ def measured(fit: SequenceFit) -> Measured:
 
 
 def motion_of(
-    pieces: Sequence[Measured], body: Body, *, count: int, rate: float, lost: Mask, camera_names: tuple[str, ...],
+    pieces: Sequence[MeasuredPiece], body: Body, *, count: int, rate: float, lost: Mask, camera_names: tuple[str, ...],
     agreement: Mapping[int, Floats], filled: Collection[int] = (),
 ) -> BodyMotion:  # fmt: skip
     """Write a fitted sequence as a motion with a row for every frame of the video.
@@ -85,7 +85,7 @@ def motion_of(
     """
     skeleton = body.skeleton
     frames = np.concatenate([piece.frames for piece in pieces])
-    state = np.where(lost, LOST, NOBODY)
+    state = np.where(lost, LOST, NO_PERSON)
     state[frames] = MEASURED
     state[list(filled)] = FILLED
 
@@ -122,9 +122,9 @@ def motion_of(
     )
 
 
-def _only(values: Floats, measured: Mask) -> Floats:
+def _only(values: Floats, measure_piece: Mask) -> Floats:
     """Leave columns (F, n, ...) that nobody measured without an answer."""
-    return np.where(measured.reshape(1, -1, *[1] * (values.ndim - 2)), values, np.nan)
+    return np.where(measure_piece.reshape(1, -1, *[1] * (values.ndim - 2)), values, np.nan)
 
 
 def _rows(values: Floats, frames: Integers, count: int) -> Floats:

@@ -9,7 +9,7 @@ import numpy as np
 from marey.arrays import Floats, Integers, Mask, frozen
 from marey.errors import MareyError
 
-NOBODY, MEASURED, FILLED, LOST = range(4)
+NO_PERSON, MEASURED, FILLED, LOST = range(4)
 """States of a frame: nobody is there; the pose was measured; it was filled from its neighbours; the person was lost."""
 
 _SHAPES = {
@@ -62,7 +62,7 @@ class BodyMotion:
     determined: Mask
     """(F, D) false where the views do not fix the coordinate."""
     angle_names: tuple[str, ...]
-    """A names of anatomical angles (docs/angles.md)."""
+    """A names of anatomical angles (docs/explanation/angles.md)."""
     angles_deg: Floats
     """(F, A) [degrees]."""
     angles_deg_sd: Floats
@@ -93,7 +93,7 @@ class BodyMotion:
             faults.append(f"rate is {self.rate} and should be above 0")
         if not np.isfinite(self.time).all():
             faults.append("time has gaps")
-        if not np.isin(self.state, (NOBODY, MEASURED, FILLED, LOST)).all():
+        if not np.isin(self.state, (NO_PERSON, MEASURED, FILLED, LOST)).all():
             faults.append("state holds values besides 0, 1, 2 and 3")
         if faults:
             raise MareyError("A motion does not fit together: " + "; ".join(faults) + ".")

@@ -18,7 +18,7 @@ _OPENSIM_ANGLES = {
     "pro_sup": ("forearm_pronation", 1.0), "wrist_flex": ("wrist_flexion", 1.0),
 }  # fmt: skip
 """Coordinates of OpenSim's gait models: the anatomical angle and its sign. A subtalar angle is none of ours: its axis
-is oblique. (A knee's sign differs from model to model; `one_sign` decides it by the knee's own motion.)"""
+is oblique. (A knee's sign differs from model to model; `hinge_sign` decides it by the knee's own motion.)"""
 _ONE_WAY = ("knee_flexion", "elbow_flexion")
 _JOINT_WORDS = {
     "hjc": "hip", "kjc": "knee", "ajc": "ankle", "sjc": "shoulder", "ejc": "elbow", "wjc": "wrist", "hip": "hip",
@@ -75,7 +75,7 @@ def _split_side(name: str) -> tuple[str, str]:
     return text.lower(), ""
 
 
-def one_sign(name: str, values: Floats) -> float:
+def hinge_sign(name: str, values: Floats) -> float:
     """Give the sign that makes a hinge's values its flexion: knees and elbows bend one way.
 
     Args:
@@ -88,7 +88,7 @@ def one_sign(name: str, values: Floats) -> float:
     return -1.0 if abs(low) > abs(high) and low < 0 else 1.0
 
 
-def apply_map(names: Sequence[str], chosen: Mapping[str, str]) -> tuple[list[str], list[float]]:
+def rename_columns(names: Sequence[str], chosen: Mapping[str, str]) -> tuple[list[str], list[float]]:
     """Rename what a user named, `-name` turning the sign, and leave the rest.
 
     Args:

@@ -19,7 +19,7 @@ _STRAIGHT = 0.999
 """A leg is stretched no further than to this share of its length: a straight one has no side to bend to."""
 
 
-class Leg(NamedTuple):
+class LegJoints(NamedTuple):
     """The joint centres of a leg in K frames, in a scene."""
 
     hip: Floats
@@ -87,7 +87,7 @@ def planted_feet(path: Floats, stands: list[slice]) -> Floats:
     return shift
 
 
-def turns_of_leg(leg: Leg, shift: Floats) -> tuple[Floats, Floats]:
+def leg_rotations(leg: LegJoints, shift: Floats) -> tuple[Floats, Floats]:
     """Bend a leg at the knee and turn it about the hip, so that its ankle is shifted.
 
     Args:

@@ -12,10 +12,10 @@ from marey.body.articulation.skeleton import PARENTS
 from marey.errors import MareyError
 from marey.geometry import rotations
 from marey.motion.motion import BodyMotion
-from marey.motion.planted_feet import Leg, planted_feet, standing, turns_of_leg
-from marey.motion.twist import untwisted
+from marey.motion.planted_feet import LegJoints, leg_rotations, planted_feet, standing
+from marey.motion.twist import reduce_twist
 
-NEEDED = (
+REQUIRED_SEGMENTS = (
     "pelvis",
     *(
         f"{side}_{limb}"
@@ -173,7 +173,7 @@ def rest_joints(motion: BodyMotion) -> Floats:
 
 
 @dataclass(frozen=True, eq=False)
-class _Fit:
+class _RestAlignment:
     """How a rig at rest stands beside the motion's body at rest."""
 
     rig: CharacterRig
@@ -288,7 +288,7 @@ def retarget(
         MareyError: A joint is missing or out of order, or the character does not stand upright.
     """
     _check(rig)
-    fit = _Fit(rig, motion, floor)
+    fit = _RestAlignment(rig, motion, floor)
     known = np.flatnonzero(motion.answered)
     turns = _turns(fit, known)
     hips = _hips(fit, known)
@@ -315,7 +315,7 @@ def retarget(
 
 def _check(rig: CharacterRig) -> None:
     """Refuse a rig that lacks joints, or whose joints hang together otherwise than a body's."""
-    missing = [name for name in NEEDED if name not in rig.nodes]
+    missing = [name for name in REQUIRED_SEGMENTS if name not in rig.nodes]
     if missing:
         raise MareyError(f"no joint is known for {', '.join(missing)}")
     for name, node in rig.nodes.items():
@@ -326,7 +326,7 @@ def _check(rig: CharacterRig) -> None:
             raise MareyError(f"the joint of {name} does not hang from that of {parent}")
 
 
-def _turns(fit: _Fit, known: Integers) -> dict[int, Floats]:
+def _turns(fit: _RestAlignment, known: Integers) -> dict[int, Floats]:
     """Give the rotations (K, 3, 3) in the scene of all nodes that are turned."""
     motion, rig = fit.motion, fit.rig
     by_segment = {name: motion.segment(name)[known] for name in rig.nodes if name in motion.segment_names}
@@ -336,7 +336,7 @@ def _turns(fit: _Fit, known: Integers) -> dict[int, Floats]:
         if name in by_segment and parent in motion.segment_names:
             side, _, kind = name.rpartition("_")
             axis = fit.own[f"{side}_{_NEXT[kind]}"] - fit.own[name]
-            turns = untwisted(motion.segment(str(parent))[known], by_segment[name], axis, share)
+            turns = reduce_twist(motion.segment(str(parent))[known], by_segment[name], axis, share)
             turned[node] = fit.in_scene(turns, name)
     trunk = [name for name in _TRUNK if name in by_segment]
     for lower, upper in pairwise(trunk):
@@ -356,7 +356,7 @@ def _feet(rig: CharacterRig, motion: BodyMotion) -> dict[str, str]:
     return {s: t if t in rig.nodes and t in motion.segment_names else f"{s}_foot" for s, t in toes.items()}
 
 
-def _stands(fit: _Fit, known: Integers) -> dict[str, list[slice]]:
+def _stands(fit: _RestAlignment, known: Integers) -> dict[str, list[slice]]:
     """Find by side when the body's foot stands still, as rows of the known frames."""
     motion, feet = fit.motion, _feet(fit.rig, fit.motion)
     paths = {side: motion.segment_origin[known, motion.segment_names.index(name)] for side, name in feet.items()}
@@ -364,7 +364,7 @@ def _stands(fit: _Fit, known: Integers) -> dict[str, list[slice]]:
     return {side: standing(motion.time[known], path, ground) for side, path in paths.items()}
 
 
-def _slide(fit: _Fit, posed: PosedRig, stands: Mapping[str, list[slice]]) -> float | None:
+def _slide(fit: _RestAlignment, posed: PosedRig, stands: Mapping[str, list[slice]]) -> float | None:
     """Say how far standing feet slide from where they stand, root mean square; None where none stands."""
     off = [
         place[rows] - np.median(place[rows], axis=0)
@@ -376,7 +376,7 @@ def _slide(fit: _Fit, posed: PosedRig, stands: Mapping[str, list[slice]]) -> flo
 
 
 def _planted(
-    fit: _Fit, posed: PosedRig, turns: Mapping[int, Floats], stands: Mapping[str, list[slice]]
+    fit: _RestAlignment, posed: PosedRig, turns: Mapping[int, Floats], stands: Mapping[str, list[slice]]
 ) -> dict[int, Floats]:
     """Give the legs' turns with which feet that stand still do so on the rig."""
     rig = fit.rig
@@ -385,15 +385,15 @@ def _planted(
         shift = planted_feet(posed.position[:, rig.nodes[name]], stands[side])
         thigh, shank, foot = (rig.nodes[f"{side}_{part}"] for part in ("thigh", "shank", "foot"))
         hinge = turns[thigh] @ rig.scene_from_world[:, 0]
-        leg = Leg(posed.position[:, thigh], posed.position[:, shank], posed.position[:, foot], hinge)
-        for part, turn in zip(("thigh", "shank"), turns_of_leg(leg, shift), strict=True):
+        leg = LegJoints(posed.position[:, thigh], posed.position[:, shank], posed.position[:, foot], hinge)
+        for part, turn in zip(("thigh", "shank"), leg_rotations(leg, shift), strict=True):
             own = f"{side}_{part}"
             nodes = [rig.nodes[own], *(node for node, (segment, _) in rig.twists.items() if segment == own)]
             changed |= {node: turn @ turns[node] for node in nodes}
     return changed
 
 
-def _hips(fit: _Fit, known: Integers) -> Floats:
+def _hips(fit: _RestAlignment, known: Integers) -> Floats:
     """Give where the middle between the hips goes (K, 3) in the scene."""
     motion, size = fit.motion, fit.size
     middle = np.mean([motion.segment_origin[known, motion.segment_names.index(f"{s}_thigh")] for s in _SIDES], axis=0)
@@ -402,7 +402,7 @@ def _hips(fit: _Fit, known: Integers) -> Floats:
     return (size * middle + np.array([0.0, 0.0, higher])) @ fit.rig.scene_from_world.T
 
 
-def _ankle_heights(fit: _Fit) -> tuple[float, float] | None:
+def _ankle_heights(fit: _RestAlignment) -> tuple[float, float] | None:
     """Give how high the ankles stand above the soles at rest, the character's and the body's, where both are known."""
     if fit.floor is None or fit.their_floor is None:
         return None
@@ -414,14 +414,14 @@ def _thighs(rig: CharacterRig) -> list[int]:
     return [rig.nodes[f"{side}_thigh"] for side in _SIDES]
 
 
-def _place(fit: _Fit, turns: dict[int, Floats], hips: Floats) -> PosedRig:
+def _place(fit: _RestAlignment, turns: dict[int, Floats], hips: Floats) -> PosedRig:
     """Pose the rig with its pelvis where the middle between its hips would come to lie at places (K, 3)."""
     rig, root = fit.rig, fit.rig.nodes["pelvis"]
     away = rig.at_rest.middle(_thighs(rig))[0] - rig.at_rest.position[0, root]
     return pose_rig(rig, len(hips), turns, (root, hips - turns[root] @ away))
 
 
-def _lift(fit: _Fit, posed: PosedRig, hips: Floats, known: Integers) -> Floats:
+def _lift(fit: _RestAlignment, posed: PosedRig, hips: Floats, known: Integers) -> Floats:
     """Give how much higher (K,) the character must be for its lower foot to be as high as the body's.
 
     Args:

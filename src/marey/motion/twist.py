@@ -22,7 +22,7 @@ def twist_angles(relative: Floats, axis: Floats) -> Floats:
     return np.asarray(np.unwrap((angles + np.pi) % (2 * np.pi) - np.pi))
 
 
-def untwisted(parent: Floats, segment: Floats, axis: Floats, share: float) -> Floats:
+def reduce_twist(parent: Floats, segment: Floats, axis: Floats, share: float) -> Floats:
     """Take from a segment's turns all but a share of their twist.
 
     Args:

@@ -12,7 +12,7 @@ from marey.geometry import rotations
 from marey.io.axes import GLTF_FROM_WORLD
 from marey.io.gltf.rig import read_map, read_rig
 from marey.io.gltf.rig_names import name_joints
-from marey.motion.retarget import NEEDED, rest_joints
+from marey.motion.retarget import REQUIRED_SEGMENTS, rest_joints
 from marey.motion.twist import twist_angles
 
 BONES = [("thigh", "shank"), ("shank", "foot"), ("upperarm", "forearm"), ("forearm", "hand")]
@@ -315,13 +315,13 @@ def test_joints_without_names_are_guessed_by_where_they_stand(tmp_path, rig, tur
     _, found = read_rig(path)
     names, _ = rigs.tree(text)
     expected = segments(text)
-    assert {names[n - 1]: s for s, n in found.nodes.items() if s in NEEDED} == {
-        n: s for n, s in expected.items() if s in NEEDED
+    assert {names[n - 1]: s for s, n in found.nodes.items() if s in REQUIRED_SEGMENTS} == {
+        n: s for n, s in expected.items() if s in REQUIRED_SEGMENTS
     }
     assert all(
         expected.get(names[n - 1], s) == s for s, n in found.nodes.items() if "neck" not in s and "head" not in s
     )
-    assert set(NEEDED) <= set(found.guessed)
+    assert set(REQUIRED_SEGMENTS) <= set(found.guessed)
 
 
 def test_what_has_no_shape_of_a_person_is_not_guessed(tmp_path):

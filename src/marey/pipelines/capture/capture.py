@@ -31,7 +31,7 @@ from marey.io.results.results import write_results
 from marey.io.stages import Arrays
 from marey.io.trial.start_joints import read_start_joints
 from marey.io.trial.trial import Trial
-from marey.motion.from_fit import Measured, measured, motion_of
+from marey.motion.from_fit import MeasuredPiece, measure_piece, motion_of
 from marey.observations.observation import Observation
 from marey.pipelines.capture import stages
 from marey.pipelines.capture.kept_candidates import KeptArrays, KeptCandidates
@@ -243,7 +243,7 @@ class Refined:
 
     body: Body
     poses: Mapping[int, Pose]
-    pieces: Sequence[Measured]
+    pieces: Sequence[MeasuredPiece]
     filled: frozenset[int]
     """Frames of which only their neighbours speak."""
 
@@ -274,7 +274,7 @@ def refined_person(run: Run, followed: Followed, bodies: Bodies) -> Refined:
             memory=memory,
         ):  # fmt: skip
             found |= fit.by_frame
-            pieces.append(measured(fit))
+            pieces.append(measure_piece(fit))
     return Refined(fit.body, found, pieces, frozenset(blind))
 
 

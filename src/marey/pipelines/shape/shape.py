@@ -45,7 +45,7 @@ from marey.io.shapes.trajectories import read_trajectories
 from marey.io.stages import Arrays
 from marey.io.trial.start_joints import read_start_joints
 from marey.io.trial.trial import Trial, read_trial
-from marey.motion.from_fit import Measured, measured
+from marey.motion.from_fit import MeasuredPiece, measure_piece
 from marey.observations.observation import Observation
 from marey.pipelines.capture import stages
 from marey.pipelines.capture.capture import Followed, Refined, Tracked, follow_person, refined_person, rounds_of
@@ -196,7 +196,7 @@ class Fitted:
 
     body: Body
     poses: Mapping[int, Pose]
-    pieces: Sequence[Measured]
+    pieces: Sequence[MeasuredPiece]
     shaped: Shaped
 
 
@@ -247,10 +247,10 @@ def _last(run: Run, take: Take, begun: Shaped, given: OnSurface, settings: Shape
             poses |= fit.by_frame
             body = fit.body
     found = replace(begun, body=body, poses=poses)
-    pieces: list[Measured] = []
+    pieces: list[MeasuredPiece] = []
     with run.progress.stage("Standard deviations"):
         for fit in stated(found, levels, measured_there, rate=take.rate, settings=settings):
-            pieces.append(measured(fit))
+            pieces.append(measure_piece(fit))
             body = fit.body
     return Fitted(body, poses, pieces, replace(found, body=body))
 

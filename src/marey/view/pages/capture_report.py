@@ -10,7 +10,7 @@ from marey.arrays import Floats, Mask
 from marey.body.articulation.surface import Body
 from marey.cameras.rig import Rig
 from marey.io.atomic import replacing
-from marey.motion.motion import FILLED, LOST, MEASURED, NOBODY, BodyMotion
+from marey.motion.motion import FILLED, LOST, MEASURED, NO_PERSON, BodyMotion
 from marey.view.pages.html import MOST_FRAMES, Still, packed, rendered
 from marey.view.pages.problems import Problem, readable
 from marey.view.pictures.palette import OTHER, SEGMENTS, bone_pairs, side_colour
@@ -79,13 +79,13 @@ def _tiles(content: ReportContent) -> list[tuple[str, str, str]]:
     """Return the key figures: label, value, and the line below."""
     motion = content.motion
     asked = motion.state if content.asked is None else motion.state[content.asked]
-    counts = {state: int((asked == state).sum()) for state in (NOBODY, MEASURED, FILLED, LOST)}
+    counts = {state: int((asked == state).sum()) for state in (NO_PERSON, MEASURED, FILLED, LOST)}
     others = [f"{counts[FILLED]} filled, {counts[LOST]} lost"]
-    others += [f"{counts[NOBODY]} without a person"] if counts[NOBODY] else []
+    others += [f"{counts[NO_PERSON]} without a person"] if counts[NO_PERSON] else []
     others += [f"{len(motion) - len(asked)} not selected"] if len(asked) < len(motion) else []
     known = motion.agreement[np.isfinite(motion.agreement)]
     tiles = [
-        ("frames measured", f"{counts[MEASURED]} of {len(asked) - counts[NOBODY]}", ", ".join(others)),
+        ("frames measured", f"{counts[MEASURED]} of {len(asked) - counts[NO_PERSON]}", ", ".join(others)),
         ("duration", f"{len(asked) / motion.rate:.2f} s", f"{motion.rate:g} Hz, {len(asked)} frames"),
         ("cameras", f"{len(content.rig)}", ", ".join(content.rig.names)),
         ("agreement", f"{np.mean(known):.3f}" if known.size else "none", "surface and silhouettes, mean overlap"),

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from marey.arrays import Mask
-from marey.motion.motion import FILLED, LOST, MEASURED, NOBODY, BodyMotion
+from marey.motion.motion import FILLED, LOST, MEASURED, NO_PERSON, BodyMotion
 
 Severity = Literal["problem", "caution", "note"]
 """How much a finding limits the use of a result, the gravest first."""
@@ -63,7 +63,7 @@ def _states(motion: BodyMotion, usable: Mask) -> list[Problem]:
             "caution",
             "These frames were not measured. They were interpolated between their neighbours and are flagged.",
         ),
-        (NOBODY, "note", "No person detected; the results contain no pose here."),
+        (NO_PERSON, "note", "No person detected; the results contain no pose here."),
     )
     found = []
     for state, severity, what in texts:
