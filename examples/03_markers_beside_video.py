@@ -4,7 +4,7 @@
 
 Input: a folder of results of `marey capture` (see example 1). A laboratory that filmed a trial and recorded markers at
 the same time gives its C3D instead of the markers that this example makes: four markers on each thigh and shank of the
-captured body, with measurement noise of 0.5 mm and skin that slides by up to 8 mm.
+captured body, with measurement noise of 0.5 mm and skin that slides by up to 4 mm.
 Output: the files of `marey markers` in the folder OUT; the differences of the knee angles on the terminal.
 Features: `marey.load_motion`, `marey.open_markers`, `marey.estimate_bones`, `Bones.angles`.
 """
@@ -19,7 +19,7 @@ import marey
 SEGMENTS = ("left_thigh", "left_shank", "right_thigh", "right_shank")
 NOISE_M = 0.0005
 """Standard deviation of a measured coordinate [m]."""
-SLIDING_M = 0.008
+SLIDING_M = 0.004
 """Largest shift of the skin over the bone [m]."""
 
 
@@ -34,7 +34,7 @@ def made_markers(motion: marey.Motion, folder: Path) -> tuple[Path, Path]:
         index = motion.data.segment_names.index(name)
         rotation, origin = motion.data.segment_rotation[frames, index], motion.data.segment_origin[frames, index]
         reference[f"{name}_rotation"], reference[f"{name}_origin"] = rotation[0], 1000 * origin[0]
-        places = rng.uniform(-0.05, 0.05, (4, 3)) + np.array([0.0, 0.0, -0.2])
+        places = rng.uniform(-0.07, 0.07, (4, 3)) * [1.0, 1.0, 1.5] + [0.0, 0.0, -0.2]
         slide = SLIDING_M * np.sin(2 * np.pi * (time[:, None, None] + rng.uniform(0, 1, (4, 1)))) * [0.0, 0.0, 1.0]
         slide -= slide[0]
         points = origin[:, None] + np.einsum("fij,fmj->fmi", rotation, places + slide)

@@ -45,7 +45,9 @@ def main(arguments: list[str] | None = None) -> tuple[float, float]:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("trial", nargs="?", type=Path, default=None)
     parser.add_argument("--frames", default="40:60", help="first frame and the frame after the last")
-    parser.add_argument("--raised", type=float, default=0.02, help="how much higher than the video the laser measures [m]")
+    parser.add_argument(
+        "--raised", type=float, default=0.02, help="how much higher than the video the laser measures [m]"
+    )
     given = parser.parse_args(arguments)
     trial = given.trial or marey.example_folder()
     frames = range(*map(int, given.frames.split(":")))

@@ -24,7 +24,9 @@ def bending_sheet() -> tuple[np.ndarray, np.ndarray]:
     time = np.arange(FRAMES) / 30
     u, v = (grid.ravel() for grid in np.meshgrid(np.linspace(-1, 1, ROWS), np.linspace(-1, 1, ROWS)))
     bend = 0.8 + 0.3 * np.sin(2 * np.pi * 0.8 * time)
-    shape = np.stack([np.broadcast_to(u, (FRAMES, u.size)), np.broadcast_to(v, (FRAMES, u.size)), bend[:, None] * u**2], 1)
+    shape = np.stack(
+        [np.broadcast_to(u, (FRAMES, u.size)), np.broadcast_to(v, (FRAMES, u.size)), bend[:, None] * u**2], 1
+    )
     turn, nod = 2.1 * time, 0.5 * np.sin(3 * time)
     about_y = np.stack([np.cos(turn), 0 * turn, np.sin(turn), 0 * turn, 1 + 0 * turn, 0 * turn], 1).reshape(-1, 2, 3)
     about_x = np.stack([1 + 0 * nod, 0 * nod, 0 * nod, 0 * nod, np.cos(nod), -np.sin(nod),

@@ -33,7 +33,9 @@ def speckled_wall() -> tuple[marey.Rig, list[np.ndarray]]:
         matrix = np.array([[FOCAL, 0.0, (SIZE[0] - 1) / 2], [0.0, FOCAL, (SIZE[1] - 1) / 2], [0.0, 0.0, 1.0]])
         pose = RigidTransform.from_vector(np.array([0.0, angle, 0.0]), np.array([0.0, 0.0, DISTANCE_M]))
         cameras.append(
-            marey.Camera(name=f"cam{number + 1}", size=SIZE, matrix=matrix, distortion=np.zeros(5), camera_from_world=pose)
+            marey.Camera(
+                name=f"cam{number + 1}", size=SIZE, matrix=matrix, distortion=np.zeros(5), camera_from_world=pose
+            )
         )
         # A plane is seen through a homography: columns x, y and origin of the wall in the camera.
         image_from_wall = matrix @ np.column_stack([pose.rotation[:, 0], pose.rotation[:, 1], pose.translation])

@@ -42,7 +42,9 @@ def main(arguments: list[str] | None = None) -> marey.Knee:
     for bone, cartilage in knee.thickness.items():
         covered = cartilage.thickness_mm > 0
         sd = np.sqrt(np.average(cartilage.sd_mm[covered] ** 2, weights=cartilage.areas_mm2[covered]))
-        print(f"Cartilage of the {bone}: mean {cartilage.mean_mm:.2f} mm; a single vertex has a deviation of {sd:.2f} mm")
+        print(
+            f"Cartilage of the {bone}: mean {cartilage.mean_mm:.2f} mm; a single vertex has a deviation of {sd:.2f} mm"
+        )
         axes = knee.plot(bone)
         axes.figure.savefig(given.out / f"{bone}_thickness.png", dpi=120)
     print(knee.to_pandas().to_string(index=False))

@@ -26,7 +26,7 @@ def main(arguments: list[str] | None = None) -> Path:
     data = motion.to_xarray()
     print(data)
     centres = data["joint_centres"].dropna("time", how="all")
-    print(f"Mean height of the left wrist: {float(centres.sel(joint='left_wrist', axis='z').mean()):.3f} m")
+    print(f"Mean height of the left wrist: {float(centres.sel(joint='left_wrist', space='z').mean()):.3f} m")
 
     # A table with one row per frame and one column per angle.
     table = motion.to_pandas()
