@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from marey.geometry import rotations
-from marey.nonrigid.core.deforming_model import begin, improve
+from marey.nonrigid.core.deforming_model import initial_model, refine
 from marey.nonrigid.core.kept_lengths import (
     choose_lengths,
     cost,
@@ -62,9 +62,9 @@ def test_depth_before_a_slow_camera_gains_by_kept_distances(scissors, rng):
     rough = scissors + 0.15 * (scissors.mean(0) - scissors) + 0.05 * rng.normal(size=(3, 16))
     errors = []
     for held in (False, True):
-        model = begin(tracks, seen, path, rough, 4, 0.01)
-        improve(model, tracks, seen, 6)
+        model = initial_model(tracks, seen, path, rough, 4, 0.01)
+        refine(model, tracks, seen, 6)
         model.lengths = choose_lengths(model.shapes) if held else None
-        improve(model, tracks, seen, 10)
+        refine(model, tracks, seen, 10)
         errors.append(np.sqrt(np.mean((model.rotation @ model.shapes - path @ scissors) ** 2)))
     assert errors[1] < 0.9 * errors[0]

@@ -3,7 +3,7 @@
 import numpy as np
 
 from marey.geometry import rotations
-from marey.nonrigid.core.smooth_shapes import STIFFNESS, nuclear_norm, smooth_shapes
+from marey.nonrigid.core.smooth_shapes import _STIFFNESS, nuclear_norm, smooth_shapes
 
 
 def test_a_rigid_shape_that_turns_is_found_exactly(rng):
@@ -17,7 +17,7 @@ def test_the_answer_is_the_least_of_its_sum(rng):
     tracks = rng.normal(size=(12, 2, 5))
 
     def total(shapes):
-        return np.sum((tracks - (path @ shapes)[:, :2]) ** 2) + STIFFNESS * np.sum(np.diff(shapes, axis=0) ** 2)
+        return np.sum((tracks - (path @ shapes)[:, :2]) ** 2) + _STIFFNESS * np.sum(np.diff(shapes, axis=0) ** 2)
 
     best = smooth_shapes(tracks, path)
     assert all(total(best) <= total(best + 1e-3 * rng.normal(size=best.shape)) for _ in range(20))

@@ -102,9 +102,9 @@ def test_a_rigid_object_is_said_to_be_rigid(made):
         (lambda tracks: tracks[..., :3], "too few"),
         (lambda tracks: np.where(np.arange(FRAMES)[:, None, None] == 7, np.nan, tracks), "frame 7"),
         (lambda tracks: np.where(np.arange(POINTS) == 5, np.nan, tracks), "Point 5"),
-        (lambda tracks: tracks * np.array([1, 0, 1])[:, None, None, None], "nothing to see"),
+        (lambda tracks: tracks * np.array([1, 0, 1])[:, None, None, None], "no shape to estimate"),
         (lambda tracks: np.stack([tracks[0], 0.8 * tracks[0]]), "same side"),
-        (lambda tracks: np.stack([tracks[0], tracks[2][:, :, ::-1]]), "do not go with"),
+        (lambda tracks: np.stack([tracks[0], tracks[2][:, :, ::-1]]), "do not match"),
         (
             lambda tracks: np.where(
                 (np.arange(POINTS) < 6) == np.array([True, False])[:, None, None, None], tracks[:2], np.nan

@@ -44,5 +44,5 @@ def test_a_wrong_partner_is_left_out_of_the_later_camera_and_said(tracks):
 
 
 def test_tracks_of_other_points_are_an_error(tracks):
-    with pytest.raises(MareyError, match="do not go with"):
+    with pytest.raises(MareyError, match="do not match"):
         checked_views(np.stack([tracks[0], tracks[1, ..., ::-1]]))

@@ -107,7 +107,7 @@ def test_a_camera_that_does_not_go_round_tells_no_depth(made, rng):
         (lambda tracks: np.moveaxis(tracks, 1, 2), r"\(frames, 2, points\)"),
         (lambda tracks: np.where(np.arange(FRAMES)[:, None, None] == 7, np.nan, tracks), "frame 7"),
         (lambda tracks: np.where(np.arange(POINTS) == 5, np.nan, tracks), "Point 5"),
-        (lambda tracks: 0 * tracks, "nothing to see"),
+        (lambda tracks: 0 * tracks, "no shape to estimate"),
     ],
 )
 def test_what_cannot_be_used_is_said(made, spoil, message):

@@ -101,7 +101,7 @@ def test_a_picture_that_only_shifts_turns_and_scales_is_refused(rng, noise):
         (lambda tracks: np.moveaxis(tracks, 1, 2), r"\(frames, 2, points\)"),
         (lambda tracks: np.where(np.arange(FRAMES)[:, None, None] == 7, np.nan, tracks), "frame 7"),
         (lambda tracks: np.where(np.arange(30) == 5, np.nan, tracks), "Point 5"),
-        (lambda tracks: 0 * tracks, "nothing to see"),
+        (lambda tracks: 0 * tracks, "no shape to estimate"),
     ],
 )
 def test_tracks_that_cannot_be_used_are_said(sheet, spoil, message):

@@ -7,7 +7,7 @@ from tests.warped_video import picture, place, texture, video
 from marey.errors import SettingProblem
 from marey.images.matching.feature_tracks import follow_points
 from marey.images.matching.features import good_features
-from marey.nonrigid.tracking.rank_tracking import RankSettings, refine_tracks
+from marey.nonrigid.tracking.rank_tracking import RankTrackingSettings, refine_tracks
 
 FRAMES = 24
 
@@ -108,6 +108,6 @@ def test_too_few_points_for_a_rank_are_refused(made):
     pictures, _, truth = made
     followed = follow_points(pictures, truth[0].T[:4])
     with pytest.raises(SettingProblem, match="too few"):
-        refine_tracks(pictures, followed, settings=RankSettings(rank=5))
+        refine_tracks(pictures, followed, settings=RankTrackingSettings(rank=5))
     with pytest.raises(SettingProblem, match="rank 0"):
-        RankSettings(rank=0)
+        RankTrackingSettings(rank=0)

@@ -3,11 +3,10 @@
 import numpy as np
 
 from marey.arrays import Floats, Mask
-from marey.nonrigid.core.completion import complete_tracks
+from marey.nonrigid.core.completion import TRACKING_RANK, complete_tracks
 
 _COMPONENTS = 24
 """Components in time that are kept of the tracks of both cameras."""
-_COMPLETING_RANK = 12
 _LEAST_SEEN = 3
 _SPARSE = 0.3
 """A frame in which a camera sees fewer points, or a smaller share of them, is left out."""
@@ -33,7 +32,7 @@ def prepared(tracks: Floats) -> Floats:
     if seen.all():
         filled = known - known.mean(2, keepdims=True)
     else:
-        low, _ = complete_tracks(known, seen, min(_COMPLETING_RANK, tracks.shape[2] - 2, 2 * len(tracks) - 2))
+        low, _ = complete_tracks(known, seen, min(TRACKING_RANK, tracks.shape[2] - 2, 2 * len(tracks) - 2))
         middle = ((known - low) * seen[:, None]).sum(2) / seen.sum(1)[:, None]
         filled = np.where(seen[:, None], known - middle[:, :, None], low)
     return np.asarray(filled / max(float(np.sqrt(np.mean(np.sum(filled**2, axis=1)))), 1e-300))

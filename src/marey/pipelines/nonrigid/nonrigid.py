@@ -119,7 +119,7 @@ def _least(given: NonRigidInput, measured: MeasuredPoints) -> tuple[int, int]:
     if measured.points is not None or given.rig is not None:
         return 3, 2
     if given.camera is not None:
-        return perspective.FEWEST_POINTS, perspective.FEWEST_FRAMES
+        return perspective.FEWEST_PERSPECTIVE_POINTS, perspective.FEWEST_FRAMES
     return one_view.FEWEST_POINTS, one_view.FEWEST_FRAMES
 
 
@@ -138,7 +138,7 @@ def _factorised(
     tracks = measured.tracks[:, frames][..., points]
     if given.camera is not None:
         straight = _straightened(tracks[0], given.camera)
-        return from_perspective(factorise_perspective(straight, given.camera.matrix, told=told), given.camera)
+        return from_perspective(factorise_perspective(straight, given.camera.matrix, progress=told), given.camera)
     if given.rig is not None:
         sd = None if measured.tracks_sd is None else measured.tracks_sd[:, frames][..., points]
         found = factorise_calibrated(tracks, given.rig, tracks_sd=sd, rank=options.basis_shapes)

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from marey.nonrigid.one_camera.weight_processes import processes_of
+from marey.nonrigid.core.weight_processes import estimated_processes, initial_processes
 
 
 def test_what_is_added_is_minus_the_gradient_of_the_cost(rng):
     weights = rng.normal(size=(8, 2))
-    processes = processes_of(weights, 1e-6)
+    processes = initial_processes(weights, 1e-6)
     diagonal, first, second = (np.zeros((8, 3, 3)) for _ in range(3))
     right = np.zeros((8, 3))
     processes.add(diagonal, first, second, right, weights, 1)
@@ -21,7 +21,7 @@ def test_memory_and_surprise_are_learned(rng):
     weights = np.zeros((4000, 1))
     for f in range(2, 4000):
         weights[f] = 1.5 * weights[f - 1] - 0.7 * weights[f - 2] + 0.1 * rng.normal()
-    processes = processes_of(weights, 1e-6)
-    processes.learn(weights, (np.zeros((4000, 1, 1)),) * 3)
-    np.testing.assert_allclose(processes.memory[0], [1.5, -0.7], atol=0.05)
-    np.testing.assert_allclose(processes.surprise, 0.01, rtol=0.1)
+    processes = initial_processes(weights, 1e-6)
+    processes = estimated_processes(weights, (np.zeros((4000, 1, 1)),) * 3)
+    np.testing.assert_allclose(processes.autoregression[0], [1.5, -0.7], atol=0.05)
+    np.testing.assert_allclose(processes.innovation_variance, 0.01, rtol=0.1)
