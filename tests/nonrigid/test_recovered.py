@@ -28,7 +28,7 @@ def test_frames_and_points_that_hold_too_little_are_found_until_nothing_changes(
 
 
 def test_too_little_altogether_is_an_error():
-    with pytest.raises(MareyError, match="6 points over 2 frames hold too little"):
+    with pytest.raises(MareyError, match="6 points over 2 frames are too few"):
         usable(np.ones((1, 2, 6), bool), least_points=4, least_frames=3)
 
 

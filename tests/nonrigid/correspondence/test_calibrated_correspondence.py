@@ -79,7 +79,7 @@ def test_what_does_not_fit_together_is_said(views):
         match_calibrated(tracks[0][:5], tracks[1], rig.cameras[:2])
     with pytest.raises(SettingProblem, match="calibration has 3"):
         join_calibrated(tracks[:2], rig)
-    with pytest.raises(SettingProblem, match="likeness"):
+    with pytest.raises(SettingProblem, match="appearance"):
         match_calibrated(tracks[0], tracks[1], rig.cameras[:2], np.zeros((2, 2)))
     with pytest.raises(MareyError, match="one place"):
         match_calibrated(tracks[0], tracks[1], (rig.cameras[0], rig.cameras[0]))

@@ -112,7 +112,7 @@ def test_arrays_that_do_not_fit_are_refused(random):
         match_tracks(views[0], views[1][1:])
     with pytest.raises(SettingProblem, match="one view"):
         match_tracks(views[0][0], views[1])
-    with pytest.raises(SettingProblem, match="look"):
+    with pytest.raises(SettingProblem, match="appearance"):
         match_tracks(*views, np.zeros((3, 3)))
 
 

@@ -11,7 +11,7 @@ from marey.nonrigid.in_space.measured_places import MeasuredPlaces
 from marey.nonrigid.in_space.model import HomogeneousModel, HomogeneousModelSettings, rigid_model
 
 KEPT_IN_FRAME = 4
-"""Least number of points that a frame keeps when some are excluded or held back, if it has as many. Chosen by hand;
+"""Least number of points that a frame keeps when some are excluded or held out, if it has as many. Chosen by hand;
 results were not measured against other values."""
 
 

@@ -87,7 +87,7 @@ def follow_views(
         videos = [_pictures(given, number, cache, progress) for number in range(len(given.clips))]
         with _StageTeller(progress) as teller:
             track = track_views if given.rig is None else partial(track_calibrated_views, rig=given.rig)
-            found = track(videos, frame=frame - given.first, points=points, within=given.within, told=teller.told)
+            found = track(videos, frame=frame - given.first, points=points, within=given.within, progress=teller.told)
         return {
             "tracks": found.tracks, "tracks_sd": found.tracks_sd, "probability": found.probability,
             "notes": np.array(found.notes, np.str_),
