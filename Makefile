@@ -1,30 +1,64 @@
 # Every target does its own set-up: the environment lives in .venv, pinned by constraints.txt.
 PYTHON ?= python3
-BIN := .venv/bin
+VENV ?= .venv
+WORKERS ?= auto
+BIN := $(VENV)/bin
+INSTALL = $(BIN)/python -m pip install --quiet --constraint constraints.txt
 
-.PHONY: test demo lint clean
+.PHONY: test quick demo knee lint docs dist accuracy clean
 
-# A .venv without .ready is what an interrupted set-up left: begin anew. The checks need more than the program does.
-.venv/.ready: pyproject.toml constraints.txt
-	test -e $@ || rm -rf .venv
-	$(PYTHON) -m venv .venv
+# A folder without .ready is left over from an interrupted set-up: start again. The checks need more than the program does.
+$(VENV)/.ready: pyproject.toml constraints.txt
+	test -e $@ || rm -rf $(VENV)
+	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable .
+	$(INSTALL) --editable .
 	touch $@
 
-.venv/.checks: .venv/.ready
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[test,knee]"
+$(VENV)/.checks: $(VENV)/.ready
+	$(INSTALL) --editable ".[test,knee,plot,xarray,docs]"
 	touch $@
 
-lint: .venv/.checks
+lint: $(VENV)/.checks
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 
 test: lint
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n $(WORKERS)
 
-demo: .venv/.ready
+# Everything but the tests marked slow: for the loop of editing and trying.
+quick: $(VENV)/.checks
+	$(BIN)/python -m pytest -n $(WORKERS) -m "not slow"
+
+$(VENV)/.docs: $(VENV)/.ready
+	$(INSTALL) --editable ".[docs]"
+	touch $@
+
+# The site in site/. A warning, such as a link that leads nowhere, is an error.
+docs: $(VENV)/.docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+	@echo "Documentation: site/index.html"
+
+demo: $(VENV)/.ready
 	$(BIN)/marey demo
 
+# The packages that `marey knee` needs besides the program's own.
+knee: $(VENV)/.ready
+	$(INSTALL) --editable ".[knee]"
+
+# A wheel and a source archive in dist/, then the wheel in a clean environment: it must start and find its example.
+dist: $(VENV)/.ready
+	rm -rf dist build/dist-check
+	$(INSTALL) build
+	$(BIN)/python -m build --outdir dist .
+	$(PYTHON) -m venv build/dist-check
+	build/dist-check/bin/python -m pip install --quiet --constraint constraints.txt dist/*.whl
+	cd build && dist-check/bin/python -c "from marey.cli.main import example_folder; print(example_folder())"
+	cd build && dist-check/bin/marey --version
+
+# The pages under docs/accuracy, from the records that `python -m bench run NAME` has written.
+accuracy:
+	$(PYTHON) -m bench report
+
 clean:
-	rm -rf .venv
+	rm -rf .venv .venv-* build dist

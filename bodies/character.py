@@ -3,7 +3,7 @@
     PYTHONPATH=src python bodies/character.py stocky.glb
 
 Names, centimetres and posture are those of other makers, so that `marey retarget` has to work for it; only the skin is
-ours. docs/retarget.md shows it.
+ours. docs/how-to/retarget.md shows it.
 """
 
 import sys

@@ -1,4 +1,4 @@
-"""Draw the family's mean body at both levels, at rest and bent, to look at: docs/body.png."""
+"""Draw the family's mean body at both levels, at rest and bent, to look at: docs/pictures/body.png."""
 
 import argparse
 from pathlib import Path
@@ -82,7 +82,7 @@ def main() -> None:
     import matplotlib.pyplot as plt
 
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path(__file__).parents[1] / "docs/body.png")
+    parser.add_argument("--out", type=Path, default=Path(__file__).parents[1] / "docs/pictures/body.png")
     arguments = parser.parse_args()
     palette = np.array(plt.get_cmap("tab20").colors)
     figure, axes = plt.subplots(2, 8, figsize=(20, 7.5))

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import ndimage
 
-from marey.knee.space.volume import Grid, Volume
+from marey.knee.space.volume import Volume, VoxelGrid
 
 LEVELS = {
     "dark": {"air": 4.0, "fat": 18.0, "muscle": 60.0, "ball": 230.0},
@@ -14,7 +14,7 @@ RADIUS_MM = 26.0
 """Of the limb, a cylinder along z."""
 
 
-def limb_grid(spacing: tuple[float, float, float], *, turn: float = 0.2, length_mm: float = 36.0) -> Grid:
+def limb_grid(spacing: tuple[float, float, float], *, turn: float = 0.2, length_mm: float = 36.0) -> VoxelGrid:
     """About 84 x 84 mm across the limb, turned a little about z; the first two axes point right and forward."""
     counts = np.ceil(np.array([84.0, 84.0, length_mm]) / spacing).astype(int)
     axes = np.array([[-np.cos(turn), np.sin(turn), 0], [-np.sin(turn), -np.cos(turn), 0], [0, 0, 1]])
@@ -22,7 +22,7 @@ def limb_grid(spacing: tuple[float, float, float], *, turn: float = 0.2, length_
     lps_from_voxel[:3, :3] = axes * spacing
     lps_from_voxel[:3, 3] = -lps_from_voxel[:3, :3] @ ((counts - 1) / 2)
     i, j, k = counts.tolist()
-    return Grid(shape=(k, j, i), lps_from_voxel=lps_from_voxel)
+    return VoxelGrid(shape=(k, j, i), lps_from_voxel=lps_from_voxel)
 
 
 def on_skin(angle: float, height_mm: float, radius_mm: float, sunk: float = 0.5) -> list[float]:
@@ -32,7 +32,7 @@ def on_skin(angle: float, height_mm: float, radius_mm: float, sunk: float = 0.5)
 
 
 def limb_with_balls(
-    grid: Grid, centres: ArrayLike, radii: ArrayLike, kind: str, *, noise: float = 4.0, bias: float = 0.0,
+    grid: VoxelGrid, centres: ArrayLike, radii: ArrayLike, kind: str, *, noise: float = 4.0, bias: float = 0.0,
     blur_mm: float = 0.0, seed: int = 0,
 ) -> Volume:  # fmt: skip
     """A limb of muscle under fat; a ball's voxels are the mean of many points; noise as in a magnitude image."""
@@ -57,7 +57,7 @@ def limb_with_balls(
     return Volume(intensity=np.hypot(*parts), grid=grid)
 
 
-def _ball(grid: Grid, centre: np.ndarray, radius: float) -> tuple[tuple[slice, ...], np.ndarray]:
+def _ball(grid: VoxelGrid, centre: np.ndarray, radius: float) -> tuple[tuple[slice, ...], np.ndarray]:
     """The box of voxels about a ball, and which share of each it fills."""
     middle, half = grid.voxels(centre), radius / grid.spacing_mm + 1
     low = np.clip(np.floor(middle - half).astype(int), 0, grid.shape[::-1])[::-1].tolist()

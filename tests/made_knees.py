@@ -3,7 +3,7 @@
 import numpy as np
 
 from marey.knee.space.structures import BONES, CARTILAGE_OF_BONE, LABELS
-from marey.knee.space.volume import Grid, Labels, Volume
+from marey.knee.space.volume import Labels, Volume, VoxelGrid
 
 LEVELS = {
     "dark": {"air": 2.0, "fat": 30.0, "muscle": 70.0, "cartilage": 110.0, "marrow": 13.0, "cortex": 10.0},
@@ -11,7 +11,7 @@ LEVELS = {
 }
 
 
-def made_grid(spacing: tuple[float, float, float] = (1.0, 1.0, 2.0), *, flip: bool = False) -> Grid:
+def made_grid(spacing: tuple[float, float, float] = (1.0, 1.0, 2.0), *, flip: bool = False) -> VoxelGrid:
     """110 x 110 x 150 mm about the joint; the first axis (i) goes to the left, or to the right when flipped."""
     extent = np.array([110.0, 110.0, 150.0])
     lps_from_voxel = np.diag([*spacing, 1.0])
@@ -19,7 +19,7 @@ def made_grid(spacing: tuple[float, float, float] = (1.0, 1.0, 2.0), *, flip: bo
     if flip:
         lps_from_voxel[0, 0], lps_from_voxel[0, 3] = -spacing[0], 60.0
     i, j, k = (extent / spacing).astype(int).tolist()
-    return Grid(shape=(k, j, i), lps_from_voxel=lps_from_voxel)
+    return VoxelGrid(shape=(k, j, i), lps_from_voxel=lps_from_voxel)
 
 
 def _smooth_union(first: np.ndarray, second: np.ndarray) -> np.ndarray:
@@ -27,7 +27,7 @@ def _smooth_union(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 
 def signed_shapes(
-    grid: Grid, *, mirror: bool = False, size: float = 1.0, bend_mm: float = 0.0
+    grid: VoxelGrid, *, mirror: bool = False, size: float = 1.0, bend_mm: float = 0.0
 ) -> dict[str, np.ndarray]:
     """Structure to (k, j, i) distance [mm] inside its surface, about; the knee is unlike its mirror image."""
     k, j, i = np.meshgrid(*[np.arange(n) for n in grid.shape], indexing="ij")
@@ -53,7 +53,7 @@ def signed_shapes(
     }
 
 
-def made_labels(grid: Grid, *, mirror: bool = False, size: float = 1.0) -> Labels:
+def made_labels(grid: VoxelGrid, *, mirror: bool = False, size: float = 1.0) -> Labels:
     """The bones as labels."""
     labels = np.zeros(grid.shape, dtype=np.uint8)
     shapes = signed_shapes(grid, mirror=mirror, size=size)
@@ -62,7 +62,7 @@ def made_labels(grid: Grid, *, mirror: bool = False, size: float = 1.0) -> Label
     return Labels(labels=labels, grid=grid)
 
 
-def made_volume(grid: Grid, kind: str, *, seed: int = 3, noise: float = 3.0, mirror: bool = False) -> Volume:
+def made_volume(grid: VoxelGrid, kind: str, *, seed: int = 3, noise: float = 3.0, mirror: bool = False) -> Volume:
     """An image of the knee; about bright marrow lies a black line of cortex, 1.5 mm thick, that is of the bone."""
     level, shapes = LEVELS[kind], signed_shapes(grid, mirror=mirror)
     image = np.full(grid.shape, level["air"])
@@ -86,7 +86,7 @@ THICK_MM = {"femur": 2.6, "tibia": 2.2, "patella": 3.0}
 """Of made cartilage, about: on an egg it is thicker than that along its long axes."""
 
 
-def labels_with_cartilage(grid: Grid, *, thicker: float = 1.0, bend_mm: float = 0.0) -> Labels:
+def labels_with_cartilage(grid: VoxelGrid, *, thicker: float = 1.0, bend_mm: float = 0.0) -> Labels:
     """Bones under cartilage: below and before the condyles, on the tibia's plateau and behind the patella."""
     shapes = signed_shapes(grid, bend_mm=bend_mm)
     k, j, i = np.meshgrid(*[np.arange(n) for n in grid.shape], indexing="ij")
@@ -101,16 +101,16 @@ def labels_with_cartilage(grid: Grid, *, thicker: float = 1.0, bend_mm: float = 
     return Labels(labels=labels, grid=grid)
 
 
-def patella_grid(spacing: tuple[float, float, float]) -> Grid:
+def patella_grid(spacing: tuple[float, float, float]) -> VoxelGrid:
     """About the patella and the femur before it."""
     low, extent = np.array([-22.0, -54.0, 8.0]), np.array([50.0, 42.0, 56.0])
     lps_from_voxel = np.diag([*spacing, 1.0])
     lps_from_voxel[:3, 3] = low
     i, j, k = (extent / spacing).astype(int).tolist()
-    return Grid(shape=(k, j, i), lps_from_voxel=lps_from_voxel)
+    return VoxelGrid(shape=(k, j, i), lps_from_voxel=lps_from_voxel)
 
 
-def volume_with_cartilage(fine: Grid, *, noise: float = 3.0) -> Volume:
+def volume_with_cartilage(fine: VoxelGrid, *, noise: float = 3.0) -> Volume:
     """An image with dark marrow, each voxel the mean over eight of a finer grid."""
     labels, level = labels_with_cartilage(fine).labels, LEVELS["dark"]
     image = np.where(signed_shapes(fine)["limb"] > 0, level["fat"], level["air"])
@@ -122,4 +122,4 @@ def volume_with_cartilage(fine: Grid, *, noise: float = 3.0) -> Volume:
     lps_from_voxel[:3, 3] = fine.lps(np.full(3, 0.5))
     random = np.random.default_rng(5)
     noisy = np.hypot(means + random.normal(0, noise, means.shape), random.normal(0, noise, means.shape))
-    return Volume(intensity=noisy, grid=Grid(shape=means.shape, lps_from_voxel=lps_from_voxel))
+    return Volume(intensity=noisy, grid=VoxelGrid(shape=means.shape, lps_from_voxel=lps_from_voxel))

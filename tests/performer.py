@@ -7,7 +7,7 @@ from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.articulation.skeleton import full_skeleton, root_rotation
 from marey.body.articulation.surface import Body, ShapeSpace
 from marey.motion import anatomical
-from marey.motion.motion import MEASURED, NOBODY, Motion
+from marey.motion.motion import MEASURED, NOBODY, BodyMotion
 
 ARM = np.array([0.67, -0.02, -0.74])
 CENTRES = {
@@ -60,7 +60,7 @@ def pose(person: Body, q: Floats) -> PosedBody:
     return PosedBody(person, Pose(q[:3], root_rotation(q[3:6]), q[6:]))
 
 
-def motion(person: Body, frames: int = 24, gap: tuple[int, ...] = (0, 1, 11, 12)) -> Motion:
+def motion(person: Body, frames: int = 24, gap: tuple[int, ...] = (0, 1, 11, 12)) -> BodyMotion:
     """Make a motion with gaps."""
     rng = np.random.default_rng(7)
     q = coordinates(person, frames, rng)
@@ -76,7 +76,7 @@ def motion(person: Body, frames: int = 24, gap: tuple[int, ...] = (0, 1, 11, 12)
         array[list(gap)] = np.nan
     state = np.full(frames, MEASURED)
     state[list(gap)] = NOBODY
-    return Motion(
+    return BodyMotion(
         time=np.arange(frames) / 30.0, rate=30.0, joint_names=person.joint_names, joint_centres=centres,
         joint_centres_sd=0.01 + 0 * centres, segment_names=person.skeleton.segment_names, segment_rotation=rotation,
         segment_origin=origin, coordinate_names=person.skeleton.coordinate_names, coordinates=q,

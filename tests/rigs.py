@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from marey.geometry import rotations
+from marey.io.gltf.rig import retargeted, write_rig_motion
+from marey.motion.retarget import RigMotion
 
 MIXAMO = """
 mixamorig:Hips
@@ -395,3 +397,10 @@ def play(document: dict, binary: bytes, number: int = -1) -> tuple[np.ndarray, d
         return world(parents[node]) @ matrix if node in parents else matrix
 
     return time, {node["name"]: world(n) for n, node in enumerate(document["nodes"])}
+
+
+def write_retargeted(path, gltf, rig, motion, **how) -> RigMotion:
+    """Transfer a motion to a character, and write the copy."""
+    moved = retargeted(gltf, rig, motion, **how)
+    write_rig_motion(path, gltf, rig, moved)
+    return moved

@@ -6,7 +6,7 @@ from marey.body.articulation.pose import PosedBody
 from marey.cameras.camera import Camera
 from marey.cameras.rig import Rig
 from marey.geometry.rigid import RigidTransform
-from marey.motion.motion import FILLED, LOST, MEASURED, NOBODY, Motion
+from marey.motion.motion import FILLED, LOST, MEASURED, NOBODY, BodyMotion
 from tests.people import any_pose, stick_person
 
 FRAMES = 12
@@ -25,7 +25,7 @@ def rig() -> Rig:
     return Rig((camera("cam01"), camera("cam02", distance=5.0)))
 
 
-def small_take(rng: np.random.Generator) -> tuple[Motion, list[PosedBody]]:
+def small_take(rng: np.random.Generator) -> tuple[BodyMotion, list[PosedBody]]:
     """A motion whose first frames are empty, one is filled and one lost, and the poses it was made of."""
     body = stick_person(rng, vertices=60)
     posed = [PosedBody(body, any_pose(rng, body)) for _ in range(FRAMES)]
@@ -43,7 +43,7 @@ def small_take(rng: np.random.Generator) -> tuple[Motion, list[PosedBody]]:
     angles = np.where(gone[:, None], np.nan, rng.normal(size=(FRAMES, 3)) * 20)
     agreement = np.where(gone[:, None], np.nan, np.full((FRAMES, 2), 0.93))
     agreement[6, 1] = 0.5
-    motion = Motion(
+    motion = BodyMotion(
         time=np.arange(FRAMES) / 30, rate=30.0, joint_names=body.joint_names, joint_centres=origin[:, joints],
         joint_centres_sd=np.where(np.isnan(origin[:, joints]), np.nan, 0.004), segment_names=segments,
         segment_rotation=rotation, segment_origin=origin, coordinate_names=body.skeleton.coordinate_names,

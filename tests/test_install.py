@@ -1,29 +1,46 @@
 """What an installed program needs besides its code."""
 
+import importlib.metadata
 import os
 import re
 import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
 import marey
 
 ROOT = Path(__file__).parents[1]
 
 
-def test_kernels_are_kept_in_a_private_folder_where_nothing_else_can_be_written_to(monkeypatch):
-    monkeypatch.setattr(os, "access", lambda place, mode: False)
-    monkeypatch.setenv("NUMBA_CACHE_DIR", "given")
-    marey._find_place_for_kernels()
-    assert os.environ["NUMBA_CACHE_DIR"] == "given"
-    monkeypatch.delenv("NUMBA_CACHE_DIR")
-    marey._find_place_for_kernels()
-    place = Path(os.environ["NUMBA_CACHE_DIR"])
-    assert place.is_dir()
-    assert place.stat().st_mode & 0o077 == 0
-    place.rmdir()
+def test_the_import_of_the_package_has_no_side_effects(tmp_path):
+    code = (
+        "import os, sys; before = dict(os.environ), set(sys.modules); import marey;"
+        "new = set(sys.modules) - before[1];"
+        "added = [name for name in new if name.split('.')[0] not in sys.stdlib_module_names];"
+        "print(dict(os.environ) == before[0], *added)"
+    )
+    environment = {**os.environ, "HOME": str(tmp_path / "none"), "TMPDIR": str(tmp_path)}
+    shown = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert shown.stdout.split() == ["True", "marey"]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_version_is_read_when_it_is_needed_and_not_at_import():
+    code = "import sys, marey; print('importlib.metadata' in sys.modules, marey.__version__)"
+    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    assert shown[0] == "False"
+    assert re.match(r"\d", shown[1])
+
+
+def test_the_version_of_a_tree_that_was_not_installed_is_unknown(monkeypatch):
+    def missing(name: str) -> str:
+        raise importlib.metadata.PackageNotFoundError(name)
+
+    monkeypatch.delitem(vars(marey), "__version__", raising=False)
+    monkeypatch.setattr(importlib.metadata, "version", missing)
+    assert marey.__version__ == marey.UNKNOWN_VERSION
+    # What was just read is not to stay for other tests.
+    del marey.__version__
 
 
 def test_the_program_answers_without_loading_what_it_does_not_need():
@@ -32,15 +49,6 @@ def test_the_program_answers_without_loading_what_it_does_not_need():
     assert shown.startswith(f"marey {marey.__version__}")
     loaded = set(shown.split())
     assert not loaded & {"numba", "scipy", "cv2", "av"}
-
-
-@pytest.mark.parametrize("page", [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))], ids=lambda p: p.name)
-def test_pages_link_only_to_what_is_there(page: Path):
-    text = page.read_text(encoding="utf-8")
-    links = [link.split("#")[0] for link in re.findall(r"\]\(([^)\s]+)\)", text) if "://" not in link]
-    missing = [link for link in links if link and not (page.parent / link).exists()]
-    # The figures are written when a release is measured.
-    assert missing == []
 
 
 def test_data_that_the_program_reads_is_declared_as_part_of_the_package():

@@ -25,7 +25,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "cli": (),
 }
 """Rooms and their sub-rooms, each in the order in which they may import: from earlier ones, never from later ones."""
-ABOVE = {"nonrigid.recovered"}
+ABOVE = {"nonrigid.recovered", "pipelines.compare", "pipelines.retarget"}
 """Modules directly in a room that stand after its sub-rooms; all others stand before them."""
 MOST_FILES = 15
 MODULES = {

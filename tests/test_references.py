@@ -8,7 +8,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 CITED = re.compile(r"\[([A-Za-z]+\d{4}[a-z]?)\]")
 EQUATION = re.compile(r"\beqs?\. ?\(?\d")
-PAGES = sorted([*(ROOT / "src").rglob("*.py"), *(ROOT / "bodies").rglob("*.py"), *(ROOT / "docs").glob("*.md")])
+PAGES = sorted([*(ROOT / "src").rglob("*.py"), *(ROOT / "bodies").rglob("*.py"), *(ROOT / "docs").rglob("*.md")])
 
 
 def entries() -> list[str]:

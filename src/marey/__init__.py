@@ -1,23 +1,137 @@
 """Measures how a body moves and what shape it has, from what is seen at its surface."""
 
-import os
-import tempfile
-from pathlib import Path
+from importlib import import_module
+from typing import TYPE_CHECKING
 
-__version__ = "0.1.0"
+if TYPE_CHECKING:
+    from marey.cameras.camera import Camera
+    from marey.cameras.rig import Rig
+    from marey.cameras.triangulate import triangulate
+    from marey.errors import FileProblem, MareyError, MareyWarning, SettingProblem
+    from marey.io.trial.example import example_folder
+    from marey.observations.observation import Linearization, Observation, SurfaceObservation
+    from marey.pipelines.capture.motion import Motion, load_body, load_motion
+    from marey.pipelines.capture.tasks import capture, open_trial, read_cameras
+    from marey.pipelines.compare import Comparison, compare
+    from marey.pipelines.markers.bones import Bones, load_bones
+    from marey.pipelines.markers.estimate import estimate_bones, open_markers
+    from marey.pipelines.nonrigid.factorise import factorise, read_tracks
+    from marey.pipelines.nonrigid.shapes import Shapes, load_shapes
+    from marey.pipelines.progress import Progress, RecordingProgress
+    from marey.pipelines.retarget import retarget
+    from marey.pipelines.shape.tasks import fit_shape
+    from marey.pipelines.surface.result import Surface, load_surface
+    from marey.pipelines.surface.tasks import match_images, measure_surface
+    from marey.process import tuned_process
+
+    __version__: str
+UNKNOWN_VERSION = "0+unknown"
+"""Version of a source tree that was never installed: its tags were not read."""
 
 
-def _find_place_for_kernels() -> None:
-    """Give compiled kernels a folder where neither the program's nor the user's can be written to.
+__all__ = [
+    "Bones",
+    "Camera",
+    "Comparison",
+    "FileProblem",
+    "Linearization",
+    "MareyError",
+    "MareyWarning",
+    "Motion",
+    "Observation",
+    "Progress",
+    "RecordingProgress",
+    "Rig",
+    "SettingProblem",
+    "Shapes",
+    "Surface",
+    "SurfaceObservation",
+    "__version__",
+    "capture",
+    "compare",
+    "estimate_bones",
+    "example_folder",
+    "factorise",
+    "fit_shape",
+    "load_body",
+    "load_bones",
+    "load_motion",
+    "load_shapes",
+    "load_surface",
+    "match_images",
+    "measure_surface",
+    "open_markers",
+    "open_trial",
+    "read_cameras",
+    "read_tracks",
+    "retarget",
+    "triangulate",
+    "tuned_process",
+]
 
-    Numba keeps them beside the code, or else in the user's cache; where both are read-only, as in some containers,
-    it would refuse to start. A private folder, because what lies in it is run.
-    """
-    home = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~"))
-    places = [Path(__file__).parent, home, *home.parents]
-    nearest_home = next(place for place in places[1:] if place.exists())
-    if not any(os.access(place, os.W_OK) for place in (places[0], nearest_home)):
-        os.environ.setdefault("NUMBA_CACHE_DIR", tempfile.mkdtemp(prefix="marey-kernels-"))
+_MODULES = {
+    "Bones": "pipelines.markers.bones",
+    "Camera": "cameras.camera",
+    "Comparison": "pipelines.compare",
+    "FileProblem": "errors",
+    "Linearization": "observations.observation",
+    "MareyError": "errors",
+    "MareyWarning": "errors",
+    "Motion": "pipelines.capture.motion",
+    "Observation": "observations.observation",
+    "Progress": "pipelines.progress",
+    "RecordingProgress": "pipelines.progress",
+    "Rig": "cameras.rig",
+    "SettingProblem": "errors",
+    "Shapes": "pipelines.nonrigid.shapes",
+    "Surface": "pipelines.surface.result",
+    "SurfaceObservation": "observations.observation",
+    "capture": "pipelines.capture.tasks",
+    "compare": "pipelines.compare",
+    "estimate_bones": "pipelines.markers.estimate",
+    "example_folder": "io.trial.example",
+    "factorise": "pipelines.nonrigid.factorise",
+    "fit_shape": "pipelines.shape.tasks",
+    "load_body": "pipelines.capture.motion",
+    "load_bones": "pipelines.markers.bones",
+    "load_motion": "pipelines.capture.motion",
+    "load_shapes": "pipelines.nonrigid.shapes",
+    "load_surface": "pipelines.surface.result",
+    "match_images": "pipelines.surface.tasks",
+    "measure_surface": "pipelines.surface.tasks",
+    "open_markers": "pipelines.markers.estimate",
+    "open_trial": "pipelines.capture.tasks",
+    "read_cameras": "pipelines.capture.tasks",
+    "read_tracks": "pipelines.nonrigid.factorise",
+    "retarget": "pipelines.retarget",
+    "triangulate": "cameras.triangulate",
+    "tuned_process": "process",
+}
+"""The module of each public name; it is imported when the name is first used ([PEP 562])."""
 
 
-_find_place_for_kernels()
+def __getattr__(name: str) -> object:
+    """Import a public name from its module, or read the version, when it is first used."""
+    if name == "__version__":
+        value: object = _installed_version()
+    elif name in _MODULES:
+        value = getattr(import_module(f"marey.{_MODULES[name]}"), name)
+    else:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    globals()[name] = value
+    return value
+
+
+def _installed_version() -> str:
+    """Return the version of the installed package, which follows the repository's tags."""
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version("marey")
+    except PackageNotFoundError:
+        return UNKNOWN_VERSION
+
+
+def __dir__() -> list[str]:
+    """List the public names, whether they are imported yet or not."""
+    return sorted({*globals(), *__all__})

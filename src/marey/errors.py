@@ -25,3 +25,11 @@ class FileProblem(MareyError):
 
 class SettingProblem(MareyError):
     """A setting or option whose value cannot be used."""
+
+
+class MissingPackage(MareyError):
+    """An optional package that is not installed."""
+
+
+class MareyWarning(UserWarning):
+    """Something in the data or the results that the user should check; see the `warnings` of each result."""

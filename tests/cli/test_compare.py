@@ -117,7 +117,7 @@ def test_names_that_only_the_user_knows_are_given_in_a_file(folder, capsys):
     ("text", "wrong"),
     [
         ("[angle]\na = 'b'\n", "unknown key 'angle'"),
-        ("[angles]\nright_knee_flexion = 3\n", "no name"),
+        ("[angles]\nright_knee_flexion = 3\n", "not a name"),
         ("[angles]\nright_knee_flexion = 'nothing'\n", "names the angles nothing"),
         ("[angles\n", "cannot be read as TOML"),
     ],

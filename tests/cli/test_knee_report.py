@@ -1,4 +1,3 @@
-import io
 import json
 import re
 
@@ -8,15 +7,15 @@ from tests.made_knees import made_grid, made_labels, made_volume
 from marey.cli.main import run
 from marey.io.mr.gadolinium import MarkersInScanner
 from marey.knee.bones.bones import BoneSegmentation
-from marey.knee.bones.surfacing import surface_of_labels
 from marey.knee.space.structures import BONES
+from marey.knee.space.surfacing import surface_of_labels
 from marey.pipelines.knee.report import write_page
-from marey.pipelines.progress import Progress
+from marey.pipelines.progress import RecordingProgress
 
 
 def test_bones_without_a_template_have_a_page_that_view_finds(tmp_path, capsys):
     grid = made_grid((2.0, 2.0, 4.0))
-    labels, progress = made_labels(grid), Progress(io.StringIO())
+    labels, progress = made_labels(grid), RecordingProgress()
     bones = BoneSegmentation(labels=labels, bones={}, kinds=("dark",), template_fit=None, notes=())
     surfaces = {bone: surface_of_labels(labels, bone, edge_mm=3.0) for bone in BONES}
     progress.warn("A note of the run.")

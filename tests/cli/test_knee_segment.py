@@ -19,13 +19,14 @@ from marey.errors import SettingProblem
 from marey.io.mr.meshes import read_mesh
 from marey.io.mr.volumes import write_labels, write_volume
 from marey.io.npz import read_arrays
-from marey.knee.bones.bones import Bone, BoneSegmentation
-from marey.knee.bones.surfacing import surface_of_labels
-from marey.knee.bones.template_fit import Placement, TemplateFit
+from marey.knee.bones.bones import BoneSegmentation
+from marey.knee.bones.refined_bones import Bone
+from marey.knee.bones.template_fit import TemplateFit, TemplatePlacement
 from marey.knee.cartilage.thickness import cartilage_thickness
 from marey.knee.space.resampling import part_of
 from marey.knee.space.structures import LABELS
-from marey.knee.space.volume import Grid, Labels, Volume
+from marey.knee.space.surfacing import surface_of_labels
+from marey.knee.space.volume import Labels, Volume, VoxelGrid
 from marey.pipelines.knee.segment import SegmentOptions, given_seeds, parse_seed, title_of
 
 if find_spec("SimpleITK") is None:
@@ -87,7 +88,7 @@ def test_an_image_of_no_knee_leaves_nothing_behind(tmp_path, capsys, rng):
     assert "is not there" in capsys.readouterr().err
 
 
-def boxed_bone(distance_mm: np.ndarray, grid: Grid) -> Bone:
+def boxed_bone(distance_mm: np.ndarray, grid: VoxelGrid) -> Bone:
     """A bone on the part of a grid that it needs, as bones are found."""
     near = np.argwhere(distance_mm > -4)
     box = tuple(slice(int(a), int(b) + 1) for a, b in zip(near.min(0), near.max(0), strict=True))
@@ -98,7 +99,7 @@ def found_bones(volume: Volume, names: tuple[str, ...] = ("femur", "tibia")) -> 
     """Bones as if they had been found, without the patella unless it is named."""
     shapes = signed_shapes(volume.grid)
     bones = {name: boxed_bone(shapes[name], volume.grid) for name in names}
-    placements = {name: Placement(matrix=np.eye(3), shift=np.zeros(3)) for name in bones}
+    placements = {name: TemplatePlacement(matrix=np.eye(3), shift=np.zeros(3)) for name in bones}
     labels = made_labels(volume.grid).labels
     labels = np.where(np.isin(labels, [LABELS[name] for name in names]), labels, 0)
     return BoneSegmentation(

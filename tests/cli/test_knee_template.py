@@ -11,7 +11,7 @@ from marey.io.mr.contours import write_contours
 from marey.io.mr.meshes import read_mesh
 from marey.io.mr.volumes import read_template, write_labels, write_volume
 from marey.knee.outlines.contours import Contour, slice_count, slice_of
-from marey.knee.space.volume import Grid, Volume
+from marey.knee.space.volume import Volume, VoxelGrid
 
 for needed in ("SimpleITK", "skimage", "fast_simplification"):
     if find_spec(needed) is None:
@@ -19,7 +19,7 @@ for needed in ("SimpleITK", "skimage", "fast_simplification"):
 
 SIZE = 1 / 3
 """Of the made knee, small so that its surfaces are made soon."""
-GRID = Grid(
+GRID = VoxelGrid(
     shape=made_grid((3.0, 3.0, 3.0)).shape,
     lps_from_voxel=np.diag([SIZE] * 3 + [1.0]) @ made_grid((3.0, 3.0, 3.0)).lps_from_voxel,
 )
@@ -51,7 +51,7 @@ def test_labels_become_a_template_with_surfaces(tmp_path: Path, capsys: pytest.C
     said = capsys.readouterr()
     assert "A knee with femur, tibia, patella" in said.out
     assert "femoral cartilage is missing" in said.err
-    assert "nothing tells left from right" in said.err  # so small a patella lies but a millimetre off the middle
+    assert "the side of the knee is unknown" in said.err  # so small a patella lies but a millimetre off the middle
     assert np.array_equal(read_template(tmp_path / "out").labels, made_labels(GRID, size=SIZE).labels)
     assert read_mesh(tmp_path / "out" / "femur.ply").volume_mm3 > 0
     names = {path.name for path in (tmp_path / "out").iterdir()}
@@ -74,7 +74,7 @@ def test_outlines_of_another_volume_are_refused(tmp_path: Path, capsys: pytest.C
     write_contours(path, outlined("k", 6), GRID, "")
     shifted = GRID.lps_from_voxel.copy()
     shifted[0, 3] += 7.0
-    other = Grid(shape=GRID.shape, lps_from_voxel=shifted)
+    other = VoxelGrid(shape=GRID.shape, lps_from_voxel=shifted)
     write_volume(tmp_path / "other.nii.gz", Volume(intensity=np.indices(GRID.shape)[0], grid=other))
     assert run(["knee", "template", str(path), str(tmp_path / "other.nii.gz"), "--out", str(tmp_path / "out")]) == 2
     assert "is not the volume" in capsys.readouterr().err

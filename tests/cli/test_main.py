@@ -1,36 +1,35 @@
 import sys
-import types
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 import marey
 from marey.cli.main import run
 from marey.errors import FileProblem
-from marey.pipelines.capture.settings import CaptureSettings
-from marey.pipelines.progress import Progress
+from marey.pipelines.speed.speeds import Speed
+
+SPEED = Speed(what="pose", measured="2.00 ms", beside="limit [1] ms")
 
 
 class FakeCapture:
-    """Stands where the real capture stands, and does what a test tells it."""
+    """Replaces the capture, and does what a test wants."""
 
     def __init__(self):
-        self.calls: list[tuple[Path, CaptureSettings]] = []
+        self.calls: list[tuple[Path, dict]] = []
         self.fails: BaseException | None = None
 
-    def __call__(self, folder: Path, settings: CaptureSettings, progress: Progress) -> Path:
+    def __call__(self, folder: Path, **settings) -> SimpleNamespace:
         self.calls.append((folder, settings))
         if self.fails is not None:
             raise self.fails
-        return settings.out or folder / "marey"
+        return SimpleNamespace(report=settings["out"] / "report.html")
 
 
 @pytest.fixture
 def capture(monkeypatch: pytest.MonkeyPatch) -> FakeCapture:
     fake = FakeCapture()
-    module = types.ModuleType("marey.pipelines.capture.capture")
-    module.capture = fake  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "marey.pipelines.capture.capture", module)
+    monkeypatch.setattr("marey.pipelines.capture.tasks.capture", fake)
     return fake
 
 
@@ -61,9 +60,9 @@ def test_options_reach_the_capture(capture, tmp_path, capsys):
     ]
     assert run(["capture", str(tmp_path), "--out", str(tmp_path / "here"), *options]) == 0
     _, settings = capture.calls[0]
-    assert settings.cameras == ("cam01", "cam02")
-    assert settings.frames == (10, 20)
-    assert (settings.stature_m, settings.preset, settings.overlay) == (1.8, "upper", False)
+    assert settings["cameras"] == ("cam01", "cam02")
+    assert settings["frames"] == (10, 20)
+    assert (settings["stature"], settings["preset"], settings["overlay"]) == (1.8, "upper", False)
     assert str(tmp_path / "here" / "report.html") in capsys.readouterr().out
 
 
@@ -75,8 +74,6 @@ def test_options_reach_the_capture(capture, tmp_path, capsys):
         ["capture", ".", "--frames", "10-20"],
         ["capture", ".", "--frames", "20:10"],
         ["capture", ".", "--cameras", ","],
-        ["capture", ".", "--start", "nowhere.json"],
-        ["capture", ".", "--body", "nowhere.npz"],
         ["capture", ".", "--colour", "blue"],
         ["capture", "nowhere"],
         ["view", "nowhere", "--no-browser"],
@@ -133,7 +130,7 @@ def test_the_demo_captures_the_example_of_the_clone_in_its_own_folder(capture, c
     assert run(["demo", "--quiet"]) == 0
     folder, settings = capture.calls[0]
     assert (folder / "cam04.mp4").is_file()
-    assert settings.out is None
+    assert settings["out"] == folder / "marey"
 
 
 def test_the_demo_of_an_installed_program_leaves_its_results_where_it_was_called(capture, tmp_path, monkeypatch):
@@ -144,4 +141,12 @@ def test_the_demo_of_an_installed_program_leaves_its_results_where_it_was_called
     monkeypatch.setattr(sys, "prefix", str(tmp_path))
     assert run(["demo"]) == 0
     assert capture.calls[0][0] == example
-    assert capture.calls[0][1].out == Path("marey-demo")
+    assert capture.calls[0][1]["out"] == Path("marey-demo")
+
+
+def test_bench_prints_a_table_of_the_machine_and_every_speed(capsys, monkeypatch):
+    monkeypatch.setattr("marey.pipelines.speed.speeds.measure_speeds", lambda *given, **more: [SPEED])
+    assert run(["bench"]) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "cores" in shown
+    assert "pose 2.00 ms limit [1] ms" in shown

@@ -15,7 +15,7 @@ from marey.io.markers.readers import read_markers
 from marey.io.npz import write_arrays
 from marey.io.opensim.mot_sto import read_orientations, read_table
 from marey.io.opensim.trc import PointPaths, write_trc
-from marey.pipelines.markers import markers as command
+from marey.markers.methods.methods import DEFAULT
 
 FILES = ["angles.csv", "angles.mot", "bones.npz", "marker_motion.csv", "motion.c3d", "orientations.sto",
          "report.html", "run.json"]  # fmt: skip
@@ -90,9 +90,9 @@ def test_all_methods_stand_side_by_side(folder, capsys):
     told = capsys.readouterr().err
     record = json.loads((folder / "all" / "run.json").read_text())
     names = record["settings"]["methods"]
-    assert names[0] == command.DEFAULT
+    assert names[0] == DEFAULT
     assert {"rigid", "pct", "calibration"} <= set(names)
-    assert f"the files hold {names[0]}" in told
+    assert f"the files have the result of {names[0]}" in told
     page = (folder / "all" / "report.html").read_text()
     for name in names:
         assert name in page
@@ -177,7 +177,7 @@ def test_a_segment_that_never_has_three_markers_is_said_and_the_others_go_on(fol
 
 def test_without_a_calibration_turns_since_the_reference_frame_are_given_and_said(folder, capsys):
     assert run(["markers", "walk.c3d", "--method", "rigid"]) == 0
-    assert "Nothing tells how the bones lie" in capsys.readouterr().err
+    assert "The poses of the bones beneath the markers are not known" in capsys.readouterr().err
     table = read_table(folder / "walk_marey" / "angles.mot")
     assert table.columns == ("knee_turn", "knee_turn_sd")
     assert table.values[0, 0] == pytest.approx(0, abs=1e-3)
@@ -224,7 +224,7 @@ def test_two_runs_can_be_compared_with_their_stated_deviations(folder, capsys):
 
 def test_the_help_names_the_default_method(capsys):
     assert run(["markers", "--help"]) == 0
-    assert f"[default: {command.DEFAULT}]" in " ".join(capsys.readouterr().out.replace("│", " ").split())
+    assert f"[default: {DEFAULT}]" in " ".join(capsys.readouterr().out.replace("│", " ").split())
 
 
 def test_an_interrupted_run_leaves_no_results_and_goes_on(folder, monkeypatch, capsys):
@@ -232,7 +232,7 @@ def test_an_interrupted_run_leaves_no_results_and_goes_on(folder, monkeypatch, c
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(command, "write_results", interrupted)
+        patch.setattr("marey.pipelines.markers.bones.write_results", interrupted)
         assert run(["markers", "walk.c3d", "--reference", "frame0.npz", "--method", "rigid", "-q"]) == 130
     assert [path.name for path in (folder / "walk_marey").iterdir()] == [".work"]
     assert run(["markers", "walk.c3d", "--reference", "frame0.npz", "--method", "rigid", "-q"]) == 0
@@ -245,16 +245,16 @@ def test_an_interrupted_run_leaves_no_results_and_goes_on(folder, monkeypatch, c
         (["nothing.c3d"], "nothing.c3d: does not exist"),
         (["walk.c3d", "--method", "magic"], "There is no method magic"),
         (["walk.c3d", "--method", "calibration"], "needs an anatomical calibration in 2 postures"),
-        (["walk.c3d", "--reference", "nothing.npz"], "nothing.npz: does not exist. Mend --reference."),
+        (["walk.c3d", "--reference", "nothing.npz"], "nothing.npz: does not exist. Correct --reference."),
         (["walk.c3d", "--side", "up"], "--side is 'up'"),
         (["walk.c3d", "--unit", "inch"], "The unit 'inch' is not known"),
         (["walk.c3d", "--unit", "m"], "but then its markers spread over"),
         (["walk.c3d", "--frames", "500:600"], "--frames begins at 500"),
         (["walk.c3d", "--clusters", "who.toml"], "has the unknown key 'segment'"),
         (["walk.c3d", "--clusters", "missing.toml"], "The segment foot has 0 markers"),
-        (["loose.c3d"], "no three labels that differ by a number only"),
+        (["loose.c3d"], "no three labels that differ only by a number"),
         (["empty.c3d"], "holds no measured point"),
-        (["walk.c3d", "--reference", "walk.c3d"], "is no NPZ"),
+        (["walk.c3d", "--reference", "walk.c3d"], "is not an NPZ"),
         (["text.c3d"], "text.c3d: is no C3D"),
         (["walk.c3d", "--reference", "feet.npz"], "has no segment that the trial's markers ride on"),
         (["notes.txt"], "is no file of markers that is read here"),
@@ -288,7 +288,7 @@ def walking(folder: Path) -> None:
 def test_angles_stand_over_the_gait_cycle_where_a_heel_shows_events(folder, capsys):
     walking(folder)
     assert run(["markers", "gait.c3d", "--reference", "gait0.npz", "--method", "rigid,pct"]) == 0
-    assert "Gait events, found from RHEE" in capsys.readouterr().err
+    assert "Gait events found from RHEE" in capsys.readouterr().err
     out = folder / "gait_marey"
     with (out / "events.csv").open() as file:
         strikes = [float(row["time_s"]) for row in csv.DictReader(file) if row["event"] == "strike"]
@@ -320,7 +320,7 @@ def test_landmarks_of_a_static_trial_give_the_bones(folder, capsys):
     standing(folder)
     arguments = ["markers", "walk.c3d", "--static", "static.c3d", "--side", "right", "--method", "rigid"]
     assert run([*arguments, "--clusters", "landmarks.toml"]) == 0
-    assert "looks most as the static trial" in capsys.readouterr().err
+    assert "is most similar to the static trial" in capsys.readouterr().err
     found = read_bones(folder / "walk_marey" / "bones.npz")
     rotation, origin = true_bones()["thigh"]
     np.testing.assert_allclose(found.motion.bone("thigh")[0], rotation, atol=1e-4)
@@ -347,7 +347,7 @@ def test_a_medial_landmark_is_put_across_the_joints_centre(folder, capsys):
     )
     arguments = ["markers", "walk.c3d", "--static", "static.c3d", "--side", "right", "--method", "rigid"]
     assert run([*arguments, "--clusters", "centre.toml"]) == 0
-    assert "ME is taken across KJC from LE" in capsys.readouterr().err
+    assert "ME is LE reflected at KJC" in capsys.readouterr().err
     found = read_bones(folder / "walk_marey" / "bones.npz")
     np.testing.assert_allclose(found.motion.bone("thigh")[0], true_bones()["thigh"][0], atol=1e-4)
 
@@ -355,10 +355,10 @@ def test_a_medial_landmark_is_put_across_the_joints_centre(folder, capsys):
 @pytest.mark.parametrize(
     ("more", "wrong"),
     [
-        (["--functional", "walk.c3d"], "--functional tells where joints are in a static trial"),
-        (["--exercise-reference", "frame0.npz"], "--exercise-reference belongs to --exercise"),
-        (["--weights", "frame0.npz"], "--weights belongs to --model"),
-        (["--model", "frame0.npz", "--reference", "frame0.npz"], "without the options of clusters"),
+        (["--functional", "walk.c3d"], "--functional gives joint centres in a static trial"),
+        (["--exercise-reference", "frame0.npz"], "--exercise-reference requires the trial"),
+        (["--weights", "frame0.npz"], "--weights requires an OpenSim model"),
+        (["--model", "frame0.npz", "--reference", "frame0.npz"], "--model defines its own segments"),
         (["--static", "walk.c3d", "--reference", "frame0.npz"], "give one of them"),
     ],
 )
@@ -386,7 +386,7 @@ def test_a_hip_that_was_moved_about_gives_its_centre(folder, shared, capsys):
     arguments = ["--clusters", "person.toml", "--static", str(trials / "static.c3d"), "--out", "walk"]
     functional = ["--functional", str(trials / "left_hip.c3d"), "--method", "rigid"]
     assert run(["markers", str(trials / "walk.c3d"), *arguments, *functional]) == 0
-    assert "left_HJC is the centre about which left_thigh turns on pelvis" in capsys.readouterr().err
+    assert "left_HJC is the centre about which left_thigh rotates on pelvis" in capsys.readouterr().err
     found = read_bones(folder / "walk" / "bones.npz").motion
     hip = read_markers(trials / "walk.c3d").select(["LeftHipCenterScore"]).points[:, 0]
     # The thigh's skin carries the centre here; the pelvis' markers do it within 15 mm in the median.

@@ -83,8 +83,8 @@ def test_what_holds_too_little_has_no_answer_and_is_said(results):
     assert np.isfinite(found.shape[20:24, :, 3]).all()
     assert np.flatnonzero(found.predicted.any(0)).tolist() == [3]
     warnings = json.loads((results / "run.json").read_text())["warnings"]
-    assert any("have no answer: 40" in text for text in warnings)
-    assert any("have no answer: 11" in text for text in warnings)
+    assert any("no result: 40" in text for text in warnings)
+    assert any("no result: 11" in text for text in warnings)
     assert not (results / "shapes" / "frame_00040.ply").exists()
 
 
@@ -185,18 +185,18 @@ def test_a_file_that_cannot_be_used_is_named_with_what_would_be_right(tmp_path, 
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--distance", "0", "12", "0.1"], "points count from 0 to 11"),
+        (["--distance", "0", "12", "0.1"], "there are the points 0 to 11"),
         (["--distance", "3", "3", "0.1"], "two different points"),
         (["--distance", "0", "1", "-2"], "two different points"),
-        (["--frames", "0:900"], "has 60 frames"),
+        (["--frames", "0:900"], "there are 60 frames"),
         (["--frames", "0:3"], "at least 4 points"),
         (["--points", "missing.npz"], "does not exist"),
         (["--cameras", "missing.toml"], "does not exist"),
         (["--matrix", "1,2,3"], "3 numbers"),
-        (["--matrix", "a,b,c,d"], "no file that is there"),
+        (["--matrix", "a,b,c,d"], "neither an existing file nor numbers"),
         (["--matrix", "0,700,320,240"], "focal lengths"),
         (["--basis-shapes", "3"], "points in space"),
-        (["--scaled", "--matrix", "700,700,320,240"], "of which nothing is known"),
+        (["--scaled", "--matrix", "700,700,320,240"], "for an uncalibrated camera"),
     ],
 )
 def test_an_option_that_does_not_suit_is_said(tmp_path, capsys, made, options, words):
@@ -247,11 +247,11 @@ def test_ctrl_c_leaves_no_results_and_the_same_command_goes_on(tmp_path, made, m
     def stopped(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("marey.pipelines.nonrigid.nonrigid.write_results", stopped)
+    monkeypatch.setattr("marey.pipelines.nonrigid.shapes.write_results", stopped)
     assert run(["nonrigid", given, "--basis-shapes", "2", "--quiet"]) == INTERRUPTED
     assert [path.name for path in (tmp_path / "given_marey").iterdir()] == [".work"]
     monkeypatch.undo()
-    monkeypatch.setattr("marey.pipelines.nonrigid.nonrigid.factorise_points", stopped)
+    monkeypatch.setattr("marey.pipelines.nonrigid.factorise.factorise_points", stopped)
     assert run(["nonrigid", given, "--basis-shapes", "2", "--quiet"]) == 0
     assert not (tmp_path / "given_marey" / ".work").exists()
 
@@ -326,7 +326,7 @@ def test_the_overlay_shows_picture_and_side_view_of_every_frame(from_video):
 
 
 def test_videos_and_options_that_do_not_go_together_are_said(video, tmp_path, capsys):
-    for count, words in ((9, "is shorter than the others"), (SHOWN, "another rate")):
+    for count, words in ((9, "is shorter than the others"), (SHOWN, "another frame rate")):
         other = tmp_path / f"other{count}.avi"
         writer = cv2.VideoWriter(str(other), cv2.VideoWriter_fourcc(*"MJPG"), 50.0, (SIZE, SIZE))
         for _ in range(count):
@@ -334,11 +334,11 @@ def test_videos_and_options_that_do_not_go_together_are_said(video, tmp_path, ca
         writer.release()
         assert words in complaint([str(video), str(other)], capsys)
     matrix = ["--matrix", "700,700,64,64"]
-    assert "for one camera" in complaint([str(video), str(other), *matrix], capsys)
-    assert "for one camera" in complaint([str(video), str(other), "--scaled"], capsys)
+    assert "for a single camera" in complaint([str(video), str(other), *matrix], capsys)
+    assert "for a single camera" in complaint([str(video), str(other), "--scaled"], capsys)
     (tmp_path / "a.npz").write_bytes(b"")
     assert "either videos, or files" in complaint([str(video), str(tmp_path / "a.npz")], capsys)
-    assert "once for each" in complaint([str(video), str(other), *3 * ["--points", str(tmp_path / "a.npz")]], capsys)
+    assert "once per video" in complaint([str(video), str(other), *3 * ["--points", str(tmp_path / "a.npz")]], capsys)
 
 
 @pytest.fixture(scope="module")
@@ -387,10 +387,10 @@ def test_files_of_several_cameras_that_do_not_fit_are_said(tmp_path, capsys, two
     np.savez(tmp_path / "b.npz", tracks=two_views[1][:-1])
     np.savez(tmp_path / "c.npz", points=made[1])
     a, b, c = (str(tmp_path / f"{name}.npz") for name in "abc")
-    assert "same instants" in complaint([a, b], capsys)
+    assert "same number of frames" in complaint([a, b], capsys)
     assert "points in space" in complaint([a, c], capsys)
-    assert "one name" in complaint([a, a], capsys)
-    assert "for one camera" in complaint([a, a, "--matrix", "700,700,64,64"], capsys)
+    assert "the same name" in complaint([a, a], capsys)
+    assert "for a single camera" in complaint([a, a, "--matrix", "700,700,64,64"], capsys)
 
 
 LENS = np.array([-0.1, 0, 0, 0])
@@ -434,7 +434,7 @@ def test_a_calibration_that_does_not_suit_is_said(tmp_path, capsys, seen_by_rig)
     rig, _, tracks = seen_by_rig
     write_cameras_toml(rig, tmp_path / "cameras.toml")
     cameras = ["--cameras", str(tmp_path / "cameras.toml")]
-    assert "3 cameras for tracks of 2" in complaint([write(tmp_path, tracks=tracks[:2]), *cameras], capsys)
+    assert "has 3 cameras, and the tracks are of 2" in complaint([write(tmp_path, tracks=tracks[:2]), *cameras], capsys)
     assert "have one" in complaint([write(tmp_path, tracks=tracks), *cameras, "--distance", "0", "1", "1"], capsys)
     np.savez(tmp_path / "left.npz", tracks=tracks[0])
     np.savez(tmp_path / "top.npz", tracks=tracks[1])

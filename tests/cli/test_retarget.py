@@ -49,7 +49,7 @@ def test_twist_joints_and_planted_feet_are_told(folder, capsys):
         (["nowhere", "knight.glb"], "does not exist"), (["new", "knight.glb"], "holds no motion.npz"),
         (["trial", "none.glb"], "No such file"), (["trial", "knight.glb", "--map", "m.toml"], "m.toml"),
         (["trial", "knight.glb", "--out", "knight.glb"], "the character itself"),
-        (["trial", "knight.glb", "--out", "a.fbx"], "written as .fbx"),
+        (["trial", "knight.glb", "--out", "a.fbx"], "has the suffix .fbx"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_used_is_named(folder, capsys, monkeypatch, arguments, wrong):

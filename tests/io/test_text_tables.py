@@ -7,10 +7,10 @@ from marey.errors import FileProblem
 from marey.io.atomic import replacing
 from marey.io.opensim.mot_sto import Orientations, Table, read_orientations, read_table, write_orientations, write_table
 from marey.io.opensim.trc import PointPaths, read_trc, write_trc
-from marey.motion.motion import Motion
+from marey.motion.motion import BodyMotion
 
 
-def test_a_trc_comes_back_with_its_gaps(motion: Motion, tmp_path):
+def test_a_trc_comes_back_with_its_gaps(motion: BodyMotion, tmp_path):
     path = tmp_path / "joint_centres.trc"
     write_trc(path, PointPaths(names=motion.joint_names, time=motion.time, rate=30, points=motion.joint_centres))
     back = read_trc(path)
@@ -36,7 +36,7 @@ def test_a_trc_in_millimetres_with_empty_cells_is_read(tmp_path):
     np.testing.assert_allclose(read_trc(path).points, [[[1, 2, 3], [np.nan] * 3]])
 
 
-def test_a_table_comes_back_with_its_gaps(motion: Motion, tmp_path):
+def test_a_table_comes_back_with_its_gaps(motion: BodyMotion, tmp_path):
     path = tmp_path / "angles.mot"
     values = np.degrees(motion.coordinates)
     write_table(path, Table(name="angles", columns=motion.coordinate_names, time=motion.time, values=values))
@@ -45,7 +45,7 @@ def test_a_table_comes_back_with_its_gaps(motion: Motion, tmp_path):
     np.testing.assert_allclose(back.values, values, atol=0.5e-8)
 
 
-def test_orientations_come_back_with_their_gaps(motion: Motion, tmp_path):
+def test_orientations_come_back_with_their_gaps(motion: BodyMotion, tmp_path):
     path = tmp_path / "orientations.sto"
     names, turn = motion.segment_names, motion.segment_rotation
     write_orientations(path, Orientations(names=names, time=motion.time, rate=30.0, world_from_body=turn))

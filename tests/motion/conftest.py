@@ -4,7 +4,7 @@ import pytest
 from tests import performer
 
 from marey.body.articulation.surface import Body
-from marey.motion.motion import Motion
+from marey.motion.motion import BodyMotion
 
 
 @pytest.fixture(scope="session")
@@ -13,5 +13,5 @@ def person() -> Body:
 
 
 @pytest.fixture(scope="session")
-def motion(person: Body) -> Motion:
+def motion(person: Body) -> BodyMotion:
     return performer.motion(person)

@@ -1,30 +1,28 @@
-import io
-import itertools
-import re
 from contextlib import contextmanager
 
 import pytest
 
-from marey.pipelines import progress as module
-from marey.pipelines.progress import Progress, readable_seconds
+from marey.pipelines.progress import Progress, RecordingProgress, readable_seconds
 
 
-def test_away_from_a_terminal_stages_are_plain_lines_with_the_time_left(monkeypatch):
-    monkeypatch.setattr(module, "SECONDS_BETWEEN_LINES", 0.0)
-    stream = io.StringIO()
-    progress = Progress(stream)
-    with progress.stage("Silhouettes", 4, done=2) as step:
+def test_the_recording_progress_fulfils_the_protocol_and_shows_nothing(capfd):
+    progress: Progress = RecordingProgress()
+    with progress.stage("Start", 3) as step:
         step()
-        step()
-    lines = stream.getvalue().splitlines()
-    assert lines[0] == "Silhouettes ... 2 of 4 were done before"
-    assert re.match(r"Silhouettes: 3 of 4, about .* left", lines[1])
-    assert "\x1b" not in stream.getvalue()
-    assert lines[-1].startswith("Silhouettes: done in")
+    progress.report("hello")
+    progress.warn("cam02 is dark")
+    assert progress.warnings == ["cam02 is dark"]
+    assert capfd.readouterr() == ("", "")
+
+
+def test_two_recordings_share_nothing():
+    first = RecordingProgress()
+    first.warn("cam02 is dark")
+    assert RecordingProgress().warnings == []
 
 
 def test_times_of_a_stage_add_up_even_when_it_fails():
-    progress = Progress(io.StringIO())
+    progress = RecordingProgress()
     with pytest.raises(ValueError, match="no"), progress.stage("Start"):
         raise ValueError("no")
     first = progress.timings["Start"]
@@ -33,37 +31,14 @@ def test_times_of_a_stage_add_up_even_when_it_fails():
     assert progress.timings["Start"] >= first
 
 
-def test_quiet_shows_warnings_only_and_keeps_them():
-    stream = io.StringIO()
-    progress = Progress(stream, quiet=True)
-    with progress.stage("Start", 3) as step:
-        step()
-    progress.say("hello")
-    progress.warn("cam02 is dark [really]")
-    assert stream.getvalue() == "Note: cam02 is dark [really]\n"
-    assert progress.warnings == ["cam02 is dark [really]"]
+def test_durations_are_readable():
+    durations = {4.23: "4.2 s", 59.99: "1 min 00 s", 200: "3 min 20 s", 3900: "1 h 05 min"}
+    assert {s: readable_seconds(s) for s in durations} == durations
 
 
-def test_on_a_terminal_there_is_a_bar():
-    class Terminal(io.StringIO):
-        def isatty(self) -> bool:
-            return True
-
-    stream = Terminal()
-    with Progress(stream).stage("Poses", 2) as step:
-        step()
-        step()
-    assert "2/2" in stream.getvalue()
-
-
-def test_spans_of_time_are_readable():
-    spans = {4.23: "4.2 s", 59.99: "1 min 00 s", 200: "3 min 20 s", 3900: "1 h 05 min"}
-    assert {s: readable_seconds(s) for s in spans} == spans
-
-
-def test_shares_of_a_work_are_told_in_hundredths(monkeypatch):
+def test_the_finished_share_of_a_stage_is_reported_in_hundredths(monkeypatch):
     steps = []
-    progress = Progress(io.StringIO())
+    progress = RecordingProgress()
 
     @contextmanager
     def counted(name, total):
@@ -79,18 +54,8 @@ def test_shares_of_a_work_are_told_in_hundredths(monkeypatch):
     assert steps == [("Bones", 100), 25, 6, 69]
 
 
-def test_a_large_share_at_once_is_told_as_one(monkeypatch):
-    shown, clock = io.StringIO(), itertools.count(0, 30.0)
-    monkeypatch.setattr("marey.pipelines.progress.time.perf_counter", lambda: next(clock))
-    with Progress(shown).stage_of_shares("Shapes") as done:
-        done(0.5)
-    lines = shown.getvalue().splitlines()
-    assert lines[0] == "Shapes ..."
-    assert lines[1].startswith("Shapes: 50 of 100, about 30")
-
-
 def test_the_steps_of_a_stage_are_timed_beside_it():
-    progress = Progress(io.StringIO(), quiet=True)
+    progress = RecordingProgress()
     with progress.stage_of_steps("Bones") as begin:
         begin("growing", 0.0)
         begin("edges", 0.5)

@@ -6,7 +6,7 @@ import pytest
 
 from marey.errors import FileProblem
 from marey.pipelines.capture.settings import CaptureSettings
-from marey.pipelines.progress import Progress
+from marey.pipelines.progress import RecordingProgress
 from marey.pipelines.run_record import StageCache, fingerprint, finished_together, write_record
 
 
@@ -59,7 +59,7 @@ def test_results_appear_together_and_old_ones_by_other_names_go(tmp_path):
             for name in names:
                 (folder / name).parent.mkdir(exist_ok=True)
                 (folder / name).write_text(name)
-            write_record(folder, command="capture", settings={}, inputs=[], root=out, progress=Progress(quiet=True))
+            write_record(folder, command="capture", settings={}, inputs=[], root=out, progress=RecordingProgress())
     assert sorted(p.name for p in out.iterdir() if p.is_file()) == ["a.txt", "b.txt", "run.json"]
     assert not (out / "masks" / "cam01.npz").exists()
 
@@ -82,7 +82,7 @@ def test_a_failed_run_leaves_the_last_results_as_they_were(tmp_path):
 def test_the_record_tells_what_was_run_on_what(tmp_path):
     video = tmp_path / "cam01.mp4"
     video.write_bytes(b"film")
-    progress = Progress(quiet=True)
+    progress = RecordingProgress()
     with progress.stage("Poses"):
         pass
     settings = {"stature_m": 1.8, "start": Path("clicks.json")}

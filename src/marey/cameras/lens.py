@@ -6,10 +6,10 @@ the lens numbers in OpenCV's order, filled up to 14 with zeros; and the square o
 lens is one to one. Beyond that radius a polynomial folds back, and a point there has no picture: its pixel is NaN.
 """
 
-import numba
 import numpy as np
 
 from marey.arrays import Floats
+from marey.kernels import kernel
 
 PACKED = 33
 TRANSLATION, FX, SKEW, FY, CX, CY, MODEL, LENS, LIMIT = 9, 12, 13, 14, 15, 16, 17, 18, 32
@@ -20,7 +20,7 @@ _NEAR_AXIS = 1e-8
 """Squared radius below which the fisheye's closed forms lose digits and its series are exact."""
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def distort(packed: Floats, x: float, y: float) -> tuple[float, float]:
     """Bend a direction (x/z, y/z) by the lens, by OpenCV's formulas.
 
@@ -50,7 +50,7 @@ def distort(packed: Floats, x: float, y: float) -> tuple[float, float]:
     return u, v
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def distort_with_derivative(packed: Floats, x: float, y: float) -> tuple[float, float, float, float, float, float]:
     """Bend a direction and differentiate the result by it.
 
@@ -92,7 +92,7 @@ def distort_with_derivative(packed: Floats, x: float, y: float) -> tuple[float, 
     return u, v, ux, uy, vx, vy
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def one_to_one_radius(packed: Floats) -> float:
     """Find up to which radius x/z, y/z the lens is one to one: where its derivative first loses its determinant.
 
@@ -117,7 +117,7 @@ def one_to_one_radius(packed: Floats) -> float:
     return np.inf
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _radius_before(packed: Floats, after: float) -> float:
     """Invert the radial part of the lens by bisection, between the axis and the limit."""
     low, high = 0.0, min(np.sqrt(packed[LIMIT]), 600.0)
@@ -134,7 +134,7 @@ def _radius_before(packed: Floats, after: float) -> float:
     return 0.5 * (low + high)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def undistort(packed: Floats, u: float, v: float) -> tuple[float, float]:
     """Straighten a place in a picture of focal length 1 by Newton's method; NaN where the lens shows nothing there.
 
@@ -173,7 +173,7 @@ def undistort(packed: Floats, u: float, v: float) -> tuple[float, float]:
     return np.nan, np.nan
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def undistort_pixel(packed: Floats, column: float, row: float) -> tuple[float, float]:
     """Straighten a pixel: the direction (x/z, y/z) in camera axes, NaN where the lens shows nothing.
 
@@ -190,7 +190,7 @@ def undistort_pixel(packed: Floats, column: float, row: float) -> tuple[float, f
     return undistort(packed, u, v)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def project(packed: Floats, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Project a point of the world.
 
@@ -215,7 +215,7 @@ def project(packed: Floats, x: float, y: float, z: float) -> tuple[float, float,
     return packed[FX] * u + packed[SKEW] * v + packed[CX], packed[FY] * v + packed[CY], inverse
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def project_points(packed: Floats, points: Floats, out: Floats) -> None:
     """Project many points of the world.
 
@@ -228,7 +228,7 @@ def project_points(packed: Floats, points: Floats, out: Floats) -> None:
         out[i, 0], out[i, 1], out[i, 2] = project(packed, points[i, 0], points[i, 1], points[i, 2])
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def project_points_with_derivative(packed: Floats, points: Floats, pixels: Floats, derivative: Floats) -> None:
     """Project many points of the world and differentiate the pixels by them.
 
@@ -258,7 +258,7 @@ def project_points_with_derivative(packed: Floats, points: Floats, pixels: Float
             derivative[i, 1, j] = row_a * da + row_b * db
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def undistort_pixels(packed: Floats, pixels: Floats, out: Floats) -> None:
     """Straighten many pixels.
 
@@ -271,7 +271,7 @@ def undistort_pixels(packed: Floats, pixels: Floats, out: Floats) -> None:
         out[i, 0], out[i, 1] = undistort_pixel(packed, pixels[i, 0], pixels[i, 1])
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def contour_normals(packed: Floats, pixels: Floats, normals: Floats, out: Floats) -> None:
     """Find the planes through the camera's centre that touch the solid along contours.
 
@@ -297,7 +297,7 @@ def contour_normals(packed: Floats, pixels: Floats, normals: Floats, out: Floats
             out[i, j] = (packed[j] * nx + packed[3 + j] * ny + packed[6 + j] * nz) / length
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def ray_turns(packed: Floats, pixels: Floats, steps: Floats, out: Floats) -> None:
     """Measure by how much the ray turns over steps in the picture: the length between the unit rays of both ends.
 

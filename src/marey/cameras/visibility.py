@@ -4,11 +4,11 @@ import threading
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from marey.arrays import Floats, Integers, Mask
+from marey.kernels import kernel
 from marey.lanes import LANES, paint_row
 
 
@@ -98,7 +98,7 @@ def see(projected: Floats, faces: Integers, size: tuple[int, int], *, margin: in
     return View(corner, size, inverse_depth, face, projected)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def draw_window(projected, faces, width, height, margin):
     """Find the part of the picture that the vertices may cover, and draw the faces into it."""
     left, top, right, bottom = find_window(projected, width, height, margin)
@@ -109,7 +109,7 @@ def draw_window(projected, faces, width, height, margin):
     return (left, top), inverse_depth, face
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def find_window(projected, width, height, margin):
     """Find the part of the picture that the vertices may cover: first x, first y, and the ones behind the last."""
     left, top, right, bottom = np.inf, np.inf, -np.inf, -np.inf
@@ -154,7 +154,7 @@ class Scratch(NamedTuple):
 _BUFFERS = threading.local()
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def draw_into(scratch, faces, width, height, margin):
     """Do what `draw_window` does with the scratch's projected vertices; what is given lives in the scratch."""
     left, top, inverse_depth, face = drawn_last(scratch, width, height, margin)
@@ -164,7 +164,7 @@ def draw_into(scratch, faces, width, height, margin):
     return left, top, inverse_depth, face
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def drawn_last(scratch, width, height, margin):
     """Give what `draw_into` gave, as long as nothing else was drawn into the scratch."""
     left, top, right, bottom = find_window(scratch.projected, width, height, margin)
@@ -174,7 +174,7 @@ def drawn_last(scratch, width, height, margin):
     return left, top, inverse_depth, face
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def draw_faces(projected, faces, left, top, inverse_depth, face):
     """Fill the depth buffer and the buffer of visible faces, see `see`; each lies in memory eight numbers longer."""
     height, width = face.shape
@@ -207,7 +207,7 @@ def draw_faces(projected, faces, left, top, inverse_depth, face):
                 )  # fmt: skip
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def rim_pixels(face, projected, faces, left, top):
     """List the rim's pixels, inward normals, faces, barycentric weights and depths, see `View.rim`."""
     height, width = face.shape
@@ -228,7 +228,7 @@ def rim_pixels(face, projected, faces, left, top):
     return _on_surface(found, inward, face, projected, faces, left, top)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def interior_rim_pixels(face, inverse_depth, projected, faces, limb, left, top, jump):
     """List the rims inside of the outline as `rim_pixels` lists the outline, see `View.interior_rim`."""
     suspects = _beside_something_behind(inverse_depth, jump)
@@ -246,7 +246,7 @@ def interior_rim_pixels(face, inverse_depth, projected, faces, limb, left, top, 
     return _on_surface(found, inward, face, projected, faces, left, top)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _beside_something_behind(inverse_depth, jump):
     """List the pixels (n, 2), rows first, beside one that lies farther away by more than a jump, or shows nothing."""
     height, width = inverse_depth.shape
@@ -270,7 +270,7 @@ def _beside_something_behind(inverse_depth, jump):
     return found
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _hides(face, inverse_depth, limb, y, x, jump):
     """Tell whether a pixel's limb hides another limb that is seen beside it."""
     own, near = limb[face[y, x]], inverse_depth[y, x]
@@ -282,7 +282,7 @@ def _hides(face, inverse_depth, limb, y, x, jump):
     return False
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _normal_of_covered(face, x, y, inward):
     """Write the unit normal towards what is covered near a pixel."""
     height, width = face.shape
@@ -295,7 +295,7 @@ def _normal_of_covered(face, x, y, inward):
     _write_unit(nx, ny, inward)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _normal_of_limb(face, limb, x, y, inward):
     """Write the unit normal towards what a pixel's own limb covers near it."""
     height, width = face.shape
@@ -309,14 +309,14 @@ def _normal_of_limb(face, limb, x, y, inward):
     _write_unit(nx, ny, inward)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _write_unit(nx, ny, inward):
     length = np.sqrt(nx * nx + ny * ny)
     scale = 1.0 / length if length > 0.0 else 0.0
     inward[0], inward[1] = nx * scale, ny * scale
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _on_surface(found, inward, face, projected, faces, left, top):
     """Give what `Rim` holds of pixels (n, 2) of the buffers."""
     count = len(found)
@@ -332,14 +332,14 @@ def _on_surface(found, inward, face, projected, faces, left, top):
     return pixels, inward, rim_face, barycentric, depth
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _on_rim(face, y, x):
     """Tell whether a covered pixel has an uncovered one beside it; bit by bit, since branches cost more here."""
     beside = face[y - 1, x] | face[y + 1, x] | face[y, x - 1] | face[y, x + 1]
     return (face[y, x] >= 0) & (beside < 0)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _perspective_weights(projected, faces, f, x, y, weights):
     """Write the barycentric weights of the face's point seen at a pixel; give its depth."""
     a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]

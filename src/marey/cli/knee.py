@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from marey.cli.options import Quiet
+from marey.cli.work import working
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode="markdown", help="Bones and cartilage of a knee from MR.")
 
@@ -78,7 +79,6 @@ def segment(
     """
     from marey.pipelines.knee.segment import SegmentOptions, parse_seed
     from marey.pipelines.knee.segment import segment as segment_knee
-    from marey.pipelines.progress import Progress
 
     options = SegmentOptions(
         out=out,
@@ -87,7 +87,8 @@ def segment(
         seed_voxels=tuple(parse_seed(each, "--seed-voxel") for each in seed_voxel or ()),
         side=side,
     )
-    left = segment_knee(volumes, options, Progress(quiet=quiet))
+    with working(quiet=quiet) as progress:
+        left = segment_knee(volumes, options, progress)
     typer.echo(f"Labels: {left.folder / 'labels.nii.gz'}")
     typer.echo(f"Report: {left.folder / 'report.html'}")
     if left.missing:
@@ -111,9 +112,9 @@ def thickness(
     * `marey knee thickness tibia.ply medial.ply lateral.ply --out tibia`
     """
     from marey.pipelines.knee.thickness import measure_thickness
-    from marey.pipelines.progress import Progress
 
-    folder, found = measure_thickness(bone, cartilages, out, Progress())
+    with working() as progress:
+        folder, found = measure_thickness(bone, cartilages, out, progress)
     typer.echo(found)
     typer.echo(f"Thickness: {folder / 'thickness.npz'}")
 
@@ -142,9 +143,9 @@ def register(
     * `marey knee register left_patella.ply right_patella.ply --mirror --out patella`
     """
     from marey.pipelines.knee.register import register as register_bones
-    from marey.pipelines.progress import Progress
 
-    folder = register_bones(template, subject, out, mirror=mirror, progress=Progress(quiet=quiet))
+    with working(quiet=quiet) as progress:
+        folder = register_bones(template, subject, out, mirror=mirror, progress=progress)
     typer.echo(f"Registered: {folder / 'registered.ply'}")
 
 
@@ -200,13 +201,13 @@ def animate(
     from marey.io.npz import read_arrays
     from marey.pipelines.knee.animate import AnimateOptions
     from marey.pipelines.knee.animate import animate as animate_knee
-    from marey.pipelines.progress import Progress
 
     options = AnimateOptions(
         out=out, reference=reference, method=method, compare=compare, landmarks=landmarks, side=side, frame=frame,
         views=tuple(name.strip() for name in view.split(",") if name.strip()), limit_mm=limit, noise_mm=noise,
     )  # fmt: skip
-    folder = animate_knee(knee, motion, options, Progress(quiet=quiet))
+    with working(quiet=quiet) as progress:
+        folder = animate_knee(knee, motion, options, progress)
     typer.echo(f"Page: {folder / 'knee.html'}")
     moved = read_arrays(folder / "knee_motion.npz")["bones"].tolist()
     still = [bone for bone in ("femur", "tibia") if bone not in moved]
@@ -239,10 +240,10 @@ def template(
     * `marey knee template contours.json knee.nii.gz --out my_template`
     """
     from marey.pipelines.knee.template import make_template
-    from marey.pipelines.progress import Progress
 
     folder = out or sources[0].with_name(f"{sources[0].name.split('.')[0]}_template")
-    made = make_template(sources, folder, Progress(quiet=quiet))
+    with working(quiet=quiet) as progress:
+        made = make_template(sources, folder, progress)
     typer.echo(f"{'A' if made.side is None else f'A {made.side}'} knee with {', '.join(made.surfaces)}: {folder}")
 
 
@@ -271,8 +272,8 @@ def outline(
     * `marey knee outline series --out contours.json --no-browser`
     """
     from marey.pipelines.knee.outline import outline_server, serve
-    from marey.pipelines.progress import Progress
 
-    server = outline_server(volume, out, port, Progress(quiet=quiet))
-    typer.echo(f"Outlining at {server.address}; kept in {server.session.path}. Ctrl-C ends it.")
-    serve(server, browser=not no_browser)
+    with working(quiet=quiet) as progress:
+        server = outline_server(volume, out, port, progress)
+        typer.echo(f"Outlining at {server.address}; kept in {server.session.path}. Ctrl-C ends it.")
+        serve(server, browser=not no_browser)

@@ -4,19 +4,23 @@ import errno
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 import marey
 from marey.cli import knee
-from marey.cli.nonrigid_options import nonrigid
+from marey.cli.markers import markers
+from marey.cli.nonrigid import nonrigid
 from marey.cli.options import BodyFile, Cameras, FixedSizes, Frames, NoOverlay, Out, Preset, Quiet, Start, Stature
+from marey.cli.work import working
 from marey.errors import FileProblem, MareyError
-from marey.pipelines.capture.settings import CaptureSettings, parse_frames, parse_names
+from marey.pipelines.capture.settings import parse_frames, parse_names
 
 INTERRUPTED = 130
 WRONG_INPUT = 2
+RESULTS = "marey"
+"""Folder of the results in a trial."""
 _PAGES = ("report.html", "surface.html", "knee.html")
 _USERS_ERRNO = (errno.EACCES, errno.EPERM, errno.ENOSPC, errno.EROFS, errno.ENOTDIR, errno.EDQUOT, errno.EFBIG)
 
@@ -71,11 +75,10 @@ def capture(
     * `marey capture walk01 --stature 1.80 --frames 100:400 --out results/walk01`
     * `marey capture walk01 --cameras cam01,cam02,cam04 --preset upper --no-overlay`
     """
-    settings = CaptureSettings(
-        out=out, cameras=_names(cameras), frames=_range(frames), preset=preset, stature_m=stature, start=start,
-        body=body, fixed_sizes=fixed_sizes, overlay=not no_overlay,
+    _capture(
+        trial, out=out, cameras=_names(cameras), frames=_range(frames), preset=preset, stature=stature, start=start,
+        body=body, fixed_sizes=fixed_sizes, overlay=not no_overlay, quiet=quiet,
     )  # fmt: skip
-    _capture(trial, settings, quiet=quiet)
 
 
 @app.command()
@@ -121,25 +124,16 @@ def surface(
     * `marey surface arm3 --spacing 4 --frames 0:10`
     * `marey surface face1 --seeds clicked.csv --keep-rig`
     """
-    from marey.pipelines.progress import Progress
-    from marey.pipelines.surface.settings import SurfaceOptions
-    from marey.pipelines.surface.surface import surface as measure_surface
+    from marey.pipelines.surface.tasks import measure_surface
 
     _require_folder(trial)
-    options = SurfaceOptions(
-        out=out,
-        cameras=_names(cameras),
-        frames=_range(frames),
-        seeds=seeds,
-        spacing=spacing,
-        patch=patch,
-        refine_rig=refine_rig,
-        tracks=tracks,
-        max_speed=max_speed,
-        max_acceleration=max_acceleration,
-    )
-    results = measure_surface(trial, options, Progress(quiet=quiet))
-    typer.echo(f"Surface: {results / 'surface.npz'}")
+    with working(quiet=quiet, parallel_cameras=True) as progress:
+        found = measure_surface(
+            trial, out=out or trial / RESULTS, cameras=_names(cameras), frames=_range(frames), seeds=seeds,
+            spacing=spacing, patch=patch, refine_rig=refine_rig, tracks=tracks, max_speed=max_speed,
+            max_acceleration=max_acceleration, progress=progress,
+        )  # fmt: skip
+    typer.echo(f"Surface: {found.path}")
 
 
 @app.command()
@@ -164,26 +158,27 @@ def shape(
     * `marey shape arm --preset right_arm`
     * `marey shape walk01 --stature 1.80 --out results/walk01`
     """
-    settings = CaptureSettings(
-        out=out, cameras=_names(cameras), frames=_range(frames), preset=preset, stature_m=stature, start=start,
-        body=body, overlay=not no_overlay,
-    )  # fmt: skip
-    _require_folder(trial)
-    from marey.pipelines.progress import Progress
-    from marey.pipelines.shape.shape import shape as shape_trial
+    from marey.pipelines.shape.tasks import fit_shape
 
-    results = shape_trial(trial, settings, Progress(quiet=quiet))
-    typer.echo(f"Report: {results / 'report.html'}")
+    _require_folder(trial)
+    with working(quiet=quiet, parallel_cameras=True) as progress:
+        found = fit_shape(
+            trial, out=out or trial / RESULTS, cameras=_names(cameras), frames=_range(frames), preset=preset,
+            stature=stature, start=start, body=body, overlay=not no_overlay, progress=progress,
+        )  # fmt: skip
+    typer.echo(f"Report: {found.report}")
 
 
 @app.command()
 def demo(out: Out = None, quiet: Quiet = False) -> None:
     """Capture the take that comes with the program, and say where its report is."""
+    from marey.io.trial.example import example_folder
+
     example = example_folder()
     if out is None and Path(sys.prefix) in example.parents:
         # Results do not belong into the folder of an installed program.
         out = Path("marey-demo")
-    _capture(example, CaptureSettings(out=out), quiet=quiet)
+    _capture(example, out=out, quiet=quiet)
 
 
 @app.command()
@@ -215,99 +210,20 @@ def retarget(
     * `marey retarget walk01/marey knight.glb`
     * `marey retarget walk01/marey knight.glb --map knight.toml --out knight_walks.glb`
     """
-    from marey.pipelines.retarget import retarget as carry_over
+    from marey.pipelines.retarget import check_copy, copy_beside
+    from marey.pipelines.retarget import retarget as transfer
 
-    path, notes = carry_over(
-        motion, character, out=out, named=named, grounded=not no_ground, planted=plant_feet
-    )  # fmt: skip
-    for note in notes if not quiet else []:
+    with working(quiet=quiet):
+        path = out or copy_beside(motion, character)
+        check_copy(path, character)
+        moved = transfer(motion, character, names=named, grounded=not no_ground, planted=plant_feet)
+        moved.save(path)
+    for note in moved.notes if not quiet else []:
         typer.echo(note)
     typer.echo(f"Written: {path}")
 
 
-@app.command()
-def markers(
-    trial: Annotated[Path, typer.Argument(metavar="TRIAL", help="A C3D, TRC or CSV with the paths of skin markers.")],
-    reference: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="NPZ: where the bones were in a frame of the trial, or in several."),
-    ] = None,
-    clusters: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="TOML: which markers ride on which segment, landmarks, joints, noise."),
-    ] = None,
-    static: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="A trial of the person standing, with the landmarks that the TOML names."),
-    ] = None,
-    functional: Annotated[
-        list[Path] | None,
-        typer.Option(metavar="FILE", help="A trial in which a hip or shoulder was moved about; several are allowed."),
-    ] = None,
-    exercise: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="A trial that tells how the skin moves, for the method `artefact`."),
-    ] = None,
-    exercise_reference: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="NPZ: where the bones were in frames of the exercise, where that is known."),
-    ] = None,
-    method: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME,...",
-            help="Methods set apart by commas, or `all`. The files hold the first one's. [default: skin]",
-        ),
-    ] = None,
-    model: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="An OpenSim model: all its bodies follow the markers at once."),
-    ] = None,
-    weights: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="XML: the model's tasks and weights. [default: all alike]")
-    ] = None,
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", "-o", metavar="DIR", help="Where the results go. [default: TRIAL_marey]"),
-    ] = None,
-    frames: Frames = None,
-    fill: Annotated[
-        str,
-        typer.Option(
-            metavar="WAY", help="Fill gaps: spline (over time), cluster (from the segment's other markers), best, none."
-        ),
-    ] = "none",
-    unit: Annotated[str | None, typer.Option(metavar="UNIT", help="mm, cm or m, where the file says it wrong.")] = None,
-    side: Annotated[
-        str | None, typer.Option(metavar="SIDE", help="left or right, where the segments' names do not tell.")
-    ] = None,
-    quiet: Quiet = False,
-) -> None:
-    """Estimate the motion of bones from the skin markers on them.
-
-    Markers called `thigh_01`, `thigh_02`, ... ride on the segment `thigh`; otherwise a TOML says which ride where.
-    Leaves the bones' poses, joint angles and translations with standard deviations, each marker's motion over its
-    bone, and a report with the curves of all methods that were asked for.
-
-    Examples:
-    * `marey markers walk.c3d --reference walk_frame0.npz`
-    * `marey markers walk.c3d --reference walk_frame0.npz --method all --out results/walk`
-    * `marey markers walk.c3d --clusters person.toml --static static.c3d --functional left_hip.c3d`
-    * `marey markers walk.trc --model scaled.osim --weights tasks.xml`
-    """
-    from marey.pipelines.markers.markers import markers as follow_markers
-    from marey.pipelines.markers.settings import MarkersOptions
-    from marey.pipelines.progress import Progress
-
-    options = MarkersOptions(
-        out=out, reference=reference, setup=clusters, static=static, functional=tuple(functional or ()),
-        exercise=exercise, exercise_reference=exercise_reference, methods=_method_names(method), model=model,
-        weights=weights, frames=_range(frames), fill=fill, unit=unit, side=side,
-    )  # fmt: skip
-    results = follow_markers(trial, options, Progress(quiet=quiet))
-    typer.echo(f"Report: {results / 'report.html'}")
-
-
+app.command()(markers)
 app.command()(nonrigid)
 
 
@@ -340,12 +256,14 @@ def compare(
     * `marey compare walk01/marey walk01_ik.mot`
     * `marey compare walk01_marey walk02_marey --same-laboratory --shift 0`
     """
-    from marey.pipelines.compare import CompareOptions
-    from marey.pipelines.compare import compare as compare_files
-    from marey.pipelines.progress import Progress
+    from marey.pipelines.compare import CompareOptions, compare_files, comparison_text
 
-    options = CompareOptions(out=out, named=named, shift_s=shift, same_laboratory=same_laboratory)
-    results, _ = compare_files(first, second, options, Progress(quiet=quiet))
+    options = CompareOptions(named=named, shift_s=shift, same_laboratory=same_laboratory)
+    with working(quiet=quiet) as progress:
+        found = compare_files(first, second, options, progress)
+        results = found.save(out or Path(f"{found.labels[0]}_compared_with_{found.labels[1]}"))
+        for line in comparison_text(found.data):
+            progress.report(line)
     typer.echo(f"Report: {results / 'report.html'}")
 
 
@@ -379,23 +297,32 @@ def bench(
 
     Examples: `marey bench`, `marey bench examples/reach`
     """
-    from marey.pipelines.speed.speeds import bench as measure
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
 
-    measure(trial, example=example_folder())
+    from marey.io.trial.example import example_folder
+    from marey.pipelines.speed.speeds import machine, measure_speeds
+
+    with working(parallel_cameras=True) as progress:
+        speeds = measure_speeds(trial, example=example_folder(), progress=progress)
+    title = f"marey bench on {machine()}; times of one core"
+    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
+    for heading in ("what", "measured", "beside", "remark"):
+        table.add_column(heading, overflow="fold")
+    for speed in speeds:
+        table.add_row(*map(escape, (speed.what, speed.measured, speed.beside, speed.remark)))
+    Console(width=None if sys.stdout.isatty() else 200).print(table)
 
 
-def _capture(trial: Path, settings: CaptureSettings, *, quiet: bool) -> None:
-    # Imported here, so that help and wrong input answer at once.
-    from marey.pipelines.capture.capture import capture as capture_trial
-    from marey.pipelines.progress import Progress
+def _capture(trial: Path, *, out: Path | None, quiet: bool, **settings: Any) -> None:
+    # Imported here, so that help and errors in the arguments appear at once.
+    from marey.pipelines.capture.tasks import capture as capture_motion
 
     _require_folder(trial)
-    results = capture_trial(trial, settings, Progress(quiet=quiet))
-    typer.echo(f"Report: {results / 'report.html'}")
-
-
-def _method_names(text: str | None) -> tuple[str, ...] | None:
-    return None if text is None else parse_names(text, option="--method", example="rigid,interval")
+    with working(quiet=quiet, parallel_cameras=True) as progress:
+        found = capture_motion(trial, out=out or trial / RESULTS, progress=progress, **settings)
+    typer.echo(f"Report: {found.report}")
 
 
 def _names(text: str | None) -> tuple[str, ...] | None:
@@ -410,20 +337,6 @@ def _require_folder(trial: Path) -> None:
     if not trial.is_dir():
         what = "is a file" if trial.exists() else "does not exist"
         raise FileProblem(trial, what, "Give the folder that holds the videos and cameras.toml.")
-
-
-def example_folder() -> Path:
-    """Find the take that comes with the program: in the clone, or where the package was installed.
-
-    Raises:
-        FileProblem: It is in neither place.
-    """
-    clone = Path(marey.__file__).resolve().parents[2] / "examples" / "reach"
-    installed = Path(sys.prefix) / "share" / "marey" / "examples" / "reach"
-    for folder in (clone, installed):
-        if (folder / "cameras.toml").is_file():
-            return folder
-    raise FileProblem(clone, "is not there", "Run the demo from a clone of the project, where it is part of the files.")
 
 
 def _report_in(folder: Path) -> Path:

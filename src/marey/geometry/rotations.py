@@ -1,9 +1,9 @@
 """Rotations: exponential, logarithm and their derivatives, exact down to the smallest angle."""
 
-import numba
 import numpy as np
 
 from marey.arrays import Floats
+from marey.kernels import kernel
 
 _SERIES_BELOW = 1e-2  # rad; below it the series are more exact than the closed forms
 
@@ -207,7 +207,7 @@ def from_quaternion(quaternion: Floats) -> Floats:
     return np.eye(3) + 2 * w * omega + 2 * omega @ omega
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def turn_about(axis, angle, out):  # pragma: no cover - compiled
     """Write the rotation by an angle about a unit axis into out (3, 3): `about` for kernels."""
     s = np.sin(angle)
@@ -224,7 +224,7 @@ def turn_about(axis, angle, out):  # pragma: no cover - compiled
     out[2, 2] = 1.0 - c * (x * x + y * y)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def turn_between(first, second):  # pragma: no cover - compiled
     """Give the vector (3,) that turns one rotation (3, 3) into another one: log(second first') for kernels."""
     r = np.empty((3, 3))
@@ -253,7 +253,7 @@ def turn_between(first, second):  # pragma: no cover - compiled
     return scale * q[1:]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def inverse_left_jacobian_of(vector):  # pragma: no cover - compiled
     """Give `inverse_left_jacobian` (3, 3) of one vector, for kernels."""
     x, y, z = vector[0], vector[1], vector[2]

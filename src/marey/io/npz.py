@@ -11,7 +11,7 @@ import numpy as np
 from marey.arrays import Floats, Integers, Mask
 from marey.errors import FileProblem, MareyError
 from marey.io.atomic import replacing
-from marey.motion.motion import Motion
+from marey.motion.motion import BodyMotion
 
 
 def write_arrays(path: Path | str, arrays: Mapping[str, object]) -> None:
@@ -52,12 +52,12 @@ def read_arrays(path: Path | str, wanted: tuple[str, ...] = ()) -> dict[str, np.
     return arrays
 
 
-def write_motion(path: Path | str, motion: Motion) -> None:
+def write_motion(path: Path | str, motion: BodyMotion) -> None:
     """Write `motion.npz`: the fields of the motion under their own names."""
     write_arrays(path, motion.arrays())
 
 
-def read_motion(path: Path | str) -> Motion:
+def read_motion(path: Path | str) -> BodyMotion:
     """Read `motion.npz`.
 
     Args:
@@ -66,11 +66,11 @@ def read_motion(path: Path | str) -> Motion:
     Raises:
         FileProblem: It lacks a key, or its arrays do not fit together.
     """
-    names = tuple(field.name for field in fields(Motion))
+    names = tuple(field.name for field in fields(BodyMotion))
     arrays = read_arrays(path, names)
     try:
         fitted: dict[str, Any] = {name: arrays[name] for name in names}
-        return Motion(**fitted)
+        return BodyMotion(**fitted)
     except MareyError as error:
         raise FileProblem(path, str(error).rstrip(".")) from error
 

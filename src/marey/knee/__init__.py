@@ -8,7 +8,7 @@ say so. The room in the order of the data:
   `bright_marrow`, `bone_edges`, `outer_edge`, `bone_notes`; `bones` calls them, `surfacing` gives surfaces.
 - Outlines by hand: `boundary_elements`, `wire_tree`, `outlines`, `live_wire`, `outlining`, `contours`; `template` takes
   them or labels.
-- A template's bone on a subject's: `mesh_mending`, `cut_ends`, `rigid_registration`, `registration_covariance`,
+- A template's bone on a subject's: `mesh_repair`, `cut_ends`, `rigid_registration`, `registration_covariance`,
   `sided_registration`, `deformation`, `elastic_registration`.
 - Cartilage: `cartilage_prediction`, `cartilage_evidence`, `cartilage_contact`, `cartilage_inner`, `cartilage`,
   `cartilage_labels`, `thickness`, `subregions`, on `mesh_graph` and `triangle_tree`; `knee_cartilage` calls them.

@@ -37,13 +37,18 @@ class Agreement:
     """Share of the differences that 1.96 of the stated standard deviations of both hold."""
 
     @property
+    def unit(self) -> str:
+        """Unit of the figures: rad or m."""
+        return "rad" if self.kind in ("angle", "turn") else "m"
+
+    @property
     def limits(self) -> tuple[float, float]:
         """The limits of agreement: 95 % of differences lie between, were they normal ([BlandAltman1986])."""
         return self.bias - _WITHIN * self.sd, self.bias + _WITHIN * self.sd
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Comparison:
+class MotionComparison:
     """Two motions over one time, in one laboratory, and how they agree."""
 
     alignment: Alignment
@@ -66,7 +71,7 @@ class Comparison:
 
 def compare(
     first: Recording, second: Recording, *, shift_s: float | None = None, same_laboratory: bool = False
-) -> Comparison:
+) -> MotionComparison:
     """Compare what two recordings name alike.
 
     The shift of the clocks and the rigid offset of the laboratories are taken out first, as section 3 of
@@ -95,7 +100,7 @@ def compare(
     agreements = [*_angles(a, b), *_points(a, b), *turns]
     if not any(row.frames for row in agreements):
         raise MareyError("The two motions have no frame in common in which both have an answer.")
-    return Comparison(
+    return MotionComparison(
         alignment=alignment, time=time, first=a, second=b, agreements=tuple(agreements),
         only_first=_left_over(first, own), only_second=_left_over(second, other), segment_offset=offsets,
     )  # fmt: skip

@@ -12,7 +12,7 @@ from marey.body.articulation.surface import Body
 from marey.fit.recipes.sequence import SequenceFit
 from marey.geometry import rotations
 from marey.motion.anatomical import anatomy_of, angles_with_sd, turns_of_steps
-from marey.motion.motion import FILLED, LOST, MEASURED, NOBODY, Motion
+from marey.motion.motion import FILLED, LOST, MEASURED, NOBODY, BodyMotion
 
 DETERMINED = 0.5
 """A coordinate is determined where its own frame fixes it to this share of the spread that people's joints have."""
@@ -67,7 +67,7 @@ def measured(fit: SequenceFit) -> Measured:
 def motion_of(
     pieces: Sequence[Measured], body: Body, *, count: int, rate: float, lost: Mask, camera_names: tuple[str, ...],
     agreement: Mapping[int, Floats], filled: Collection[int] = (),
-) -> Motion:  # fmt: skip
+) -> BodyMotion:  # fmt: skip
     """Write a fitted sequence as a motion with a row for every frame of the video.
 
     Joint centres and angles that a preset does not follow are NaN. Its segments stay as at rest, for the files that
@@ -100,7 +100,7 @@ def motion_of(
     agreements = np.array([agreement[int(f)] for f in frames]).reshape(len(frames), len(camera_names))
     determined = np.zeros((count, len(skeleton)), bool)
     determined[frames] = np.concatenate([piece.determined for piece in pieces])
-    return Motion(
+    return BodyMotion(
         time=np.arange(count) / rate,
         rate=rate,
         joint_names=body.joint_names,

@@ -31,7 +31,7 @@ _DTYPES = {"determined": bool, "state": np.int8}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Motion:
+class BodyMotion:
     """A motion over the F frames of a video: NaN where there is no answer; flags and states never are.
 
     Every array is checked against the number of frames and of names, copied, and made read-only.
@@ -131,7 +131,7 @@ class Motion:
             raise MareyError(f"There is no {name!r} in {kind}. It has: {', '.join(names)}.")
         return names.index(name)
 
-    def frames(self, chosen: slice | Sequence[int] | Integers | Mask) -> "Motion":
+    def frames(self, chosen: slice | Sequence[int] | Integers | Mask) -> "BodyMotion":
         """Give the motion at some of its frames.
 
         Args:

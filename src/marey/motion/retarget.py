@@ -11,7 +11,7 @@ from marey.arrays import Floats, Integers, freeze_fields
 from marey.body.articulation.skeleton import PARENTS
 from marey.errors import MareyError
 from marey.geometry import rotations
-from marey.motion.motion import Motion
+from marey.motion.motion import BodyMotion
 from marey.motion.planted_feet import Leg, planted_feet, standing, turns_of_leg
 from marey.motion.twist import untwisted
 
@@ -34,7 +34,7 @@ _LOWEST = 0.02
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Rig:
+class CharacterRig:
     """A character's nodes at rest, n of them, and which of them are our segments."""
 
     parents: Integers
@@ -117,7 +117,7 @@ class RigMotion:
     stands."""
 
 
-def pose_rig(rig: Rig, frames: int, turns: Mapping[int, Floats], moved: tuple[int, Floats] | None) -> PosedRig:
+def pose_rig(rig: CharacterRig, frames: int, turns: Mapping[int, Floats], moved: tuple[int, Floats] | None) -> PosedRig:
     """Pose a rig: some nodes are turned in the scene, all others stay in their parents as at rest.
 
     Below scales that differ by axis no rotation does exactly what is wanted; the nearest one is taken.
@@ -148,7 +148,7 @@ def pose_rig(rig: Rig, frames: int, turns: Mapping[int, Floats], moved: tuple[in
     return PosedRig(linear=linear, position=position, local=local, shift=shift)
 
 
-def rest_joints(motion: Motion) -> Floats:
+def rest_joints(motion: BodyMotion) -> Floats:
     """Give the joint centres (S, 3) of a motion's body in the rest posture, from the pelvis [m].
 
     They are fixed in the parent segment, so that every answered frame tells them.
@@ -176,8 +176,8 @@ def rest_joints(motion: Motion) -> Floats:
 class _Fit:
     """How a rig at rest stands beside the motion's body at rest."""
 
-    rig: Rig
-    motion: Motion
+    rig: CharacterRig
+    motion: BodyMotion
     floor: float | None
     """Height of the body's lowest skin above its pelvis at rest [m], below 0."""
 
@@ -264,7 +264,7 @@ class _Fit:
 
 
 def retarget(
-    motion: Motion, rig: Rig, *, floor: float | None = None, grounded: bool = True, planted: bool = False
+    motion: BodyMotion, rig: CharacterRig, *, floor: float | None = None, grounded: bool = True, planted: bool = False
 ) -> RigMotion:
     """Carry a motion over to a rig.
 
@@ -313,7 +313,7 @@ def retarget(
     )  # fmt: skip
 
 
-def _check(rig: Rig) -> None:
+def _check(rig: CharacterRig) -> None:
     """Refuse a rig that lacks joints, or whose joints hang together otherwise than a body's."""
     missing = [name for name in NEEDED if name not in rig.nodes]
     if missing:
@@ -350,7 +350,7 @@ def _turns(fit: _Fit, known: Integers) -> dict[int, Floats]:
     return turned
 
 
-def _feet(rig: Rig, motion: Motion) -> dict[str, str]:
+def _feet(rig: CharacterRig, motion: BodyMotion) -> dict[str, str]:
     """Give by side the joint on which a foot stands: the toes', or the ankle where one of the two lacks toes."""
     toes = {side: f"{side}_toes" for side in _SIDES}
     return {s: t if t in rig.nodes and t in motion.segment_names else f"{s}_foot" for s, t in toes.items()}
@@ -410,7 +410,7 @@ def _ankle_heights(fit: _Fit) -> tuple[float, float] | None:
     return float(theirs - fit.their_floor), float(own - fit.floor)
 
 
-def _thighs(rig: Rig) -> list[int]:
+def _thighs(rig: CharacterRig) -> list[int]:
     return [rig.nodes[f"{side}_thigh"] for side in _SIDES]
 
 

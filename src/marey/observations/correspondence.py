@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal, NamedTuple
 
-import numba
 import numpy as np
 
 from marey.arrays import Floats, Integers, Mask
@@ -17,6 +16,7 @@ from marey.cameras.visibility import MARGIN, Scratch, View, draw_into, rim_pixel
 from marey.images.silhouettes.contours import Contour, trace_contour
 from marey.images.silhouettes.interior import InteriorEdges
 from marey.images.silhouettes.nearest import nearest_other, nearest_within, sort_into_cells
+from marey.kernels import kernel
 from marey.observations.silhouette import SilhouettePlanes, SilhouetteRays
 from marey.observations.votes import SLACK, elect
 
@@ -164,7 +164,7 @@ def see_outline(posed: PosedBody, sighting: Sighting, matching: Matching) -> Out
     return Outline(match, counts)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def draw_and_match(
     scratch, vertices, faces, limb, outlined, camera, width, height, centre, contour, inward, seen, radians_per_pixel,
     gate, cosine, vote,
@@ -184,7 +184,7 @@ def draw_and_match(
     return on_face, weights, j, 1.0 / (radians_per_pixel[j] * reach), counts
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def merge_pairs(first, second, rims):
     """List each pair once, and count (n,) how often it was found: `pair_both_ways` names a rim pixel's own match first.
 
@@ -237,7 +237,7 @@ def _matches(
     return where, j, 1.0 / (sighting.radians_per_pixel[j] * reach)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def distances(points, centre):
     """Give how far points (n, 3) lie from a centre (3,): (n,)."""
     out = np.empty(points.shape[0])
@@ -247,7 +247,7 @@ def distances(points, centre):
     return out
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def pair_both_ways(rim, rim_inward, rim_limb, rim_counts, contour, contour_inward, contour_counts, gate, cosine, vote):
     """Pair rim pixels with their nearest contour pixels and contour pixels with their nearest rim pixels.
 
@@ -294,6 +294,6 @@ def pair_both_ways(rim, rim_inward, rim_limb, rim_counts, contour, contour_inwar
     return first[:count], second[:count]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _alike(first, second, cosine):
     return first[0] * second[0] + first[1] * second[1] >= cosine

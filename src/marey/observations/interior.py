@@ -1,12 +1,12 @@
 """Interior outlines: a limb's rim before another part of the body lies on the edge that the picture shows there."""
 
-import numba
 import numpy as np
 
 from marey.body.articulation.kinematics import points_on_faces
 from marey.body.articulation.pose import PosedBody, SurfacePoints
 from marey.cameras import lens
 from marey.cameras.visibility import JUMP, MARGIN, Scratch, draw_into, drawn_last, interior_rim_pixels
+from marey.kernels import kernel
 from marey.observations.correspondence import (
     Matching,
     Outline,
@@ -60,7 +60,7 @@ def see_interior(posed: PosedBody, sighting: Sighting, matching: Matching, *, dr
     return Outline(match, counts)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def draw_and_match_interior(
     scratch, vertices, faces, outlined, limb, camera, width, height, centre, edges, inward, edge_limb, seen,
     radians_per_pixel, gate, cosine, drawn,

@@ -4,11 +4,11 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import final
 
-import numba
 import numpy as np
 
 from marey.arrays import Floats
 from marey.body.articulation.pose import PosedBody, SurfacePoints
+from marey.kernels import kernel
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +85,7 @@ class SurfaceObservation(Observation):
         return Linearization(residual.ravel(), jacobian.reshape(-1, jacobian.shape[2]))
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def residuals(rows, offsets, points):
     """Give rows p - offsets (n, r) for rows (n, r, 3), offsets (n, r) and points (n, 3)."""
     out = np.empty(offsets.shape)

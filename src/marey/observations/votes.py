@@ -1,9 +1,9 @@
 """Which limb a pixel of an outline belongs to where two are equally near: its neighbours vote."""
 
-import numba
 import numpy as np
 
 from marey.images.silhouettes.nearest import CELL
+from marey.kernels import kernel
 
 SLACK = 2.0
 """A second limb's rim that is farther by less than this is as good as the nearest one [px]."""
@@ -15,7 +15,7 @@ ALONG = 0.7
 """Neighbours whose normals' cosine is less than this lie on another side of a limb."""
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def elect(nearest, second, rim, limb, contour, inward):
     """Decide by vote which rim pixel each of an outline's pixels takes, where two limbs are equally near.
 
@@ -50,7 +50,7 @@ def elect(nearest, second, rim, limb, contour, inward):
     return taken, doubtful
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def count_votes(j, nearest, second, doubtful, limb, contour, inward):
     """Count the neighbours of a pixel that have a limb beyond doubt, and those of its nearest and its second limb."""
     votes = own = other = 0

@@ -4,85 +4,305 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from marey.arrays import Floats
 from marey.errors import FileProblem, MareyError
-from marey.io.markers.recordings import motion_in, read_recording
-from marey.io.results.comparison import write_comparison
-from marey.motion.comparison import Comparison
+from marey.extras import import_optional
+from marey.io.markers.recordings import motion_in, read_recording, recording_of
+from marey.io.results.comparison import SIGNED_KINDS, UNITS, write_comparison
+from marey.motion.comparison import Agreement, MotionComparison
 from marey.motion.comparison import compare as compare_motions
 from marey.motion.names import apply_map, known_angle, known_point, known_segment, one_sign
 from marey.motion.recording import Recording
-from marey.pipelines.progress import Progress
-from marey.pipelines.run_record import StageCache, finished_together, write_record
+from marey.pipelines.capture.motion import Motion
+from marey.pipelines.labelled import Curve, Described, Summary, count_of, find_name, plot_curves
+from marey.pipelines.progress import Progress, RecordingProgress
+from marey.pipelines.run_record import finished_together, write_record
 from marey.view.pages.comparison_report import write_comparison_report
 
 _POOR_S = 0.05
-"""A standard deviation of the time shift that is told of [s]."""
+"""Standard deviation of the time shift above which the user is warned [s].
+
+Chosen by hand: about the time in which a knee turns by 20 degrees in walking.
+"""
 _TABLES = ("angles", "points", "segments")
+"""Tables of a file of names."""
+_SHOWN_NAMES = 8
+"""Names of a motion that an error lists at most."""
+_SHOWN_LEFT_OVER = 12
+"""Names of quantities without a counterpart that a warning lists at most."""
+_FILE = "compare.csv"
 
 
 @dataclass(frozen=True, kw_only=True)
 class CompareOptions:
-    """What is asked for."""
+    """Settings of a comparison."""
 
-    out: Path | None = None
-    """Where the results go; `A_compared_with_B` where the command was typed when None."""
     named: Path | None = None
-    """A TOML that names quantities which mean the same."""
+    """A TOML with the names of quantities that mean the same."""
     shift_s: float | None = None
-    """The time shift where it is known."""
+    """The second clock less the first, where it is known [s]."""
     same_laboratory: bool = False
-    """Whether both are in one laboratory already."""
+    """Whether both motions are in one laboratory, so that no rigid offset is estimated."""
 
 
-def compare(first: Path, second: Path, options: CompareOptions, progress: Progress) -> tuple[Path, Comparison]:
-    """Compare two motions and write compare.csv and report.html.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ComparedMotion:
+    """One of the two motions."""
+
+    given: str
+    """What the user gave: a file, a folder, or a description of a motion in memory."""
+    file: Path | None
+    """The file; None for a motion in memory."""
+    label: str
+    """Name of the motion in the report."""
+    recording: Recording
+
+
+class Comparison(Described):
+    """The agreement of two motions: one row per angle, point and segment.
 
     Args:
-        first: A file or folder.
-        second: Another one.
-        options: What is asked for.
-        progress: Is told.
+        data: Both motions over common times, their alignment and agreement.
+        motions: The two motions.
+        options: Settings of the comparison.
+        progress: Progress reporter of the run, with its timings and warnings.
+
+    Example:
+        >>> import marey
+        >>> comparison = marey.compare("walk01", "walk01/marey/joint_centres.trc")
+        >>> row = comparison["left knee distance"]
+        >>> row.kind, row.unit
+        ('distance', 'm')
+    """
+
+    def __init__(
+        self, data: MotionComparison, motions: tuple[ComparedMotion, ComparedMotion], options: CompareOptions,
+        progress: Progress,
+    ):  # fmt: skip
+        self._data, self._motions, self._options, self._progress = data, motions, options, progress
+
+    @property
+    def labels(self) -> tuple[str, str]:
+        """The names of both motions."""
+        return self._motions[0].label, self._motions[1].label
+
+    @property
+    def data(self) -> MotionComparison:
+        """Both motions over common times, their alignment and agreement."""
+        return self._data
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the compared quantities."""
+        return tuple(row.name for row in self._data.agreements)
+
+    @property
+    def shift_s(self) -> float:
+        """The second clock less the first [s]."""
+        return self._data.alignment.shift_s
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What should be known to interpret the figures."""
+        return tuple(self._progress.warnings)
+
+    def __getitem__(self, name: str) -> Agreement:
+        """Return how one quantity agrees.
+
+        Raises:
+            UnknownName: It was not compared.
+        """
+        return self._data.agreements[find_name(name, self.names, kind="compared quantity")]
+
+    def __len__(self) -> int:
+        """Return the number of compared quantities."""
+        return len(self._data.agreements)
+
+    def to_pandas(self) -> Any:
+        """Return a `pandas.DataFrame` with one row per quantity, as in `compare.csv`.
+
+        Angles are in degrees, places and distances in millimetres.
+
+        Raises:
+            MissingPackage: pandas is not installed.
+        """
+        pandas = import_optional("pandas", extra="pandas", purpose="Tables")
+        rows = []
+        for row in self._data.agreements:
+            unit, factor = UNITS[row.kind]
+            low, high = row.limits if row.kind in SIGNED_KINDS else (np.nan, np.nan)
+            numbers = {"rms": row.rms, "bias": row.bias, "sd": row.sd, "limit_low": low, "limit_high": high}
+            rows.append(
+                {"quantity": row.name, "kind": row.kind, "unit": unit, "frames": row.frames}
+                | {name: factor * value for name, value in numbers.items()}
+                | {"correlation": row.correlation, "within_stated_95": row.within_stated}
+            )
+        return pandas.DataFrame(rows).set_index("quantity")
+
+    def plot(self, name: str, *, axes: Any = None) -> Any:
+        """Draw one angle of both motions over time.
+
+        Args:
+            name: Name of the angle.
+            axes: Matplotlib's axes to draw on; new ones by default.
+
+        Returns:
+            The axes.
+
+        Raises:
+            UnknownName: There is no such angle in both motions.
+            MissingPackage: Matplotlib is not installed.
+        """
+        curves = []
+        for label, recording in zip(self.labels, (self._data.first, self._data.second), strict=True):
+            i = find_name(name, recording.angle_names, kind="angle")
+            values = np.degrees(recording.angles[:, i])
+            curves.append(Curve(name=label, time=self._data.time, values=values, unit="deg"))
+        return plot_curves(curves, axes=axes)
+
+    def save(self, folder: Path | str) -> Path:
+        """Write compare.csv, report.html and run.json: the same files as `marey compare --out folder`.
+
+        Args:
+            folder: Where; made if it is missing.
+
+        Returns:
+            The folder.
+
+        Raises:
+            FileProblem: The folder cannot be written to.
+        """
+        out, options, progress = Path(folder), self._options, self._progress
+        settings = {
+            "first": self._motions[0].given, "second": self._motions[1].given, "map": options.named,
+            "shift_s": options.shift_s, "same_laboratory": options.same_laboratory,
+        }  # fmt: skip
+        files = (*(motion.file for motion in self._motions), options.named)
+        inputs = [path for path in files if path is not None]
+        with finished_together(out) as staging:
+            write_comparison(staging / _FILE, self._data)
+            write_comparison_report(
+                staging / "report.html", self._data, names=self.labels, notes=progress.warnings, settings=settings
+            )
+            write_record(
+                staging, command="compare", settings=settings, inputs=inputs, root=Path.cwd(), progress=progress
+            )
+        return out
+
+    def summary(self) -> Summary:
+        """Return the readable description."""
+        data = self._data
+        lines = {"frames": f"{len(data.time)} in common, {data.time[-1] - data.time[0]:.2f} s"}
+        lines["time shift"] = f"{1e3 * self.shift_s:.1f} ms" + _spread(1e3 * data.alignment.shift_sd_s, " ms")
+        angles = [row.rms for row in data.agreements if row.kind == "angle" and row.frames]
+        points = [row.rms for row in data.agreements if row.kind == "distance" and row.frames]
+        if angles:
+            lines["angles"] = f"{len(angles)}, RMS difference {np.degrees(np.sqrt(np.mean(np.square(angles)))):.2f} deg"
+        if points:
+            lines["points"] = f"{len(points)}, RMS distance {1e3 * np.sqrt(np.mean(np.square(points))):.1f} mm"
+        if self.warnings:
+            lines["warnings"] = count_of(len(self.warnings), "warning") + ", see .warnings"
+        return Summary(f"Comparison of {self.labels[0]} and {self.labels[1]}", lines)
+
+
+def compare_files(first: Path, second: Path, options: CompareOptions, progress: Progress) -> Comparison:
+    """Compare the motions of two files.
+
+    Args:
+        first: A file, or a folder of results.
+        second: Another one; differences are the first less the second.
+        options: Settings of the comparison.
+        progress: Progress reporter.
 
     Returns:
-        The folder with the results, and what was found.
+        The comparison, which is not saved yet.
 
     Raises:
         FileProblem: A file cannot be read, or the two have nothing in common.
     """
-    sources = (motion_in(first), motion_in(second))
+    motion_in(first), motion_in(second)
     chosen = {} if options.named is None else read_name_map(options.named)
     with progress.stage("Reading"):
-        own, other = (read_recording(path) for path in sources)
-        own, other = same_names(own, other, chosen, options.named)
-    out = options.out or Path(f"{_label(first)}_compared_with_{_label(second)}")
+        motions = _opened(first), _opened(second)
+    return _compared(motions, chosen, options, progress)
+
+
+def _opened(motion: Motion | Path | str) -> ComparedMotion:
+    """Open a motion that is compared."""
+    if isinstance(motion, Motion):
+        file = None if motion.folder is None else motion.folder / "motion.npz"
+        label = "motion" if file is None else _label(file)
+        return ComparedMotion(
+            given=label if file is None else str(file), file=file, label=label, recording=recording_of(motion.data)
+        )
+    file = motion_in(Path(motion))
+    return ComparedMotion(given=str(motion), file=file, label=_label(Path(motion)), recording=read_recording(file))
+
+
+def _compared(
+    motions: tuple[ComparedMotion, ComparedMotion], chosen: Mapping[str, Mapping[str, str]], options: CompareOptions,
+    progress: Progress,
+) -> Comparison:  # fmt: skip
+    own, other = same_names(motions[0].recording, motions[1].recording, chosen, options.named)
     with progress.stage("Comparing"):
         try:
             result = compare_motions(own, other, shift_s=options.shift_s, same_laboratory=options.same_laboratory)
         except MareyError as problem:
-            raise FileProblem(second, _nothing(own, other, str(problem)), "Name what is the same with --map.") from None
+            wrong, remedy = _nothing(own, other, str(problem)), "Name the quantities that are the same with --map."
+            raise FileProblem(motions[1].given, wrong, remedy) from None
     for note in notes_of(result):
         progress.warn(note)
-    asked = {"first": first, "second": second, "map": options.named, "shift_s": options.shift_s,
-             "same_laboratory": options.same_laboratory}  # fmt: skip
-    inputs = [*sources, *([options.named] if options.named else [])]
-    with StageCache(out, asked), finished_together(out) as folder:
-        write_comparison(folder / "compare.csv", result)
-        write_comparison_report(
-            folder / "report.html", result, names=(_label(first), _label(second)), notes=progress.warnings,
-            settings=asked,
-        )  # fmt: skip
-        write_record(folder, command="compare", settings=asked, inputs=inputs, root=Path.cwd(), progress=progress)
-    for line in told(result):
-        progress.say(line)
-    return out, result
+    return Comparison(result, motions, options, progress)
+
+
+def compare(
+    first: Motion | Path | str,
+    second: Motion | Path | str,
+    *,
+    names: Path | str | Mapping[str, Mapping[str, str]] | None = None,
+    shift: float | None = None,
+    same_laboratory: bool = False,
+    progress: Progress | None = None,
+) -> Comparison:
+    """Compare two motions, as the command `marey compare` does.
+
+    The shift of the clocks and the rigid offset of the laboratories are estimated first.
+
+    Args:
+        first: A motion, a folder of results, or a file (MOT, STO, TRC, C3D, NPZ).
+        second: Another one; differences are the first less the second.
+        names: Names that mean the same, as a TOML file or as a mapping: `{"angles": {"name in A": "name in B"}}`.
+        shift: The second clock less the first, where it is known [s].
+        same_laboratory: Both motions are in one laboratory: no rigid offset is estimated.
+        progress: Progress reporter; by default nothing is shown.
+
+    Returns:
+        The agreement of every angle, point and segment that both motions have.
+
+    Raises:
+        FileProblem: A file cannot be read, or the two motions have nothing in common.
+
+    Example:
+        >>> import marey
+        >>> comparison = marey.compare("walk01", "walk01/marey/angles.mot")
+        >>> abs(comparison.shift_s) < 1e-6
+        True
+    """
+    path = Path(names) if isinstance(names, str | Path) else None
+    chosen = {} if names is None else names if isinstance(names, Mapping) else read_name_map(Path(names))
+    options = CompareOptions(named=path, shift_s=shift, same_laboratory=same_laboratory)
+    reporter = RecordingProgress() if progress is None else progress
+    with reporter.stage("Reading"):
+        motions = _opened(first), _opened(second)
+    return _compared(motions, chosen, options, reporter)
 
 
 def _label(path: Path) -> str:
-    """Name a motion after its file, or after the folder that its results are in."""
+    """Return the name of a motion: that of its file, or of the folder with its results."""
     path = path.resolve()
     if path.name in ("motion.npz", "bones.npz"):
         path = path.parent
@@ -93,29 +313,37 @@ def _label(path: Path) -> str:
 
 def _nothing(first: Recording, second: Recording, problem: str) -> str:
     has = " and ".join(
-        f"{which} has {', '.join([*r.angle_names, *r.point_names, *r.segment_names][:8])}, ..."
-        for which, r in (("the first", first), ("the second", second))
+        f"{which} has {', '.join([*r.angle_names, *r.point_names, *r.segment_names][:_SHOWN_NAMES])}, ..."
+        for which, r in (("the first motion", first), ("the second", second))
     )
     return f"cannot be compared ({problem.rstrip('.')}); {has}"
 
 
 def read_name_map(path: Path) -> Mapping[str, Mapping[str, str]]:
-    """Read a TOML of names: `[angles] knee_angle_r = "right_knee_flexion"`, and so `[points]` and `[segments]`.
+    """Read a TOML of names that mean the same.
+
+    Its tables are `[angles]`, `[points]` and `[segments]`, with entries such as `knee_angle_r = "right_knee_flexion"`.
+
+    Args:
+        path: The file.
+
+    Returns:
+        By table, the name in the first motion and that in the second one.
 
     Raises:
-        FileProblem: It is no TOML, or has another table.
+        FileProblem: It is not a TOML file, or has another table.
     """
     try:
         tables = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise FileProblem(path, f"cannot be read as TOML ({error})", "See docs/compare.md.") from error
-    known = f'Known are {", ".join(f"[{name}]" for name in _TABLES)} with "name in A" = "name in B".'
+        raise FileProblem(path, f"cannot be read as TOML ({error})", "Correct the file.") from error
+    known = f'It may have {", ".join(f"[{name}]" for name in _TABLES)} with "name in A" = "name in B".'
     unknown = sorted(set(tables) - set(_TABLES))
     if unknown:
         raise FileProblem(path, f"has the unknown key '{unknown[0]}'", known)
     for name, table in tables.items():
         if not isinstance(table, dict) or not all(isinstance(value, str) for value in table.values()):
-            raise FileProblem(path, f"has something in [{name}] that is no name", known)
+            raise FileProblem(path, f"has a value in [{name}] that is not a name", known)
     return tables
 
 
@@ -124,17 +352,20 @@ def same_names(
 ) -> tuple[Recording, Recording]:
     """Give both recordings the same names for the same quantities.
 
-    What a user named comes first, then equal names, then the names by which OpenSim's models, Plug-in Gait and
-    others are known.
+    Names that the user gave have priority over equal names, and those over the known names of OpenSim's models,
+    Plug-in Gait and others.
 
     Args:
         first: A motion.
-        second: Another one, whose names change to the first one's where a user says so.
-        chosen: By kind, name in the first to name in the second; `-name` turns the sign.
-        path: The file in which the user said it.
+        second: Another one; quantities that the user gave get their names in the first motion.
+        chosen: By kind, name in the first motion to name in the second; `-name` inverts the sign.
+        path: The file with these names.
+
+    Returns:
+        Both motions with the new names.
 
     Raises:
-        FileProblem: A name that was given is in neither motion.
+        FileProblem: A given name is missing from its motion.
     """
     for kind, field in (("angles", "angle_names"), ("points", "point_names"), ("segments", "segment_names")):
         given = chosen.get(kind, {})
@@ -151,11 +382,11 @@ def same_names(
 
 
 def _known_names(recording: Recording, field: str, common: set[str]) -> Recording:
-    """Rename what is known by another name, unless both recordings call it so."""
+    """Rename quantities that are known by another name, unless both recordings use that name."""
     old = getattr(recording, field)
     wanted = [(name, 1.0) if name in common else _known(recording, field, k) for k, name in enumerate(old)]
     own_names = [own for own, _ in wanted]
-    # Two names for one thing, or a name that is there already: they stay apart.
+    # Two names for one quantity, or a name that exists already: they are not merged.
     final = [
         (own, sign) if own_names.count(own) == 1 and (own == name or own not in old) else (name, 1.0)
         for (own, sign), name in zip(wanted, old, strict=True)
@@ -178,26 +409,28 @@ def _renamed(recording: Recording, field: str, names: Sequence[str], signs: Sequ
     return replace(recording, **changes)  # type: ignore[arg-type]
 
 
-def notes_of(result: Comparison) -> list[str]:
-    """Say what a reader of the numbers should know."""
+def notes_of(result: MotionComparison) -> list[str]:
+    """Return what should be known to interpret the figures."""
     alignment = result.alignment
     notes = list(alignment.notes)
     if np.isfinite(alignment.rival_s):
         notes.append(
-            f"The motion repeats itself: a time shift of {alignment.rival_s:.3f} s fits nearly as well as the "
-            f"{alignment.shift_s:.3f} s that were taken. Where you know better, say so with --shift."
+            f"The motion repeats itself: a time shift of {alignment.rival_s:.3f} s fits nearly as well as the one of "
+            f"{alignment.shift_s:.3f} s that was estimated. If you know the shift, give it with --shift."
         )
     if alignment.shift_sd_s > _POOR_S:
-        notes.append(f"The time shift is known to {alignment.shift_sd_s:.2f} s only. Are the two of one trial?")
+        sd = f"{alignment.shift_sd_s:.2f} s"
+        notes.append(f"The standard deviation of the time shift is {sd}. Are both motions of the same trial?")
     for which, names in (("first", result.only_first), ("second", result.only_second)):
         if names:
-            more = f" and {len(names) - 12} more" if len(names) > 12 else ""
-            notes.append(f"Only in the {which} motion, not compared: {', '.join(names[:12])}{more}.")
+            left = len(names) - _SHOWN_LEFT_OVER
+            more = f" and {left} more" if left > 0 else ""
+            notes.append(f"Only in the {which} motion, not compared: {', '.join(names[:_SHOWN_LEFT_OVER])}{more}.")
     return notes
 
 
-def told(result: Comparison) -> list[str]:
-    """Say in a few lines what was found."""
+def comparison_text(result: MotionComparison) -> list[str]:
+    """Describe the result of a comparison in a few lines."""
     alignment, lines = result.alignment, []
     lines.append(f"{len(result.time)} frames in common, {result.time[-1] - result.time[0]:.2f} s.")
     lines.append(shift_text(alignment.shift_s, alignment.shift_sd_s))
@@ -212,7 +445,7 @@ def told(result: Comparison) -> list[str]:
     apart = [row for row in result.agreements if row.kind == "distance" and row.frames]
     if apart:
         last = max(apart, key=lambda row: row.rms)
-        lines.append(f"Farthest apart is {last.name.removesuffix(' distance')}: {1e3 * last.rms:.1f} mm (RMS).")
+        lines.append(f"Largest distance: {last.name.removesuffix(' distance')}, {1e3 * last.rms:.1f} mm (RMS).")
     return lines
 
 
@@ -221,23 +454,23 @@ def _correlation(value: float) -> str:
 
 
 def shift_text(shift: float, sd: float) -> str:
-    """Say how the clocks lie."""
+    """Describe the shift of the clocks."""
     return f"Time shift (second clock less first): {1e3 * shift + 0.0:.1f} ms{_spread(1e3 * sd, ' ms')}."
 
 
-def offset_text(result: Comparison) -> list[str]:
-    """Say how the laboratories lie."""
+def offset_text(result: MotionComparison) -> list[str]:
+    """Describe the rigid offset of the laboratories, in one or two sentences."""
     alignment = result.alignment
     if not (result.first.point_names or result.first.segment_names):
         return []
     turn = np.degrees(np.linalg.norm(alignment.first_from_second.rotation_vector))
-    text = f"Laboratories: the second is turned by {turn:.2f} degrees{_spread(_deg(alignment.turn_sd), ' degrees')}"
+    text = f"Laboratories: the second is rotated by {turn:.2f} degrees{_spread(_deg(alignment.turn_sd), ' degrees')}"
     if not result.first.point_names:
         return [f"{text}."]
     place = ", ".join(f"{v:.1f}" for v in np.round(1e3 * alignment.first_from_second.translation, 1) + 0.0)
     return [
-        f"{text}, moved by ({place}) mm{_spread(_mm(alignment.translation_sd), ' mm')} in the first.",
-        f"Points in common lie {1e3 * alignment.residual_m:.1f} mm apart (RMS).",
+        f"{text} and translated by ({place}) mm{_spread(_mm(alignment.translation_sd), ' mm')} in the first.",
+        f"Distance of the common points: {1e3 * alignment.residual_m:.1f} mm (RMS).",
     ]
 
 

@@ -1,87 +1,166 @@
-"""`marey retarget`: a recovered motion on another character."""
+"""`marey retarget`: transfer a measured motion to another character."""
 
 from pathlib import Path
 
 from marey.body.articulation.surface import Body
 from marey.errors import FileProblem
-from marey.io.gltf.rig import read_map, read_rig, write_retargeted
+from marey.io.gltf.gltf import Gltf
+from marey.io.gltf.rig import read_map, read_rig, retargeted, write_rig_motion
 from marey.io.npz import read_motion
 from marey.io.results.body import read_body
-from marey.motion.retarget import RigMotion
+from marey.motion.retarget import CharacterRig, RigMotion
+from marey.pipelines.capture.motion import Motion, motion_file
+from marey.pipelines.labelled import Described, Summary
+
+
+class RetargetedCharacter(Described):
+    """A character with a motion, to be saved as a copy of its file.
+
+    Args:
+        gltf: The character's file.
+        rig: Its skeleton.
+        moved: The motion of its nodes.
+        planted: Whether feet that stand still were kept in place.
+    """
+
+    def __init__(self, gltf: Gltf, rig: CharacterRig, moved: RigMotion, *, planted: bool):
+        self._gltf, self._rig, self._moved, self._planted = gltf, rig, moved, planted
+
+    @property
+    def joints(self) -> dict[str, str]:
+        """The character's joint for each segment of the body."""
+        return {segment: self._gltf.name(node) for segment, node in self._rig.nodes.items()}
+
+    @property
+    def guessed(self) -> tuple[str, ...]:
+        """Segments whose joints were found by their places, because their names are unknown."""
+        return tuple(self._rig.guessed)
+
+    @property
+    def gaps(self) -> tuple[tuple[float, float], ...]:
+        """Spans of time without an answer [s]; they have no keys, a viewer interpolates over them."""
+        return self._moved.gaps
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What should be known about the copy, in sentences."""
+        gltf, rig = self._gltf, self._rig
+        notes = ["Joints: " + ", ".join(f"{segment} = {name}" for segment, name in self.joints.items())]
+        if rig.guessed:
+            listed = ", ".join(f"{segment} = {self.joints[segment]}" for segment in rig.guessed)
+            notes.append(f"Found by their places: {listed}. If this is wrong, name the joints with --map.")
+        if rig.twists:
+            shared = ", ".join(f"{gltf.name(node)} {share:.2f}" for node, (_, share) in rig.twists.items())
+            notes.append(f"Shares of the limbs' twist: {shared}.")
+        if self._planted:
+            notes.append(self._slides_text())
+        if self.gaps:
+            spans = ", ".join(f"{a:.2f}-{b:.2f} s" for a, b in self.gaps)
+            notes.append(f"Nothing was measured at {spans}: there are no keys, and a viewer interpolates.")
+        return tuple(notes)
+
+    def _slides_text(self) -> str:
+        """Describe what keeping the feet in place has changed."""
+        if self._moved.slides is None:
+            return "Feet: none stands still in this motion."
+        before, after = self._moved.slides
+        return f"Feet: standing feet slid by {before:.3g} before and by {after:.3g} now (RMS, the character's unit)."
+
+    def save(self, path: Path | str) -> Path:
+        """Write a copy of the character's file with the motion as a further animation.
+
+        Args:
+            path: The copy, with the same suffix as the character.
+
+        Returns:
+            The path.
+
+        Raises:
+            FileProblem: The suffix differs, or the path is the character itself.
+        """
+        path, character = Path(path), self._gltf.path
+        check_copy(path, character)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_rig_motion(path, self._gltf, self._rig, self._moved)
+        return path
+
+    def summary(self) -> Summary:
+        """Return the readable description."""
+        time = self._moved.time
+        lines = {"keys": f"{len(time)}, {time[0]:.2f} to {time[-1]:.2f} s", "joints": f"{len(self.joints)}"}
+        return Summary(f"Motion on {self._gltf.path.name}", lines)
+
+
+def check_copy(path: Path, character: Path) -> None:
+    """Check the path of a copy of a character.
+
+    Raises:
+        FileProblem: The suffix differs, or the path is the character itself.
+    """
+    if path.suffix.lower() != character.suffix.lower():
+        has = f"has the suffix {path.suffix}" if path.suffix else "has no suffix"
+        raise FileProblem(path, has, f"Use the character's: {character.suffix}.")
+    if path.resolve() == character.resolve():
+        raise FileProblem(path, "is the character itself", "Give another name for the copy.")
+
+
+def copy_beside(motion: Path, character: Path) -> Path:
+    """Return the default path of a copy: beside the motion, named after the character.
+
+    Args:
+        motion: A folder of results, or a motion.npz.
+        character: The character.
+    """
+    return motion_file(motion).parent / f"{character.stem}_retargeted{character.suffix}"
 
 
 def retarget(
-    motion: Path, character: Path, *, out: Path | None, named: Path | None, grounded: bool, planted: bool
-) -> tuple[Path, list[str]]:
-    """Write a copy of a character's file that has a motion as its animation.
+    motion: Motion | Path | str,
+    character: Path | str,
+    *,
+    names: Path | str | None = None,
+    grounded: bool = True,
+    planted: bool = False,
+) -> RetargetedCharacter:
+    """Transfer a motion to another character, as the command `marey retarget` does.
 
     Args:
-        motion: A folder of results, or a motion.npz; body.npz beside it tells where the soles are.
-        character: A GLB or glTF with a skinned mesh.
-        out: The file to write; without it, one beside the motion, named for the character.
-        named: A TOML that names joints.
-        grounded: whether the lower foot is kept as high above the floor as the person's.
-        planted: whether feet that stand still are kept in their place.
+        motion: A motion, a folder of results, or a motion.npz; the body beside it gives the height of the soles.
+        character: A GLB or glTF file with a skinned mesh.
+        names: A TOML file that names the character's joints.
+        grounded: Keep the lower foot at the person's height above the floor.
+        planted: Keep feet that stand still exactly in their place; the legs bend for it.
 
     Returns:
-        The file, and what is worth telling.
+        The character with the motion; `save` writes it.
 
     Raises:
-        FileProblem: Something cannot be used.
+        FileProblem: The motion or the character cannot be used.
+
+    Example:
+        >>> import marey
+        >>> moved = marey.retarget("walk01", "knight.glb")
+        >>> moved.joints["left_thigh"]
+        'mixamorig:LeftUpLeg'
+        >>> moved.save("knight_walks.glb").name
+        'knight_walks.glb'
     """
-    source = motion_file(motion)
-    moving = read_motion(source)
-    if not moving.answered.any():
+    if isinstance(motion, Motion):
+        data, source = motion.data, motion.folder or Path("motion.npz")
+        beside = motion.folder
+    else:
+        source = motion_file(motion)
+        data, beside = read_motion(source), source.parent
+    if not data.answered.any():
         raise FileProblem(source, "has no frame with an answer", "Capture the trial again.")
-    gltf, rig = read_rig(character, read_map(named) if named is not None else None)
-    path = source.parent / f"{character.stem}_retargeted{character.suffix}" if out is None else out
-    if path.suffix.lower() != character.suffix.lower():
-        raise FileProblem(path, f"is to be written as {path.suffix or 'nothing'}", f"Name it {character.suffix}.")
-    if path.resolve() == character.resolve():
-        raise FileProblem(path, "is the character itself", "Give another name with --out.")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    floor = _floor(source.parent / "body.npz")
-    moved = write_retargeted(path, gltf, rig, moving, floor=floor, grounded=grounded, planted=planted)
-    notes = ["Joints: " + ", ".join(f"{segment} = {gltf.name(node)}" for segment, node in rig.nodes.items())]
-    if rig.guessed:
-        listed = ", ".join(f"{segment} = {gltf.name(rig.nodes[segment])}" for segment in rig.guessed)
-        notes.append(f"Guessed from where they stand: {listed}. If that is wrong, name them with --map.")
-    if rig.twists:
-        shared = ", ".join(f"{gltf.name(node)} {share:.2f}" for node, (_, share) in rig.twists.items())
-        notes.append(f"Shares of the limbs' twist: {shared}.")
-    if planted:
-        notes.append(_of_slides(moved))
-    if moved.gaps:
-        spans = ", ".join(f"{a:.2f}-{b:.2f} s" for a, b in moved.gaps)
-        notes.append(f"Nothing was measured at {spans}: there are no keys there, a viewer turns evenly across.")
-    return path, notes
-
-
-def _of_slides(moved: RigMotion) -> str:
-    """Say what planting the feet has brought."""
-    if moved.slides is None:
-        return "Feet: none stands still in this motion."
-    before, after = moved.slides
-    return f"Feet: where they stand they slid by {before:.3g}, now by {after:.3g} (RMS, the character's unit)."
-
-
-def motion_file(motion: Path) -> Path:
-    """Find the motion.npz that is meant by a file or folder.
-
-    Raises:
-        FileProblem: There is none.
-    """
-    if motion.is_file():
-        return motion
-    for path in (motion / "motion.npz", motion / "marey" / "motion.npz"):
-        if path.is_file():
-            return path
-    what = "holds no motion.npz" if motion.is_dir() else "does not exist"
-    raise FileProblem(motion, what, "Give the folder that `marey capture` or `marey shape` said its results went to.")
+    gltf, rig = read_rig(Path(character), None if names is None else read_map(Path(names)))
+    floor = None if beside is None else _floor(beside / "body.npz")
+    moved = retargeted(gltf, rig, data, floor=floor, grounded=grounded, planted=planted)
+    return RetargetedCharacter(gltf, rig, moved, planted=planted)
 
 
 def _floor(path: Path) -> float | None:
-    """Give the height of a body's lowest skin above its pelvis [m], or None where there is no body."""
+    """Return the height of a body's lowest skin above its pelvis [m]; None without a body."""
     if not path.is_file():
         return None
     body: Body = read_body(path)[0]

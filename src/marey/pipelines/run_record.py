@@ -126,6 +126,9 @@ def finished_together(out: Path) -> Iterator[Path]:
         _move_in(staging, out)
     finally:
         shutil.rmtree(staging, ignore_errors=True)
+        for folder in (staging.parent, out):
+            with suppress(OSError):
+                folder.rmdir()
 
 
 def _move_in(staging: Path, out: Path) -> None:
@@ -155,6 +158,24 @@ def _carry_over(staging: Path, out: Path) -> set[Path]:
     return {name for name in names if not name.is_absolute() and ".." not in name.parts}
 
 
+def record_of(folder: Path, file: str) -> dict[str, Any]:
+    """Return the record of the run that wrote a file of a folder, as `run.json` holds it.
+
+    Args:
+        folder: A folder with results of one or several commands.
+        file: Name of the file.
+
+    Returns:
+        The record without those of other commands; empty if no run lists the file.
+    """
+    record = _record_in(folder)
+    earlier = record.pop("earlier", {})
+    for each in (record, *earlier.values()):
+        if isinstance(each, dict) and file in each.get("files", []):
+            return each
+    return {}
+
+
 def _record_in(folder: Path) -> dict[str, Any]:
     try:
         record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
@@ -162,6 +183,24 @@ def _record_in(folder: Path) -> dict[str, Any]:
         return {}
     sound = isinstance(record, dict) and all(isinstance(record.get(key, []), list) for key in ("files",))
     return record if sound else {}
+
+
+def recorded_run(folder: Path, command: str) -> dict[str, Any]:
+    """Return what run.json holds about the last run of a command.
+
+    Args:
+        folder: A folder of results.
+        command: For example `markers`.
+
+    Returns:
+        The record; empty if the folder has none of this command.
+    """
+    record = _record_in(folder)
+    if record.get("command") == command:
+        return record
+    earlier = record.get("earlier", {})
+    found = earlier.get(command, {}) if isinstance(earlier, dict) else {}
+    return found if isinstance(found, dict) else {}
 
 
 def _write_json(path: Path, record: Mapping[str, object]) -> None:

@@ -5,11 +5,12 @@ import json
 import numpy as np
 import pytest
 from tests import rigs
+from tests.rigs import write_retargeted
 
 from marey.errors import FileProblem
 from marey.geometry import rotations
 from marey.io.axes import GLTF_FROM_WORLD
-from marey.io.gltf.rig import read_map, read_rig, write_retargeted
+from marey.io.gltf.rig import read_map, read_rig
 from marey.io.gltf.rig_names import name_joints
 from marey.motion.retarget import NEEDED, rest_joints
 from marey.motion.twist import twist_angles

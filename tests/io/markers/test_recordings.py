@@ -10,10 +10,10 @@ from marey.io.markers.recordings import read_recording
 from marey.io.npz import write_motion
 from marey.io.opensim.mot_sto import Orientations, Table, write_orientations, write_table
 from marey.io.opensim.trc import PointPaths, write_trc
-from marey.motion.motion import Motion
+from marey.motion.motion import BodyMotion
 
 
-def test_a_folder_of_a_capture_gives_angles_joints_and_segments(motion: Motion, tmp_path):
+def test_a_folder_of_a_capture_gives_angles_joints_and_segments(motion: BodyMotion, tmp_path):
     write_motion(tmp_path / "marey" / "motion.npz", motion)
     read = read_recording(tmp_path)
     assert read.angle_names == motion.angle_names
@@ -33,7 +33,7 @@ def test_a_table_has_angles_and_their_deviations_but_no_places(tmp_path):
     np.testing.assert_allclose(np.degrees(read.angles_sd[:, 0]), [1, 2])
 
 
-def test_points_and_orientations_of_all_formats_are_the_same(motion: Motion, tmp_path):
+def test_points_and_orientations_of_all_formats_are_the_same(motion: BodyMotion, tmp_path):
     paths = PointPaths(names=motion.joint_names, time=motion.time, rate=motion.rate, points=motion.joint_centres)
     write_trc(tmp_path / "a.trc", paths)
     write_c3d(

@@ -7,9 +7,9 @@ import pytest
 from marey.errors import FileProblem
 from marey.io.mr.contours import read_contours, same_grid, write_contours
 from marey.knee.outlines.contours import Contour
-from marey.knee.space.volume import Grid
+from marey.knee.space.volume import VoxelGrid
 
-GRID = Grid(shape=(6, 20, 30), lps_from_voxel=np.diag([-0.5, 0.5, 2.0, 1.0]))
+GRID = VoxelGrid(shape=(6, 20, 30), lps_from_voxel=np.diag([-0.5, 0.5, 2.0, 1.0]))
 
 
 def made_contour(index: int = 3) -> Contour:
@@ -76,6 +76,6 @@ def test_what_is_no_such_file_is_an_error(tmp_path: Path, text: str):
 def test_grids_are_the_same_where_all_their_corners_are():
     moved = GRID.lps_from_voxel.copy()
     moved[0, 3] += 0.5
-    assert not same_grid(GRID, Grid(shape=GRID.shape, lps_from_voxel=moved))
-    assert not same_grid(GRID, Grid(shape=(6, 20, 31), lps_from_voxel=GRID.lps_from_voxel))
-    assert same_grid(GRID, Grid(shape=GRID.shape, lps_from_voxel=GRID.lps_from_voxel + 1e-6))
+    assert not same_grid(GRID, VoxelGrid(shape=GRID.shape, lps_from_voxel=moved))
+    assert not same_grid(GRID, VoxelGrid(shape=(6, 20, 31), lps_from_voxel=GRID.lps_from_voxel))
+    assert same_grid(GRID, VoxelGrid(shape=GRID.shape, lps_from_voxel=GRID.lps_from_voxel + 1e-6))

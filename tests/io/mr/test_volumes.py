@@ -10,7 +10,7 @@ import pytest
 
 from marey.errors import FileProblem
 from marey.io.mr.volumes import read_labels, read_template, read_volume, simple_itk, write_labels, write_volume
-from marey.knee.space.volume import Grid, Labels, Volume
+from marey.knee.space.volume import Labels, Volume, VoxelGrid
 
 if find_spec("SimpleITK") is None:
     pytest.skip("SimpleITK is not installed", allow_module_level=True)
@@ -32,7 +32,7 @@ def turned(spacing: tuple[float, float, float], *, flip: bool = False) -> np.nda
 
 
 def volume(rng: np.random.Generator, *, flip: bool = False) -> Volume:
-    grid = Grid(shape=(5, 6, 7), lps_from_voxel=turned((0.3, 0.4, 1.5), flip=flip))
+    grid = VoxelGrid(shape=(5, 6, 7), lps_from_voxel=turned((0.3, 0.4, 1.5), flip=flip))
     return Volume(intensity=rng.uniform(0, 400, grid.shape), grid=grid)
 
 
@@ -118,7 +118,7 @@ def test_an_empty_file_and_one_that_was_cut_off_are_named(tmp_path, rng):
     (tmp_path / "empty.nii.gz").touch()
     with pytest.raises(FileProblem, match="is empty"):
         read_volume(tmp_path / "empty.nii.gz")
-    grid = Grid(shape=(20, 40, 40), lps_from_voxel=np.eye(4))
+    grid = VoxelGrid(shape=(20, 40, 40), lps_from_voxel=np.eye(4))
     write_volume(tmp_path / "cut.nii.gz", Volume(intensity=rng.uniform(0, 400, grid.shape), grid=grid))
     content = (tmp_path / "cut.nii.gz").read_bytes()
     (tmp_path / "cut.nii.gz").write_bytes(content[: len(content) // 2])
@@ -222,8 +222,8 @@ def test_markers_can_be_written_after_a_volume_was_read(tmp_path):
     code = f"""
 import numpy as np
 from marey.io.mr.volumes import write_labels
-from marey.knee.space.volume import Grid, Labels
-grid = Grid(shape=(4, 4, 4), lps_from_voxel=np.eye(4))
+from marey.knee.space.volume import VoxelGrid, Labels
+grid = VoxelGrid(shape=(4, 4, 4), lps_from_voxel=np.eye(4))
 write_labels({str(tmp_path)!r}, Labels(labels=np.zeros((4, 4, 4)), grid=grid))
 from marey.io.markers.c3d import write_c3d
 from marey.io.opensim.trc import PointPaths
@@ -245,14 +245,14 @@ def test_the_locale_stays_what_it_was_when_a_series_is_read(tmp_path):
 
 @pytest.mark.parametrize("level", [0.0, 7.0])
 def test_one_value_throughout_is_no_image(tmp_path, level):
-    grid = Grid(shape=(5, 6, 7), lps_from_voxel=np.eye(4))
+    grid = VoxelGrid(shape=(5, 6, 7), lps_from_voxel=np.eye(4))
     write_volume(tmp_path / "even.nii.gz", Volume(intensity=np.full(grid.shape, level), grid=grid))
     with pytest.raises(FileProblem, match=f"one value throughout, {level:g}"):
         read_volume(tmp_path / "even.nii.gz")
 
 
 def test_values_far_below_zero_are_no_mr_image(tmp_path, rng):
-    grid = Grid(shape=(6, 7, 8), lps_from_voxel=np.eye(4))
+    grid = VoxelGrid(shape=(6, 7, 8), lps_from_voxel=np.eye(4))
     write_volume(tmp_path / "ct.nii.gz", Volume(intensity=rng.uniform(-1000, 1200, grid.shape), grid=grid))
     with pytest.raises(FileProblem, match="as CT does"):
         read_volume(tmp_path / "ct.nii.gz")

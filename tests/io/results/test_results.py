@@ -1,11 +1,11 @@
 """Every file of the results holds the same motion, also for the programs that others read it with."""
 
-import importlib.util
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from bench.capture import formats
 from tests import people, performer
 
 from marey.arrays import Floats
@@ -19,7 +19,7 @@ from marey.io.gltf.character import read_character
 from marey.io.markers.c3d import read_c3d
 from marey.io.results.body import open_body, read_body, segment_lengths, write_body
 from marey.io.results.results import read_points, write_results
-from marey.motion.motion import NOBODY, Motion
+from marey.motion.motion import NOBODY, BodyMotion
 
 FILES = {
     "joint_centres.trc", "angles.mot", "body.osim", "orientations.sto", "motion.c3d", "motion.bvh", "body.glb",
@@ -28,7 +28,7 @@ FILES = {
 
 
 @pytest.fixture(scope="module")
-def skin(person: Body, motion: Motion) -> Floats:
+def skin(person: Body, motion: BodyMotion) -> Floats:
     vertices = np.full((len(motion), *person.vertices.shape), np.nan)
     for f in np.flatnonzero(motion.answered):
         vertices[f] = performer.pose(person, motion.coordinates[f]).vertices
@@ -36,19 +36,10 @@ def skin(person: Body, motion: Motion) -> Floats:
 
 
 @pytest.fixture(scope="module")
-def results(person: Body, motion: Motion, skin: Floats, tmp_path_factory) -> Path:
+def results(person: Body, motion: BodyMotion, skin: Floats, tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("trial") / "marey"
     write_results(folder, motion, person, preset="full", mass_kg=70, skin=skin)
     return folder
-
-
-@pytest.fixture(scope="module")
-def checks():
-    path = Path(__file__).parents[2] / "bench" / "check_formats.py"
-    spec = importlib.util.spec_from_file_location("check_formats", path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def test_every_file_is_there_and_nothing_else(results: Path):
@@ -62,15 +53,15 @@ def test_every_file_is_there_and_nothing_else(results: Path):
         ("xarray", "check_netcdf"), ("bpy", "check_blender"),
     ],
 )  # fmt: skip
-def test_other_programs_see_the_same_motion(results: Path, motion: Motion, checks, program: str, check: str):
+def test_other_programs_see_the_same_motion(results: Path, motion: BodyMotion, program: str, check: str):
     pytest.importorskip(program)
-    found = getattr(checks, check)(results, motion.arrays())
+    found = getattr(formats, check)(results, motion.arrays())
     assert found
     for name, difference in found.items():
-        assert difference <= checks.LIMITS[name.rsplit("[", 1)[1][:-1]], name
+        assert difference <= formats.LIMITS[name.rsplit("[", 1)[1][:-1]], name
 
 
-def test_the_motion_comes_back_array_by_array(results: Path, motion: Motion):
+def test_the_motion_comes_back_array_by_array(results: Path, motion: BodyMotion):
     back = npz.read_motion(results / "motion.npz").arrays()
     for name, value in motion.arrays().items():
         np.testing.assert_array_equal(back[name], value, err_msg=name)
@@ -95,7 +86,7 @@ def test_a_skin_that_comes_one_by_one_is_the_same_and_a_short_one_is_refused(res
     assert not (tmp_path / "short.npz").exists()
 
 
-def test_points_are_read_from_every_file_that_has_them(results: Path, motion: Motion):
+def test_points_are_read_from_every_file_that_has_them(results: Path, motion: BodyMotion):
     for name in ("joint_centres.trc", "motion.c3d", "motion.npz", ""):
         paths = read_points(results / name)
         assert paths.names == motion.joint_names
@@ -105,7 +96,7 @@ def test_points_are_read_from_every_file_that_has_them(results: Path, motion: Mo
         read_points(results / "body.osim")
 
 
-def test_the_angles_are_a_table_with_units(results: Path, motion: Motion):
+def test_the_angles_are_a_table_with_units(results: Path, motion: BodyMotion):
     lines = (results / "angles.csv").read_text().splitlines()
     head = lines[0].split(",")
     assert head[:4] == ["time_s", "state", f"{motion.angle_names[0]}_deg", f"{motion.angle_names[0]}_sd_deg"]
@@ -280,7 +271,7 @@ def test_a_body_is_opened_from_npz_and_from_glb(results: Path, person: Body, tmp
         open_body(tmp_path / "scan.toml", person)
 
 
-def test_a_motion_without_any_answer_still_leaves_its_files(person: Body, motion: Motion, tmp_path):
+def test_a_motion_without_any_answer_still_leaves_its_files(person: Body, motion: BodyMotion, tmp_path):
     empty = replace(
         motion,
         **{

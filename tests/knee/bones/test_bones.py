@@ -7,9 +7,9 @@ from tests.made_knees import made_grid, made_labels, made_volume
 from marey.errors import MareyError, SettingProblem
 from marey.geometry import rotations
 from marey.knee.bones.bones import segment_bones
-from marey.knee.bones.marrow import Knee, prepare
+from marey.knee.bones.marrow import PreparedImage, prepare
 from marey.knee.space.resampling import part_of, resampled
-from marey.knee.space.volume import Grid, Volume
+from marey.knee.space.volume import Volume, VoxelGrid
 
 SPACING = (2.5, 2.5, 2.5)
 
@@ -36,7 +36,7 @@ def test_a_seed_finds_the_only_long_bone_without_a_template():
     grid = made_grid(SPACING)
     box = (slice(None, 26), slice(None), slice(None))
     volume = cut(made_volume(grid, "dark"), box)
-    with pytest.raises(MareyError, match="shows one of the two only, --template, or a --seed in that one"):
+    with pytest.raises(MareyError, match="shows only one of the two, give --template, or a --seed in that bone"):
         segment_bones([volume])
     found = segment_bones([volume], seeds_mm={"tibia": np.array([0.0, 2.0, -20.0])})
     assert list(found.bones) == ["tibia"]
@@ -50,13 +50,13 @@ def test_a_seed_in_the_other_bone_is_named(typed, place, seems):
         segment_bones([made_volume(made_grid(SPACING), "dark")], seeds_mm={typed: np.array(place, dtype=float)})
 
 
-def turned(grid: Grid, angle: float) -> Grid:
+def turned(grid: VoxelGrid, angle: float) -> VoxelGrid:
     by = np.eye(4)
     by[:3, :3] = rotations.exp(np.array([0.0, angle, 0.0]))
-    return Grid(shape=grid.shape, lps_from_voxel=by @ grid.lps_from_voxel)
+    return VoxelGrid(shape=grid.shape, lps_from_voxel=by @ grid.lps_from_voxel)
 
 
-def body_off(knee: Knee) -> float:
+def body_off(knee: PreparedImage) -> float:
     """Share of the image whose body is not where the made limb is, 3 mm about its skin aside."""
     k, j, i = np.meshgrid(*[np.arange(n) for n in knee.grid.shape], indexing="ij")
     x, y, _ = np.moveaxis(knee.grid.lps(np.stack([i, j, k], axis=-1).astype(float)), -1, 0)

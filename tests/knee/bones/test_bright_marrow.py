@@ -5,22 +5,22 @@ import pytest
 
 from marey.knee.bones.bright_marrow import (
     BrightImage,
+    continued_limit,
     cut_along_line,
     evened,
     evenness,
-    followed,
-    goes_on,
+    extended_bone,
     template_odds,
 )
-from marey.knee.space.volume import Grid
+from marey.knee.space.volume import VoxelGrid
 
 SHAPE = (8, 70, 60)
 SPACING = (4.0, 1.0, 1.0)
 LEVEL = 3000.0
 
 
-def grid() -> Grid:
-    return Grid(shape=SHAPE, lps_from_voxel=np.diag([*SPACING[::-1], 1.0]))
+def grid() -> VoxelGrid:
+    return VoxelGrid(shape=SHAPE, lps_from_voxel=np.diag([*SPACING[::-1], 1.0]))
 
 
 def depth_in_shaft() -> np.ndarray:
@@ -51,18 +51,18 @@ def test_a_shaft_is_followed_to_where_the_marrow_is_dimmer(rng):
     image = image_of(rng, least=0.6)
     grown = bone & (coil(0.6) > 0.75)
     assert grown.sum() < 0.8 * bone.sum()
-    found = followed(image, grown)
+    found = extended_bone(image, grown)
     assert found is not None
     assert (found & bone).sum() > 0.95 * bone.sum()
     assert not found[depth_in_shaft() < -2].any()
 
 
 def test_a_bone_that_is_whole_is_left_as_it_grew(rng):
-    assert followed(image_of(rng), depth_in_shaft() > 0) is None
+    assert extended_bone(image_of(rng), depth_in_shaft() > 0) is None
 
 
 def test_what_leaks_is_not_taken(rng):
-    assert followed(image_of(rng, gap=slice(10, 60)), depth_in_shaft() > 2) is None
+    assert extended_bone(image_of(rng, gap=slice(10, 60)), depth_in_shaft() > 2) is None
 
 
 @pytest.mark.parametrize("off_mm", [-2.0, 2.0])
@@ -108,6 +108,6 @@ def test_a_template_goes_on_beyond_its_end_and_says_less_there():
     limit = np.full((6, 1, 3), np.nan)
     limit[2:4] = [5.0, -1.0, -6.0]
     limit[4:] = limit[3]
-    found = goes_on(limit, 2.0)
+    found = continued_limit(limit, 2.0)
     np.testing.assert_array_equal(found[2:], limit[2:])
     np.testing.assert_allclose(found[0, 0], [0.0, 0.0, -6.0 + 0.3 * 4], rtol=1e-6)

@@ -3,22 +3,22 @@ import pytest
 
 from marey.knee.bones.outer_edge import at_half_level
 from marey.knee.space.resampling import smoothed
-from marey.knee.space.volume import Grid
+from marey.knee.space.volume import VoxelGrid
 
 RADIUS = 13.0
 SPACING = np.array([1.2, 0.5, 0.5])
 VOXEL = float(SPACING.prod())
 
 
-def ball() -> tuple[np.ndarray, Grid]:
+def ball() -> tuple[np.ndarray, VoxelGrid]:
     """Depth [mm] in a ball, in slices as thick as knees are scanned in."""
-    grid = Grid(shape=(32, 76, 76), lps_from_voxel=np.diag([*SPACING[::-1], 1.0]))
+    grid = VoxelGrid(shape=(32, 76, 76), lps_from_voxel=np.diag([*SPACING[::-1], 1.0]))
     axes = [(np.arange(n) - (n - 1) / 2) * step for n, step in zip(grid.shape, SPACING, strict=True)]
     k, j, i = np.meshgrid(*axes, indexing="ij")
     return RADIUS - np.sqrt(k**2 + j**2 + i**2), grid
 
 
-def imaged(levels: np.ndarray, grid: Grid, rng: np.random.Generator, noise: float = 4.0) -> np.ndarray:
+def imaged(levels: np.ndarray, grid: VoxelGrid, rng: np.random.Generator, noise: float = 4.0) -> np.ndarray:
     blurred = smoothed(levels, grid, 0.45)
     return np.hypot(blurred + rng.normal(0, noise, grid.shape), rng.normal(0, noise, grid.shape))
 

@@ -7,10 +7,10 @@ import pytest
 from tests.made_knees import made_grid, made_labels, made_volume
 
 from marey.errors import SettingProblem
-from marey.knee.bones.marrow import Knee, NoPairFound, prepare
+from marey.knee.bones.marrow import NoPairFound, PreparedImage, prepare
 from marey.knee.bones.partial_view import SeenBone, in_view, partial_view
 from marey.knee.bones.seeds import find_seeds
-from marey.knee.bones.template_fit import Placement, TemplateBone, template_bones
+from marey.knee.bones.template_fit import TemplateBone, TemplatePlacement, template_bones
 from marey.knee.space.resampling import part_of
 from marey.knee.space.volume import Volume
 
@@ -18,7 +18,7 @@ SPACING = (2.5, 2.5, 2.5)
 
 
 @pytest.fixture(scope="module")
-def tibia_only() -> Knee:
+def tibia_only() -> PreparedImage:
     """What lies 5 mm and more below the joint."""
     volume = made_volume(made_grid(SPACING), "dark")
     box = (slice(None, 26), slice(None), slice(None))
@@ -35,8 +35,8 @@ def test_a_tibia_alone_is_found_by_a_larger_template(tibia_only, bones):
         find_seeds(tibia_only, {})
     view = partial_view(tibia_only, bones, {})
     assert view is not None
-    assert (view.kind, list(view.seeds), list(view.laid)) == ("dark", ["tibia"], ["tibia"])
-    seen = view.laid["tibia"]
+    assert (view.kind, list(view.seeds), list(view.seen)) == ("dark", ["tibia"], ["tibia"])
+    seen = view.seen["tibia"]
     assert 0.5 < seen.known < 1
     # The upper end of the template's, 2 mm below the joint, comes to where the image's is: half a voxel is 1.25 mm.
     top = seen.placement.image_from_template(bones["tibia"].points_mm)[:, 2].max()
@@ -47,13 +47,13 @@ def test_without_a_template_only_a_seed_speaks_for_a_bone(tibia_only):
     assert partial_view(tibia_only, {}, {}) is None
     view = partial_view(tibia_only, {}, {"tibia": np.array([0.0, 2.0, -20.0])})
     assert view is not None
-    assert (view.kind, list(view.seeds), view.laid) == ("dark", ["tibia"], {})
+    assert (view.kind, list(view.seeds), view.seen) == ("dark", ["tibia"], {})
     with pytest.raises(SettingProblem, match="lies in the air"):
         partial_view(tibia_only, {}, {"tibia": np.array([50.0, 45.0, -50.0])})
 
 
 def seen(name: str, place: tuple[float, float, float], **other: object) -> SeenBone:
-    here = Placement(matrix=np.eye(3), shift=np.zeros(3))
+    here = TemplatePlacement(matrix=np.eye(3), shift=np.zeros(3))
     one = SeenBone(
         name=name, kind="dark", mirrored=False, placement=here, seed=np.array(place[::-1]).astype(int),
         contrast=0.8, known=0.8, fill=1.0,

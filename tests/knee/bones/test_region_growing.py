@@ -2,10 +2,11 @@ import numpy as np
 import pytest
 
 from marey.errors import SettingProblem
-from marey.knee.bones.marrow import Knee
-from marey.knee.bones.region_growing import Level, grow, marrow_level, outgrowth, signed_distance, thin_share
+from marey.knee.bones.marrow import PreparedImage
+from marey.knee.bones.region_growing import MarrowLevel, grow, marrow_level, outgrowth, thin_share
 from marey.knee.bones.seeds import seed_voxel
-from marey.knee.space.volume import Grid
+from marey.knee.space.distances import signed_distance
+from marey.knee.space.volume import VoxelGrid
 
 
 def two_balls(neck_mm: float) -> np.ndarray:
@@ -33,12 +34,12 @@ def test_without_a_leak_the_bone_is_whole_and_air_gives_nothing():
     assert not grow(np.zeros_like(likeness), np.array([17, 17, 16])).any()
 
 
-def made_knee(rng: np.random.Generator, level: float) -> Knee:
-    grid = Grid(shape=(24, 24, 24), lps_from_voxel=np.eye(4))
+def made_knee(rng: np.random.Generator, level: float) -> PreparedImage:
+    grid = VoxelGrid(shape=(24, 24, 24), lps_from_voxel=np.eye(4))
     body = np.zeros(grid.shape, dtype=bool)
     body[:, :, :20] = True
     intensity = rng.normal(level, 1.0, grid.shape)
-    return Knee(
+    return PreparedImage(
         intensity=intensity, body=body, depth_mm=np.ones(grid.shape), within=np.full(grid.shape, True), grid=grid
     )
 
@@ -48,7 +49,9 @@ def test_the_band_comes_from_the_seeds_own_region(rng):
     # 5 standard deviations of 1; the median of some 2000 voxels is good to 0.03.
     assert dark.limit - dark.median == pytest.approx(5.0, rel=0.1)
     assert bright.median - bright.limit == pytest.approx(5.0, rel=0.1)
-    np.testing.assert_allclose(Level(median=20, limit=25).likeness(np.array([10, 20, 22.5, 25, 40])), [1, 1, 0.5, 0, 0])
+    np.testing.assert_allclose(
+        MarrowLevel(median=20, limit=25).likeness(np.array([10, 20, 22.5, 25, 40])), [1, 1, 0.5, 0, 0]
+    )
 
 
 def test_seeds_in_the_air_or_outside_say_where_the_image_is(rng):

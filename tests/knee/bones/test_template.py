@@ -4,7 +4,7 @@ from scipy import ndimage
 from tests.made_knees import made_grid, made_labels
 
 from marey.errors import MareyError
-from marey.knee.bones.template import Template, checked_template
+from marey.knee.bones.template import CheckedTemplate, checked_template
 from marey.knee.space.structures import LABELS
 from marey.knee.space.volume import Labels
 
@@ -14,7 +14,7 @@ pytest.importorskip("fast_simplification")
 GRID = made_grid((3.0, 3.0, 3.0))
 
 
-def checked(labels: np.ndarray) -> Template:
+def checked(labels: np.ndarray) -> CheckedTemplate:
     return checked_template(Labels(labels=labels, grid=GRID), edge_mm=5.0)
 
 
@@ -34,18 +34,18 @@ def test_a_whole_knee_is_a_template_without_faults():
     assert all(surface.volume_mm3 > 0 for surface in found.surfaces.values())
 
 
-def test_the_side_is_told_by_the_patella():
+def test_the_patella_shows_the_side():
     sides = {checked(whole_knee(mirror=mirror)).side for mirror in (False, True)}
     assert sides == {"left", "right"}
 
 
 @pytest.mark.parametrize("bone", ["femur", "tibia"])
-def test_a_bone_that_segmenting_needs_is_missed(bone: str):
+def test_a_missing_long_bone_is_a_fault(bone: str):
     labels = whole_knee()
     labels[labels == LABELS[bone]] = 0
     found = checked(labels)
     assert [fault.split(":")[0] for fault in found.faults] == [f"The {bone} is missing"]
-    assert any(f"no {bone} for it to lie on" in note for note in found.notes)
+    assert any(f"but no {bone}." in note for note in found.notes)
 
 
 def test_bones_alone_say_which_cartilage_will_not_be_found():
@@ -79,5 +79,5 @@ def test_pieces_and_hollows_of_a_bone_are_told():
 
 def test_labels_without_any_bone_are_no_template():
     labels = np.where(whole_knee() == LABELS["femoral_cartilage"], LABELS["femoral_cartilage"], 0)
-    with pytest.raises(MareyError, match="no bone in it"):
+    with pytest.raises(MareyError, match="contains no bone"):
         checked(labels)

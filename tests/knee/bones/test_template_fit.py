@@ -3,26 +3,26 @@ import pytest
 
 from marey.errors import MareyError
 from marey.geometry import rotations
-from marey.knee.bones.template_fit import Placement, TemplateProblem, check_size, place_template, template_bones
+from marey.knee.bones.template_fit import TemplatePlacement, TemplateProblem, check_size, place_template, template_bones
 from marey.knee.space.resampling import resampled, upright_grid
 from marey.knee.space.structures import LABELS
-from marey.knee.space.volume import Grid, Labels
+from marey.knee.space.volume import Labels, VoxelGrid
 
 
 def test_a_mirrored_placement_goes_there_and_back_and_normals_stay_outward(rng):
     matrix = 1.1 * rotations.exp(np.array([0.1, -0.2, 0.3])) @ np.diag([-1.0, 1.0, 1.0])
-    placement = Placement(matrix=matrix, shift=np.array([3.0, -4.0, 5.0]))
+    placement = TemplatePlacement(matrix=matrix, shift=np.array([3.0, -4.0, 5.0]))
     outward = rng.normal(size=(50, 3))
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
     points = placement.image_from_template(10 * outward)
     np.testing.assert_allclose(placement.template_from_image(points), 10 * outward, atol=1e-12)
     middle = placement.image_from_template(np.zeros(3))
-    np.testing.assert_allclose(placement.turned(outward), (points - middle) / 11.0, atol=1e-12)
+    np.testing.assert_allclose(placement.image_normals(outward), (points - middle) / 11.0, atol=1e-12)
 
 
 def balls(spacing: float = 2.0) -> Labels:
     """A femur over a tibia, both balls; the tibia is cut by the labels' end."""
-    grid = Grid(shape=(40, 30, 30), lps_from_voxel=np.diag([-spacing, spacing, spacing, 1.0]))
+    grid = VoxelGrid(shape=(40, 30, 30), lps_from_voxel=np.diag([-spacing, spacing, spacing, 1.0]))
     k, j, i = np.meshgrid(*[np.arange(n) * spacing for n in grid.shape], indexing="ij")
     labels = np.zeros(grid.shape, dtype=np.uint8)
     labels[np.sqrt((k - 58) ** 2 + (j - 29) ** 2 + (i - 29) ** 2) < 15] = LABELS["femur"]
@@ -62,6 +62,6 @@ def test_a_template_without_a_tibia_cannot_be_laid():
 
 
 def test_a_template_of_wrong_voxels_is_told():
-    check_size([Placement(matrix=1.3 * np.diag([-1.0, 1, 1]), shift=np.zeros(3))])
-    with pytest.raises(TemplateProblem, match=r"made 2\.00 times as large"):
-        check_size([Placement(matrix=2 * np.eye(3), shift=np.zeros(3))] * 2)
+    check_size([TemplatePlacement(matrix=1.3 * np.diag([-1.0, 1, 1]), shift=np.zeros(3))])
+    with pytest.raises(TemplateProblem, match=r"scaled by 2\.00"):
+        check_size([TemplatePlacement(matrix=2 * np.eye(3), shift=np.zeros(3))] * 2)

@@ -15,7 +15,7 @@ from marey.knee.cartilage.evidence import (
     measured_blur,
     read_profiles,
 )
-from marey.knee.space.volume import Grid, Volume
+from marey.knee.space.volume import Volume, VoxelGrid
 
 MARROW, OVER, SPREAD = 0.12, 0.25, 0.05
 BINS = np.arange(-0.5, 3.5001, 0.04)
@@ -103,7 +103,7 @@ def test_the_blur_is_measured_at_the_edges(rng):
 
 def test_an_edge_is_more_blurred_across_thick_slices():
     matrix = np.diag([0.4, 0.4, 2.0, 1.0])
-    volume = Volume(intensity=np.zeros((10, 40, 40)), grid=Grid(shape=(10, 40, 40), lps_from_voxel=matrix))
+    volume = Volume(intensity=np.zeros((10, 40, 40)), grid=VoxelGrid(shape=(10, 40, 40), lps_from_voxel=matrix))
     read = read_profiles(volume, np.full((2, 3), 8.0), np.array([[1.0, 0, 0], [0, 0, 1.0]]))
     assert read.values.shape == (2, len(DEPTHS_MM))
     np.testing.assert_allclose(read.blur_mm**2, np.array([0.4, 2.0]) ** 2 / 4 + 0.3**2)

@@ -14,7 +14,7 @@ from marey.knee.registration.deformation import Deformation
 from marey.knee.space.mesh_graph import MeshGraph
 from marey.knee.space.structures import LABELS
 from marey.knee.space.surface import Surface
-from marey.knee.space.volume import Grid, Labels, Volume
+from marey.knee.space.volume import Labels, Volume, VoxelGrid
 
 RADIUS, THICK, RIM = 15.0, 2.4, 0.3
 """A round bone under a cap of cartilage, down to z = RIM * radius."""
@@ -27,13 +27,13 @@ def ball(radius: float = RADIUS, fine: int = 4) -> Surface:
 
 
 @cache
-def made_kinds() -> tuple[np.ndarray, Grid]:
+def made_kinds() -> tuple[np.ndarray, VoxelGrid]:
     """Shares of bone, cartilage and flesh in voxels of half a millimetre by half by one."""
     spacing = np.array([0.5, 0.5, 1.0])
     shape = (46, 92, 92)
     matrix = np.diag([*spacing, 1.0])
     matrix[:3, 3] = -0.5 * spacing * (np.array(shape[::-1]) - 1)
-    grid = Grid(shape=shape, lps_from_voxel=matrix)
+    grid = VoxelGrid(shape=shape, lps_from_voxel=matrix)
     kinds = np.zeros((3, *shape))
     for shift in np.ndindex(2, 2, 2):
         index = np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"), -1)[..., ::-1]
@@ -46,7 +46,7 @@ def made_kinds() -> tuple[np.ndarray, Grid]:
     return kinds, grid
 
 
-def places_of(grid: Grid) -> np.ndarray:
+def places_of(grid: VoxelGrid) -> np.ndarray:
     index = np.stack(np.meshgrid(*(np.arange(n) for n in grid.shape), indexing="ij"), -1)[..., ::-1]
     return grid.lps(index.astype(float))
 

@@ -16,9 +16,9 @@ from marey.knee.outlines.contours import (
     structure_distance,
 )
 from marey.knee.space.structures import LABELS
-from marey.knee.space.volume import Grid
+from marey.knee.space.volume import VoxelGrid
 
-GRID = Grid(
+GRID = VoxelGrid(
     shape=(20, 24, 28), lps_from_voxel=np.array([[-1.0, 0, 0, 5], [0, 0, 2.0, 6], [0, -1.5, 0, 7], [0, 0, 0, 1]])
 )
 CENTRE_VOXEL = np.array([14.0, 12.0, 10.0])

@@ -3,20 +3,20 @@ import pytest
 from scipy import ndimage
 
 from marey.knee.space.resampling import on_grid, read_at, resampled, smoothed, upright_grid
-from marey.knee.space.volume import Grid, Volume
+from marey.knee.space.volume import Volume, VoxelGrid
 
 
-def turned_grid(flip: bool) -> Grid:
+def turned_grid(flip: bool) -> VoxelGrid:
     """Sagittal slices, tilted by 0.2 rad."""
     c, s = np.cos(0.2), np.sin(0.2)
     axes = np.array([[0.0, 0.0, -1.0 if flip else 1.0], [c, -s, 0.0], [-s, -c, 0.0]])
     lps_from_voxel = np.eye(4)
     lps_from_voxel[:3, :3] = axes * [0.7, 0.7, 2.0]
     lps_from_voxel[:3, 3] = [5.0, -8.0, 12.0]
-    return Grid(shape=(12, 40, 44), lps_from_voxel=lps_from_voxel)
+    return VoxelGrid(shape=(12, 40, 44), lps_from_voxel=lps_from_voxel)
 
 
-def linear(grid: Grid) -> np.ndarray:
+def linear(grid: VoxelGrid) -> np.ndarray:
     k, j, i = np.meshgrid(*[np.arange(n) for n in grid.shape], indexing="ij")
     return grid.lps(np.stack([i, j, k], axis=-1).astype(float)) @ np.array([1.0, -2.0, 0.5]) + 100
 
@@ -59,7 +59,7 @@ def test_reading_places_is_what_scipy_does(rng):
 
 
 def test_smoothing_is_as_wide_in_millimetres_along_every_axis():
-    grid = Grid(shape=(31, 61, 61), lps_from_voxel=np.diag([0.5, 0.5, 1.0, 1.0]))
+    grid = VoxelGrid(shape=(31, 61, 61), lps_from_voxel=np.diag([0.5, 0.5, 1.0, 1.0]))
     point = np.zeros(grid.shape)
     point[15, 30, 30] = 1.0
     spread = smoothed(point, grid, 2.0)

@@ -1,15 +1,15 @@
 import numpy as np
 
-from marey.knee.space.volume import Grid
+from marey.knee.space.volume import VoxelGrid
 
 
-def oblique_left_handed_grid() -> Grid:
+def oblique_left_handed_grid() -> VoxelGrid:
     matrix = np.eye(4)
     turn = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
     turn *= -np.sign(np.linalg.det(turn))
     matrix[:3, :3] = turn * (0.3, 0.4, 1.5)
     matrix[:3, 3] = (-20.0, 35.0, 100.0)
-    return Grid(shape=(8, 30, 40), lps_from_voxel=matrix)
+    return VoxelGrid(shape=(8, 30, 40), lps_from_voxel=matrix)
 
 
 def test_voxels_and_positions_are_inverse_of_each_other_in_a_left_handed_oblique_grid():

@@ -47,7 +47,7 @@ def test_videos_become_shapes_in_the_laboratory(filmed):
 
 
 def test_what_does_not_fit_is_said(filmed):
-    with pytest.raises(SettingProblem, match="3 videos, and the calibration has 2"):
+    with pytest.raises(SettingProblem, match="3 videos, but the calibration has 2"):
         track_calibrated_views(filmed, Rig(rig().cameras[:2]))
     with pytest.raises(MareyError, match="No other camera shares"):
         track_calibrated_views([filmed[0], [image[::-1, ::-1] for image in filmed[1]]], Rig(rig().cameras[:2]))

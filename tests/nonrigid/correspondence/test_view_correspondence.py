@@ -92,7 +92,7 @@ def test_two_points_that_move_alike_share_their_probability(random):
     twins = np.isin(found.pairs[:, 0], (0, 1))
     assert found.probability[twins].max() < 0.95
     assert found.probability[~twins].min() > 0.95
-    assert "not sure" in found.notes[0]
+    assert "ambiguous" in found.notes[0]
 
 
 def test_appearance_tells_points_apart_that_move_alike(random):
@@ -120,7 +120,7 @@ def test_too_few_points_give_no_pairs(random):
     views, _ = two_views(random)
     found = match_tracks(views[0][:, :, :4], views[1])
     assert len(found.pairs) == 0
-    assert "No 6 points" in found.notes[0]
+    assert "Fewer than 6 points" in found.notes[0]
 
 
 def test_points_seen_for_a_part_of_the_time_are_matched_by_that_part(random):

@@ -35,7 +35,7 @@ def test_a_camera_that_shows_nothing_moving_stands_alone():
     joined = join_views(views)
     assert len(joined.shared()) == 20
     assert not (joined.points[:, joined.shared()][1] >= 0).any()
-    assert any("Camera 2 could not be tied" in note for note in joined.notes)
+    assert any("Camera 2 shares no points" in note for note in joined.notes)
 
 
 def test_one_camera_is_not_joined():

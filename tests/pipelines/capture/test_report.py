@@ -11,7 +11,7 @@ from tests.takes import FRAMES, rig, small_take
 from marey.io.calibration.readers import write_cameras_toml
 from marey.io.trial.trial import Trial, read_trial
 from marey.pipelines.capture import report as capture_report
-from marey.pipelines.progress import Progress
+from marey.pipelines.progress import RecordingProgress
 
 
 @pytest.fixture
@@ -34,7 +34,7 @@ def test_pictures_and_page_of_a_capture(trial, tmp_path, rng):
     masks = {frame: [mask, ~mask] for frame in poses}
     out = tmp_path / "out"
     out.mkdir()
-    progress = Progress(quiet=True)
+    progress = RecordingProgress()
     stills = capture_report.draw_overlays(trial, body, poses, motion, masks.get, folder=out, progress=progress)
     assert [still.caption.split(":")[0] for still in stills] == ["cam01, frame 7", "cam02, frame 7", "cam02, frame 6"]
     for camera in rig():
@@ -54,7 +54,7 @@ def test_pictures_and_page_of_a_capture(trial, tmp_path, rng):
 def test_a_motion_that_nobody_measured_has_no_pictures_worth_a_look(trial, tmp_path, rng):
     motion, posed = small_take(rng)
     empty = motion.frames(np.r_[np.zeros(FRAMES, int)])
-    progress = Progress(quiet=True)
+    progress = RecordingProgress()
     stills = capture_report.draw_overlays(
         trial, posed[0].body, {}, empty, lambda f: None, folder=tmp_path, progress=progress
     )

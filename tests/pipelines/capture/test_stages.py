@@ -1,6 +1,5 @@
 """The stages of a capture: what they keep, what they compare, and what they refuse."""
 
-import io
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -22,7 +21,7 @@ from marey.pipelines.capture import stages
 from marey.pipelines.capture.mask_store import MaskStore
 from marey.pipelines.capture.run import Bodies, coarse_twin, open_bodies, require_two_cameras
 from marey.pipelines.capture.settings import CaptureSettings
-from marey.pipelines.progress import Progress
+from marey.pipelines.progress import RecordingProgress
 
 
 def trial(**parts):
@@ -140,11 +139,11 @@ def test_silhouettes_of_some_cameras_only_are_refused(store):
     names = ("cam01", "cam02", "cam03")
     some = trial(masks={"cam01": None}, rig=SimpleNamespace(names=names), take=None, folder=Path("walk01"))
     with pytest.raises(FileProblem, match="none of cam02, cam03"):
-        stages.known_silhouettes(some, store, Progress(quiet=True))
+        stages.known_silhouettes(some, store, RecordingProgress())
 
 
 def test_frames_in_which_somebody_was_lost_are_told():
-    progress = Progress(io.StringIO(), quiet=True)
+    progress = RecordingProgress()
     stages.warn_of_lost(progress, range(3, 9), {3: 0, 4: 0, 8: 0}, count=12)
     assert progress.warnings == ["The person was seen but lost in frames 5 to 7: there is no answer."]
     stages.warn_of_lost(progress, range(3, 9), range(12), count=12)
@@ -205,7 +204,7 @@ def test_clutter_is_told_by_camera_and_only_what_is_common_is_kept(tmp_path):
     cluttered = [mask.copy() for mask in masks]
     for c in (1, 2, 3):
         cluttered[c][:, :70] = True
-    progress = Progress(quiet=True)
+    progress = RecordingProgress()
     with (
         FrameLog(tmp_path / "clean") as first,
         FrameLog(tmp_path / "cluttered") as second,

@@ -143,7 +143,7 @@ def followed_with(monkeypatch, tmp_path, body, poses, *, names):
     write_surface(tmp_path / "surface.npz", [none], ("a", "b"))
     run = SimpleNamespace(
         trial=SimpleNamespace(take=SimpleNamespace(first=0, end=3), rig=SimpleNamespace(names=names)), scope=None,
-        progress=SimpleNamespace(warn=warned.append, say=lambda text: None), cache=None,
+        progress=SimpleNamespace(warn=warned.append, report=lambda text: None), cache=None,
     )  # fmt: skip
     skin = posed_skin(body, poses)
     find_lost_points(run, tmp_path, skin, Fitted(body, poses, [], Shaped(body, poses, 0.001, 1.0)))

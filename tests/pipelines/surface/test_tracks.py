@@ -8,7 +8,7 @@ from tests.moving_surface import moving, scene, three_cameras
 from marey.cameras.rig import Rig
 from marey.io.stages import FrameLog
 from marey.io.video.take import Take, open_take
-from marey.pipelines.progress import Progress
+from marey.pipelines.progress import RecordingProgress
 from marey.pipelines.surface.tracks import TracksSettings, drawn, fastest_frame, follow_surface, told, tracks_settings
 from marey.surface.points.measured import MeasuredPoints, no_points
 from marey.surface.tracks.following import ViewPatchSettings
@@ -35,7 +35,7 @@ def seeds(frame: int) -> MeasuredPoints:
 def run(take: Take, folder: Path, seeds=seeds, **given):
     with FrameLog(folder / "tracks.log") as log:
         return follow_surface(
-            take, RIG, seeds, log, folder / "state.npz", Progress(quiet=True), settings=SETTINGS, **given
+            take, RIG, seeds, log, folder / "state.npz", RecordingProgress(), settings=SETTINGS, **given
         )
 
 

@@ -9,12 +9,12 @@ import pytest
 
 from marey.errors import FileProblem, MareyError
 from marey.io.mr.contours import read_contours, write_contours
-from marey.knee.space.volume import Grid, Volume
+from marey.knee.space.volume import Volume, VoxelGrid
 from marey.view.outline.server import OutlineServer
 from marey.view.outline.session import OutlineSession
 
 pytest.importorskip("skimage")
-GRID = Grid(shape=(9, 60, 64), lps_from_voxel=np.diag([-0.5, -0.5, 3.0, 1.0]))
+GRID = VoxelGrid(shape=(9, 60, 64), lps_from_voxel=np.diag([-0.5, -0.5, 3.0, 1.0]))
 
 
 def made_volume() -> Volume:
@@ -185,6 +185,6 @@ def test_other_sites_and_other_names_are_refused(server: OutlineServer):
 def test_a_taken_port_and_outlines_of_another_volume_are_errors(server: OutlineServer, path: Path):
     with pytest.raises(MareyError, match="choose another with --port"):
         OutlineServer(server.session, server.server_address[1])
-    write_contours(path, [], Grid(shape=(9, 60, 60), lps_from_voxel=GRID.lps_from_voxel), "")
+    write_contours(path, [], VoxelGrid(shape=(9, 60, 60), lps_from_voxel=GRID.lps_from_voxel), "")
     with pytest.raises(FileProblem, match="another volume"):
         OutlineSession(made_volume(), path, "knee.nii.gz")

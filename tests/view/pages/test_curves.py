@@ -7,12 +7,12 @@ import re
 import numpy as np
 
 from marey.view.pages.curves import (
-    Curve,
     CurvePlot,
     CurvesContent,
     NumberTable,
     PlotGroup,
     ScatterPlot,
+    Trace,
     curves_html,
 )
 from marey.view.pages.html import MOST_FRAMES
@@ -22,10 +22,10 @@ def content(frames=50, **changes):
     time = np.arange(frames) / 100
     wave = np.sin(time)
     plots = [
-        CurvePlot(title="knee flexion", curves=[Curve(label="a", values=wave, sd=0 * wave + 0.1, colour="#2f5d8a")]),
+        CurvePlot(title="knee flexion", curves=[Trace(label="a", values=wave, sd=0 * wave + 0.1, colour="#2f5d8a")]),
         CurvePlot(
             title="over the cycle", axis=np.linspace(0, 100, 101),
-            curves=[Curve(label="a", values=np.zeros(101), colour="#2f5d8a")],
+            curves=[Trace(label="a", values=np.zeros(101), colour="#2f5d8a")],
         ),
         ScatterPlot(title="knee flexion", x=wave, y=wave, bias=0.1, low=np.nan, high=np.nan, unit="°"),
     ]  # fmt: skip

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from tests.made_knees import made_grid, made_labels, made_volume
 
-from marey.knee.bones.surfacing import surface_of_labels
 from marey.knee.cartilage.outer_surface import CartilageSheet
 from marey.knee.cartilage.subregions import subregions, whole
 from marey.knee.space.structures import BONES
+from marey.knee.space.surfacing import surface_of_labels
 from marey.view.pages.knee_scene import thickness_codes
 from marey.view.pages.knee_segment_report import SegmentReport, segment_html
 from marey.view.pictures.flat_cartilage import flat_picture

@@ -4,30 +4,30 @@ import pytest
 from tests.made_knees import made_grid, made_labels, made_volume
 
 from marey.knee.space.structures import LABELS
-from marey.knee.space.volume import Grid, Labels, Volume
+from marey.knee.space.volume import Labels, Volume, VoxelGrid
 from marey.view.pages.knee_slices import keys_of, main_axis, slices_with_outlines
 from marey.view.pictures.knee_maps import STRUCTURE_COLOURS
 
 DIRECTIONS = {"L": np.eye(3)[0], "P": np.eye(3)[1], "H": np.eye(3)[2]}
 
 
-def grid_of(directions: str, spacing: tuple[float, float, float], counts: tuple[int, int, int]) -> Grid:
+def grid_of(directions: str, spacing: tuple[float, float, float], counts: tuple[int, int, int]) -> VoxelGrid:
     """A grid whose i, j and k go to L or R, P or A, H or F; its middle is the origin."""
     toward = DIRECTIONS | {"R": -DIRECTIONS["L"], "A": -DIRECTIONS["P"], "F": -DIRECTIONS["H"]}
     matrix = np.eye(4)
     matrix[:3, :3] = np.stack([mm * toward[letter] for mm, letter in zip(spacing, directions, strict=True)], 1)
     matrix[:3, 3] = -matrix[:3, :3] @ ((np.array(counts) - 1) / 2)
-    return Grid(shape=counts[::-1], lps_from_voxel=matrix)
+    return VoxelGrid(shape=counts[::-1], lps_from_voxel=matrix)
 
 
-def balls_in(grid: Grid, *centres_and_radii: tuple[tuple[float, float, float], float]) -> np.ndarray:
+def balls_in(grid: VoxelGrid, *centres_and_radii: tuple[tuple[float, float, float], float]) -> np.ndarray:
     """(k, j, i) true inside any of some balls, LPS mm."""
     k, j, i = np.meshgrid(*[np.arange(n) for n in grid.shape], indexing="ij")
     places = grid.lps(np.stack([i, j, k], -1).astype(float))
     return np.any([np.linalg.norm(places - centre, axis=-1) < radius for centre, radius in centres_and_radii], axis=0)
 
 
-def picture_of(grid: Grid, bright: np.ndarray, found: np.ndarray) -> np.ndarray:
+def picture_of(grid: VoxelGrid, bright: np.ndarray, found: np.ndarray) -> np.ndarray:
     labels = Labels(labels=np.where(found, LABELS["tibia"], 0).astype(np.uint8), grid=grid)
     return slices_with_outlines(Volume(intensity=100.0 * bright, grid=grid), labels, most=1)[0].image
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from marey.knee.outlines.contours import AXES
-from marey.knee.space.volume import Grid
+from marey.knee.space.volume import VoxelGrid
 from marey.view.pictures.slice_display import displayed
 
 SAGITTAL = np.array([[0, 0, -1.5, 10], [0.3, 0, 0, -60], [0, -0.4, 0, 80], [0, 0, 0, 1.0]])
@@ -12,7 +12,7 @@ TURNED = np.array([[0, -1.5, 0, 10], [0, 0, -0.3, -60], [0.4, 0, 0, 80], [0, 0, 
 @pytest.mark.parametrize("lps_from_voxel", [SAGITTAL, TURNED])
 @pytest.mark.parametrize("axis", AXES)
 def test_head_and_front_are_up_and_the_patients_left_and_back_are_on_the_right(lps_from_voxel: np.ndarray, axis: str):
-    shown = displayed(Grid(shape=(20, 30, 40), lps_from_voxel=lps_from_voxel), axis)
+    shown = displayed(VoxelGrid(shape=(20, 30, 40), lps_from_voxel=lps_from_voxel), axis)
     a, b, c, d = shown["screen_mm"]
     along = AXES.index(axis)
     column, row = (lps_from_voxel[:3, each] for each in range(3) if each != along)
@@ -29,5 +29,5 @@ def test_head_and_front_are_up_and_the_patients_left_and_back_are_on_the_right(l
 
 
 def test_rows_and_columns_are_those_of_the_slices():
-    shown = displayed(Grid(shape=(20, 30, 40), lps_from_voxel=SAGITTAL), "j")
+    shown = displayed(VoxelGrid(shape=(20, 30, 40), lps_from_voxel=SAGITTAL), "j")
     assert (shown["rows"], shown["columns"]) == (20, 40)

@@ -2,13 +2,13 @@
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
 from marey.arrays import Floats, Integers
 from marey.body.articulation.jointed_body import JointedBody
 from marey.geometry import rotations, twists
 from marey.geometry.rotations import turn_about
+from marey.kernels import kernel
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -71,7 +71,7 @@ def coordinate_slopes(body: JointedBody, values: Floats) -> Floats:
     return slopes
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def function_at(functions, which, x):
     """Give value and slope of one of several packed functions at x."""
     begin, end = functions.first[which], functions.first[which + 1]
@@ -86,7 +86,7 @@ def function_at(functions, which, x):
     return value, slope
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def follow(packed, values, variable, slope):
     """Set the coordinates that follow others, and tell of each which it hangs on in the end (N,) and its slope (N,)."""
     for n in range(packed.order.shape[0]):
@@ -100,7 +100,7 @@ def follow(packed, values, variable, slope):
             slope[c] = own * slope[source]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def place_bodies(packed, values, rotation, origin, world_axes, world_points, motion_slope):
     """Place the bodies: rotation (B, 3, 3), origin (B, 3); axes and points (E, 3) in the ground, slopes (E,)."""
     turn, product = np.empty((3, 3)), np.empty((3, 3))
@@ -132,12 +132,12 @@ def place_bodies(packed, values, rotation, origin, world_axes, world_points, mot
         _product(now, packed.after_rotation[k], rotation[k])
 
 
-@numba.njit(inline="always", cache=True, nogil=True)
+@kernel(inline="always")
 def _row(matrix, a, vector):
     return matrix[a, 0] * vector[0] + matrix[a, 1] * vector[1] + matrix[a, 2] * vector[2]
 
 
-@numba.njit(inline="always", cache=True, nogil=True)
+@kernel(inline="always")
 def _product(left, right, out):
     for a in range(3):
         for b in range(3):

@@ -1,12 +1,12 @@
 """Kernels of the posed body: segments, skin, and how they move with every coordinate."""
 
-import numba
 import numpy as np
 
 from marey.geometry.rotations import turn_about
+from marey.kernels import kernel
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def pose_segments(parents, coordinate_segment, axes, joints, root_rotation, root_translation, angles):
     """Place the segments ([Rosenhahn2006] eq. (12)).
 
@@ -49,7 +49,7 @@ def pose_segments(parents, coordinate_segment, axes, joints, root_rotation, root
     return rotation, origin, world_axes
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def turned(rotation, turn):
     """Turn a rotation (3, 3) by a vector (3,) about the world's axes: exp(turn) rotation, kept orthonormal."""
     angle = np.sqrt(turn[0] ** 2 + turn[1] ** 2 + turn[2] ** 2)
@@ -75,7 +75,7 @@ def turned(rotation, turn):
     return nearest
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def blend_skin(vertices, vertex_segments, vertex_weights, joints, rotation, origin):
     """Carry the rest vertices (V, 3) along with their segments by blended weights: (V, 3) in the world."""
     count = vertices.shape[0]
@@ -104,7 +104,7 @@ def blend_skin(vertices, vertex_segments, vertex_weights, joints, rotation, orig
     return posed
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def points_on_faces(vertices, faces, face, barycentric):
     """Place points (n, 3) given by faces (n,) and barycentric weights (n, 3)."""
     points = np.empty((face.shape[0], 3))
@@ -116,7 +116,7 @@ def points_on_faces(vertices, faces, face, barycentric):
     return points
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def gather_parts(faces, corners, vertices, vertex_segments, vertex_weights, joints, face, barycentric, segment, part):
     """Split surface points into the shares that their segments carry.
 
@@ -141,7 +141,7 @@ def gather_parts(faces, corners, vertices, vertex_segments, vertex_weights, join
         )
 
 
-@numba.njit(inline="always", cache=True, nogil=True)
+@kernel(inline="always")
 def split_point(
     faces, corners, vertices, vertex_segments, vertex_weights, joints, face, barycentric, i, segment, part, row
 ):  # fmt: skip
@@ -174,7 +174,7 @@ def split_point(
             part[row, slot, 3] += w
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def share_faces(faces, vertex_segments, vertex_weights):
     """Tell for each face which segments carry its corners, in rising order, and by what weights.
 
@@ -206,7 +206,7 @@ def share_faces(faces, vertex_segments, vertex_weights):
     return count, segment[:, :most].copy(), weight[:, :most].copy()
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def point_jacobian(parents, coordinate_segment, rotation, origin, world_axes, segment, part, jacobian):
     """Write how points move with the pose: (n, 3, D), the root's translation and turn (world axes) first.
 
@@ -253,7 +253,7 @@ def point_jacobian(parents, coordinate_segment, rotation, origin, world_axes, se
                 j = parents[j]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def origin_modes(parents, rotation, joint_modes):
     """Give how the segments' origins move with the shape, less the turned motion of their own joint centres.
 
@@ -282,7 +282,7 @@ def origin_modes(parents, rotation, joint_modes):
     return moved, anchored
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def shape_jacobian(
     faces, vertex_segments, vertex_weights, vertex_modes, rotation, anchored, face, barycentric, jacobian
 ):
@@ -312,7 +312,7 @@ def shape_jacobian(
                     jacobian[i, a, m] += blend[a, 0] * x + blend[a, 1] * y + blend[a, 2] * z
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def pose_rows(parents, coordinate_segment, rotation, origin, world_axes, segment, part, rows, jacobian):
     """Add how rows (n, r, 3) of points change with the pose to the first D columns of jacobian (n, r, ...).
 
@@ -353,7 +353,7 @@ def pose_rows(parents, coordinate_segment, rotation, origin, world_axes, segment
                     j = parents[j]
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def shape_rows(
     faces, vertex_segments, vertex_weights, vertex_modes, rotation, anchored, face, barycentric, segment, part,
     rows, degrees, jacobian,

@@ -1,7 +1,8 @@
 """Kernels of the metaballs' field: its logarithm, the distance to the surface, and what changes both."""
 
-import numba
 import numpy as np
+
+from marey.kernels import kernel
 
 THRESHOLD = 0.5
 """The field on the surface ([Plaenkers1999] section 3.4.3)."""
@@ -14,7 +15,7 @@ _FAR = -40.0
 """exp() of less, beside 1, is below the last digit."""
 
 
-@numba.njit(inline="always", cache=True, nogil=True)
+@kernel(inline="always")
 def log_field(m, point, place, axes, radii, log_weight, local):
     """Give ln w - 2 d of one ball at a point ([Plaenkers1999] eq. (6), (7)); write where it lies along its axes."""
     d = 0.0
@@ -27,7 +28,7 @@ def log_field(m, point, place, axes, radii, log_weight, local):
     return log_weight - 2.0 * d
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _weigh(point, limb, ball_limb, place, axes, radii, weight, local, share, top, total):
     """Fill in where a point lies in each ball and each ball's share of the field.
 
@@ -67,7 +68,7 @@ def _weigh(point, limb, ball_limb, place, axes, radii, weight, local, share, top
     return level - np.log(THRESHOLD)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def levels(points, limbs, limb_count, ball_limb, place, axes, radii, weight):
     """Give ln(F / T) (n,) at points (n, 3), see `_weigh`."""
     local, share = np.empty((radii.shape[0], 3)), np.empty(radii.shape[0])
@@ -78,7 +79,7 @@ def levels(points, limbs, limb_count, ball_limb, place, axes, radii, weight):
     return level
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def shares(points, limbs, limb_count, ball_limb, place, axes, radii, weight):
     """Give each ball's share of the field (n, M) at points (n, 3), see `_weigh`."""
     local, top, total = np.empty((radii.shape[0], 3)), np.empty(limb_count), np.empty(limb_count)
@@ -88,7 +89,7 @@ def shares(points, limbs, limb_count, ball_limb, place, axes, radii, weight):
     return share
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _slope(axes, radii, local, share, gradient):
     """Write the gradient (3,) of ln F at the point for which local and share were filled in."""
     gradient[:] = 0.0
@@ -100,7 +101,7 @@ def _slope(axes, radii, local, share, gradient):
                     gradient[b] += along * axes[m, a, b]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def distance_of_level(level, square):
     """Give the distance from L = ln(F / T) and |grad L|^2, and what dL and grad L . d(grad L) do to it.
 
@@ -114,7 +115,7 @@ def distance_of_level(level, square):
     return -level / mean, -1.0 / mean + level * CORE / (q * mean * mean), 0.5 * level * (1.0 / g + 1.0 / q) / mean**2
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def distances(points, limbs, limb_count, ball_limb, place, axes, radii, weight):
     """Give how far points (n, 3) lie outside the surface, see `distance_of_level`."""
     local, share = np.empty((radii.shape[0], 3)), np.empty(radii.shape[0])
@@ -128,7 +129,7 @@ def distances(points, limbs, limb_count, ball_limb, place, axes, radii, weight):
     return distance
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def bring_onto(
     points, limbs, limb_count, ball_limb, place, axes, radii, weight, steps, longest, close
 ):  # fmt: skip
@@ -147,7 +148,7 @@ def bring_onto(
                 break
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def nearest_limbs(points, limb_count, ball_limb, place, axes, radii, weight):
     """Give for points (n, 3) the limb (n,) whose own field is greatest there, and the unit normal (n, 3) outwards."""
     local, share = np.empty((radii.shape[0], 3)), np.empty(radii.shape[0])
@@ -163,7 +164,7 @@ def nearest_limbs(points, limb_count, ball_limb, place, axes, radii, weight):
     return limb, outward
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def linearize(
     points, limbs, limb_count, ball_limb, place, axes, radii, weight, segment, rotation, as_distance,
     residual, by_point, by_centre, by_radii, by_weight, by_shift, by_turn,
@@ -193,7 +194,7 @@ def linearize(
                 )  # fmt: skip
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _linearize_ball(
     m, k, share, first, second, slope, square, y, axes, radii, weight, rotation,
     by_point, by_centre, by_radii, by_weight, by_shift, by_turn,
@@ -224,7 +225,7 @@ def _linearize_ball(
     by_turn[k, 2] += v * (own0 * s1 - own1 * s0)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def by_pose(parents, coordinate_segment, origin, world_axes, points, by_shift, by_turn, jacobian):
     """Write how residuals of points (n, 3) change with the pose: (n, D), the root's translation and turn first.
 

@@ -1,11 +1,11 @@
 """Ray casting: where rays from within the body leave the metaballs' surface."""
 
-import numba
 import numpy as np
 
 from marey.arrays import Floats
 from marey.body.articulation.skeleton import LIMBS
 from marey.body.metaballs.metaballs import ANY_LIMB, THRESHOLD, PosedMetaballs
+from marey.kernels import kernel
 
 _LIMB_COUNT = len(LIMBS)
 _STEPS, _ROUNDS = 32, 8
@@ -41,7 +41,7 @@ def exits(posed: PosedMetaballs, origins: Floats, directions: Floats, limb: int 
     return (start + found[:, None] * along).reshape(shape)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _level(point, ball_limb, place, inward, weight, total):
     """Give ln(F / T) of the trunk's balls and those of the limb that is felt most; total (L,) is scratch."""
     total[:] = 0.0
@@ -58,7 +58,7 @@ def _level(point, ball_limb, place, inward, weight, total):
     return np.log(max(field, 1e-300) / THRESHOLD)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def first_exits(origins, ways, reach, ball_limb, place, inward, weight):
     """Give how far (n,) along rays the level first turns from positive to negative, NaN where it never does.
 

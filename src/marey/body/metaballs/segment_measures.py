@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
 from marey.arrays import Floats, Integers, Mask
@@ -10,6 +9,7 @@ from marey.body.articulation.skeleton import LIMBS
 from marey.body.metaballs.metaball_field import _slope, _weigh, distance_of_level
 from marey.body.metaballs.metaball_person import MetaballSpace
 from marey.body.metaballs.metaballs import Metaballs, PosedMetaballs
+from marey.kernels import kernel
 
 DENSITY = {
     "head": 1110.0, "neck": 1110.0, "thorax": 920.0, "abdomen": 1010.0, "pelvis": 1010.0, "clavicle": np.nan,
@@ -196,7 +196,7 @@ def _girths(posed: PosedMetaballs, segment: int) -> Floats:
     return chords * (np.pi / _RAYS) / np.sin(np.pi / _RAYS)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _last_beyond(x, y, z, own, group, joints, normal):
     """Find the last segment of a group beyond whose plane a point lies; none (-1) where there is none."""
     found = -1
@@ -208,7 +208,7 @@ def _last_beyond(x, y, z, own, group, joints, normal):
     return found
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _first_of(own, group):
     for j in range(group.shape[0]):
         if group[j] == own:
@@ -216,7 +216,7 @@ def _first_of(own, group):
     return -1
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def add_volume(
     points, step, limb_count, ball_limb, place, axes, radii, weight, ball_group, group, joints, normal, sums
 ):  # fmt: skip

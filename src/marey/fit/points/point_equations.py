@@ -8,7 +8,6 @@ into the pose's coordinates ([Plaenkers1999] eq. (2), (14)).
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from marey.arrays import Floats, Integers
@@ -18,6 +17,7 @@ from marey.body.articulation.skeleton import LIMBS
 from marey.body.metaballs.metaball_field import THRESHOLD, distance_of_level, log_field
 from marey.body.metaballs.metaball_person import MetaballSpace
 from marey.body.metaballs.metaballs import Metaballs, PosedMetaballs
+from marey.kernels import kernel
 from marey.observations.metaball_points import PointsOnMetaballs
 
 _LEAST_SHARE = 1e-6
@@ -140,7 +140,7 @@ def moves_of_segments(surface: PosedMetaballs, space: MetaballSpace) -> Floats:
     return moves
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def add_points(
     points, limbs, spread, scale, as_distance, of_limbs, of_balls, ball_limb, segment, place, axes, rotation, radii,
     log_weight, origin, limb_count, numbers, square, linear, residuals, weights,
@@ -202,7 +202,7 @@ def add_points(
             moved[columns[a]] = False
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _feel(
     point, limb, own, ball_limb, place, axes, radii, log_weight, local, rise, share, top, total, slope, listed
 ):  # fmt: skip
@@ -246,7 +246,7 @@ def _feel(
     return count, level - np.log(THRESHOLD)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _add_ball(
     m, share, first, second, slope, steep, local, rise, axes, rotation, radii, segment, of_balls, numbers, point,
     origin, row, moved, columns, used, turned,

@@ -12,7 +12,7 @@ from marey.body.articulation.surface import Body
 from marey.body.metaballs.metaball_person import reshaped
 from marey.cameras.camera import Camera
 from marey.fit.recipes.pick_up import PickUpSettings, better_of, pick_up, start_again, weak_frames
-from marey.fit.recipes.sequence import RefineMemory, SequenceFit, SequenceSettings, refine_in_pieces
+from marey.fit.recipes.sequence import Further, RefineMemory, SequenceFit, SequenceSettings, refine_in_pieces
 from marey.fit.recipes.track import TrackSettings, repair, track
 from marey.fit.search.levels import FrameLevels, level_factor
 from marey.fit.search.search import Candidate, Search, StartSettings
@@ -332,6 +332,7 @@ def refine_person(
     height: float,
     rounds: int,
     blind: Container[int] = (),
+    also: Further | None = None,
     done: Done = _nothing,
     memory: RefineMemory | None = None,
 ) -> Iterator[SequenceFit]:
@@ -341,7 +342,7 @@ def refine_person(
     """
     return refine_in_pieces(
         list(poses), list(poses.values()), body, take.levels(height), rate=take.rate, rounds=rounds,
-        shape_frames=for_shape, settings=settings.sequence, blind=blind, done=done, memory=memory,
+        shape_frames=for_shape, settings=settings.sequence, blind=blind, also=also, done=done, memory=memory,
     )  # fmt: skip
 
 

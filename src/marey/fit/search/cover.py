@@ -1,13 +1,13 @@
 """Kernels that compare many poses with silhouettes: only what is covered counts, depth does not matter."""
 
-import numba
 import numpy as np
 
 from marey.body.articulation.kinematics import blend_skin, pose_segments
 from marey.cameras.lens import project_points
+from marey.kernels import kernel
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def stamp_faces(projected, faces, stamp, canvas, mask):
     """Write a stamp into every pixel whose centre lies in a front face, but where -1 stands.
 
@@ -51,7 +51,7 @@ def stamp_faces(projected, faces, stamp, canvas, mask):
     return inside, outside
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def score_poses(
     parents, coordinate_segment, axes, joints, vertices, vertex_segments, vertex_weights, faces,
     rotations, translations, angles, cameras, widths, heights, masks,
@@ -96,7 +96,7 @@ def score_poses(
     return scores
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def score_limb(
     parents, coordinate_segment, axes, joints, vertices, vertex_segments, vertex_weights, limb_faces, other_faces,
     limb_vertices, rotation, translation, angles, columns, candidates, cameras, widths, heights, masks,

@@ -4,13 +4,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
-import numba
 import numpy as np
 import scipy.ndimage
 
 from marey.arrays import Floats, Mask
 from marey.cameras import lens
 from marey.cameras.camera import Camera
+from marey.kernels import kernel
 
 
 def visual_hull(cameras: Sequence[Camera], masks: Sequence[Mask], *, cell: float = 0.04, reach: float = 1.4) -> Floats:
@@ -72,7 +72,7 @@ def filled(seeing: Sequence[tuple[Camera, Mask]], grid: Grid, *, witnesses: int)
     return np.asarray(_filled(packed, widths, heights, masks, grid.origin, grid.cell, grid.counts, witnesses))
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _filled(packed, widths, heights, masks, origin, cell, counts, witnesses):
     inside = np.zeros(counts, np.bool_)
     for i in range(counts[0]):

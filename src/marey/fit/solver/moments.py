@@ -8,11 +8,11 @@ W = sum w (A'A) x (y_k y_l') and U = sum w (A'b) y_k'. Ours: pairs of segments, 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
 from marey.arrays import Floats, Integers
 from marey.body.articulation.pose import PosedBody
+from marey.kernels import kernel
 from marey.lanes import LANES, add_row
 from marey.observations.observation import SurfaceObservation
 
@@ -67,7 +67,7 @@ def gather_moments(
     return Moments(pairs, blocks, linear.reshape(-1, 4, LANES), float(constant))
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def add_moments(
     faces, vertices, joints, shares, face, barycentric, rows, offsets, weight, slot, used, products, linear
 ):  # fmt: skip
@@ -127,7 +127,7 @@ def add_moments(
     return used, constant
 
 
-@numba.njit(inline="always", cache=True, nogil=True, fastmath=True)
+@kernel(inline="always", fastmath=True)
 def _part(faces, vertices, joints, weight, f, barycentric, i, k):
     """Give the share of segment k in point i of face f: weighted rest positions from its joint centre, the weight."""
     a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
@@ -139,7 +139,7 @@ def _part(faces, vertices, joints, weight, f, barycentric, i, k):
     return x, y, z, w
 
 
-@numba.njit(inline="always", cache=True, nogil=True, fastmath=True)
+@kernel(inline="always", fastmath=True)
 def _add_square(products, to, y0, y1, y2, y3, square):
     """Add a part's products with itself: the upper triangle only, `_mirror` does the rest."""
     add_row(products, to, y0 * y0, square)
@@ -154,7 +154,7 @@ def _add_square(products, to, y0, y1, y2, y3, square):
     add_row(products, to + 15 * LANES, y3 * y3, square)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _mirror(pairs, products):
     """Complete the products of each segment with itself."""
     for p in range(pairs.shape[0]):

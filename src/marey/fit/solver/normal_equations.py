@@ -1,11 +1,11 @@
 """The pose's normal equations from moments, in any pose."""
 
-import numba
 import numpy as np
 
 from marey.arrays import Floats
 from marey.body.articulation.pose import PosedBody
 from marey.fit.solver.moments import Moments
+from marey.kernels import kernel
 from marey.lanes import LANES, put_combination
 
 _ENTRY = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
@@ -25,7 +25,7 @@ def normal_equations(posed: PosedBody, moments: Moments) -> tuple[Floats, Floats
     return hessian, gradient, cost + moments.constant
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def coordinate_twists(coordinate_segment, origin, world_axes):
     """Give for each coordinate the segment with which its motion begins, and its twist (v, w) about the world's origin.
 
@@ -50,7 +50,7 @@ def coordinate_twists(coordinate_segment, origin, world_axes):
     return start, twist
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def assemble(
     parents, coordinate_segment, rotation, origin, world_axes, pairs, products, linear, hessian, gradient
 ):  # fmt: skip
@@ -94,7 +94,7 @@ def assemble(
     return cost
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def _pair_sums(rotation, origin, pairs, products, blocks, force):
     """Write each pair's block of twists, add the points' pull to the forces; give the cost's square part.
 
@@ -133,7 +133,7 @@ def _pair_sums(rotation, origin, pairs, products, blocks, force):
     return cost
 
 
-@numba.njit(inline="always", cache=True, nogil=True, fastmath=True)
+@kernel(inline="always", fastmath=True)
 def _pair_block(z, blocks, at, column, row):
     """Write the 6x6 block of two segments' twists from z[r, c, ab] = sum w Q_ab y_k[r] y_l[c]."""
     for a in range(3):
@@ -156,7 +156,7 @@ def _pair_block(z, blocks, at, column, row):
             blocks[at + row * (3 + c) + column * (3 + d)] = turn
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def _add_forces(z, k, j, force):
     """Add what the points of the pair pull at each of its two segments."""
     for c in range(3):
@@ -169,7 +169,7 @@ def _add_forces(z, k, j, force):
                 force[j, 3 + c] += z[b, c1, _ENTRY[b, c2]] - z[b, c2, _ENTRY[b, c1]]
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def _subtract_target(rotation, origin, linear, force):
     """Subtract the pull of the targets from a segment's force; give the cost's linear part."""
     y = np.empty((3, 4))

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from marey.arrays import Floats, frozen
@@ -11,6 +10,7 @@ from marey.body.articulation.kinematics import pose_segments, turned
 from marey.body.articulation.skeleton import Skeleton
 from marey.fit.solver.normal_equations import assemble
 from marey.geometry.rotations import inverse_left_jacobian_of, turn_between
+from marey.kernels import kernel
 from marey.observations.observation import Observation
 from marey.observations.prior import Habit, JointLimits, NearPose
 
@@ -61,7 +61,7 @@ class Known(NamedTuple):
         )  # fmt: skip
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def descend(
     skeleton, joints, rotation, translation, angles, pairs, products, linear, known, steps, stop
 ):  # fmt: skip
@@ -107,7 +107,7 @@ def descend(
     return rotation, translation, angles, hessian, True
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def add_known(known, rotation, translation, angles, hessian, gradient):
     """Add the priors to the normal equations, as `pose_solver.add_dense` does."""
     for i in range(angles.shape[0]):
@@ -129,7 +129,7 @@ def add_known(known, rotation, translation, angles, hessian, gradient):
                 hessian[3 + a, 3 + c] += weighted * slope[b, c]
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def solve_step_into(hessian, gradient, factor, change):
     """Solve for a Gauss-Newton step by Cholesky's method, as `pose_solver.solve_step`; false where that fails."""
     degrees = hessian.shape[0]

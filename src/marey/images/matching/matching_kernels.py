@@ -2,10 +2,10 @@
 
 import math
 
-import numba
 import numpy as np
 
 from marey.images.matching.splines import noise_shares
+from marey.kernels import kernel
 
 CONVERGED, LEFT_PICTURE, TEXTURELESS, DEGENERATE, STRAYED, UNLIKE, UNFINISHED, MISSING = range(8)
 """What became of a patch; `marey.images.matching.matching.Outcome` says it in words."""
@@ -20,7 +20,7 @@ _FAST = {"reassoc", "contract", "arcp", "nsz"}
 """Sums in any order; NaN stays NaN, for it marks missing pixels."""
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def match_patches(template, search, pixels, maps, lines, constrained, half, count, options, quality, outcomes):
     """Match patches one after the other; `marey.images.matching.matching.match` says what that means.
 
@@ -59,7 +59,7 @@ def match_patches(template, search, pixels, maps, lines, constrained, half, coun
                 )  # fmt: skip
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _finite(numbers):
     total = 0.0
     for number in numbers:
@@ -67,14 +67,14 @@ def _finite(numbers):
     return math.isfinite(total)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _within(picture, x, y, wide, high):
     """Tell whether the spline is known all over a box about a place."""
     height, width = picture.shape
     return x - wide >= 1 and y - high >= 1 and x + wide < width - 2 and y + high < height - 2
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _unusable(normal, size, to_search, line, constrained, least, energy):
     """Say why a template cannot be matched, or CONVERGED where it can."""
     across, both, down = normal[0, 0] / size, normal[0, 1] / size, normal[1, 1] / size
@@ -88,7 +88,7 @@ def _unusable(normal, size, to_search, line, constrained, least, energy):
     return TEXTURELESS if weakest <= least or energy <= 0 else CONVERGED
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _cubic(t):
     """Give the four B-splines' values at a fraction of a pixel."""
     s = np.float32(1.0) - t
@@ -97,14 +97,14 @@ def _cubic(t):
         third + (half * s - np.float32(1)) * s * s, sixth * t * t * t  # fmt: skip
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _cubic_slopes(t):
     s = np.float32(1.0) - t
     half, more = np.float32(0.5), np.float32(1.5)
     return -half * s * s, (more * t - np.float32(2)) * t, (np.float32(2) - more * s) * s, half * t * t
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+@kernel(fastmath=_FAST)
 def take_template(picture, x, y, half, columns, grey, shares, normal):
     """Take a patch of the template and what it needs to be compared, once for all steps.
 
@@ -153,7 +153,7 @@ def take_template(picture, x, y, half, columns, grey, shares, normal):
     return mean, energy
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+@kernel(fastmath=_FAST)
 def _take_values(picture, x, y, half, columns, grey):
     """Write values and gradients of a patch that lies square to the pixels; give the mean value."""
     side = 2 * half + 1
@@ -180,7 +180,7 @@ def _take_values(picture, x, y, half, columns, grey):
     return total / (side * side)
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+@kernel(fastmath=_FAST)
 def take_search(picture, to_search, half, found):
     """Write a search picture's values where a map carries the patch; give their mean."""
     height, width = picture.shape
@@ -207,7 +207,7 @@ def take_search(picture, to_search, half, found):
     return total / at
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _iterate(
     search, x, y, to_search, line, constrained, half, options,
     columns, grey, mean, energy, shares, normal, factor, found, quality,
@@ -261,7 +261,7 @@ def _iterate(
     return UNFINISHED
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _misplaced(search, to_search, half, reach, stretch, start_x, start_y):
     """Say why a map cannot be used, or CONVERGED where it can."""
     u, v, a, b, c, d = to_search
@@ -276,7 +276,7 @@ def _misplaced(search, to_search, half, reach, stretch, start_x, start_y):
     return CONVERGED if _within(search, u, v, wide, high) else LEFT_PICTURE
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+@kernel(fastmath=_FAST)
 def compare(columns, grey, found, mean, projected):
     """Project the found values on the template's derivatives; give their product with the template, and their power."""
     along, power = 0.0, 0.0
@@ -292,7 +292,7 @@ def compare(columns, grey, found, mean, projected):
     return along, power
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _factorise(normal, factor):
     """Write the Cholesky factor of a normal matrix; false where it has none."""
     count = normal.shape[0]
@@ -310,7 +310,7 @@ def _factorise(normal, factor):
     return True
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _factorise_on_line(normal, to_search, line, factor):
     """Do so for steps that keep the centre on its line in the search picture."""
     x = line[0] * to_search[4] - line[1] * to_search[2]
@@ -323,7 +323,7 @@ def _factorise_on_line(normal, to_search, line, factor):
     return _factorise(held, factor)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _solve(factor, right, out):
     count = right.shape[0]
     for k in range(count):
@@ -338,7 +338,7 @@ def _solve(factor, right, out):
         out[k] = total / factor[k, k]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _move(to_search, step, scale, spread):
     """Take back from the search patch by how much the template would have to move; give the rms over the pixels."""
     x, y = step[0] / scale, step[1] / scale
@@ -359,13 +359,13 @@ def _move(to_search, step, scale, spread):
     return moved
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _put_on_line(to_search, line, x, y):
     along = (to_search[0] - x) * line[0] + (to_search[1] - y) * line[1]
     to_search[0], to_search[1] = x + along * line[0], y + along * line[1]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _kept_noise(to_search, half):
     """Give the share of a picture's noise variance that is left in values between its pixels, mean over a patch."""
     u, v, a, b, c, d = to_search
@@ -377,12 +377,12 @@ def _kept_noise(to_search, half):
     return total / (2 * half + 1) ** 2
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _looked_up(table, x):
     return table[int((x - math.floor(x)) * (table.shape[0] - 1) + 0.5)]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _allow_for_noise(
     normal, shares, factor, x, y, half, to_search, line, constrained, residual2, stated2, gain,
     quality,

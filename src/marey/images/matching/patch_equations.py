@@ -2,13 +2,13 @@
 
 import math
 
-import numba
 import numpy as np
 
 from marey.images.matching import matching_kernels as kernels
+from marey.kernels import kernel
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def write_equations(windows, chosen, pixels, search, carried, half, least, information, right, correlation):
     """Linearise the squared difference of a patch and a picture about where the patch is thought to be.
 

@@ -7,10 +7,10 @@ import math
 from dataclasses import dataclass
 
 import cv2
-import numba
 import numpy as np
 
 from marey.arrays import Floats
+from marey.kernels import kernel
 
 _MIDDLE = np.float32(128.0)
 """Taken from the grey values, so that sums of squares in single precision lose nothing."""
@@ -148,7 +148,7 @@ def _from_level(pixels: Floats, level: int) -> Floats:
     return (pixels + 0.5) * 2**level - 0.5
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _scan(patches, picture, expected, reach, found, score):
     """Find the best place of each patch among the whole-pixel places of its box."""
     size, wide = patches.shape[1], 2 * reach + 1
@@ -178,7 +178,7 @@ def _scan(patches, picture, expected, reach, found, score):
             score[n] = best
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _normalise(patch, grey):
     """Write a patch's grey values less their mean, at length one; false where it is flat or not known."""
     mean = 0.0
@@ -200,7 +200,7 @@ def _normalise(patch, grey):
     return True
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+@kernel(fastmath=_FAST)
 def _correlate(grey, picture, top, left, count, cross, total, square):
     """Sum products with a patch, grey values, and their squares for a row of places."""
     size = grey.shape[0]

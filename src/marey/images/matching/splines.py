@@ -3,11 +3,11 @@
 from dataclasses import dataclass
 
 import cv2
-import numba
 import numpy as np
 
 from marey.arrays import Floats, freeze_fields
 from marey.errors import SettingProblem
+from marey.kernels import kernel
 
 POLE = np.sqrt(3.0) - 2.0
 """How fast a pixel's influence on the coefficients fades from one pixel to the next [Unser1999]."""
@@ -126,7 +126,7 @@ def _filled(values: np.ndarray, missing: np.ndarray) -> np.ndarray:
     return known[label]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _filter_rows(values):
     """Turn grey values into coefficients along the rows, in place: twice a recursive filter, there and back."""
     height, width = values.shape
@@ -146,7 +146,7 @@ def _filter_rows(values):
             line[x] = pole * (line[x + 1] - line[x])
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _filter_columns(values):
     """Do the same along the columns; a row at a time, so that the compiler makes vectors of it."""
     height, width = values.shape

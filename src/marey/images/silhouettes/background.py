@@ -4,10 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
-import numba
 import numpy as np
 
 from marey.arrays import Mask, freeze_fields
+from marey.kernels import kernel
 
 LEAST_NOISE = 1.0
 """Standard deviation in grey levels below which no recording of eight bits a channel is believed."""
@@ -179,7 +179,7 @@ def exposed(background: Background, shown: Exposure) -> np.ndarray:
     return _exposed(background.mean, shown.gain, shown.offset)
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def _exposed(mean, gain, offset):
     height, width, channels = mean.shape
     light = np.empty((height, width, channels), np.float32)
@@ -296,7 +296,7 @@ def _steepness(picture: np.ndarray) -> np.ndarray:
     return np.mean(across**2 + down**2, axis=2)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _most_frequent(pictures, tolerance):
     """Mean of the largest group of like colours at each pixel, and the group's share."""
     count, height, width, channels = pictures.shape
@@ -321,7 +321,7 @@ def _most_frequent(pictures, tolerance):
     return mean, share
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _alike(one, other, tolerance):
     for c in range(one.size):  # noqa: SIM110
         if abs(np.float32(one[c]) - np.float32(other[c])) > tolerance:
@@ -393,7 +393,7 @@ def _bar(image: np.ndarray, background: Background, exposure: Exposure, axis: in
     return len(lines)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _is_bright(line, level):
     """Tell whether the median over a line (n, C) of the brightest channel lies above a level."""
     count = 0
@@ -423,7 +423,7 @@ def _gain_and_offset(
     return gain, offset
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _weighted_line(seen, mean, rest, spread):
     """One round of `_gain_and_offset`: gain and offset (C,) by least squares with Cauchy's weights."""
     count, channels = seen.shape

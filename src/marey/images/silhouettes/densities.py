@@ -8,10 +8,10 @@ background model.
 from dataclasses import dataclass
 from functools import cache
 
-import numba
 import numpy as np
 
 from marey.arrays import Mask, freeze_fields
+from marey.kernels import kernel
 
 COLOUR_SHIFT = 3
 """Colours are counted in cubes of 8 grey levels a side, the kernel's standard deviation."""
@@ -90,7 +90,7 @@ def _kernel(deviation: float) -> np.ndarray:
     return (weights / weights.sum()).astype(np.float32)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _colour_counts(image, region):
     counts = np.zeros((32, 32, 32), np.float32)
     for y in range(image.shape[0]):
@@ -100,7 +100,7 @@ def _colour_counts(image, region):
     return counts
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def _smooth_cube(cube, kernel):
     """Convolve along the three axes; what would fall over an edge stays on it. Empty places cost nothing.
 

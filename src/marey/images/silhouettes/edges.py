@@ -1,11 +1,11 @@
 """The last pixel: a pixel on the border shows some of both sides, and belongs to the side it shows more of."""
 
 import cv2
-import numba
 import numpy as np
 
 from marey.arrays import Mask
 from marey.images.silhouettes.evidence import LIMIT
+from marey.kernels import kernel
 
 NEAR = 4
 """Pixels about a border pixel from which the colours of the two sides are taken, every second one."""
@@ -42,7 +42,7 @@ def edge_evidence(
     return _edge_evidence(picture, light, tuple(1 / noise**2), votes, cv2.add(core, near))
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@kernel(fastmath=True, error_model="numpy")
 def _edge_evidence(picture, light, weight, votes, zone):
     # The weights come as a tuple: its length is known when this is compiled, and the loops over channels unroll.
     (height, width), channels = zone.shape, len(weight)

@@ -3,12 +3,12 @@
 from math import exp, lgamma, log, pi
 
 import cv2
-import numba
 import numpy as np
 
 from marey.arrays import Mask
 from marey.images.silhouettes.background import Background, Exposure
 from marey.images.silhouettes.densities import COMMON, RATIO_BINS, RATIO_RANGE, Appearance
+from marey.kernels import kernel
 
 FREEDOM = 5.0
 """Degrees of freedom of the t distribution of what differs from the background: compression has heavy tails."""
@@ -95,7 +95,7 @@ def _wider(plane: np.ndarray, reach: int) -> np.ndarray:
     return cv2.copyMakeBorder(plane, 0, 0, reach, reach, cv2.BORDER_REPLICATE)
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def _products(levels, rests):
     """Sums over the channels of picture times light and of light squared (H, W); picture less light (C, H, W)."""
     channels, height, width = levels.shape
@@ -115,7 +115,7 @@ def _products(levels, rests):
 # of such loops. Divisions are dear: fractions are added over a common denominator, the product of the variances.
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@kernel(fastmath=True, error_model="numpy")
 def _add_plain(level, rest, steepness, noise, jitter, misfit, volume, above, below):
     """Add a channel's squared distance from the background, in standard deviations, times the product of variances."""
     for x in range(level.shape[0]):
@@ -128,7 +128,7 @@ def _add_plain(level, rest, steepness, noise, jitter, misfit, volume, above, bel
         below[x] += light * light
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@kernel(fastmath=True, error_model="numpy")
 def _nearest_shade(above, below, here, up, down, left, right, ratio, pick):
     """Of five windows about a pixel the darkening nearest to its own: a border does not spoil them all."""
     for x in range(here.shape[0]):
@@ -146,14 +146,14 @@ def _nearest_shade(above, below, here, up, down, left, right, ratio, pick):
         ratio[x], pick[x] = best, at
 
 
-@numba.njit(inline="always", cache=True, nogil=True, fastmath=True, error_model="numpy")
+@kernel(inline="always", fastmath=True, error_model="numpy")
 def _tail(misfit, volume, channels):
     """(1 + m^2 / nu) to the power of -(nu + C) / 2, m^2 = misfit / volume: -4 for colours, -3 for grey values."""
     inverse = volume / (volume + misfit * np.float32(1 / FREEDOM))
     return inverse * inverse * inverse * (inverse if channels == 3 else np.float32(1.0))
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@kernel(fastmath=True, error_model="numpy")
 def _add_shadowed(level, rest, steepness, noise, jitter, slack, square, ratio, misfit, volume, widths):
     """Do as `_add_plain` for a shadow that leaves this share of the light; add up the variances too."""
     for x in range(level.shape[0]):
@@ -164,7 +164,7 @@ def _add_shadowed(level, rest, steepness, noise, jitter, slack, square, ratio, m
         widths[x] += width
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@kernel(fastmath=True, error_model="numpy")
 def _shadow_density(channels, square, ratio, misfit, volume, widths, shadow, density):
     """Density of a shadow that leaves this share of the light, less the t density's peak."""
     low, high = np.float32(RATIO_RANGE[0]), np.float32(RATIO_RANGE[1])
@@ -178,7 +178,7 @@ def _shadow_density(channels, square, ratio, misfit, volume, widths, shadow, den
         density[x] = value if (ratio[x] > low) & (ratio[x] < high) else np.float32(0.0)
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@kernel(fastmath=True, error_model="numpy")
 def _add_veiled(level, rest, steepness, noise, jitter, here, up, down, left, right, pick, misfit, volume, strength):
     """Do as `_add_plain` for a veil that changes the pixels around by this much; add up its squared strength too."""
     for x in range(level.shape[0]):
@@ -195,7 +195,7 @@ def _add_veiled(level, rest, steepness, noise, jitter, here, up, down, left, rig
         strength[x] += around * around
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@kernel(fastmath=True, error_model="numpy")
 def _veil_density(channels, misfit, volume, strength, veil, density):
     """Density of a veil of these strengths."""
     for x in range(density.shape[0]):
@@ -204,7 +204,7 @@ def _veil_density(channels, misfit, volume, strength, veil, density):
         density[x] *= _tail(misfit[x], volume[x], channels)
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@kernel(fastmath=True, error_model="numpy")
 def _add_densities(channels, misfit, volume, ratio, shadow, veil, peak, rest, dark):
     """Sum the densities of everything but the person; where shadow explains more than plain background, its ratio."""
     for x in range(rest.shape[0]):
@@ -216,7 +216,7 @@ def _add_densities(channels, misfit, volume, ratio, shadow, veil, peak, rest, da
         rest[x] = plain + shade + (veil[x] if badly else np.float32(0.0))
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@kernel(fastmath=True, error_model="numpy")
 def _add_colour(levels, y, start, colour):
     """Write the place of each pixel's colour in the densities."""
     if levels.shape[0] == 1:
@@ -229,7 +229,7 @@ def _add_colour(levels, y, start, colour):
         colour[x] = (np.int32(blue[at]) >> 3 << 10) + (np.int32(green[at]) >> 3 << 5) + (np.int32(red[at]) >> 3)
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@kernel(fastmath=True, error_model="numpy")
 def _take_ratio(colour, trust, person, around, rest):
     """Divide the person's density by that of everything else, which is in rest; hold it within the limit."""
     one, least, most = np.float32(1.0), np.float32(exp(-LIMIT)), np.float32(exp(LIMIT))
@@ -238,7 +238,7 @@ def _take_ratio(colour, trust, person, around, rest):
         rest[x] = min(max(person[colour[x]], least * below), most * below) / below
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def _take_log(values, bits, exponent):
     """Put logarithms in the place of positive numbers, to within rounding.
 
@@ -258,7 +258,7 @@ def _take_log(values, bits, exponent):
         values[x] = s * series + exponent[x] * np.float32(log(2.0))
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _ends(near):
     """First and last column but one of what is near in a row; both 0 where nothing is."""
     start, stop = 0, near.shape[0]
@@ -271,7 +271,7 @@ def _ends(near):
     return start, stop
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@kernel(fastmath=True, error_model="numpy")
 def _evidence(
     levels, near, rests, steepness, trust, shade, change, reach, noise, jitter, person, around, shadow, veil, peak
 ):

@@ -4,11 +4,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import cv2
-import numba
 import numpy as np
 
 from marey.arrays import Floats, Integers, Mask
 from marey.images.silhouettes.nearest import Cells, sort_into_cells
+from marey.kernels import kernel
 
 REACH = 0.025
 """How far from its expected place an edge is looked for: share of the person's height."""
@@ -94,7 +94,7 @@ def find_edges(image: np.ndarray, mask: Mask, expected: InteriorEdges, noise: np
     return InteriorEdges(pixels=moved[keep], inward=expected.inward[keep], limb=expected.limb[keep])
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def strongest_steps(image, depth, left, top, pixels, inward, weight, reach):
     """Find how far (n,) along its normal each place has the one clear edge; NaN where there is none.
 
@@ -127,7 +127,7 @@ def strongest_steps(image, depth, left, top, pixels, inward, weight, reach):
     return found
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _free_way(depth, x0, y0, normal, reach):
     """Give the first and the last step along the normal between which one stays well inside of the silhouette."""
     height, width = depth.shape
@@ -144,7 +144,7 @@ def _free_way(depth, x0, y0, normal, reach):
     return ends
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _take_profile(image, pixel, normal, first, last, profile):
     """Write the picture (steps, C) along a normal from the first to the last step, averaged along the edge."""
     height, width, channels = image.shape
@@ -162,7 +162,7 @@ def _take_profile(image, pixel, normal, first, last, profile):
                 row[c] += ((1.0 - v) * above + v * below) / (2 * _ALONG + 1)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _take_steps(profile, weight, strength):
     """Write how much the hue differs between the two sides of each step, in standard deviations of the noise."""
     across = np.empty(profile.shape[1])
@@ -172,7 +172,7 @@ def _take_steps(profile, weight, strength):
         strength[s] = _length(across, weight)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _chroma_step(before, after, across):
     """Write how the mean colour (C,) changes between two sets (n, C), but for brightness; give the change's length.
 
@@ -191,7 +191,7 @@ def _chroma_step(before, after, across):
     return np.sqrt(length)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _length(step, weight):
     total = 0.0
     for c in range(len(step)):
@@ -199,7 +199,7 @@ def _length(step, weight):
     return np.sqrt(total)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _one_clear_peak(strength, parts, first, last):
     """Give the one peak from the first to the last place that stands clear of noise and of rivals, -1 without one."""
     best = -1
@@ -214,7 +214,7 @@ def _one_clear_peak(strength, parts, first, last):
     return best
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _sharpest(profile, weight, place):
     """Give the place, to parts of a step, of the steepest change of colour and brightness beside a place.
 
@@ -232,14 +232,14 @@ def _sharpest(profile, weight, place):
     return best + (min(max(0.5 * (before - after) / bend, -1.0), 1.0) if bend < 0.0 else 0.0)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _contrast(profile, weight, place, step):
     for c in range(len(step)):
         step[c] = profile[place + 1, c] - profile[place - 1, c]
     return _length(step, weight)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _parts(profile, place, weight, across):
     """Tell whether the colours (n, C) of both sides of a place differ by far more than they spread."""
     # Next to the edge the optics mix both sides.
@@ -254,7 +254,7 @@ def _parts(profile, place, weight, across):
     return apart >= PARTED * np.sqrt(noise**2 + _spread(before, across) + _spread(after, across))
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _spread(colours, along):
     """Give the variance of colours (n, C) along a direction (C,)."""
     total = square = 0.0
@@ -268,12 +268,12 @@ def _spread(colours, along):
     return max(square / len(colours) - mean * mean, 0.0)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _is_peak(strength, s):
     return strength[s] >= strength[s - 1] and strength[s] > strength[s + 1]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def in_company(pixels, inward, limb, offset):
     """Tell (n,) which places show an edge where most of their neighbours along the rim show it too.
 

@@ -4,10 +4,10 @@ The level set function takes four values only: -3 inside, -1 on the inner border
 The two borders are the narrow band, kept as lists [Shi2008]; a sweep visits nothing else.
 """
 
-import numba
 import numpy as np
 
 from marey.arrays import Mask
+from marey.kernels import kernel
 
 REACH = 2
 _ROW = 20
@@ -57,7 +57,7 @@ def votes(evidence: np.ndarray, inside: Mask, *, length: float) -> np.ndarray:
     return evidence + length * (2 * share - 1)
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def _vote(evidence, phi, y, x, length, weights):
     height, width = phi.shape
     share = np.float32(0.0)
@@ -75,7 +75,7 @@ def _vote(evidence, phi, y, x, length, weights):
     return evidence[y, x] + length * (np.float32(2.0) * share - np.float32(1.0))
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def _switch(evidence, phi, stamp, sweep, own, count, other, other_count, side, length, weights):
     """Move the pixels of a list that vote for the other side; side is +1 for the outer list, -1 for the inner."""
     height, width = phi.shape
@@ -106,7 +106,7 @@ def _switch(evidence, phi, stamp, sweep, own, count, other, other_count, side, l
     return kept, other_count, moved
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def _clean(phi, own, count, side):
     """Let go of the pixels of a list that have no neighbour on the other side any more."""
     height, width = phi.shape
@@ -127,7 +127,7 @@ def _clean(phi, own, count, side):
     return kept
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def _lists(inside, phi, inner, outer):
     height, width = inside.shape
     inner_count, outer_count = 0, 0
@@ -151,7 +151,7 @@ def _lists(inside, phi, inner, outer):
     return inner_count, outer_count
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def _evolve(evidence, inside, length, weights, sweeps):
     height, width = inside.shape
     phi = np.empty((height, width), np.int8)

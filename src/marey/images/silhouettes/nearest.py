@@ -2,10 +2,10 @@
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from marey.arrays import Floats, Integers
+from marey.kernels import kernel
 
 CELL = 6
 """Width of a cell [px]: a little more than what lies between matched outlines."""
@@ -27,7 +27,7 @@ class Cells(NamedTuple):
     """(n,) indices of the pixels, cell by cell."""
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def sort_into_cells(pixels):
     """Sort pixels (n, 2) into cells; gives what `Cells` holds."""
     count = pixels.shape[0]
@@ -53,7 +53,7 @@ def sort_into_cells(pixels):
     return Cells(pixels, left, top, rows, columns, first, order)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def nearest_within(cells, x, y, reach):
     """Give the index of the pixel nearest to a place, -1 where none is within reach [px]."""
     row, column = int(np.floor(y - cells.top)) // CELL, int(np.floor(x - cells.left)) // CELL
@@ -82,7 +82,7 @@ def nearest_within(cells, x, y, reach):
         ring += 1
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def nearest_other(cells, label, found, x, y, reach, slack):
     """Give the index of the pixel nearest to a place among those of another label than the nearest of all.
 

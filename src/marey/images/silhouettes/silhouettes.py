@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import cv2
-import numba
 import numpy as np
 
 from marey.arrays import Mask
@@ -13,6 +12,7 @@ from marey.images.silhouettes.densities import Appearance, blended, colour_densi
 from marey.images.silhouettes.edges import edge_evidence
 from marey.images.silhouettes.evidence import LIMIT, evidence
 from marey.images.silhouettes.level_sets import evolve
+from marey.kernels import kernel
 
 LENGTH = 4.0
 """Weight of the border's length: so much evidence (a log-ratio) a single pixel needs against all its neighbours."""
@@ -248,7 +248,7 @@ def _too_far(start: Mask, margin: int) -> tuple[np.ndarray, Mask]:
     return _against(distance, *start.shape, np.float32(margin), np.float32(4 * LIMIT / margin))
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _against(distance, height, width, margin, slope):
     against, near = np.empty((height, width), np.float32), np.empty((height, width), np.bool_)
     for y in range(height):
@@ -303,7 +303,7 @@ def _fragments(region: Mask, least: float) -> Mask:
     return region & _large(labels, count, FRAGMENT_SHARE, least)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _large(labels, count, share, least):
     """Pixels of the regions with at least a share of the largest one's pixels, if that has no less than least."""
     height, width = labels.shape
@@ -331,7 +331,7 @@ def _learned(picture: np.ndarray, region: Mask, votes: np.ndarray, shade: np.nda
     )
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _lessons(region, votes, shade, trust):
     """Pixels that teach the person's colours; the darkening of the pixels that teach what shadows are like."""
     height, width = region.shape

@@ -11,13 +11,13 @@ from marey.geometry import rotations
 from marey.io.atomic import replacing
 from marey.io.axes import GLTF_FROM_WORLD, turned_points, turned_rotations
 from marey.motion.anatomical import euler_angles
-from marey.motion.motion import Motion
+from marey.motion.motion import BodyMotion
 
 _CENTIMETRES = 100.0
 _ORDER = "ZXY"
 
 
-def write_bvh(path: Path | str, body: Body, motion: Motion) -> None:
+def write_bvh(path: Path | str, body: Body, motion: BodyMotion) -> None:
     """Write a motion in centimetres, Y up, angles in degrees in the order Z, X, Y and without jumps.
 
     BVH knows no gaps: between answered frames the missing ones are interpolated, before the first and after the last
@@ -44,7 +44,7 @@ def write_bvh(path: Path | str, body: Body, motion: Motion) -> None:
         beside.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def _without_gaps(motion: Motion) -> tuple[Floats, Floats]:
+def _without_gaps(motion: BodyMotion) -> tuple[Floats, Floats]:
     """Fill the segments' rotations (F, S, 3, 3) and the root's place (F, 3), along the shortest turn."""
     known = np.flatnonzero(motion.answered)
     if not len(known):

@@ -12,7 +12,7 @@ from marey.geometry import rotations
 from marey.io.atomic import replacing
 from marey.io.axes import GLTF_FROM_WORLD, turned_points, turned_rotations
 from marey.io.gltf.gltf import COMPONENT, binary_chunk, pack_glb
-from marey.motion.motion import Motion
+from marey.motion.motion import BodyMotion
 
 _VERTEX_BUFFER, _INDEX_BUFFER = 34962, 34963
 _SKIN_COLOUR = [0.80, 0.66, 0.56, 1.0]
@@ -43,7 +43,7 @@ class GlbBuffer:
         return len(self.accessors) - 1
 
 
-def write_glb(path: Path | str, body: Body, motion: Motion | None = None) -> None:
+def write_glb(path: Path | str, body: Body, motion: BodyMotion | None = None) -> None:
     """Write a skinned mesh, and its motion as rotations of the segments; Y up, metres, one node a segment.
 
     Where frames have no answer there is no key: a viewer turns evenly from the last known pose to the next one.
@@ -135,7 +135,7 @@ def _bind(buffer: GlbBuffer, body: Body) -> int:
     return buffer.add(np.swapaxes(matrices, 1, 2).reshape(-1, 16), "<f4", "MAT4")  # column by column
 
 
-def _animation(buffer: GlbBuffer, body: Body, motion: Motion, root: int) -> dict[str, Any]:
+def _animation(buffer: GlbBuffer, body: Body, motion: BodyMotion, root: int) -> dict[str, Any]:
     known = np.flatnonzero(motion.answered)
     time = buffer.add(motion.time[known, None], "<f4", "SCALAR", bounds=True)
     turn = turned_rotations(GLTF_FROM_WORLD, motion.segment_rotation[known])

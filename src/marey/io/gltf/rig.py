@@ -16,8 +16,8 @@ from marey.io.gltf.character import named_joints, posed_skin, skin_joints
 from marey.io.gltf.gltf import Additions, Gltf, local_matrix
 from marey.io.gltf.rig_shape import place_joints
 from marey.io.gltf.rig_twists import find_twists
-from marey.motion.motion import Motion
-from marey.motion.retarget import NEEDED, Rig, RigMotion, retarget
+from marey.motion.motion import BodyMotion
+from marey.motion.retarget import NEEDED, CharacterRig, RigMotion, retarget
 
 _LISTED = 40
 
@@ -49,7 +49,7 @@ def read_map(path: Path | str) -> dict[str, str]:
     return {segment_of[key]: str(name) for key, name in joints.items()}
 
 
-def read_rig(path: Path | str, named: Mapping[str, str] | None = None) -> tuple[Gltf, Rig]:
+def read_rig(path: Path | str, named: Mapping[str, str] | None = None) -> tuple[Gltf, CharacterRig]:
     """Read a character's skeleton, as the file poses it: that is its rest posture.
 
     Args:
@@ -83,12 +83,12 @@ def _guessed(gltf: Gltf, known: Mapping[str, int], by_name: dict[str, int]) -> d
     return named_joints(gltf, dict(known) | by_name | {s: n for s, n in guess.items() if n not in taken})
 
 
-def _rig(gltf: Gltf, found: Mapping[str, int], guessed: tuple[str, ...]) -> Rig:
+def _rig(gltf: Gltf, found: Mapping[str, int], guessed: tuple[str, ...]) -> CharacterRig:
     parents, count = gltf.parents(), len(gltf.nodes)
     parts = [_parted(gltf, node) for node in range(count)]
     skin = _skin_at_rest(gltf)
     names = {node: gltf.name(node) for node in skin_joints(gltf, gltf.skinned())}
-    return Rig(
+    return CharacterRig(
         parents=np.array([parents.get(node, -1) for node in range(count)]),
         translation=np.array([t for t, _, _ in parts]),
         rotation=np.array([r for _, r, _ in parts]),
@@ -152,31 +152,45 @@ def _skin_at_rest(gltf: Gltf) -> list[tuple[Floats, Floats]] | None:
         return None
 
 
-def write_retargeted(
-    path: Path | str, gltf: Gltf, rig: Rig, motion: Motion, *, floor: float | None, grounded: bool = True,
+def retargeted(
+    gltf: Gltf, rig: CharacterRig, motion: BodyMotion, *, floor: float | None, grounded: bool = True,
     planted: bool = False,
 ) -> RigMotion:  # fmt: skip
-    """Write a copy of a character's file that has a motion as one more animation; nothing else of it changes.
+    """Transfer a motion to the skeleton of a character's file.
 
-    Frames without an answer have no key: a viewer turns evenly over them. Where they are stands in the animation's
-    `extras`: `gaps`, pairs of the times [s] between which nothing was measured.
+    Args:
+        gltf: The character.
+        rig: Its skeleton.
+        motion: The motion.
+        floor: see `marey.motion.retarget.retarget`.
+        grounded: see there.
+        planted: see there.
+
+    Returns:
+        The motion of the character's nodes.
+
+    Raises:
+        FileProblem: The motion cannot be transferred to this skeleton.
+    """
+    try:
+        return retarget(motion, rig, floor=floor, grounded=grounded, planted=planted)
+    except MareyError as error:
+        wrong = f"cannot take the motion ({str(error).rstrip('.')})"
+        raise FileProblem(gltf.path, wrong, _HOW_TO_NAME) from error
+
+
+def write_rig_motion(path: Path | str, gltf: Gltf, rig: CharacterRig, moved: RigMotion) -> None:
+    """Write a copy of a character's file with a further animation; nothing else of it changes.
+
+    Frames without an answer have no key: a viewer interpolates over them. Their times are in the animation's `extras`:
+    `gaps`, pairs of the times [s] between which nothing was measured.
 
     Args:
         path: The copy; GLB or glTF as the character.
         gltf: The character.
         rig: Its skeleton.
-        motion: What it shall do.
-        floor: see `retarget`.
-        grounded: see `retarget`.
-        planted: see `retarget`.
-
-    Raises:
-        FileProblem: The motion cannot be carried over.
+        moved: The motion of its nodes.
     """
-    try:
-        moved = retarget(motion, rig, floor=floor, grounded=grounded, planted=planted)
-    except MareyError as error:
-        raise FileProblem(gltf.path, f"cannot take up the motion ({str(error).rstrip('.')})", _HOW_TO_NAME) from error
     additions = Additions(gltf)
     time = additions.add(moved.time[:, None], "SCALAR", bounds=True)
     samplers: list[dict[str, Any]] = []
@@ -196,10 +210,9 @@ def write_retargeted(
         animation["extras"] = {"gaps": [list(gap) for gap in moved.gaps]}
     additions.document.setdefault("animations", []).append(animation)
     additions.write(path)
-    return moved
 
 
-def _without_matrix(node: dict[str, Any], rig: Rig, number: int) -> None:
+def _without_matrix(node: dict[str, Any], rig: CharacterRig, number: int) -> None:
     """Write a node's matrix as translation, rotation and scale: only these can be animated."""
     if node.pop("matrix", None) is not None:
         w, x, y, z = rotations.to_quaternion(rig.rotation[number]).tolist()

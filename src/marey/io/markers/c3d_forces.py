@@ -16,11 +16,12 @@ _KINDS = {"foot strike": STRIKE, "heel strike": STRIKE, "foot off": OFF, "toe of
 _CHANNELS = {1: 6, 2: 6, 3: 8, 4: 6}
 
 
-def read_events(path: Path | str) -> tuple[GaitEvent, ...]:
+def read_events(path: Path | str, *, opened: ezc3d.c3d | None = None) -> tuple[GaitEvent, ...]:
     """Read the gait events that a C3D gives: Foot Strike and Foot Off of the left and the right foot.
 
     Args:
         path: The file.
+        opened: Its content, if it is open already.
 
     Returns:
         In the order of time; other events are passed over.
@@ -28,7 +29,7 @@ def read_events(path: Path | str) -> tuple[GaitEvent, ...]:
     Raises:
         FileProblem: It is no C3D.
     """
-    group = open_c3d(path)["parameters"]
+    group = (open_c3d(path) if opened is None else opened)["parameters"]
     event = group.get("EVENT", {})
     if not event or not (_values(event, "USED") or [0])[0]:
         return ()
@@ -50,7 +51,7 @@ def _values(group: ezc3d.c3d, key: str) -> list:
     return list(group[key]["value"]) if key in group else []
 
 
-def read_force_plates(path: Path | str) -> tuple[ForcePlate, ...]:
+def read_force_plates(path: Path | str, *, opened: ezc3d.c3d | None = None) -> tuple[ForcePlate, ...]:
     """Read the force plates of a C3D: their corners, and their channels as ground reaction and moment.
 
     Plates of the types 1 to 4 are read. The baseline that FORCE_PLATFORM:ZERO names is taken off. The reaction's sign
@@ -58,6 +59,7 @@ def read_force_plates(path: Path | str) -> tuple[ForcePlate, ...]:
 
     Args:
         path: The file.
+        opened: Its content, if it is open already.
 
     Returns:
         One a plate; none where the file has none.
@@ -65,7 +67,7 @@ def read_force_plates(path: Path | str) -> tuple[ForcePlate, ...]:
     Raises:
         FileProblem: It is no C3D, a plate is of another type, or names channels that are not there.
     """
-    c3d = open_c3d(path)
+    c3d = open_c3d(path) if opened is None else opened
     groups = c3d["parameters"]
     group = groups.get("FORCE_PLATFORM", {})
     used = int((_values(group, "USED") or [0])[0])

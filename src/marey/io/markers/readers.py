@@ -1,7 +1,8 @@
 """Marker trajectories from C3D, TRC and CSV, in metres and the file's own axes."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 import ezc3d
@@ -20,7 +21,7 @@ _SMALLEST, _LARGEST = 0.02, 50.0
 """Between which the markers of a frame spread [m]: a finger, a sports hall."""
 
 
-def read_markers(path: Path | str, *, unit: str | None = None) -> MarkerTrajectories:
+def read_markers(path: Path | str, *, unit: str | None = None, opened: ezc3d.c3d | None = None) -> MarkerTrajectories:
     """Read the trajectories of markers from a C3D, TRC or CSV.
 
     Axes are the file's own. A point that is missing in the file (empty, NaN, all three coordinates zero, or with a
@@ -31,12 +32,16 @@ def read_markers(path: Path | str, *, unit: str | None = None) -> MarkerTrajecto
     Args:
         path: The file.
         unit: mm, cm or m, where the file says it wrong or not at all.
+        opened: The content of a C3D that is open already.
 
     Raises:
         FileProblem: It cannot be read, holds no markers or no frames, or its unit cannot be right.
     """
     path = Path(path)
-    readers = {".c3d": _from_c3d, ".trc": _from_trc, ".csv": read_marker_csv, ".tsv": read_marker_csv}
+    from_c3d = partial(_from_c3d, opened=opened)
+    readers: dict[str, Callable[[Path, str | None], Raw]] = {
+        ".c3d": from_c3d, ".trc": _from_trc, ".csv": read_marker_csv, ".tsv": read_marker_csv,
+    }  # fmt: skip
     if path.suffix.lower() not in readers:
         raise FileProblem(path, "is no file of markers that is read here", "Give a C3D, TRC or CSV.")
     if unit is not None and unit not in METRES:
@@ -62,9 +67,9 @@ Raw = tuple[Sequence[str], Floats, Floats, float, float, str, list[str]]
 """Labels, points (F, M, 3) [m], residuals (F, M) [m], rate [Hz], time of the first frame [s], unit, notes."""
 
 
-def _from_c3d(path: Path, unit: str | None) -> Raw:
+def _from_c3d(path: Path, unit: str | None, *, opened: ezc3d.c3d | None) -> Raw:
     """Read the points of a C3D that are places."""
-    c3d = open_c3d(path)
+    c3d = open_c3d(path) if opened is None else opened
     point = c3d["parameters"]["POINT"]
     computed = {label for key in _COMPUTED if key in point for label in (point[key]["value"] or [])}
     unit = unit or point_unit(path, c3d)

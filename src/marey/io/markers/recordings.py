@@ -15,6 +15,7 @@ from marey.io.npz import read_arrays, read_motion
 from marey.io.opensim.mot_sto import is_of_quaternions, read_orientations, read_table
 from marey.io.opensim.trc import read_trc
 from marey.markers.kinematics.joint_angles import joint_kinematics, joint_of, usual_joints
+from marey.motion.motion import BodyMotion
 from marey.motion.recording import Recording
 
 _NO_ANGLES = ("_tx", "_ty", "_tz", "_mm")
@@ -54,6 +55,15 @@ def read_recording(path: Path | str) -> Recording:
     if not held and not np.isfinite(recording.rotation).any():
         raise FileProblem(path, "has no frame with an answer", "Give a motion in which something was measured.")
     return recording
+
+
+def recording_of(motion: BodyMotion) -> Recording:
+    """Return a captured motion as a recording: its angles, joint centres and orientations."""
+    return Recording(
+        time=motion.time, angle_names=motion.angle_names, angles=np.radians(motion.angles_deg),
+        angles_sd=np.radians(motion.angles_deg_sd), point_names=motion.joint_names, points=motion.joint_centres,
+        segment_names=motion.segment_names, rotation=motion.segment_rotation,
+    )  # fmt: skip
 
 
 def motion_in(path: Path) -> Path:
@@ -149,12 +159,7 @@ def _rotations(c3d: Any) -> tuple[tuple[str, ...], Floats]:
 def _from_npz(path: Path) -> Recording:
     arrays = read_arrays(path)
     if "segment_rotation" in arrays:
-        motion = read_motion(path)
-        return Recording(
-            time=motion.time, angle_names=motion.angle_names, angles=np.radians(motion.angles_deg),
-            angles_sd=np.radians(motion.angles_deg_sd), point_names=motion.joint_names, points=motion.joint_centres,
-            segment_names=motion.segment_names, rotation=motion.segment_rotation,
-        )  # fmt: skip
+        return recording_of(read_motion(path))
     bones = read_bones(path)
     names, angles, angles_sd = _angles_of_bones(path, bones)
     return Recording(

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 
+import ezc3d
 import numpy as np
 
 from marey.arrays import Floats
@@ -221,10 +222,10 @@ def write_motion_c3d(
         c3d.write(str(beside))
 
 
-def is_y_up(path: Path) -> bool:
-    """Tell whether a trial's file has Y up: a TRC, or a C3D that says so."""
+def is_y_up(path: Path, *, opened: ezc3d.c3d | None = None) -> bool:
+    """Return whether Y points up in a file of markers: in a TRC, or in a C3D whose POINT:Y_SCREEN is +Y."""
     if path.suffix.lower() != ".c3d":
         return path.suffix.lower() == ".trc"
-    point = open_c3d(path)["parameters"]["POINT"]
+    point = (open_c3d(path) if opened is None else opened)["parameters"]["POINT"]
     says = [str((point[key]["value"] or [""])[0]).strip() for key in ("Y_SCREEN",) if key in point]
     return says == ["+Y"]

@@ -13,7 +13,7 @@ from marey.errors import FileProblem
 from marey.io.atomic import replacing
 from marey.knee.outlines.contours import AXES, Contour, slice_count
 from marey.knee.space.structures import LABELS
-from marey.knee.space.volume import Grid
+from marey.knee.space.volume import VoxelGrid
 
 _SAME_MM = 0.01
 _DECIMALS = 3
@@ -25,12 +25,12 @@ class OutlinedVolume:
     """Outlines, and the volume in which they lie."""
 
     contours: tuple[Contour, ...]
-    grid: Grid
+    grid: VoxelGrid
     volume: str
     """The volume's file or folder as it was named."""
 
 
-def write_contours(path: Path | str, contours: Sequence[Contour], grid: Grid, volume: str) -> None:
+def write_contours(path: Path | str, contours: Sequence[Contour], grid: VoxelGrid, volume: str) -> None:
     """Write outlines with the grid of the volume they belong to; whole or not at all.
 
     Raises:
@@ -56,7 +56,7 @@ def read_contours(path: Path | str) -> OutlinedVolume:
     path = Path(path)
     try:
         table = json.loads(path.read_text(encoding="utf-8"))
-        grid = Grid(shape=_shape(table["shape"]), lps_from_voxel=_numbers(table["lps_from_voxel"], (4, 4)))
+        grid = VoxelGrid(shape=_shape(table["shape"]), lps_from_voxel=_numbers(table["lps_from_voxel"], (4, 4)))
         entries, volume = list(table["contours"]), str(table.get("volume", ""))
     except FileNotFoundError as error:
         raise FileProblem(path, "is not there") from error
@@ -67,7 +67,7 @@ def read_contours(path: Path | str) -> OutlinedVolume:
     return OutlinedVolume(contours=contours, grid=grid, volume=volume)
 
 
-def same_grid(first: Grid, second: Grid) -> bool:
+def same_grid(first: VoxelGrid, second: VoxelGrid) -> bool:
     """Tell whether two volumes have the same voxels in the same places."""
     if first.shape != second.shape:
         return False
@@ -86,7 +86,7 @@ def _as_table(contour: Contour) -> dict[str, object]:
     }
 
 
-def _contour(path: Path, number: int, entry: Any, grid: Grid) -> Contour:
+def _contour(path: Path, number: int, entry: Any, grid: VoxelGrid) -> Contour:
     try:
         structure, axis, index = entry["structure"], entry["axis"], int(entry["slice"])
         anchors, outline = _numbers(entry["anchors"], (-1, 2)), _numbers(entry["outline"], (-1, 2))

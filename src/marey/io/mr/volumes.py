@@ -17,10 +17,11 @@ from typing import Any
 import numpy as np
 
 from marey.arrays import Floats
-from marey.errors import FileProblem, MareyError
+from marey.errors import FileProblem
+from marey.extras import missing_package
 from marey.io.atomic import replacing
 from marey.knee.space.structures import LABELS, structure_named
-from marey.knee.space.volume import Grid, Labels, Volume
+from marey.knee.space.volume import Labels, Volume, VoxelGrid
 
 _KEPT: list[ModuleType] = []
 """Tables of types that SimpleITK uses on; they go when nobody holds them."""
@@ -183,7 +184,7 @@ def simple_itk() -> Any:
     try:
         import SimpleITK
     except ModuleNotFoundError as error:
-        raise MareyError('Volumes are read by SimpleITK, which is missing: pip install "marey[knee]".') from error
+        raise missing_package("SimpleITK", extra="knee", purpose="MR volumes") from error
     finally:
         _KEPT.extend(_tables().values())
         sys.modules.update(tables)
@@ -210,15 +211,15 @@ def _quiet() -> Iterator[None]:
         locale.setlocale(locale.LC_ALL, spoken)
 
 
-def _grid(image: Any) -> Grid:
+def _grid(image: Any) -> VoxelGrid:
     lps_from_voxel = np.eye(4)
     lps_from_voxel[:3, :3] = np.reshape(image.GetDirection(), (3, 3)) * image.GetSpacing()
     lps_from_voxel[:3, 3] = image.GetOrigin()
     i, j, k = image.GetSize()
-    return Grid(shape=(k, j, i), lps_from_voxel=lps_from_voxel)
+    return VoxelGrid(shape=(k, j, i), lps_from_voxel=lps_from_voxel)
 
 
-def _image(array: np.ndarray, grid: Grid) -> Any:
+def _image(array: np.ndarray, grid: VoxelGrid) -> Any:
     image = simple_itk().GetImageFromArray(array)
     image.SetSpacing(grid.spacing_mm.tolist())
     image.SetDirection((grid.lps_from_voxel[:3, :3] / grid.spacing_mm).ravel().tolist())

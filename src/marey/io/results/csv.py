@@ -6,10 +6,10 @@ from pathlib import Path
 from marey.arrays import Floats
 from marey.body.metaballs.segment_measures import SegmentMeasures
 from marey.io.atomic import replacing
-from marey.motion.motion import Motion
+from marey.motion.motion import BodyMotion
 
 
-def write_angles(path: Path | str, motion: Motion) -> None:
+def write_angles(path: Path | str, motion: BodyMotion) -> None:
     """Write `angles.csv`: a row a frame with time, state, and every angle beside its standard deviation.
 
     The header carries the units; where there is no answer the cells are empty.

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.io import netcdf_file
 
 from marey.io.atomic import replacing
-from marey.motion.motion import Motion
+from marey.motion.motion import BodyMotion
 
 _NAMES = {"joint_names": "joint", "segment_names": "segment", "coordinate_names": "coordinate"} | {
     "angle_names": "angle",
@@ -29,7 +29,7 @@ _LAYOUT = {
 }
 
 
-def write_netcdf(path: Path | str, motion: Motion) -> None:
+def write_netcdf(path: Path | str, motion: BodyMotion) -> None:
     """Write `motion.nc`: the keys of motion.npz as variables, with dimensions and units.
 
     It is NetCDF 3 with 64-bit offsets, which SciPy writes and xarray, MATLAB and R open without another library.

@@ -18,12 +18,12 @@ from marey.io.opensim.trc import PointPaths, read_trc, write_trc
 from marey.io.results import body as body_file
 from marey.io.results.csv import write_angles
 from marey.io.results.netcdf import write_netcdf
-from marey.motion.motion import Motion
+from marey.motion.motion import BodyMotion
 
 
 def write_results(
     folder: Path | str,
-    motion: Motion,
+    motion: BodyMotion,
     body: Body,
     *,
     preset: str,
@@ -61,7 +61,7 @@ def write_results(
         npz.write_skin(folder / "skin.npz", skin, faces, seen, frames=len(motion), count=count)
 
 
-def write_motion_tables(folder: Path | str, motion: Motion) -> None:
+def write_motion_tables(folder: Path | str, motion: BodyMotion) -> None:
     """Write what needs no body: `joint_centres.trc`, `angles.mot`, `orientations.sto`, `motion.c3d`, `angles.csv`.
 
     Args:

@@ -59,7 +59,19 @@ def read_deforming(path: Path) -> DeformingPoints:
         return _from_markers(path)
     if path.suffix.lower() != ".npz":
         raise FileProblem(path, "is no file that is read here", f"Give videos, an NPZ or a C3D. {_REMEDY}")
-    arrays = read_arrays(path)
+    return deforming_points(path, read_arrays(path))
+
+
+def deforming_points(path: Path, arrays: dict[str, np.ndarray]) -> DeformingPoints:
+    """Check the arrays of an NPZ, or arrays in memory, and combine them.
+
+    Args:
+        path: The file, or a name for arrays in memory; it is in the error messages.
+        arrays: As `read_deforming` describes them.
+
+    Raises:
+        FileProblem: The arrays cannot be used.
+    """
     held = [name for name in ("tracks", "points") if name in arrays]
     if len(held) != 1:
         wrong = "holds both tracks and points" if held else f"holds neither tracks nor points, but {_listed(arrays)}"

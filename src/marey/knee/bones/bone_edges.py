@@ -1,4 +1,4 @@
-"""Evidence for a bone's edge on the image's own voxels, from how bright it is inside and outside just there."""
+"""Refinement of a bone's edge on the image's own voxels, by the local brightness inside and outside."""
 
 from dataclasses import dataclass
 
@@ -9,76 +9,128 @@ from scipy.spatial import cKDTree
 from marey.arrays import Floats
 from marey.knee.bones.marrow import Kind
 from marey.knee.bones.outer_edge import at_half_level
-from marey.knee.bones.region_growing import signed_distance
+from marey.knee.space.distances import signed_distance
 from marey.knee.space.minimal_cut import minimal_cut
 from marey.knee.space.resampling import smoothed
-from marey.knee.space.volume import Grid
-
-_COARSE_NATS_MM = {"dark": 1.5, "bright": 6.0}
-_FINE_NATS_MM = {"dark": 1.5, "bright": 3.0}
-"""Price of a bone's surface: about bright marrow only the thin black cortex keeps it from fat that looks alike."""
-_OUTWARD = {"dark": 0.5, "bright": 0.3}
-"""How far the edge may move outward, as a share of how far inward; of dark marrow in a small bone only."""
-_MOST_NATS = 4.0
-_INSIDE_MM, _OUTSIDE_MM = 4.0, 2.0
-"""Widths [mm] of the Gaussians over which levels are averaged: of marrow, and of the dark line about bright marrow."""
-_LEAST_STEP = 0.5
-"""The least step down from bright marrow to what is about it, as a share of the usual one about the same bone."""
-_CORTEX_MM = (0.4, 2.5)
-_SOFT_TISSUE = (0.35, 0.75)
-"""How bright muscle and cartilage are beside bright marrow, as shares of it."""
-_SOFT_NATS = 1.0
-_FAT_SMOOTHING_MM, _FAT_STEPS, _FAT_SHARE = 0.7, 3.0, 0.12
-"""Fat counts as brighter than dark marrow when, smoothed, it is so by this many times the marrow's own unevenness, and
-this share of what is next to the bone is of one level."""
-_FEW_VOXELS = 200
-_FAT_FROM_BRIGHT_MM, _FAT_BRIGHT = 1.0, 6.0
-_BLUR_MM = 1.6
-"""Width of the layer that looks like fat where cartilage is smoothed into marrow, at most."""
-_FAINT_SMOOTHING_MM = 0.5
+from marey.knee.space.volume import VoxelGrid
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Ring:
-    """Where the level outside a bone is taken from: how far from the edge, and averaged over what width [mm]."""
+class PerKind:
+    """A value for each kind of marrow."""
+
+    dark: float
+    bright: float
+
+    def of(self, kind: Kind) -> float:
+        """Return the value for one kind."""
+        return self.dark if kind == "dark" else self.bright
+
+
+@dataclass(frozen=True, kw_only=True)
+class EdgeRing:
+    """Where the level outside a bone is measured."""
 
     from_mm: float
+    """Least distance [mm] outside the edge."""
     to_mm: float
+    """Largest distance [mm] outside the edge."""
     sigma_mm: float
+    """Standard deviation [mm] of the Gaussian over which the level is averaged."""
     band_mm: float
-    """How far the edge may move."""
+    """How far [mm] the edge may move."""
 
 
-_COARSE_RING = _Ring(from_mm=0.7, to_mm=5.0, sigma_mm=2.0, band_mm=4.0)
-_FINE_RING = _Ring(from_mm=0.4, to_mm=2.2, sigma_mm=1.2, band_mm=2.0)
+@dataclass(frozen=True, kw_only=True)
+class BoneEdgeSettings:
+    """Settings for refining a bone's edge.
+
+    Values without a stated source were chosen by hand.
+    """
+
+    coarse_nats_mm: PerKind = PerKind(dark=1.5, bright=6.0)
+    """Price [nats per mm, for a voxel of 1 mm] of a bone's surface in the first round."""
+    fine_nats_mm: PerKind = PerKind(dark=1.5, bright=3.0)
+    """The same in later rounds. It is larger for bright marrow, which only the thin black cortex separates from fat
+    of the same brightness."""
+    outward: PerKind = PerKind(dark=0.5, bright=0.3)
+    """How far the edge may move outward, as a share of how far it may move inward; for dark marrow in small bones
+    only."""
+    most_nats: float = 4.0
+    """Largest absolute value of the log odds of a voxel."""
+    inside_mm: float = 4.0
+    """Standard deviation [mm] of the Gaussian over which the level of marrow is averaged."""
+    outside_mm: float = 2.0
+    """Standard deviation [mm] of the Gaussian over which the level of the dark line about bright marrow is
+    averaged."""
+    least_step: float = 0.5
+    """Least step down from bright marrow to its surroundings, as a share of the median step about the same bone."""
+    cortex_mm: tuple[float, float] = (0.4, 2.5)
+    """Least and largest usual thickness [mm] of cortex about bright marrow."""
+    soft_tissue: tuple[float, float] = (0.35, 0.75)
+    """Brightness of muscle and cartilage beside bright marrow, as shares of marrow's level."""
+    soft_nats: float = 1.0
+    """Log odds against bone from such voxels."""
+    fat_smoothing_mm: float = 0.7
+    """Standard deviation [mm] of the smoothing before fat is compared with dark marrow."""
+    fat_steps: float = 3.0
+    """Fat counts as brighter than dark marrow when its level exceeds the median of marrow by this multiple of the
+    distance from the median to the 95th percentile of marrow."""
+    fat_share: float = 0.12
+    """Least share of the brighter surroundings of a bone that is at the level of fat."""
+    fewest_voxels: int = 200
+    """Least number of voxels from which a level of fat is measured."""
+    fat_from_bright_mm: float = 1.0
+    """Least distance [mm] of fat from bright voxels, whose partial volume resembles fat."""
+    fat_bright: float = 6.0
+    """Voxels are bright when they exceed marrow by this multiple of the step from marrow to fat."""
+    blur_mm: float = 1.6
+    """Largest width [mm] of the layer that resembles fat where cartilage is smoothed into marrow."""
+    faint_smoothing_mm: float = 0.5
+    """Standard deviation [mm] of the smoothing before thin films of fat are searched."""
+    coarse_ring: EdgeRing = EdgeRing(from_mm=0.7, to_mm=5.0, sigma_mm=2.0, band_mm=4.0)
+    """Where the level outside a bone is measured in the first round."""
+    fine_ring: EdgeRing = EdgeRing(from_mm=0.4, to_mm=2.2, sigma_mm=1.2, band_mm=2.0)
+    """The same in later rounds, when the edge is known to a voxel or two."""
+
+
+BONE_EDGE_DEFAULTS = BoneEdgeSettings()
+"""Default settings for refining a bone's edge."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Piece:
-    """A bone's part of an image: intensities without bias, and how far its coarse edge is."""
+class BoneImage:
+    """The part of an image about a bone, with the distance to the bone's coarse edge."""
 
     intensity: np.ndarray
-    """(k, j, i)."""
+    """(k, j, i) without bias."""
     distance_mm: np.ndarray
-    """(k, j, i) to the coarse edge, positive inside."""
+    """(k, j, i) distance to the coarse edge, positive inside."""
     prior_nats: np.ndarray
-    """(k, j, i) log odds to be inside by what else is known, a template."""
-    grid: Grid
+    """(k, j, i) log odds of bone by other knowledge, such as a template."""
+    grid: VoxelGrid
     rough: bool = True
     """Whether the coarse edge may be off by more than a voxel or two."""
     small: bool = False
-    """A patella: even, and known well by growing, so that the edge need not go far outward."""
+    """Whether it is a patella, whose edge growing finds well, so that it need not move far outward."""
     no_signal: float | None = None
-    """Level of air in the image, if there is any in view."""
+    """Level of air in the image; None where no air is in view."""
 
 
-def refined(piece: Piece, kind: Kind, others: list[np.ndarray] | None = None) -> np.ndarray:
+def refine_edge(
+    piece: BoneImage,
+    kind: Kind,
+    others: list[np.ndarray] | None = None,
+    *,
+    settings: BoneEdgeSettings = BONE_EDGE_DEFAULTS,
+) -> np.ndarray:
     """Move a bone's edge from its coarse place to where the image changes.
 
     Args:
         piece: The bone's part of the image.
-        kind: Whether marrow is dark or bright. The black line of the cortex about bright marrow belongs to the bone.
+        kind: Whether marrow is dark or bright. The black line of cortex about bright marrow is part of the bone.
         others: Log odds (k, j, i) from further images of the same place.
+        settings: Tuned constants of the algorithm.
 
     Returns:
         (k, j, i) signed distance [mm], positive inside, exact near the edge.
@@ -86,33 +138,40 @@ def refined(piece: Piece, kind: Kind, others: list[np.ndarray] | None = None) ->
     settled = piece.prior_nats + sum(others or [], np.zeros(1, dtype=np.float32))
     distance = piece.distance_mm
     if kind == "dark" or piece.rough:
-        distance = _cut(piece, kind, settled, distance, _COARSE_RING)
-    # Again with the levels just beside the edge, now that it is known to a voxel or two.
-    distance = _cut(piece, kind, settled, distance, _FINE_RING)
+        distance = _cut(piece, kind, settled, distance, settings.coarse_ring, settings=settings)
+    # The edge is now known to a voxel or two: repeat with the levels just beside it.
+    distance = _cut(piece, kind, settled, distance, settings.fine_ring, settings=settings)
     if kind == "dark":
-        return _in_one(at_half_level(piece.intensity, distance, piece.grid, no_signal=piece.no_signal))
-    # Beside bright marrow the edge may go outward by little at a time, lest it jumps over the black line.
-    distance = _cut(piece, kind, settled, distance, _FINE_RING)
-    return distance + _cortex(piece, distance)
+        return _one_piece(at_half_level(piece.intensity, distance, piece.grid, no_signal=piece.no_signal))
+    # About bright marrow the edge moves outward in small steps, so that it does not jump over the black line.
+    distance = _cut(piece, kind, settled, distance, settings.fine_ring, settings=settings)
+    return distance + _cortex(piece, distance, settings=settings)
 
 
-def _cut(piece: Piece, kind: Kind, known: np.ndarray, distance: np.ndarray, ring: "_Ring") -> np.ndarray:
-    odds = marrow_odds(piece, kind, distance, ring) + known
-    outward = (1.0 if kind == "dark" and not piece.small else _OUTWARD[kind]) * ring.band_mm
+def _cut(
+    piece: BoneImage, kind: Kind, known: np.ndarray, distance: np.ndarray, ring: EdgeRing, *, settings: BoneEdgeSettings
+) -> np.ndarray:
+    odds = marrow_odds(piece, kind, distance, ring, settings=settings) + known
+    outward = (1.0 if kind == "dark" and not piece.small else settings.outward.of(kind)) * ring.band_mm
     odds = np.where(distance > ring.band_mm, 100.0, np.where(distance < -outward, -100.0, odds))
     spacing = piece.grid.array_spacing_mm
-    price = (_FINE_NATS_MM if ring is _FINE_RING else _COARSE_NATS_MM)[kind]
+    price = (settings.fine_nats_mm if ring is settings.fine_ring else settings.coarse_nats_mm).of(kind)
     inside = minimal_cut(odds.astype(np.float32), distance > 0, spacing, surface_nats_mm=price)
     return signed_distance(_main_part(inside > 0.5), spacing)
 
 
 def marrow_odds(
-    piece: Piece, kind: Kind, distance: np.ndarray | None = None, ring: "_Ring | None" = None
+    piece: BoneImage,
+    kind: Kind,
+    distance: np.ndarray | None = None,
+    ring: EdgeRing | None = None,
+    *,
+    settings: BoneEdgeSettings = BONE_EDGE_DEFAULTS,
 ) -> np.ndarray:
-    """(k, j, i) log odds of marrow against what is outside, by the level halfway between both just there."""
-    distance, ring = (piece.distance_mm if distance is None else distance), ring or _COARSE_RING
+    """(k, j, i) log odds of marrow against what is outside, by the local level halfway between both."""
+    distance, ring = (piece.distance_mm if distance is None else distance), ring or settings.coarse_ring
     intensity, grid = piece.intensity, piece.grid
-    level = _local_level(intensity, distance > 1.0, grid, _INSIDE_MM)
+    level = _local_level(intensity, distance > 1.0, grid, settings.inside_mm)
     deep = intensity[distance > 2.5] if (distance > 2.5).any() else intensity[distance > 0]
     noise = max(1.4826 * float(np.median(np.abs(deep - np.median(deep)))), 0.02 * abs(float(np.median(deep))))
     if kind == "dark":
@@ -120,59 +179,68 @@ def marrow_odds(
         outside = _local_level(np.minimum(intensity, np.percentile(intensity[beside], 99)), beside, grid, ring.sigma_mm)
         step = np.maximum(outside - level, 2 * noise)
     else:
-        share = _darkest_near(intensity, distance, grid) / np.maximum(level, 1e-6) - 1
-        # Where no dark line is near, the edge lies within marrow as yet: a small step would hold it there.
+        share = _darkest_near(intensity, distance, grid, settings=settings) / np.maximum(level, 1e-6) - 1
+        # Where no dark line is near, the edge still lies within marrow: a small step would keep it there.
         usual = float(np.median(share[np.abs(distance) < 1.0])) if (np.abs(distance) < 1.0).any() else 0.0
-        step = np.minimum(np.minimum(share, _LEAST_STEP * usual) * level, -2 * noise)
+        step = np.minimum(np.minimum(share, settings.least_step * usual) * level, -2 * noise)
     odds = _half_level_odds(intensity - level, step, noise)
-    if kind == "dark" and ring is _FINE_RING:
-        odds = _against_fat(piece, distance, level, noise, odds)
-    return np.clip(odds, -_MOST_NATS, _MOST_NATS)
+    if kind == "dark" and ring is settings.fine_ring:
+        odds = _odds_against_fat(piece, distance, level, noise, odds, settings=settings)
+    return np.clip(odds, -settings.most_nats, settings.most_nats)
 
 
 def _half_level_odds(above: np.ndarray, step: np.ndarray | float, noise: float) -> np.ndarray:
     return np.asarray(-(above - step / 2) * step / (noise**2 + (step / 4) ** 2))
 
 
-def _against_fat(piece: Piece, distance: np.ndarray, level: np.ndarray, noise: float, odds: np.ndarray) -> np.ndarray:
-    """(k, j, i) the odds, less where it looks like the fat next to dark marrow: a film of it before muscle is no bone.
+def _odds_against_fat(
+    piece: BoneImage,
+    distance: np.ndarray,
+    level: np.ndarray,
+    noise: float,
+    odds: np.ndarray,
+    *,
+    settings: BoneEdgeSettings,
+) -> np.ndarray:
+    """(k, j, i) the odds, reduced where voxels resemble the fat next to dark marrow.
 
-    The level outside is that of the muscle there, and halfway to it a film of fat would be marrow.
+    Outside a film of fat lies muscle, and by the level halfway to muscle the film would count as marrow.
     """
-    even = smoothed(piece.intensity, piece.grid, _FAT_SMOOTHING_MM)
-    fat, marrow, most = _fat_level(even[distance > 2.5], even[(distance < -1) & (distance > -6)])
+    even = smoothed(piece.intensity, piece.grid, settings.fat_smoothing_mm)
+    fat, marrow, most = _fat_level(even[distance > 2.5], even[(distance < -1) & (distance > -6)], settings=settings)
     if fat is None:
         return odds
     step, middle = fat - marrow, level + (most - marrow) / 2
     like_fat = (even > most) & (even < marrow + 2 * step)
     above = piece.intensity - middle
-    surely = (_far_from_bright(even, marrow + _FAT_BRIGHT * step, piece.grid) | _thick(like_fat, piece.grid)) & (
-        above < 2 * step
-    )
+    surely = (
+        _far_from_bright(even, marrow + settings.fat_bright * step, piece.grid, settings=settings)
+        | _thick(like_fat, piece.grid, settings=settings)
+    ) & (above < 2 * step)
     odds = np.where(surely, np.minimum(odds, _half_level_odds(above, step, noise)), odds)
-    # Elsewhere it may be the blur of what is bright, or a film too thin to tell: no evidence for marrow either.
-    faint = smoothed(piece.intensity, piece.grid, _FAINT_SMOOTHING_MM) - middle
+    # Elsewhere it may be the blur of bright tissue or a thin film of fat: no evidence for marrow either.
+    faint = smoothed(piece.intensity, piece.grid, settings.faint_smoothing_mm) - middle
     return np.where((faint > step / 2) & (faint < 2 * step), np.minimum(odds, 0), odds)
 
 
-def _far_from_bright(even: np.ndarray, bright: float, grid: Grid) -> np.ndarray:
-    """(k, j, i) true where nothing bright, cartilage, is near: what is next to it looks like fat where half of it."""
-    size = [2 * round(_FAT_FROM_BRIGHT_MM / each) + 1 for each in grid.array_spacing_mm]
+def _far_from_bright(even: np.ndarray, bright: float, grid: VoxelGrid, *, settings: BoneEdgeSettings) -> np.ndarray:
+    """(k, j, i) true far from bright tissue such as cartilage, whose partial volume resembles fat."""
+    size = [2 * round(settings.fat_from_bright_mm / each) + 1 for each in grid.array_spacing_mm]
     return np.asarray(ndimage.maximum_filter(even, size) < bright)
 
 
-def _thick(like_fat: np.ndarray, grid: Grid) -> np.ndarray:
-    """(k, j, i) what is like fat in layers wider than the blur of something bright, and than a voxel."""
-    box = [max(2, round(_BLUR_MM / each)) for each in grid.array_spacing_mm]
+def _thick(like_fat: np.ndarray, grid: VoxelGrid, *, settings: BoneEdgeSettings) -> np.ndarray:
+    """(k, j, i) true in layers like fat that are wider than the blur of bright tissue, and than a voxel."""
+    box = [max(2, round(settings.blur_mm / each)) for each in grid.array_spacing_mm]
     return np.asarray(ndimage.binary_opening(like_fat, np.ones(box)))
 
 
-def _fat_level(deep: np.ndarray, ring: np.ndarray) -> tuple[float | None, float, float]:
-    """Give the level of fat beside a bone, its marrow's, and the most of its marrow's.
+def _fat_level(deep: np.ndarray, ring: np.ndarray, *, settings: BoneEdgeSettings) -> tuple[float | None, float, float]:
+    """Return the level of fat beside a bone, the median of its marrow, and the 95th percentile of its marrow.
 
-    Fat is none where no level stands out of the ring, or none that is clearly brighter than marrow is uneven.
+    The first is None where no level stands out, or none that exceeds the variation of marrow clearly.
     """
-    if len(deep) < _FEW_VOXELS or len(ring) < _FEW_VOXELS:
+    if len(deep) < settings.fewest_voxels or len(ring) < settings.fewest_voxels:
         return None, 0.0, 0.0
     marrow, most = np.percentile(deep, [50, 95])
     deviation = 1.4826 * float(np.median(np.abs(deep - marrow)))
@@ -180,31 +248,33 @@ def _fat_level(deep: np.ndarray, ring: np.ndarray) -> tuple[float | None, float,
     counts = np.convolve(np.histogram(ring, bins)[0], np.ones(5), "same")
     fat = float(bins[counts.argmax()] + deviation / 4)
     share = float((np.abs(ring[ring > most] - fat) < 1.5 * deviation).mean()) if (ring > most).any() else 0.0
-    clear = fat - marrow > _FAT_STEPS * (most - marrow) and share > _FAT_SHARE
+    clear = fat - marrow > settings.fat_steps * (most - marrow) and share > settings.fat_share
     return fat if clear else None, float(marrow), float(most)
 
 
-def soft_tissue_odds(piece: Piece) -> np.ndarray:
+def soft_tissue_odds(piece: BoneImage, *, settings: BoneEdgeSettings = BONE_EDGE_DEFAULTS) -> np.ndarray:
     """(k, j, i) log odds from an image with bright marrow beside one with dark: against muscle and cartilage only.
 
-    Fat there is as bright as marrow, and cortex as black as tendon: neither says anything.
+    In that image fat is as bright as marrow, and cortex as black as tendon: neither is evidence.
     """
-    marrow = _local_level(piece.intensity, piece.distance_mm > 2.0, piece.grid, 2 * _INSIDE_MM)
+    marrow = _local_level(piece.intensity, piece.distance_mm > 2.0, piece.grid, 2 * settings.inside_mm)
     share = smoothed(piece.intensity, piece.grid, 0.5) / np.maximum(marrow, 1e-6)
-    soft = (share > _SOFT_TISSUE[0]) & (share < _SOFT_TISSUE[1])
-    return np.where(soft, -_SOFT_NATS, 0.0)
+    soft = (share > settings.soft_tissue[0]) & (share < settings.soft_tissue[1])
+    return np.where(soft, -settings.soft_nats, 0.0)
 
 
-def _local_level(intensity: np.ndarray, mask: np.ndarray, grid: Grid, sigma_mm: float) -> np.ndarray:
+def _local_level(intensity: np.ndarray, mask: np.ndarray, grid: VoxelGrid, sigma_mm: float) -> np.ndarray:
     weight = smoothed(mask, grid, sigma_mm)
     return smoothed(intensity * mask, grid, sigma_mm) / np.maximum(weight, 1e-3)
 
 
-def _darkest_near(intensity: np.ndarray, distance: np.ndarray, grid: Grid) -> np.ndarray:
-    """(k, j, i) the dark level just outside bright marrow: cortex or cartilage, whichever is there."""
+def _darkest_near(
+    intensity: np.ndarray, distance: np.ndarray, grid: VoxelGrid, *, settings: BoneEdgeSettings
+) -> np.ndarray:
+    """(k, j, i) the dark level just outside bright marrow, of cortex or cartilage."""
     size = [2 * max(0, int(1.5 / spacing)) + 1 for spacing in grid.array_spacing_mm]
     darkest = ndimage.minimum_filter(smoothed(intensity, grid, 0.3), size)
-    return _local_level(darkest, np.abs(distance) < 2, grid, _OUTSIDE_MM)
+    return _local_level(darkest, np.abs(distance) < 2, grid, settings.outside_mm)
 
 
 def _main_part(mask: np.ndarray) -> np.ndarray:
@@ -214,17 +284,17 @@ def _main_part(mask: np.ndarray) -> np.ndarray:
     return np.asarray(ndimage.binary_fill_holes(mask))
 
 
-def _in_one(distance: np.ndarray) -> np.ndarray:
-    """(k, j, i) a distance without islands and hollows."""
+def _one_piece(distance: np.ndarray) -> np.ndarray:
+    """(k, j, i) a signed distance without islands and holes."""
     inside = _main_part(distance > 0)
     return np.where(inside, np.maximum(distance, 1e-3), np.minimum(distance, -1e-3))
 
 
-def _cortex(piece: Piece, distance: np.ndarray) -> np.ndarray:
-    """(k, j, i) how far [mm] the black line of cortex about bright marrow reaches; 0 where cartilage or nothing is.
+def _cortex(piece: BoneImage, distance: np.ndarray, *, settings: BoneEdgeSettings) -> np.ndarray:
+    """(k, j, i) thickness [mm] of the black line of cortex about bright marrow; 0 beside cartilage and without a line.
 
-    Where fat lies behind the line its end is seen; how far it reaches there as a rule is taken where it is not seen:
-    beside muscle and tendon.
+    The outer end of the line is visible where fat lies outside it. Beside muscle and tendon, where it is not, the
+    median thickness of the visible places is used.
     """
     spacing = np.array(piece.grid.array_spacing_mm)
     gradient = np.stack(np.gradient(ndimage.gaussian_filter(distance, 1.0), *spacing), axis=-1)
@@ -237,19 +307,19 @@ def _cortex(piece: Piece, distance: np.ndarray) -> np.ndarray:
     profile = ndimage.map_coordinates(piece.intensity, np.moveaxis(places, -1, 0), order=1, mode="nearest")
     outer, seen, black = _line_ends(profile, steps)
     outer = outer - distance[tuple(edge.T)]
-    usual = float(np.clip(np.median(outer[seen]), *_CORTEX_MM)) if seen.sum() > 50 else 0.0
-    asked = np.where(seen, np.clip(outer, 0, 2 * usual), usual) * black
+    usual = float(np.clip(np.median(outer[seen]), *settings.cortex_mm)) if seen.sum() > 50 else 0.0
+    wanted = np.where(seen, np.clip(outer, 0, 2 * usual), usual) * black
     tree = cKDTree(edge * spacing)
     band = np.argwhere(np.abs(distance) < 4)
     away, near = tree.query(band * spacing, k=12)
     share = 1 / (away + 1.0)
     thickness = np.zeros_like(distance)
-    thickness[tuple(band.T)] = (share * asked[near]).sum(axis=1) / share.sum(axis=1)
+    thickness[tuple(band.T)] = (share * wanted[near]).sum(axis=1) / share.sum(axis=1)
     return thickness
 
 
 def _line_ends(profile: Floats, steps: Floats) -> tuple[Floats, np.ndarray, np.ndarray]:
-    """(N,) where the dark line outside the marrow ends, whether both its edges are seen, and whether it is there."""
+    """Return where the dark line outside the marrow ends, whether both its edges are visible, and whether it exists."""
     marrow = np.median(profile[:, steps < -1], axis=1)
     near = (steps >= -0.5) & (steps <= 1.5)
     least = profile[:, near].min(axis=1)
@@ -267,10 +337,10 @@ def _line_ends(profile: Floats, steps: Floats) -> tuple[Floats, np.ndarray, np.n
 
 
 def _outer_end(profile: Floats, steps: Floats, start: np.ndarray, length: np.ndarray, black: np.ndarray) -> Floats:
-    """(N,) where the dark line ends: from its middle half of its width on.
+    """(N,) where the dark line ends: half its width from its middle.
 
-    The width is what is missing from marrow, over what is missing where lines are darkest: the half level of a line
-    thinner than a voxel lies too far out, its area is the same however blurred it is.
+    The width is the area missing from the level of marrow, divided by the depth of the darkest lines: the half level of
+    a line thinner than a voxel lies too far out, whereas the area does not depend on the blur.
     """
     marrow = np.median(profile[:, steps < -1], axis=1)[:, None]
     near = profile[:, (steps >= -0.5) & (steps <= 1.5)].min(axis=1)

@@ -1,4 +1,4 @@
-"""Bones with bright marrow cut along the dark line about them, which alone parts them from fat that is as bright."""
+"""Bones with bright marrow, cut along the dark line of cortex that alone separates them from equally bright fat."""
 
 from dataclasses import dataclass
 
@@ -9,35 +9,90 @@ from marey.arrays import Mask
 from marey.knee.space.distances import distance_within
 from marey.knee.space.minimal_cut import minimal_cut
 from marey.knee.space.resampling import smoothed
-from marey.knee.space.volume import Grid
+from marey.knee.space.volume import VoxelGrid
 
-_PRICE_NATS_MM, _LEAST_PRICE = 4.0, 0.1
-"""Price of a bone's surface through what is even, and the share of it that is paid in the middle of a dark line."""
-_LINE_MM, _LINE_SHARE, _LINE_FROM = 4.0, 0.12, 0.03
-"""Lines narrower than this are seen; by so much of marrow's level must they be darker to cost 1/e of the price."""
-_EVEN_MM, _SLOPE_MM = 0.24, 0.7
-"""Smoothing before lines are sought, and over what length a slope counts as much as a line that is so much darker."""
-_HALF, _DARK_NATS, _BRIGHT_NATS = 0.7, 3.0, 0.8
-"""Where marrow is as likely as not, as a share of its level; what is said at most by darker, and by brighter voxels."""
-_TOO_BRIGHT, _TOO_BRIGHT_NATS = 1.35, 5.0
-_INSIDE_NATS_PER_MM, _INSIDE_FROM_MM, _INSIDE_NATS = 0.8, 1.5, 3.5
-_OUTSIDE_NATS_PER_MM, _OUTSIDE_NATS = 0.5, 4.0
-"""What a template's bone says: by the distance from its edge."""
-_LEVEL_MM, _FAR = 8.0, 1e-3
-"""Width of the Gaussian over which marrow's level is averaged, and how little of it counts as nothing known nearby."""
-_TREND_MM, _TREND_RIDGE, _TREND_BEYOND, _FIT_VOXELS = 50.0, 1e-3, 0.4, 20000
-"""Unit of places in the trend, its damping, and how far [natural logarithm] it may go beyond what was seen."""
-_INNER_MM, _CORE_MM, _ASTRAY_MM = 2.0, 2.5, 3.0
-"""How deep marrow's level is taken, how deep what is known stays, and how far beyond a template nothing is known."""
-_LEANING = 0.3
-"""By how much a shaft may lean or widen beyond where the template ends [mm per mm]."""
-_STEP_MM = 10.0
-"""How far a bone may go on in one cut."""
-_NECK_MM, _THREAD_MM, _REGROWN_MM = 4.0, 1.0, 0.7
-"""Radii of the balls that must pass where a bone goes on, and where it holds together; what is given back beyond."""
-_MOST_ADDED, _LEAST_ADDED, _RIM_MM = 1 / 3, 0.04, 2.0
-"""As shares of the bone: more is a leak, less beyond such a rim is nothing new."""
-_ITERATIONS = 250
+
+@dataclass(frozen=True, kw_only=True)
+class BrightMarrowSettings:
+    """Settings for cutting bones with bright marrow along the dark line of cortex.
+
+    Values without a stated source were chosen by hand.
+    """
+
+    price_nats_mm: float = 4.0
+    """Price [nats per mm, for a voxel of 1 mm] of a bone's surface through even brightness."""
+    least_price: float = 0.1
+    """Share of that price that remains in the middle of a dark line."""
+    line_mm: float = 4.0
+    """Largest width [mm] of a dark line."""
+    line_share: float = 0.12
+    """Depth of a line, as a share of marrow's level, at which the price falls to 1/e."""
+    line_from: float = 0.03
+    """Depth of a line, as a share of marrow's level, below which the price does not fall."""
+    line_smoothing_mm: float = 0.24
+    """Standard deviation [mm] of the smoothing before lines are searched."""
+    slope_mm: float = 0.7
+    """Length [mm] over which a slope of brightness counts like a line of the same depth."""
+    even_odds_share: float = 0.7
+    """Brightness, as a share of marrow's level, at which marrow and other tissue are equally likely."""
+    dark_nats: float = 3.0
+    """Largest log odds against marrow from dark voxels."""
+    bright_nats: float = 0.8
+    """Largest log odds for marrow from bright voxels: fat is as bright."""
+    too_bright: float = 1.35
+    """Brightness, as a share of marrow's level, above which voxels are unlikely to be marrow."""
+    too_bright_nats: float = 5.0
+    """Log odds against marrow per share of its level above that brightness."""
+    inside_nats_per_mm: float = 0.8
+    """Log odds for bone per mm of depth inside a template's edge."""
+    inside_from_mm: float = 1.5
+    """Depth [mm] at which these begin."""
+    inside_nats: float = 3.5
+    """Their largest value."""
+    outside_nats_per_mm: float = 0.5
+    """Log odds against bone per mm outside a template's edge."""
+    outside_nats: float = 4.0
+    """Their largest value."""
+    level_mm: float = 8.0
+    """Standard deviation [mm] of the Gaussian over which marrow's level is averaged."""
+    level_floor: float = 1e-3
+    """Weight added to that average: where less marrow is known nearby, the level of the trend is used."""
+    trend_unit_mm: float = 50.0
+    """Unit [mm] of positions in the polynomial trend of marrow's level."""
+    trend_ridge: float = 1e-3
+    """Ridge regularisation of the trend, per voxel."""
+    trend_beyond: float = 0.4
+    """Largest distance [natural logarithm] of the trend beyond the range of the known marrow."""
+    trend_voxels: int = 20000
+    """Number of voxels to which the trend is fitted, approximately."""
+    inner_mm: float = 2.0
+    """Depth [mm] in the bone from which marrow's level is measured."""
+    core_mm: float = 2.5
+    """Depth [mm] from which the known bone is kept."""
+    astray_mm: float = 3.0
+    """Distance [mm] outside a template's edge beyond which nothing of the known bone is kept."""
+    leaning: float = 0.3
+    """Largest lean or widening [mm per mm] of a shaft beyond the template's end."""
+    step_mm: float = 10.0
+    """Largest distance [mm] by which a bone grows in one cut."""
+    neck_mm: float = 4.0
+    """Radius [mm] of the ball that must pass where a bone is extended."""
+    thread_mm: float = 1.0
+    """Radius [mm] of the ball that must pass within a bone."""
+    regrown_mm: float = 0.7
+    """Distance [mm] beyond these radii by which a piece is grown again."""
+    most_added: float = 1 / 3
+    """Share of the bone beyond which an extension counts as a leak."""
+    least_added: float = 0.04
+    """Share of the bone below which an extension is ignored."""
+    rim_mm: float = 2.0
+    """Width [mm] of the rim about the bone that does not count as an extension: the blur of the line."""
+    iterations: int = 250
+    """Iterations of the minimal cut."""
+
+
+BRIGHT_MARROW_DEFAULTS = BrightMarrowSettings()
+"""Default settings for cutting bones with bright marrow along the dark line of cortex."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -47,85 +102,105 @@ class BrightImage:
     intensity: np.ndarray
     """(k, j, i) without bias."""
     free: Mask
-    """(k, j, i) where the bone may be: in the body, and not in another bone."""
-    grid: Grid
+    """(k, j, i) true where the bone may be: in the body, and not in another bone."""
+    grid: VoxelGrid
 
 
-def followed(image: BrightImage, grown: Mask) -> Mask | None:
-    """Go on with a bone as it grew from its seed, to where marrow is dimmer than there.
+def extended_bone(
+    image: BrightImage, grown: Mask, *, settings: BrightMarrowSettings = BRIGHT_MARROW_DEFAULTS
+) -> Mask | None:
+    """Extend a bone that grew from its seed to where marrow is dimmer than at the seed.
 
-    Twice: each time marrow's level is taken from the bone as known so far. A bone is soon full, a leak widens: None
-    when the second time adds more than the first did, or both of them a third of the bone; and when little is added
-    beyond a rim of what had grown, which is the line's blur.
+    The bone is extended twice, each time with the level of marrow in the bone known so far. A leak grows from the first
+    extension to the second, a bone does not.
 
     Args:
-        image: About the bone, wide enough for it to go on.
-        grown: (k, j, i).
+        image: About the bone, wide enough for the extension.
+        grown: (k, j, i) the bone.
+        settings: Tuned constants of the algorithm.
+
+    Returns:
+        (k, j, i) the extended bone. None where the second extension adds more than the first, or both add a third of
+        the bone, and where little is added beyond a rim of the bone, which is the blur of the line.
     """
-    first = _through_wide_necks(cut_along_line(image, grown), image.grid)
+    first = _through_wide_necks(cut_along_line(image, grown, settings=settings), image.grid, settings=settings)
     away = distance_within(~grown, image.grid.array_spacing_mm)
     size, more = int(grown.sum()), int((first & ~grown).sum())
-    if (first & (away > _RIM_MM)).sum() < _LEAST_ADDED * size or more > _MOST_ADDED * size:
+    if (first & (away > settings.rim_mm)).sum() < settings.least_added * size or more > settings.most_added * size:
         return None
-    second = _through_wide_necks(cut_along_line(image, first), image.grid)
-    leaks = second.sum() - first.sum() > more or second.sum() - size > _MOST_ADDED * size
+    second = _through_wide_necks(cut_along_line(image, first, settings=settings), image.grid, settings=settings)
+    leaks = second.sum() - first.sum() > more or second.sum() - size > settings.most_added * size
     return None if leaks else second
 
 
-def cut_along_line(image: BrightImage, mask: Mask, limit_mm: np.ndarray | None = None) -> Mask:
-    """Cut a bone out where it costs least: along dark lines, within what is as bright as its marrow, and not far off.
+def cut_along_line(
+    image: BrightImage,
+    mask: Mask,
+    limit_mm: np.ndarray | None = None,
+    *,
+    settings: BrightMarrowSettings = BRIGHT_MARROW_DEFAULTS,
+) -> Mask:
+    """Segment a bone by a minimal cut along dark lines, in voxels as bright as its marrow, near the known bone.
 
     Args:
         image: About the bone.
-        mask: (k, j, i) the bone as known so far; what lies deep in it stays.
-        limit_mm: (k, j, i) signed distance to a template's edge, positive inside, NaN where it says nothing.
+        mask: (k, j, i) the bone known so far; its core is kept.
+        limit_mm: (k, j, i) signed distance to a template's edge, positive inside, NaN where it is not known.
+        settings: Tuned constants of the algorithm.
 
     Returns:
-        (k, j, i) one piece without holes, up to the line's inner side.
+        (k, j, i) one piece without holes, up to the inner side of the dark line.
     """
     spacing = image.grid.array_spacing_mm
-    share = evened(image.intensity, mask, image.grid)
-    odds = _odds(share)
+    share = evened(image.intensity, mask, image.grid, settings=settings)
+    odds = _odds(share, settings=settings)
     if limit_mm is not None:
-        odds += template_odds(limit_mm)
-        mask = mask & ~(limit_mm < -_ASTRAY_MM)
+        odds += template_odds(limit_mm, settings=settings)
+        mask = mask & ~(limit_mm < -settings.astray_mm)
     away = distance_within(~mask, spacing)
-    core = distance_within(mask, spacing) > _CORE_MM
+    core = distance_within(mask, spacing) > settings.core_mm
     core = _largest(core if limit_mm is None else core & ~(limit_mm < 0))
-    odds = np.where(core, 100, np.where((away > _STEP_MM) | ~image.free, -100, odds))
-    price = _PRICE_NATS_MM * evenness(share, image.grid)
-    inside = minimal_cut(odds, mask, spacing, surface_nats_mm=price, iterations=_ITERATIONS)
-    # What hangs on it by a thread, in the last slice of an image for one, is not of it.
-    return np.asarray(ndimage.binary_fill_holes(_through_wide_necks(inside > 0.5, image.grid, _THREAD_MM)))
+    odds = np.where(core, 100, np.where((away > settings.step_mm) | ~image.free, -100, odds))
+    price = settings.price_nats_mm * evenness(share, image.grid, settings=settings)
+    inside = minimal_cut(odds, mask, spacing, surface_nats_mm=price, iterations=settings.iterations)
+    # Parts connected by a thread, for example in the last slice of an image, are removed.
+    return np.asarray(
+        ndimage.binary_fill_holes(_through_wide_necks(inside > 0.5, image.grid, settings.thread_mm, settings=settings))
+    )
 
 
-def evened(intensity: np.ndarray, mask: Mask, grid: Grid) -> np.ndarray:
-    """(k, j, i) an image as shares of marrow's level there: a trend through a bone, corrected by how it is nearby.
+def evened(
+    intensity: np.ndarray, mask: Mask, grid: VoxelGrid, *, settings: BrightMarrowSettings = BRIGHT_MARROW_DEFAULTS
+) -> np.ndarray:
+    """Return an image as shares of the local level of marrow: a trend through a bone, corrected by a local average.
 
     Args:
-        intensity: (k, j, i), marrow bright.
-        mask: (k, j, i) the bone as far as it is known.
+        intensity: (k, j, i) with bright marrow.
+        mask: (k, j, i) the bone known so far.
         grid: Of both.
+        settings: Tuned constants of the algorithm.
     """
-    inner = distance_within(mask, grid.array_spacing_mm) > _INNER_MM
+    inner = distance_within(mask, grid.array_spacing_mm) > settings.inner_mm
     inner = inner if inner.any() else mask
-    share = intensity / _trend(intensity, inner, grid)
-    nearby = (smoothed(share * inner, grid, _LEVEL_MM) + _FAR) / (smoothed(inner, grid, _LEVEL_MM) + _FAR)
+    share = intensity / _trend(intensity, inner, grid, settings=settings)
+    nearby = (smoothed(share * inner, grid, settings.level_mm) + settings.level_floor) / (
+        smoothed(inner, grid, settings.level_mm) + settings.level_floor
+    )
     return np.asarray(share / nearby)
 
 
-def _trend(intensity: np.ndarray, inner: Mask, grid: Grid) -> np.ndarray:
-    """(k, j, i) exp of the polynomial of second order that fits the logarithm of marrow best, outliers left out.
+def _trend(intensity: np.ndarray, inner: Mask, grid: VoxelGrid, *, settings: BrightMarrowSettings) -> np.ndarray:
+    """(k, j, i) exp of the second-order polynomial that fits the logarithm of marrow best, without outliers.
 
-    So falls the sensitivity of a coil; beyond known marrow it goes on, but not far beyond what was seen.
+    It models the sensitivity of a coil, and is limited beyond the range of the known marrow.
     """
     places = np.argwhere(inner)
-    places = places[:: max(1, len(places) // _FIT_VOXELS)]
+    places = places[:: max(1, len(places) // settings.trend_voxels)]
     logarithm = np.log(np.maximum(intensity[tuple(places.T)], 1e-3))
     spacing = np.array(grid.array_spacing_mm)
     middle = places.mean(axis=0)
-    basis = _second_order((places - middle) * spacing / _TREND_MM)
-    ridge = _TREND_RIDGE * len(places) * np.diag([0.0] + [1.0] * (basis.shape[1] - 1))
+    basis = _second_order((places - middle) * spacing / settings.trend_unit_mm)
+    ridge = settings.trend_ridge * len(places) * np.diag([0.0] + [1.0] * (basis.shape[1] - 1))
     weight = np.ones(len(places))
     for _ in range(3):
         weighted = basis * weight[:, None]
@@ -133,10 +208,14 @@ def _trend(intensity: np.ndarray, inner: Mask, grid: Grid) -> np.ndarray:
         off = logarithm - basis @ coefficients
         weight = (np.abs(off) < 2.5 * 1.4826 * np.median(np.abs(off)) + 1e-6).astype(float)
     fitted = basis @ coefficients
-    axes = [(np.arange(n) - m) * s / _TREND_MM for n, m, s in zip(grid.shape, middle, spacing, strict=True)]
+    axes = [
+        (np.arange(n) - m) * s / settings.trend_unit_mm for n, m, s in zip(grid.shape, middle, spacing, strict=True)
+    ]
     trend = _second_order(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)) @ coefficients
     low, high = np.percentile(fitted, [2, 98])
-    return np.asarray(np.exp(np.clip(trend, low - _TREND_BEYOND, high + _TREND_BEYOND)), dtype=np.float32)
+    return np.asarray(
+        np.exp(np.clip(trend, low - settings.trend_beyond, high + settings.trend_beyond)), dtype=np.float32
+    )
 
 
 def _second_order(places: np.ndarray) -> np.ndarray:
@@ -145,27 +224,42 @@ def _second_order(places: np.ndarray) -> np.ndarray:
     return np.stack([np.ones_like(z), z, y, x, z * z, y * y, x * x, z * y, y * x, x * z], axis=-1)
 
 
-def _odds(share: np.ndarray) -> np.ndarray:
-    """(k, j, i) what brightness says: dark is not marrow; bright may be, but so may fat; too bright is not."""
-    odds = np.clip((share - _HALF) * _DARK_NATS / (1 - _HALF), -_DARK_NATS, _BRIGHT_NATS)
-    return np.asarray(np.where(share > _TOO_BRIGHT, np.minimum(odds, (_TOO_BRIGHT - share) * _TOO_BRIGHT_NATS), odds))
+def _odds(share: np.ndarray, *, settings: BrightMarrowSettings) -> np.ndarray:
+    """(k, j, i) log odds of marrow by brightness: dark is not marrow; bright may be fat; too bright is neither."""
+    odds = np.clip(
+        (share - settings.even_odds_share) * settings.dark_nats / (1 - settings.even_odds_share),
+        -settings.dark_nats,
+        settings.bright_nats,
+    )
+    return np.asarray(
+        np.where(
+            share > settings.too_bright,
+            np.minimum(odds, (settings.too_bright - share) * settings.too_bright_nats),
+            odds,
+        )
+    )
 
 
-def template_odds(limit_mm: np.ndarray) -> np.ndarray:
-    """(k, j, i) log odds to be inside by the signed distance to a template's edge; 0 where it says nothing (NaN)."""
+def template_odds(limit_mm: np.ndarray, *, settings: BrightMarrowSettings = BRIGHT_MARROW_DEFAULTS) -> np.ndarray:
+    """(k, j, i) log odds of bone by the signed distance to a template's edge; 0 where it is not known (NaN)."""
     limit = np.nan_to_num(limit_mm, nan=0.0)
-    inside = np.clip((limit - _INSIDE_FROM_MM) * _INSIDE_NATS_PER_MM, 0, _INSIDE_NATS)
-    return np.asarray(np.where(limit < 0, np.maximum(limit * _OUTSIDE_NATS_PER_MM, -_OUTSIDE_NATS), inside))
+    inside = np.clip((limit - settings.inside_from_mm) * settings.inside_nats_per_mm, 0, settings.inside_nats)
+    return np.asarray(
+        np.where(limit < 0, np.maximum(limit * settings.outside_nats_per_mm, -settings.outside_nats), inside)
+    )
 
 
-def goes_on(limit_mm: np.ndarray, step_mm: float) -> np.ndarray:
-    """(k, j, i) a template's limit that goes on above and below its ends (NaN), the less strictly the farther off.
+def continued_limit(
+    limit_mm: np.ndarray, step_mm: float, *, settings: BrightMarrowSettings = BRIGHT_MARROW_DEFAULTS
+) -> np.ndarray:
+    """Continue a template's limit above and below its ends (NaN), and widen it with the distance from them.
 
-    There it keeps fat out, but says of nothing that it is bone.
+    There the limit excludes fat, but does not favour bone.
 
     Args:
         limit_mm: (k, j, i) signed distance to the template's edge, k along the shaft.
-        step_mm: Between k.
+        step_mm: Spacing of the voxels along k.
+        settings: Tuned constants of the algorithm.
     """
     heights = np.arange(len(limit_mm))[:, None, None]
     known = ~np.isnan(limit_mm)
@@ -173,32 +267,40 @@ def goes_on(limit_mm: np.ndarray, step_mm: float) -> np.ndarray:
     above = np.minimum.accumulate(np.where(known, heights, len(limit_mm))[::-1], axis=0)[::-1]
     nearest = np.where(below >= 0, below, above)
     filled = np.take_along_axis(limit_mm, np.minimum(nearest, len(limit_mm) - 1), axis=0)
-    farther = filled + _LEANING * step_mm * np.abs(heights - nearest)
+    farther = filled + settings.leaning * step_mm * np.abs(heights - nearest)
     return np.where(known, limit_mm, np.minimum(farther, 0)).astype(np.float32)
 
 
-def evenness(share: np.ndarray, grid: Grid) -> np.ndarray:
-    """(k, j, i) 1 where brightness is even, little in a dark line and where brightness changes within a slice.
+def evenness(
+    share: np.ndarray, grid: VoxelGrid, *, settings: BrightMarrowSettings = BRIGHT_MARROW_DEFAULTS
+) -> np.ndarray:
+    """Return 1 where brightness is even, and less in dark lines and where brightness changes within a slice.
 
     Args:
         share: (k, j, i) an image as shares of marrow's level.
-        grid: Its own.
+        grid: Of both.
+        settings: Tuned constants of the algorithm.
     """
     spacing = grid.array_spacing_mm
-    even = smoothed(share, grid, _EVEN_MM)
-    # Across thick slices a line is not seen: closing and differences look along the others' axes only.
-    line = ndimage.grey_closing(even, size=[2 * int(_LINE_MM / 2 / each) + 1 for each in spacing]) - even
+    even = smoothed(share, grid, settings.line_smoothing_mm)
+    # A line is not visible across thick slices: closing and differences use the other axes only.
+    line = ndimage.grey_closing(even, size=[2 * int(settings.line_mm / 2 / each) + 1 for each in spacing]) - even
     slopes = [np.gradient(even, axis=axis) / max(each, 1.0) for axis, each in enumerate(spacing)]
-    edge = np.maximum(line, _SLOPE_MM * np.sqrt(sum(slope**2 for slope in slopes)))
-    return np.asarray(np.maximum(np.exp(-np.maximum(edge - _LINE_FROM, 0) / _LINE_SHARE), _LEAST_PRICE))
+    edge = np.maximum(line, settings.slope_mm * np.sqrt(sum(slope**2 for slope in slopes)))
+    return np.asarray(
+        np.maximum(np.exp(-np.maximum(edge - settings.line_from, 0) / settings.line_share), settings.least_price)
+    )
 
 
-def _through_wide_necks(mask: Mask, grid: Grid, neck_mm: float = _NECK_MM) -> Mask:
-    """(k, j, i) what hangs together with the largest part through necks through which a ball fits."""
+def _through_wide_necks(
+    mask: Mask, grid: VoxelGrid, neck_mm: float | None = None, *, settings: BrightMarrowSettings
+) -> Mask:
+    """(k, j, i) what is connected to the largest part through necks that a ball can pass."""
+    neck_mm = settings.neck_mm if neck_mm is None else neck_mm
     spacing = grid.array_spacing_mm
     depth = distance_within(np.pad(mask, 1, mode="edge"), spacing)[1:-1, 1:-1, 1:-1]
     main = _largest(depth > neck_mm)
-    return np.asarray(mask & (distance_within(~main, spacing) <= neck_mm + _REGROWN_MM))
+    return np.asarray(mask & (distance_within(~main, spacing) <= neck_mm + settings.regrown_mm))
 
 
 def _largest(mask: Mask) -> Mask:

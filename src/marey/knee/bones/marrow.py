@@ -1,4 +1,4 @@
-"""Which voxels may be marrow: the body without the air, and whether marrow is dark (fat suppressed) or bright."""
+"""Preparation of an MR image: body, air, and whether marrow is dark (fat suppressed) or bright."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -10,20 +10,40 @@ from marey.arrays import Floats, Integers, Mask
 from marey.errors import MareyError
 from marey.knee.space.bias_field import between_two_classes, bias_field
 from marey.knee.space.distances import distance_within
-from marey.knee.space.resampling import on_grid, onward, reach, upright_grid
-from marey.knee.space.volume import Grid, Volume
+from marey.knee.space.resampling import extrapolated, on_grid, reach, upright_grid
+from marey.knee.space.volume import Volume, VoxelGrid
 
 WORK_MM = 1.0
-_SMOOTHING_MM = 0.7
-_CLOSING_MM = 5
-_DEEP_MM = 20.0
-"""How far below the skin, in an axial slice, the middle of femur and tibia lies at least."""
-_THICK_MM = 11.0
-"""Radius of the ball that must fit into the marrow of femur and tibia."""
-_APART_MM = (35.0, 115.0)
-_ASIDE_MM = 50.0
-_FROM_SKIN, _AIR_VOXELS = 3, 1000
-"""Air counts as seen from so many voxels before the skin, when there are so many voxels of it."""
+"""Spacing [mm] of the upright grid on which bones are segmented, in all directions; chosen by hand."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MarrowSettings:
+    """Settings for preparing an image and finding thick marrow in it.
+
+    Values without a stated source were chosen by hand.
+    """
+
+    smoothing_mm: float = 0.7
+    """Standard deviation [mm] of the smoothing before an image is resampled."""
+    closing_voxels: int = 5
+    """Iterations of the closing, in voxels of 1 mm, by which gaps in the skin are closed in axial slices."""
+    least_depth_mm: float = 20.0
+    """Least distance [mm] from the skin, in an axial slice, of the middle of femur and tibia."""
+    least_radius_mm: float = 11.0
+    """Radius [mm] of the ball that must fit into the marrow of femur and tibia."""
+    height_difference_mm: tuple[float, float] = (35.0, 115.0)
+    """Least and largest height [mm] of the femur's middle above the tibia's."""
+    largest_offset_mm: float = 50.0
+    """Largest horizontal distance [mm] between the middles of femur and tibia."""
+    air_from_skin_voxels: int = 3
+    """Distance from the skin, in voxels of 1 mm, beyond which voxels outside the body count as air."""
+    least_air_voxels: int = 1000
+    """Least number of such voxels from which the level of air is measured."""
+
+
+MARROW_DEFAULTS = MarrowSettings()
+"""Default settings for preparing an image and finding thick marrow in it."""
 
 Kind = Literal["dark", "bright"]
 
@@ -33,18 +53,19 @@ class NoPairFound(MareyError):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Knee:
-    """An image at work: corrected, smoothed, on an upright grid of 1 mm, with the body in it."""
+class PreparedImage:
+    """An image without bias, smoothed, on an upright grid of 1 mm, with the body in it."""
 
     intensity: np.ndarray
-    """(k, j, i) without bias; outside the image as it is at the nearest place in it."""
+    """(k, j, i) without bias; outside the image the value of the nearest voxel in it."""
     body: Mask
-    """(k, j, i) the body, bones and all."""
+    """(k, j, i) true in the body, including bones."""
     depth_mm: Floats
     """(k, j, i) distance to the skin, or the image's end, within the axial slice."""
     within: Mask
-    """(k, j, i) where the image reaches: a turned one leaves corners of the upright grid, neither body nor air."""
-    grid: Grid
+    """(k, j, i) true within the image. A rotated image does not reach the corners of the upright grid, which are
+    neither body nor air."""
+    grid: VoxelGrid
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -57,49 +78,56 @@ class Blob:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Marrow:
-    """How marrow looks in an image."""
+class LongBoneMarrow:
+    """The kind of marrow in an image, and the thickest marrow of femur and tibia."""
 
     kind: Kind
     femur: Blob
     tibia: Blob
 
 
-def prepare(volume: Volume, grid: Grid | None = None) -> Knee:
-    """Correct an image's bias, lay it on an upright grid and find the body in it.
+def prepare(
+    volume: Volume, grid: VoxelGrid | None = None, *, settings: MarrowSettings = MARROW_DEFAULTS
+) -> PreparedImage:
+    """Correct an image's bias, resample it to an upright grid, and find the body in it.
 
     Args:
         volume: As it came from the scanner.
-        grid: The upright grid of another image of the same knee, to be used for this one, too.
+        grid: The upright grid of another image of the same knee, which is used for this one as well.
+        settings: Tuned constants of the algorithm.
     """
     grid = upright_grid(volume.grid, WORK_MM) if grid is None else grid
     within = reach(volume.grid, grid)
-    intensity = onward(on_grid(volume, grid, _SMOOTHING_MM) / bias_field(volume).on(grid), within)
-    body = _body(ndimage.gaussian_filter(intensity, 1.0), within)
+    intensity = extrapolated(on_grid(volume, grid, settings.smoothing_mm) / bias_field(volume).on(grid), within)
+    body = _body(ndimage.gaussian_filter(intensity, 1.0), within, settings=settings)
     depth = np.stack([distance_within(np.pad(each, 1))[1:-1, 1:-1] for each in body])
-    return Knee(intensity=intensity, body=body, depth_mm=depth * WORK_MM, within=within, grid=grid)
+    return PreparedImage(intensity=intensity, body=body, depth_mm=depth * WORK_MM, within=within, grid=grid)
 
 
-def air_level(knee: Knee) -> float | None:
-    """Give the level of air, where nothing gives a signal; None where the image shows no air.
+def air_level(knee: PreparedImage, *, settings: MarrowSettings = MARROW_DEFAULTS) -> float | None:
+    """Return the level of air, where nothing gives a signal; None where the image shows no air.
 
     Args:
         knee: The prepared image.
+        settings: Tuned constants of the algorithm.
     """
-    air = knee.within & ~ndimage.binary_dilation(knee.body, iterations=_FROM_SKIN)
-    return float(np.median(knee.intensity[air])) if air.sum() >= _AIR_VOXELS else None
+    air = knee.within & ~ndimage.binary_dilation(knee.body, iterations=settings.air_from_skin_voxels)
+    return float(np.median(knee.intensity[air])) if air.sum() >= settings.least_air_voxels else None
 
 
-def marrow_of(knee: Knee) -> Marrow:
-    """Tell dark marrow from bright by where thick, deep, even pieces are: two, one above the other.
+def marrow_of(knee: PreparedImage, *, settings: MarrowSettings = MARROW_DEFAULTS) -> LongBoneMarrow:
+    """Determine whether marrow is dark or bright by its thick, deep pieces: two, one above the other.
 
     Args:
         knee: The prepared image.
+        settings: Tuned constants of the algorithm.
 
     Raises:
         NoPairFound: Neither kind shows a femur above a tibia.
     """
-    pairs = {kind: _best_pair(_thick_blobs(knee, kind)) for kind in ("dark", "bright")}
+    pairs = {
+        kind: _best_pair(_thick_blobs(knee, kind, settings=settings), settings=settings) for kind in ("dark", "bright")
+    }
     found: list[tuple[float, Kind, tuple[Blob, Blob]]] = []
     for kind, pair in pairs.items():
         if pair is not None:
@@ -110,10 +138,10 @@ def marrow_of(knee: Knee) -> Marrow:
             " Marrow must be clearly darker (fat suppressed) or brighter than muscle; --seed may help."
         )
     _, kind, (femur, tibia) = max(found, key=lambda each: each[0])
-    return Marrow(kind=kind, femur=femur, tibia=tibia)
+    return LongBoneMarrow(kind=kind, femur=femur, tibia=tibia)
 
 
-def candidates(knee: Knee, kind: Kind) -> Mask:
+def candidates(knee: PreparedImage, kind: Kind) -> Mask:
     """(k, j, i) what may be marrow of this kind by the image's histogram alone."""
     values = ndimage.gaussian_filter(knee.intensity, 1.0)
     middle = between_two_classes(values[knee.body & (knee.depth_mm > 4)])
@@ -123,33 +151,40 @@ def candidates(knee: Knee, kind: Kind) -> Mask:
     return knee.body & (values < between_two_classes(lower))
 
 
-def _body(values: np.ndarray, within: Mask) -> Mask:
-    """The body: what is brighter than air, with what it encloses in axial slices; it goes on to the image's end."""
+def _body(values: np.ndarray, within: Mask, *, settings: MarrowSettings) -> Mask:
+    """(k, j, i) true in the body: what is brighter than air, and what it encloses in axial slices."""
     known = values[within]
     lower = known[known < between_two_classes(known)]
     air = float(np.exp(between_two_classes(np.log(np.maximum(lower, lower.max() / 200)))))
     body = values > air
-    rim = _CLOSING_MM + 1
+    rim = settings.closing_voxels + 1
     for index, each in enumerate(body):
-        closed = ndimage.binary_closing(np.pad(each, rim), iterations=_CLOSING_MM)
+        closed = ndimage.binary_closing(np.pad(each, rim), iterations=settings.closing_voxels)
         body[index] = ndimage.binary_fill_holes(closed[rim:-rim, rim:-rim])
     return np.asarray(ndimage.binary_opening(body, iterations=3) & within)
 
 
-def _thick_blobs(knee: Knee, kind: Kind) -> list[Blob]:
+def _thick_blobs(knee: PreparedImage, kind: Kind, *, settings: MarrowSettings) -> list[Blob]:
     likely = candidates(knee, kind)
-    # As at the grid's own end, a bone goes on where the image ends.
+    # A bone continues beyond the end of the image, as it does beyond the end of the grid.
     radius = np.where(likely, distance_within(likely | ~knee.within) * WORK_MM, 0.0)
-    peaks = (ndimage.maximum_filter(radius, 15) == radius) & (radius >= _THICK_MM) & (knee.depth_mm >= _DEEP_MM)
+    peaks = (
+        (ndimage.maximum_filter(radius, 15) == radius)
+        & (radius >= settings.least_radius_mm)
+        & (knee.depth_mm >= settings.least_depth_mm)
+    )
     return [Blob(voxel=each, radius_mm=float(radius[tuple(each)])) for each in np.argwhere(peaks)]
 
 
-def _best_pair(blobs: list[Blob]) -> tuple[Blob, Blob] | None:
-    """Give the thickest two of which one lies above the other as femur and tibia do."""
+def _best_pair(blobs: list[Blob], *, settings: MarrowSettings) -> tuple[Blob, Blob] | None:
+    """Return the thickest two of which one lies above the other as femur and tibia do."""
     pairs = []
     for upper in blobs:
         for lower in blobs:
             apart = (upper.voxel - lower.voxel) * WORK_MM
-            if _APART_MM[0] <= apart[0] <= _APART_MM[1] and np.hypot(apart[1], apart[2]) <= _ASIDE_MM:
+            if (
+                settings.height_difference_mm[0] <= apart[0] <= settings.height_difference_mm[1]
+                and np.hypot(apart[1], apart[2]) <= settings.largest_offset_mm
+            ):
                 pairs.append((upper, lower))
     return max(pairs, key=lambda pair: pair[0].radius_mm + pair[1].radius_mm, default=None)

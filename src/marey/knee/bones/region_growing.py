@@ -1,4 +1,4 @@
-"""Bones grown from seeds by threshold, with leaks kept out by openings in millimetres and a regrowth of their width."""
+"""Region growing from a seed by threshold, with openings of a radius in millimetres against leaks."""
 
 from dataclasses import dataclass
 
@@ -7,135 +7,166 @@ from scipy import ndimage
 
 from marey.arrays import Floats, Integers, Mask
 from marey.errors import SettingProblem
-from marey.knee.bones.marrow import WORK_MM, Kind, Knee
+from marey.knee.bones.marrow import WORK_MM, Kind, PreparedImage
 from marey.knee.space.distances import distance_within
 
-_SEED_MM = 8.0
-_DEVIATIONS = 5.0
-"""Width of the band about the seed's own median, in robust standard deviations of the seed's region."""
-_LEAST_DEVIATION = 0.04
-"""Standard deviation of marrow at least, as a share of its level: a single quiet place does not speak for a bone."""
-_OPENINGS_MM = (2.0, 3.0, 4.0, 5.0, 6.0)
-_STEADY = 1.15
-_REGROWN_MM = 0.5
-_THIN_MM = 6.0
-_CORE_MM, _CORNER_MM = 8.0, 6.0
-"""A femur or tibia is all within so much of where a ball of such a radius fits into it, but a third of a cm3."""
-_FARTHEST_MM = 1e3
-"""What is given for the distance to an edge that is not there."""
+
+@dataclass(frozen=True, kw_only=True)
+class GrowingSettings:
+    """Settings of region growing from a seed.
+
+    Values without a stated source were chosen by hand.
+    """
+
+    seed_radius_mm: float = 8.0
+    """Radius [mm] of the ball about a seed in which the level of marrow is measured."""
+    deviations: float = 5.0
+    """Width of the band about the median of the seed's ball, in robust standard deviations."""
+    least_deviation: float = 0.04
+    """Least standard deviation of marrow, as a share of its level: one quiet place does not represent a bone."""
+    openings_mm: tuple[float, ...] = (2.0, 3.0, 4.0, 5.0, 6.0)
+    """Radii [mm] of the openings that are tried, in this order."""
+    steady: float = 1.15
+    """An opening is wide enough when the bone is at most this many times as large as with the next one."""
+    regrown_mm: float = 0.5
+    """Distance [mm] beyond the radius of the opening by which a piece is grown again."""
+    thin_mm: float = 6.0
+    """Radius [mm] of the ball that fits into parts that are not thin."""
+    core_mm: float = 8.0
+    """Radius [mm] of the ball that fits into the core of a femur or tibia."""
+    corner_mm: float = 6.0
+    """Farthest distance [mm] of bone from the balls of the core: of whole femora and tibiae less than a third of a
+    cm3 lies farther."""
+
+
+GROWING_DEFAULTS = GrowingSettings()
+"""Default settings of region growing from a seed."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Level:
-    """How bright the marrow about a seed is in one image."""
+class MarrowLevel:
+    """Brightness of the marrow about a seed in one image."""
 
     median: float
     limit: float
-    """Where marrow is taken to end: above (dark marrow) or below the median."""
+    """Brightness at which marrow ends: above (dark marrow) or below the median."""
 
     def likeness(self, intensity: np.ndarray) -> np.ndarray:
-        """Give 1 at and beyond the median, falling to 0 at the limit."""
+        """Return the similarity of intensities to marrow: 1 at and beyond the median, decreasing to 0 at the limit."""
         return np.clip((intensity - self.limit) / (self.median - self.limit), 0, 1).astype(np.float32)
 
 
-def seed_ball(knee: Knee, voxel: Integers, radius_mm: float = _SEED_MM) -> Mask:
-    """(k, j, i) true within a ball about a voxel, and in the body."""
+def seed_ball(
+    knee: PreparedImage,
+    voxel: Integers,
+    radius_mm: float | None = None,
+    *,
+    settings: GrowingSettings = GROWING_DEFAULTS,
+) -> Mask:
+    """(k, j, i) true within a ball about a voxel, and in the body; the radius is by default that of the settings."""
+    radius_mm = settings.seed_radius_mm if radius_mm is None else radius_mm
     about = [np.arange(n) - v for n, v in zip(knee.grid.shape, voxel, strict=True)]
     squares = about[0][:, None, None] ** 2 + about[1][None, :, None] ** 2 + about[2][None, None, :] ** 2
     return np.asarray((squares <= (radius_mm / WORK_MM) ** 2) & knee.body)
 
 
-def marrow_level(knee: Knee, kind: Kind, voxel: Integers, radius_mm: float = _SEED_MM) -> Level:
-    """Take the band of marrow from the region of a seed itself.
+def marrow_level(
+    knee: PreparedImage,
+    kind: Kind,
+    voxel: Integers,
+    radius_mm: float | None = None,
+    *,
+    settings: GrowingSettings = GROWING_DEFAULTS,
+) -> MarrowLevel:
+    """Measure the brightness of marrow in the ball about a seed.
 
     Args:
         knee: The prepared image.
         kind: Whether marrow is dark or bright.
         voxel: (3,) k, j, i of the seed.
-        radius_mm: Of the ball that is looked at.
+        radius_mm: Radius of the ball; by default that of the settings.
+        settings: Tuned constants of the algorithm.
 
     Raises:
         SettingProblem: The seed lies in the air.
     """
-    values = knee.intensity[seed_ball(knee, voxel, radius_mm)]
+    values = knee.intensity[seed_ball(knee, voxel, radius_mm, settings=settings)]
     if not values.size:
         raise SettingProblem("The seed lies in the air, outside the body: choose a place within the bone.")
     median = float(np.median(values))
-    deviation = max(1.4826 * float(np.median(np.abs(values - median))), _LEAST_DEVIATION * median)
-    return Level(median=median, limit=median + (1 if kind == "dark" else -1) * _DEVIATIONS * deviation)
+    deviation = max(1.4826 * float(np.median(np.abs(values - median))), settings.least_deviation * median)
+    return MarrowLevel(median=median, limit=median + (1 if kind == "dark" else -1) * settings.deviations * deviation)
 
 
-def grow(likeness: np.ndarray, voxel: Integers, *, keep_out: Mask | None = None) -> Mask:
-    """Grow a bone from a seed through all that is like marrow, through necks no narrower than need be.
+def grow(
+    likeness: np.ndarray, voxel: Integers, *, keep_out: Mask | None = None, settings: GrowingSettings = GROWING_DEFAULTS
+) -> Mask:
+    """Grow a bone from a seed through voxels that resemble marrow, with the smallest opening that removes leaks.
 
-    What is like marrow is eroded by a ball, the piece of the seed is taken, and grown again by the ball's radius
-    within what is like marrow. The smallest ball is taken with which the bone does not become much smaller with the
-    next one: a leak through a gap is cut off at once when the ball fits the gap no more, a bone hardly changes.
+    The voxels that resemble marrow are eroded by a ball, and the piece that contains the seed is grown again by the
+    ball's radius within these voxels. The smallest ball is used after which the next larger one hardly changes the
+    bone: a leak through a gap is cut off as soon as the ball does not fit through the gap.
 
     Args:
-        likeness: (k, j, i) 0 to 1, on the upright grid; NaN outside the image, where the bone may go on.
+        likeness: (k, j, i) similarity to marrow, 0 to 1, on the upright grid; NaN outside the image, where the bone may
+            continue.
         voxel: (3,) k, j, i of the seed.
-        keep_out: Where the bone cannot be, another bone's middle for one.
+        keep_out: (k, j, i) where the bone cannot be, for example in the middle of another bone.
+        settings: Tuned constants of the algorithm.
 
     Returns:
         (k, j, i) true in the bone; empty when nothing grows from the seed.
     """
     allowed = (likeness > 0) if keep_out is None else (likeness > 0) & ~keep_out
     inward = np.where(allowed, distance_within(allowed | np.isnan(likeness)) * WORK_MM, 0.0)
-    pieces = [_grown(allowed, inward, voxel, radius) for radius in _OPENINGS_MM]
+    pieces = [_grown(allowed, inward, voxel, radius, settings=settings) for radius in settings.openings_mm]
     sizes = [int(piece.sum()) for piece in pieces]
     for piece, size, following in zip(pieces, sizes, sizes[1:], strict=False):
-        if size <= _STEADY * following:
+        if size <= settings.steady * following:
             return piece
     whole = [index for index, size in enumerate(sizes) if size]
     return pieces[whole[-1]] if whole else pieces[0]
 
 
-def _grown(allowed: Mask, inward_mm: Floats, voxel: Integers, radius_mm: float) -> Mask:
-    """Give the piece of the opened region that the seed is in, or nearest to within the radius."""
+def _grown(allowed: Mask, inward_mm: Floats, voxel: Integers, radius_mm: float, *, settings: GrowingSettings) -> Mask:
+    """Return the piece of the opened region that contains the seed, or the nearest one within reach of the opening."""
     core = inward_mm > radius_mm
     labels, _ = ndimage.label(core)
     near = np.argwhere(core)
     if not len(near):
         return np.zeros_like(allowed)
     away = np.linalg.norm(near - voxel, axis=1)
-    if away.min() * WORK_MM > 2 * radius_mm + _REGROWN_MM:
+    if away.min() * WORK_MM > 2 * radius_mm + settings.regrown_mm:
         return np.zeros_like(allowed)
     piece = labels == labels[tuple(near[int(away.argmin())])]
-    return np.asarray(allowed & (distance_within(~piece) * WORK_MM <= radius_mm + _REGROWN_MM))
+    return np.asarray(allowed & (distance_within(~piece) * WORK_MM <= radius_mm + settings.regrown_mm))
 
 
-def outgrowth(mask: Mask) -> Mask:
-    """(k, j, i) what of a femur or tibia is too far from its thick part to be bone: a leak through a neck, mostly.
+def outgrowth(mask: Mask, *, settings: GrowingSettings = GROWING_DEFAULTS) -> Mask:
+    """Return the voxels of a femur or tibia that are too far from its core to be bone: mostly leaks.
 
     Args:
-        mask: (k, j, i) the bone on the upright grid; beyond the image's end it goes on.
+        mask: (k, j, i) the bone on the upright grid; it continues beyond the end of the image.
+        settings: Tuned constants of the algorithm.
     """
     whole = ndimage.binary_fill_holes(mask)
-    core = distance_within(np.pad(whole, 1, mode="edge"))[1:-1, 1:-1, 1:-1] * WORK_MM > _CORE_MM
+    core = distance_within(np.pad(whole, 1, mode="edge"))[1:-1, 1:-1, 1:-1] * WORK_MM > settings.core_mm
     if not core.any():
         return np.zeros_like(mask)
     away = distance_within(~core) * WORK_MM
-    return np.asarray(mask & (away > _CORE_MM + _CORNER_MM))
+    return np.asarray(mask & (away > settings.core_mm + settings.corner_mm))
 
 
-def thin_share(mask: Mask) -> float:
-    """Give the share of a femur or tibia into which no ball of 6 mm fits: of whole ones 1 to 2 %, more where it leaked.
+def thin_share(mask: Mask, *, settings: GrowingSettings = GROWING_DEFAULTS) -> float:
+    """Return the share of a femur or tibia that is thin: 1 to 2 % of whole bones, more where a bone leaked.
 
     Args:
-        mask: (k, j, i) the bone on the upright grid; beyond the image's end it goes on.
+        mask: (k, j, i) the bone on the upright grid; it continues beyond the end of the image.
+        settings: Tuned constants of the algorithm.
     """
     whole = np.pad(ndimage.binary_fill_holes(mask), 1, mode="edge")
-    core = ndimage.distance_transform_edt(whole) * WORK_MM > _THIN_MM
+    core = ndimage.distance_transform_edt(whole) * WORK_MM > settings.thin_mm
     if not core.any():
         return 1.0
-    thick = ndimage.distance_transform_edt(~core) * WORK_MM <= _THIN_MM + _REGROWN_MM
+    thick = ndimage.distance_transform_edt(~core) * WORK_MM <= settings.thin_mm + settings.regrown_mm
     return float((whole & ~thick).sum() / whole.sum())
-
-
-def signed_distance(mask: Mask, spacing_mm: tuple[float, ...]) -> np.ndarray:
-    """(k, j, i), or (rows, columns), distance [mm] to a mask's edge, positive inside; at the image's end it goes on."""
-    inside, outside = distance_within(mask, spacing_mm), distance_within(~mask, spacing_mm)
-    # The edge lies between the last voxel inside and the first outside; less than half a distance keeps the signs.
-    signed = np.where(mask, inside, -outside) - 0.5 * min(spacing_mm) * np.where(mask, 1, -1)
-    return np.clip(signed, -_FARTHEST_MM, _FARTHEST_MM).astype(np.float32)

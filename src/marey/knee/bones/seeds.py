@@ -1,4 +1,4 @@
-"""Where the bones' seeds are: found from the image, or given."""
+"""Seeds of the bones: found from the image, or given."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,20 +8,35 @@ from scipy import ndimage
 
 from marey.arrays import Floats, Integers, Mask
 from marey.errors import MareyError, SettingProblem
-from marey.knee.bones.marrow import WORK_MM, Kind, Knee, candidates, marrow_of
+from marey.knee.bones.marrow import MARROW_DEFAULTS, WORK_MM, Kind, MarrowSettings, PreparedImage, candidates, marrow_of
 from marey.knee.bones.region_growing import seed_ball
 from marey.knee.space.bias_field import between_two_classes
 from marey.knee.space.distances import distance_within
 
-_PATELLA_FROM_JOINT_MM = np.array([0.0, -44.0, 36.0])
-"""Middle of a patella, LPS, from the middle of the joint line of a straight knee."""
-_PATELLA_SD_MM = np.array([12.0, 8.0, 9.0])
-_PATELLA_RADIUS_MM = (4.0, 13.0)
-_MARROW_SHARE = 0.3
+
+@dataclass(frozen=True, kw_only=True)
+class SeedSettings:
+    """Settings for finding and checking seeds.
+
+    Values without a stated source were chosen by hand.
+    """
+
+    patella_sd_mm: tuple[float, float, float] = (12.0, 8.0, 9.0)
+    """Standard deviations [mm], along LPS, of the patella's middle from its usual place."""
+    patella_radius_mm: tuple[float, float] = (4.0, 13.0)
+    """Least and largest radius [mm] of the largest ball that fits into a patella."""
+    least_marrow_share: float = 0.3
+    """Least share of the ball about a given seed that may be marrow."""
+    patella_from_joint_mm: tuple[float, float, float] = (0.0, -44.0, 36.0)
+    """Usual place [mm] of a patella's middle, LPS, from the middle of the joint line of a straight knee."""
+
+
+SEED_DEFAULTS = SeedSettings()
+"""Default settings for finding and checking seeds."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Seeds:
+class LongBoneSeeds:
     """The kind of marrow, and a voxel (k, j, i) of the upright grid in each bone."""
 
     kind: Kind
@@ -29,12 +44,20 @@ class Seeds:
     tibia: Integers
 
 
-def find_seeds(knee: Knee, given_mm: Mapping[str, Floats]) -> Seeds:
-    """Take the given seeds of femur and tibia, and find the others.
+def find_seeds(
+    knee: PreparedImage,
+    given_mm: Mapping[str, Floats],
+    *,
+    settings: SeedSettings = SEED_DEFAULTS,
+    marrow: MarrowSettings = MARROW_DEFAULTS,
+) -> LongBoneSeeds:
+    """Use the given seeds of femur and tibia, and find the others.
 
     Args:
         knee: The prepared image.
         given_mm: Bone to (3,) LPS.
+        settings: Least share of marrow about a seed.
+        marrow: Settings for finding marrow.
 
     Raises:
         SettingProblem: A given seed lies outside the image, in the air or not in marrow.
@@ -43,36 +66,44 @@ def find_seeds(knee: Knee, given_mm: Mapping[str, Floats]) -> Seeds:
     given = {bone: seed_voxel(knee, bone, place) for bone, place in given_mm.items()}
     if "femur" in given and "tibia" in given:
         kind = kind_at(knee, [given["femur"], given["tibia"]])
-        seeds = Seeds(kind=kind, femur=given["femur"], tibia=given["tibia"])
+        seeds = LongBoneSeeds(kind=kind, femur=given["femur"], tibia=given["tibia"])
     else:
-        marrow = marrow_of(knee)
-        seeds = Seeds(
-            kind=marrow.kind,
-            femur=given.get("femur", marrow.femur.voxel),
-            tibia=given.get("tibia", marrow.tibia.voxel),
+        found = marrow_of(knee, settings=marrow)
+        seeds = LongBoneSeeds(
+            kind=found.kind,
+            femur=given.get("femur", found.femur.voxel),
+            tibia=given.get("tibia", found.tibia.voxel),
         )
-    check_in_marrow(knee, seeds.kind, given)
+    check_in_marrow(knee, seeds.kind, given, settings=settings)
     return seeds
 
 
-def check_in_marrow(knee: Knee, kind: Kind, seeds: Mapping[str, Integers]) -> None:
-    """Make sure that seeds, bone to voxel (3,) k, j, i, lie in what may be marrow.
+def check_in_marrow(
+    knee: PreparedImage, kind: Kind, seeds: Mapping[str, Integers], *, settings: SeedSettings = SEED_DEFAULTS
+) -> None:
+    """Check that seeds lie in what may be marrow.
+
+    Args:
+        knee: The prepared image.
+        kind: Whether marrow is dark or bright.
+        seeds: Bone to voxel (3,) k, j, i.
+        settings: Least share of marrow about a seed.
 
     Raises:
-        SettingProblem: One does not.
+        SettingProblem: A seed does not.
     """
     likely = candidates(knee, kind)
     for bone, voxel in seeds.items():
-        if likely[seed_ball(knee, voxel, 4.0)].mean() < _MARROW_SHARE:
+        if likely[seed_ball(knee, voxel, 4.0)].mean() < settings.least_marrow_share:
             place = knee.grid.lps(voxel[::-1].astype(float))
             raise SettingProblem(
-                f"The seed of the {bone} at LPS {_said(place)} mm lies in no {kind} marrow:"
+                f"The seed of the {bone} at LPS {_as_text(place)} mm does not lie in {kind} marrow:"
                 " choose a place within the bone, away from its edge."
             )
 
 
-def seed_voxel(knee: Knee, bone: str, place_mm: Floats) -> Integers:
-    """(3,) the voxel k, j, i of a seed given in LPS.
+def seed_voxel(knee: PreparedImage, bone: str, place_mm: Floats) -> Integers:
+    """Return the voxel (3,) k, j, i of a seed given in LPS.
 
     Raises:
         SettingProblem: It lies outside the image or in the air.
@@ -81,36 +112,43 @@ def seed_voxel(knee: Knee, bone: str, place_mm: Floats) -> Integers:
     if (voxel < 0).any() or (voxel >= knee.grid.shape).any():
         low, high = knee.grid.lps(np.zeros(3)), knee.grid.lps(np.array(knee.grid.shape[::-1]) - 1.0)
         raise SettingProblem(
-            f"The seed of the {bone} at LPS {_said(place_mm)} mm lies outside the image,"
-            f" which reaches from {_said(low)} to {_said(high)}."
+            f"The seed of the {bone} at LPS {_as_text(place_mm)} mm lies outside the image,"
+            f" which reaches from {_as_text(low)} to {_as_text(high)}."
         )
     if not knee.body[tuple(voxel)]:
-        raise SettingProblem(f"The seed of the {bone} at LPS {_said(place_mm)} mm lies in the air, outside the body.")
+        raise SettingProblem(
+            f"The seed of the {bone} at LPS {_as_text(place_mm)} mm lies in the air, outside the body."
+        )
     return voxel
 
 
-def patella_seeds(knee: Knee, likeness: np.ndarray, taken: Mask, joint_mm: Floats) -> list[Integers]:
-    """List places that may be the middle of a patella, the likeliest first.
+def patella_seeds(
+    knee: PreparedImage, likeness: np.ndarray, taken: Mask, joint_mm: Floats, *, settings: SeedSettings = SEED_DEFAULTS
+) -> list[Integers]:
+    """Return voxels that may be the middle of a patella, the likeliest first.
 
     Args:
         knee: The prepared image.
-        likeness: (k, j, i) of marrow; NaN outside the image.
+        likeness: (k, j, i) similarity to marrow, 0 to 1; NaN outside the image.
         taken: (k, j, i) femur and tibia.
         joint_mm: (3,) LPS of the middle of the joint line.
+        settings: Tuned constants of the algorithm.
     """
     free = (likeness > 0) & ~ndimage.binary_dilation(taken, iterations=1)
     radius = np.where(free, distance_within(free | np.isnan(likeness)) * WORK_MM, 0.0)
-    peaks = (ndimage.maximum_filter(radius, 9) == radius) & (radius >= _PATELLA_RADIUS_MM[0])
-    voxels = np.argwhere(peaks & (radius <= _PATELLA_RADIUS_MM[1]))
-    off = (knee.grid.lps(voxels[:, ::-1].astype(float)) - joint_mm - _PATELLA_FROM_JOINT_MM) / _PATELLA_SD_MM
+    peaks = (ndimage.maximum_filter(radius, 9) == radius) & (radius >= settings.patella_radius_mm[0])
+    voxels = np.argwhere(peaks & (radius <= settings.patella_radius_mm[1]))
+    off = (
+        knee.grid.lps(voxels[:, ::-1].astype(float)) - joint_mm - settings.patella_from_joint_mm
+    ) / settings.patella_sd_mm
     odds = -0.5 * (off**2).sum(axis=1) + 0.5 * radius[tuple(voxels.T)]
     near = (np.abs(off) < 3).all(axis=1)
     order = np.argsort(-odds[near])
     return list(voxels[near][order][:8])
 
 
-def kind_at(knee: Knee, voxels: list[Integers]) -> Kind:
-    """Tell the kind of marrow by how bright it is about voxels (3,) k, j, i within it.
+def kind_at(knee: PreparedImage, voxels: list[Integers]) -> Kind:
+    """Return the kind of marrow by its brightness about voxels (3,) k, j, i within it.
 
     Raises:
         MareyError: No body is in the image.
@@ -122,5 +160,6 @@ def kind_at(knee: Knee, voxels: list[Integers]) -> Kind:
     return "bright" if level > between_two_classes(values) else "dark"
 
 
-def _said(place_mm: Floats) -> str:
+def _as_text(place_mm: Floats) -> str:
+    """Return a position [mm] as text."""
     return " ".join(f"{each:.1f}" for each in np.asarray(place_mm))

@@ -49,7 +49,7 @@ class Contact:
         return Contact(away_mm=away, begins_mm=begins, begins_sd_mm=self.begins_sd_mm)
 
     def costs(self, levels_mm: Floats) -> Floats:
-        """Give what each thickness costs (V, L) for the other bone that is in its way."""
+        """Return what each thickness costs (V, L) for the other bone that is in its way."""
         return np.where(levels_mm[None] > self.away_mm[:, None], _NEVER, 0.0)
 
     def reached(self, thickness_mm: Floats) -> Mask:

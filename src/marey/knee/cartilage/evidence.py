@@ -3,12 +3,12 @@
 import math
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from scipy import ndimage
 from scipy.special import ndtr
 
 from marey.arrays import Floats, Mask
+from marey.kernels import kernel
 from marey.knee.space.mesh_graph import MeshGraph
 from marey.knee.space.volume import Volume
 
@@ -114,7 +114,7 @@ def tissues(profiles: Profiles, thickness_mm: Floats, present: Mask, theirs: Flo
 
 
 def _density(values: Floats) -> Floats:
-    """Give a smooth histogram with a floor: nothing is impossible."""
+    """Return a smooth histogram with a floor: nothing is impossible."""
     counts = np.histogram(np.clip(values, _BINS[0], _BINS[-1] - 1e-9), _BINS)[0].astype(float)
     smooth = ndimage.gaussian_filter1d(counts, 1.5, mode="nearest")
     wide = _BINS[1] - _BINS[0]
@@ -122,7 +122,7 @@ def _density(values: Floats) -> Floats:
 
 
 def layer_costs(profiles: Profiles, seen: Tissues, begins_mm: Floats, begins_sd_mm: Floats, ends_mm: Floats) -> Floats:
-    """Give what each thickness of `LEVELS_MM` costs (V, L): minus the logarithm of the profile's probability.
+    """Return what each thickness of `LEVELS_MM` costs (V, L): minus the logarithm of the profile's probability.
 
     Bone, cartilage and what lies over it are three grey values with a blurred edge between each two. Farther out lies
     whatever usually lies there, up to where another bone's cartilage begins. Where that begins is not known, only
@@ -148,7 +148,7 @@ def layer_costs(profiles: Profiles, seen: Tissues, begins_mm: Floats, begins_sd_
 
 
 def measured_blur(profiles: Profiles, seen: Tissues, thickness_mm: Floats, sure: Mask) -> float:
-    """Give the blur that the image shows at the outer edges of thick cartilage, as a multiple of what is assumed.
+    """Return the blur that the image shows at the outer edges of thick cartilage, as a multiple of what is assumed.
 
     Args:
         profiles: Grey values.
@@ -171,7 +171,7 @@ def measured_blur(profiles: Profiles, seen: Tissues, thickness_mm: Floats, sure:
     return float(_FACTORS[int(np.argmin(misfit))])
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _layer_costs(  # pragma: no cover - compiled
     values, over, cartilage, over_bins, marrow, blur, share, begins, begins_sd, ends, spread, levels, depths, constants
 ):
@@ -227,7 +227,7 @@ def _layer_costs(  # pragma: no cover - compiled
     return costs
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _farther(  # pragma: no cover - compiled
     over, cartilage, depths, begins, begins_sd, ends, share, farther, theirs
 ):

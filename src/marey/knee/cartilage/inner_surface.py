@@ -59,7 +59,7 @@ def inner_edge(costs: Floats, graph: MeshGraph, marrow: Kind) -> InnerEdge:
 def inner_costs(
     profiles: Profiles, seen: Tissues, thickness_mm: Floats, present: Mask, offset_mm: Floats
 ) -> Floats:  # fmt: skip
-    """Give what each place of the edge between bone and cartilage costs (V, S), at `OFFSETS_MM`.
+    """Return what each place of the edge between bone and cartilage costs (V, S), at `OFFSETS_MM`.
 
     The outer surface stays where it is, and what lies beyond it is left out of account.
 
@@ -97,7 +97,7 @@ def _seen(seen: Tissues, until_mm: Floats) -> Mask:
 
 
 def _between(beliefs: Floats) -> Floats:
-    """Give the least of the costs (V, S), between the places: there they are a parabola."""
+    """Return the least of the costs (V, S), between the places: there they are a parabola."""
     rows, best = np.arange(len(beliefs)), np.clip(np.argmin(beliefs, 1), 1, len(OFFSETS_MM) - 2)
     before, least, after = (beliefs[rows, best + step] for step in (-1, 0, 1))
     beside = np.clip(0.5 * (before - after) / np.maximum(before - 2 * least + after, 1e-6), -1, 1)

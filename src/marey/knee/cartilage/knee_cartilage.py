@@ -167,7 +167,7 @@ def _laid(
 
 
 def seen_share(sheet: CartilageSheet) -> float:
-    """Give the share of the covered vertices at which the image tells more of the thickness than the template."""
+    """Return the share of the covered vertices at which the image tells more of the thickness than the template."""
     return float((np.asarray(sheet.by_image)[sheet.thickness_mm > 0] > 0.5).mean())
 
 

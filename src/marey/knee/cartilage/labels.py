@@ -71,7 +71,7 @@ def _box(labels: Labels, sheet: CartilageSheet) -> tuple[slice, ...]:
 
 
 def _heights(sheet: CartilageSheet, places: Floats) -> tuple[Floats, Floats]:
-    """Give how high places (n, 3) lie over the bone, negative within it, and how thick the cartilage is there."""
+    """Return how high places (n, 3) lie over the bone, negative within it, and how thick the cartilage is there."""
     surface = sheet.bone
     covered = sheet.thickness_mm > 0
     thickness, height = np.zeros(len(places)), np.full(len(places), np.inf)

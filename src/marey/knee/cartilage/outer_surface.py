@@ -111,7 +111,7 @@ class CartilageSheet:
 
     @property
     def outer_thickness_mm(self) -> Floats:
-        """Give the thickness at each vertex of `outer`.
+        """Return the thickness at each vertex of `outer`.
 
         Raises:
             MareyError: There is no cartilage.
@@ -119,7 +119,7 @@ class CartilageSheet:
         return self.thickness_mm[self._closed()[0] % len(self.thickness_mm)]
 
     def _closed(self) -> tuple[Integers, Integers]:
-        """Give the vertices of `outer`, numbered through the bone's and then the outer sheet's, and its faces."""
+        """Return the vertices of `outer`, numbered through the bone's and then the outer sheet's, and its faces."""
         covered = self.thickness_mm > 0
         faces = self.bone.faces[covered[self.bone.faces].all(1)]
         if not len(faces):
@@ -200,7 +200,7 @@ def _settled(
     volumes: Sequence[Volume], part: Surface, normals: Floats, told: Floats, presence: Floats,
     others: Sequence[tuple[Surface, Floats]], moved: Floats, scale: Floats,
 ) -> _Settled:  # fmt: skip
-    """Give the answers when they, the inner surface, and the foretold thickness, scaled to the person's, agree."""
+    """Return the answers when they, the inner surface, and the foretold thickness, scaled to the person's, agree."""
     graph, across = MeshGraph.of(part), contact_with(part.vertices_mm, normals, others)
     scaled: Floats = np.clip(scale * told, THINNEST_MM, THICKEST_MM)
     estimate, present, blurred = scaled, presence > _TOLD, [1.0] * len(volumes)
@@ -248,7 +248,7 @@ def _within(present: Mask, presence: Floats, graph: MeshGraph) -> Mask:
 
 
 def _spread(costs: Floats) -> Floats:
-    """Give the standard deviation (V,) of the thickness where it is not 0, by what each costs (V, L)."""
+    """Return the standard deviation (V,) of the thickness where it is not 0, by what each costs (V, L)."""
     there, levels = costs[:, 1:], LEVELS_MM[1:]
     chance = np.exp(there.min(1, keepdims=True) - there)
     chance /= chance.sum(1, keepdims=True)
@@ -273,13 +273,13 @@ def _steady_normals(bone: Surface) -> Floats:
 
 
 def _part(bone: Surface, kept: Mask) -> Surface:
-    """Give the faces all of whose corners are kept, on just these vertices."""
+    """Return the faces all of whose corners are kept, on just these vertices."""
     number: Integers = np.cumsum(kept) - 1
     return Surface(vertices_mm=bone.vertices_mm[kept], faces=number[bone.faces[kept[bone.faces].all(1)]])
 
 
 def _prior_costs(told: Floats, presence: Floats) -> Floats:
-    """Give what each thickness costs (V, L) by the template: minus the logarithm of its probability."""
+    """Return what each thickness costs (V, L) by the template: minus the logarithm of its probability."""
     there = np.clip(presence, LEAST_PRESENCE, 1 - LEAST_PRESENCE)[:, None]
     sd = TOLD_SHARE * told[:, None]
     off = (LEVELS_MM[None] - told[:, None]) / sd
@@ -289,7 +289,7 @@ def _prior_costs(told: Floats, presence: Floats) -> Floats:
 
 
 def _in_one_piece(beliefs: Floats, part: Surface, graph: MeshGraph) -> Floats:
-    """Give the costs (V, L) such that specks are bare and pinholes covered, by a hair: nobody is sure there."""
+    """Return the costs (V, L) such that specks are bare and pinholes covered, by a hair: nobody is sure there."""
     beliefs = beliefs.copy()
     bare = np.argmin(beliefs, axis=1) == 0
     speck = _small(~bare, SPECK_MM2, part, graph)

@@ -119,7 +119,7 @@ def _measured(name: str, here: Mask, covered: Mask, sheet: CartilageSheet) -> Su
 
 
 def _about_condyles(sheet: CartilageSheet) -> tuple[Floats, float]:
-    """Give the angle (V,) about the condyles' axis, 0 straight down and positive to the back, and the radius [mm].
+    """Return the angle (V,) about the condyles' axis, 0 straight down and positive to the back, and the radius [mm].
 
     The axis runs from side to side through the centre of the circle that fits the lower and hinder cartilage best.
     """

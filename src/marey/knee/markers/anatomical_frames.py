@@ -222,7 +222,7 @@ def _shaft_axis(surface: Surface, low: float, high: float) -> tuple[Floats, tupl
 
 
 def _middle(points: Floats) -> Floats:
-    """Give the middle between extremes, which no finer mesh on one side moves."""
+    """Return the middle between extremes, which no finer mesh on one side moves."""
     return np.asarray((points.min(0) + points.max(0)) / 2)
 
 

@@ -8,7 +8,7 @@ from scipy import ndimage
 from marey.arrays import Floats, Mask
 from marey.knee.space.bias_field import BiasField, bias_field
 from marey.knee.space.resampling import on_grid, read_at, resampled, upright_grid
-from marey.knee.space.volume import Grid, Volume
+from marey.knee.space.volume import Volume, VoxelGrid
 
 WORK_MM = 1.0
 RADII_MM = (1.5, 11.0)
@@ -59,7 +59,7 @@ class LimbImage:
     known: Mask
     """(k, j, i) where the image reaches."""
     bias: BiasField
-    grid: Grid
+    grid: VoxelGrid
 
 
 def limb_image(volume: Volume) -> LimbImage:
@@ -85,7 +85,7 @@ def _bright(values: np.ndarray, over: float) -> float:
 
 
 def _top_of_lowest_peak(values: np.ndarray, high: float) -> float:
-    """Give the value that air hardly exceeds: its peak is the histogram's lowest, and only air lies below."""
+    """Return the value that air hardly exceeds: its peak is the histogram's lowest, and only air lies below."""
     counts, edges = np.histogram(values, bins=256, range=(0.0, max(high, 1e-6)))
     smooth = ndimage.gaussian_filter1d(counts.astype(float), 1.0, mode="constant")
     peaks = (smooth >= ndimage.maximum_filter1d(smooth, 5)) & (smooth > 0.05 * smooth.max())

@@ -11,7 +11,7 @@ from scipy.special import ndtr
 from marey.arrays import Floats, Integers
 from marey.knee.markers.ball_candidates import BallCandidate, sphere_directions
 from marey.knee.space.resampling import part_of
-from marey.knee.space.volume import Grid, Volume
+from marey.knee.space.volume import Volume, VoxelGrid
 
 _MARGIN_MM = 2.5
 """How far about the ball voxels are fitted."""
@@ -35,7 +35,7 @@ _BANDWIDTH = 2
 
 _FAULT, _FAULT_IN_TISSUE = 0.03, 0.07
 """Standard deviations of what the model cannot follow, as shares of the width of an edge: of any ball, and of one in
-tissue as bright as itself. Made balls ask for them (bench/knee_gadolinium.py); noise alone would give microns."""
+tissue as bright as itself. Made balls ask for them (bench/knee/gadolinium.py); noise alone would give microns."""
 
 _BALL = 7
 """Numbers of the ball and the air: centre, radius, blur, level, level of the air."""
@@ -139,8 +139,8 @@ def _patch(volume: Volume, start: BallCandidate, others: Sequence[tuple[Floats, 
     return _Patch(values[tuple(index[kept].T)].astype(float), points, middles, voxel, point, index[kept], values.shape)
 
 
-def _coarser(values: np.ndarray, grid: Grid, wanted_mm: float) -> tuple[np.ndarray, Grid]:
-    """Give the means of blocks of voxels no wider than wanted; the voxels where they are wide themselves."""
+def _coarser(values: np.ndarray, grid: VoxelGrid, wanted_mm: float) -> tuple[np.ndarray, VoxelGrid]:
+    """Return the means of blocks of voxels no wider than wanted; the voxels where they are wide themselves."""
     blocks = [max(1, int(wanted_mm / spacing)) for spacing in grid.array_spacing_mm]
     counts = [n // block for n, block in zip(values.shape, blocks, strict=True)]
     trimmed = values[tuple(slice(0, n * block) for n, block in zip(counts, blocks, strict=True))]
@@ -150,10 +150,10 @@ def _coarser(values: np.ndarray, grid: Grid, wanted_mm: float) -> tuple[np.ndarr
     lps_from_voxel[:3, :3] *= blocks[::-1]
     lps_from_voxel[:3, 3] = grid.lps((np.array(blocks[::-1]) - 1) / 2)
     k, j, i = counts
-    return means, Grid(shape=(k, j, i), lps_from_voxel=lps_from_voxel)
+    return means, VoxelGrid(shape=(k, j, i), lps_from_voxel=lps_from_voxel)
 
 
-def _within_voxel(grid: Grid, apart_mm: float) -> tuple[Floats, float]:
+def _within_voxel(grid: VoxelGrid, apart_mm: float) -> tuple[Floats, float]:
     """(m, 3) offsets [mm] of points spread evenly within a voxel, and how far what each stands for spreads about it."""
     counts = np.maximum(np.rint(grid.spacing_mm / apart_mm), 1)
     axes = [(np.arange(n) + 0.5) / n - 0.5 for n in counts]
@@ -171,7 +171,7 @@ def _start_in_air(patch: _Patch, start: BallCandidate) -> Floats:
 
 
 def _start_at_skin(patch: _Patch, start: BallCandidate) -> Floats | None:
-    """Give the numbers with a plane between the darker and the brighter part about the ball, if there are two."""
+    """Return the numbers with a plane between the darker and the brighter part about the ball, if there are two."""
     away = np.linalg.norm(patch.middles, axis=1)
     shell = away > start.radius_mm + 0.7
     if shell.sum() < _ALL:
@@ -279,7 +279,7 @@ def _evenness(size: int, patch: _Patch, scale: float) -> Floats:
 
 
 def _spread(residual: Floats) -> float:
-    """Give the standard deviation of what is usual among residuals."""
+    """Return the standard deviation of what is usual among residuals."""
     return max(float(1.4826 * np.median(np.abs(residual))), 0.3 * float(residual.std()), 1e-12)
 
 
@@ -301,7 +301,7 @@ def _covariance(patch: _Patch, best: _Solution) -> Floats:
     return np.asarray(bread @ (meat + meat.T) / 2 @ bread * n / max(n - size, 1))
 
 
-def _told(grid: Grid, patch: _Patch, best: _Solution, start: BallCandidate) -> BallFit:
+def _told(grid: VoxelGrid, patch: _Patch, best: _Solution, start: BallCandidate) -> BallFit:
     numbers = best.numbers
     covariance = _covariance(patch, best)
     sds = np.sqrt(np.maximum(np.diag(covariance), 0))
@@ -326,7 +326,7 @@ def _told(grid: Grid, patch: _Patch, best: _Solution, start: BallCandidate) -> B
 
 
 def _bright_beside(patch: _Patch, away: Floats, level: float, air: float) -> tuple[float, float]:
-    """Give the share of the voxels just about a ball that are tissue not much darker than it, and their level.
+    """Return the share of the voxels just about a ball that are tissue not much darker than it, and their level.
 
     From the voxels as they are: a thin layer of fat over muscle is no half space of one level.
     """
@@ -335,8 +335,8 @@ def _bright_beside(patch: _Patch, away: Floats, level: float, air: float) -> tup
     return (len(bright) / len(beside), float(np.percentile(bright, 75))) if len(bright) else (0.0, air)
 
 
-def _share_within(grid: Grid, centre_mm: Floats, radius_mm: float) -> float:
-    """Give the share of a ball that lies within the image's voxels."""
+def _share_within(grid: VoxelGrid, centre_mm: Floats, radius_mm: float) -> float:
+    """Return the share of a ball that lies within the image's voxels."""
     depths = (np.arange(6) + 0.5) / 6
     points = np.concatenate([depth ** (1 / 3) * sphere_directions() for depth in depths])
     voxels = grid.voxels(centre_mm + radius_mm * points)

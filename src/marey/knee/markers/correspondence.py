@@ -124,7 +124,7 @@ def _nothing(missing: Mapping[str, str], naming: NamedBalls) -> str:
 
 
 def _seen(naming: NamedBalls, bone: str, posture: ReferencePosture, places: BonePlaces) -> tuple[int, ...]:
-    """Give a bone's balls whose markers the reference shows.
+    """Return a bone's balls whose markers the reference shows.
 
     Raises:
         MareyError: They are too few; it names those that are in no frame.
@@ -188,7 +188,7 @@ def _with_posture(fit: MarkerFit, chosen: Sequence[int], places: BonePlaces) -> 
 
 
 def _turned_by_posture(fit: MarkerFit) -> Floats:
-    """Give what turn and translation (6, 6) take from a turn and shift of the bone along its own axes."""
+    """Return what turn and translation (6, 6) take from a turn and shift of the bone along its own axes."""
     matrix = np.zeros((6, 6))
     matrix[:3, :3] = -fit.rotation.T
     matrix[3:, :3] = rotations.hat(fit.translation_mm)
@@ -273,7 +273,7 @@ def surface_doubt(transform: NamedTransform, vertices_mm: Floats) -> SurfaceDoub
 def mean_error_quantile(
     transform: NamedTransform, vertices_mm: Floats, *, share: float = 0.95, draws: int = 1000
 ) -> float:
-    """Give the limit below which the mean distance of a surface from its true place stays, in a share of cases [mm].
+    """Return the limit below which the mean distance of a surface from its true place stays, in a share of cases [mm].
 
     Found from draws of the transform's covariance, always the same ones.
 

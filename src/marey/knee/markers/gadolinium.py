@@ -161,7 +161,7 @@ def _may_be(place: BallCandidate, limb: LimbImage, volume: Volume) -> bool:
 
 
 def _open_share(place: BallCandidate, limb: LimbImage) -> float:
-    """Give the share of directions in which air reaches from a ball to the image's end.
+    """Return the share of directions in which air reaches from a ball to the image's end.
 
     To its end, since dark marrow may hang together with an end of the image, too: from a place in the joint the cut
     shaft fills a small share of all directions. Those that leave the image at once tell nothing.

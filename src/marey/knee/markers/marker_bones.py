@@ -18,7 +18,7 @@ _CLEAR_MM = 5.0
 
 
 def bone_of_segment(segment: str, *, left: bool | None = None) -> str | None:
-    """Give the bone of a segment of the laboratory (`left_thigh`: femur); None for one that is no part of this knee.
+    """Return the bone of a segment of the laboratory (`left_thigh`: femur); None for one that is no part of this knee.
 
     Args:
         segment: Its name, with or without a side; also as OpenSim's models have it (`tibia_r`).
@@ -32,7 +32,7 @@ def bone_of_segment(segment: str, *, left: bool | None = None) -> str | None:
 
 
 def bone_of_label(label: str, segments: Mapping[str, str], *, left: bool | None = None) -> str | None:
-    """Give the bone that a label tells: by the segment it is said to ride on, else by its own name (`tibia_02`).
+    """Return the bone that a label tells: by the segment it is said to ride on, else by its own name (`tibia_02`).
 
     Args:
         label: Of the laboratory.
@@ -44,7 +44,7 @@ def bone_of_label(label: str, segments: Mapping[str, str], *, left: bool | None 
 
 
 def may_ride(label: str, bone: str, segments: Mapping[str, str], *, left: bool | None = None) -> bool:
-    """Tell whether a label may be on a bone: the activity puts it nowhere else, and its name says nothing else.
+    """Return whether a label may be on a bone: the activity puts it nowhere else, and its name says nothing else.
 
     Args:
         label: Of the laboratory.
@@ -80,5 +80,5 @@ def bones_by_place(places_mm: Floats, bones: Mapping[str, Surface]) -> tuple[tup
 
 
 def in_order(bones: Mapping[str, object]) -> tuple[str, ...]:
-    """Give the names of bones as the knee has them: femur, tibia, patella."""
+    """Return the names of bones as the knee has them: femur, tibia, patella."""
     return tuple(bone for bone in BONES if bone in bones)

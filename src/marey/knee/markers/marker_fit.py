@@ -155,7 +155,7 @@ def _weighted(common: CommonMarkers) -> MarkerFit:
 
 
 def _off_line(centred: Floats, weight: Floats) -> bool:
-    """Tell whether the turn about the longest axis of points is known well enough."""
+    """Return whether the turn about the longest axis of points is known well enough."""
     spread = np.linalg.eigvalsh((weight[:, None] * centred).T @ centred)
     return bool(spread[0] + spread[1] > 1 / LARGEST_TURN_SD**2)
 
@@ -166,7 +166,7 @@ def _determined(common: CommonMarkers) -> bool:
 
 
 def _gain(rotation: Floats, shape: Floats, weight: Floats) -> Floats:
-    """Give the gain (6, M, 3) of the weighted least squares: (J'WJ)^-1 J'W, J of R exp(turn) p + t."""
+    """Return the gain (6, M, 3) of the weighted least squares: (J'WJ)^-1 J'W, J of R exp(turn) p + t."""
     jacobian = np.concatenate([-rotation @ rotations.hat(shape), np.broadcast_to(np.eye(3), (len(shape), 3, 3))], -1)
     weighted = weight[:, None, None] * jacobian
     information = np.einsum("mia,mib->ab", weighted, jacobian)
@@ -174,7 +174,7 @@ def _gain(rotation: Floats, shape: Floats, weight: Floats) -> Floats:
 
 
 def _variances(common: CommonMarkers, rotation: Floats) -> Floats:
-    """Give the covariances (M, 3, 3) of the differences in the frame that the transform leads to."""
+    """Return the covariances (M, 3, 3) of the differences in the frame that the transform leads to."""
     return np.asarray(_diagonal(common.to_sd_mm**2) + rotation @ _diagonal(common.from_sd_mm**2) @ rotation.T)
 
 
@@ -200,7 +200,7 @@ def _with_raised(fit: MarkerFit) -> MarkerFit:
 
 
 def _left_out(common: CommonMarkers, best: MarkerFit, moved: int) -> MarkerFit:
-    """Give the fit without one marker a row for it again, and name it."""
+    """Return the fit without one marker a row for it again, and name it."""
     residuals = common.to_mm - common.from_mm @ best.rotation.T - best.translation_mm
     used = np.arange(len(common.names)) != moved
     off = np.linalg.norm(residuals[moved])

@@ -145,7 +145,7 @@ def _fitted(balls: Markers, markers: Markers, assignment: Sequence[int]) -> Grou
 
 
 def spread_of(markers: Markers, allowed: Mask) -> float:
-    """Give the mean distance between the markers that a ball may be."""
+    """Return the mean distance between the markers that a ball may be."""
     there = markers.places_mm[allowed.any(0) & np.isfinite(markers.places_mm).all(1)]
     count = len(there)
     apart = np.linalg.norm(there[:, None] - there, axis=-1).sum() / max(count * (count - 1), 1)
@@ -153,7 +153,7 @@ def spread_of(markers: Markers, allowed: Mask) -> float:
 
 
 def _by_chance(group: GroupMatch, balls: Markers, markers: Markers, allowed: Mask, spread_mm: float) -> float:
-    """Give how many matches as good as this one are to be expected of as many markers strewn over their spread.
+    """Return how many matches as good as this one are to be expected of as many markers strewn over their spread.
 
     The number of assignments, times the share of the residuals' space that is as near to none: a ball of as many
     dimensions as coordinates are left over.
@@ -169,12 +169,12 @@ def _by_chance(group: GroupMatch, balls: Markers, markers: Markers, allowed: Mas
 
 
 def _volume(dimensions: int) -> float:
-    """Give the volume of a ball of radius 1."""
+    """Return the volume of a ball of radius 1."""
     return float(np.pi ** (dimensions / 2) / gamma(dimensions / 2 + 1))
 
 
 def _share_of_knees(spread_mm: float) -> float:
-    """Give the share of chance poses of one bone beside another that make a knee."""
+    """Return the share of chance poses of one bone beside another that make a knee."""
     turns = (LARGEST_KNEE_TURN - np.sin(LARGEST_KNEE_TURN)) / np.pi
     return float(min(turns * _volume(3) * (LARGEST_KNEE_SHIFT_MM / spread_mm) ** 3, 1.0))
 
@@ -215,7 +215,7 @@ def _joint(
     bones: Sequence[str], found: Mapping[str, Sequence[GroupMatch]], knee_mm: Floats,
     posture: Mapping[str, RigidTransform],
 ) -> Iterator[tuple[float, dict[str, GroupMatch]]]:  # fmt: skip
-    """Give the combinations of matches that make a knee, with their chi square."""
+    """Return the combinations of matches that make a knee, with their chi square."""
     if not bones:
         return
     partial: list[tuple[float, dict[str, GroupMatch]]] = [(0.0, {})]

@@ -61,14 +61,14 @@ class NamedBalls:
     notes: tuple[str, ...]
 
     def of(self, bone: str) -> tuple[int, ...]:
-        """Give the balls of a bone that have a marker in the laboratory."""
+        """Return the balls of a bone that have a marker in the laboratory."""
         return tuple(
             ball for ball, its in enumerate(self.bones) if its == bone and self.labels[ball] is not None
         )  # fmt: skip
 
 
 def segment_of_bone(bone: str, segments: Iterable[str], *, left: bool | None = None) -> str | None:
-    """Give the one segment of the laboratory that is a bone of this knee.
+    """Return the one segment of the laboratory that is a bone of this knee.
 
     Raises:
         MareyError: Two of them could be.
@@ -83,7 +83,7 @@ def named_balls(
     scanner: ScannerMarkers, posture: ReferencePosture, bones: Mapping[str, Surface], *,
     segment_of_label: Mapping[str, str], left: bool | None,
 ) -> NamedBalls:  # fmt: skip
-    """Tell which marker of the laboratory each ball is, and which bone it rides on.
+    """Return which marker of the laboratory each ball is, and which bone it rides on.
 
     Names that are given count; the others are told by the distances of the balls of a bone from each other. The bone
     is the one that is given, else that of the label's segment, else the nearer one.
@@ -126,12 +126,12 @@ class _OpenBone:
     """(N,) whether a label may be on this bone, as far as the activity tells."""
 
     def markers(self) -> Markers:
-        """Give the markers with one deviation each."""
+        """Return the markers with one deviation each."""
         sd = np.where(np.isfinite(self.places.sd_mm), self.places.sd_mm, 1.0)
         return _markers(self.places.places_mm, sd)
 
     def allowed(self, scanner: ScannerMarkers, group: Sequence[int]) -> Mask:
-        """Tell which label each ball of a group may have (M, N): its own name, or any free one that no ball has."""
+        """Return which label each ball of a group may have (M, N): its own name, or any free one that no ball has."""
         given = {name for name in scanner.names if name is not None}
         open_ = self.free & np.array([label not in given for label in self.labels])
         named = [np.array([label == scanner.names[ball] for label in self.labels]) for ball in group]
@@ -140,7 +140,7 @@ class _OpenBone:
     def nearby(
         self, scanner: ScannerMarkers, ball: int, motion: RigidTransform, taken: Sequence[str | None]
     ) -> str | None:
-        """Give the free marker where a ball would lie if it rode on this bone."""
+        """Return the free marker where a ball would lie if it rode on this bone."""
         off = np.linalg.norm(self.places.places_mm - motion.apply(scanner.centres_mm[ball]), axis=1)
         reach = _NEAR * np.sqrt((self.places.sd_mm**2).mean(1) + (scanner.sd_mm[ball] ** 2).mean())
         near = [m for m in np.flatnonzero((off < reach) & self.free) if self.labels[m] not in taken]
@@ -150,7 +150,7 @@ class _OpenBone:
 def _bones(
     scanner: ScannerMarkers, bones: Mapping[str, Surface], segment_of_label: Mapping[str, str], left: bool | None
 ) -> tuple[tuple[str, ...], list[str]]:
-    """Give the bone of each ball: said, by its label, or by its place."""
+    """Return the bone of each ball: said, by its label, or by its place."""
     said: list[str | None] = [
         given or (None if name is None else bone_of_label(name, segment_of_label, left=left))
         for given, name in zip(scanner.bones, scanner.names, strict=True)
@@ -216,7 +216,7 @@ def _matched(
 
 
 def _knee_middle(bones: Mapping[str, Surface], scanner: ScannerMarkers) -> Floats:
-    """Give the middle between femur and tibia, or of the markers where a bone lacks."""
+    """Return the middle between femur and tibia, or of the markers where a bone lacks."""
     if {"femur", "tibia"} <= set(bones):
         low = bones["femur"].vertices_mm
         return np.asarray((low[low[:, 2] < low[:, 2].min() + 20.0]).mean(0))
@@ -234,7 +234,7 @@ def _markers(places_mm: Floats, sd_mm: Floats) -> Markers:
 def _told(
     scanner: ScannerMarkers, riding: Sequence[str], open_: Mapping[str, _OpenBone], found: Matching
 ) -> tuple[tuple[str | None, ...], tuple[str, ...], list[str]]:
-    """Give the labels, and see whether a ball that was lost belongs to the other bone."""
+    """Return the labels, and see whether a ball that was lost belongs to the other bone."""
     labels: list[str | None] = list(scanner.names)
     riding = list(riding)
     for bone, match in found.groups.items():

@@ -46,7 +46,7 @@ class Activity:
             freeze_fields(self, "reference_frames", dtype=np.int64)
 
     def places(self, segment: str, labels: tuple[str, ...]) -> Floats:
-        """Give the places (M, 3) of markers in a bone's frame in the reference posture [m]; NaN where not seen.
+        """Return the places (M, 3) of markers in a bone's frame in the reference posture [m]; NaN where not seen.
 
         Of several postures, or where none is told of all frames, the mean.
         """
@@ -177,7 +177,7 @@ def _standing_bone(
 
 
 def _cluster_gain(fit: RigidFit, shape_mm: Floats, answered: Integers) -> tuple[Floats, float]:
-    """Give what a bone's turn and shift along its own axes take from its markers, and how far these are from rigid.
+    """Return what a bone's turn and shift along its own axes take from its markers, and how far these are from rigid.
 
     Only the markers that are there in at least half of the frames count. What they are off counts as of all frames
     alike, as skin that lies elsewhere is.

@@ -63,7 +63,7 @@ class JointMotion:
         return np.asarray(np.isfinite(pose.rotation).all((1, 2)) & np.isfinite(pose.translation).all(1))
 
     def held(self, bone: str, base: str = BASE) -> NamedTransform:
-        """Give where a bone lies in every frame when another is held fast as it lay in the scanner [mm].
+        """Return where a bone lies in every frame when another is held fast as it lay in the scanner [mm].
 
         Raises:
             MareyError: One of them does not move.
@@ -74,7 +74,7 @@ class JointMotion:
         return self.poses[base].inverse() @ self.poses[bone]
 
     def relative(self, bone: str, base: str) -> RelativePoses:
-        """Give the same as poses for the nearness of surfaces."""
+        """Return the same as poses for the nearness of surfaces."""
         held = self.held(bone, base)
         return RelativePoses(rotation=held.rotation, translation_mm=held.translation, covariance=held.covariance)
 
@@ -108,7 +108,7 @@ def motion_of_chains(chains: Mapping[str, TransformChain], time: Floats, *, left
 
 
 def knee_angles(motion: JointMotion) -> JointKinematics | None:
-    """Give the knee's angles and translations by the bones' own anatomical frames ([Grood1983]).
+    """Return the knee's angles and translations by the bones' own anatomical frames ([Grood1983]).
 
     The translations are of the tibia's origin from the femur's. None where femur or tibia does not move.
     """
@@ -178,7 +178,7 @@ def joint_proximities(
 
 
 def packed_joints(joints: Sequence[Proximity]) -> dict[str, np.ndarray]:
-    """Give the numbers of joints as plain arrays, to be kept while a run lasts."""
+    """Return the numbers of joints as plain arrays, to be kept while a run lasts."""
     arrays = {"names": np.array([joint.name for joint in joints], np.str_)}
     for joint in joints:
         arrays |= {f"{joint.name}.{key}": value for key, value in vars(joint).items() if isinstance(value, np.ndarray)}

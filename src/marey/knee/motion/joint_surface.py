@@ -4,11 +4,11 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from marey.arrays import Floats, Integers, Mask, frozen
 from marey.errors import MareyError
+from marey.kernels import kernel
 from marey.knee.space.surface import Surface
 from marey.knee.space.triangle_tree import SCRATCH, TriangleTree, nearest_triangle
 
@@ -87,7 +87,7 @@ class JointSurface:
         return np.asarray(np.arctan2(across, (ahead * back).sum(2)))
 
     def heights(self, points_mm: Floats, guess: Integers | None = None) -> Heights:
-        """Tell how far points lie above the surface, or below it.
+        """Return how far points lie above the surface, or below it.
 
         Args:
             points_mm: (N, 3).
@@ -156,7 +156,7 @@ def _part(name: str, whole: Surface, faces: Integers, left: bool | None, bone: S
     return JointSurface(name=name, surface=surface, sources=frozen(sources, np.int64), lateral=lateral)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _feature(corners, place):  # pragma: no cover - compiled
     """Give 0 for a place within a triangle, 1 to 3 for one on the side across from a corner, 4 to 6 for a corner."""
     aa = ab = bb = xa = xb = 0.0
@@ -181,7 +181,7 @@ def _feature(corners, place):  # pragma: no cover - compiled
     return 4 if u > _ON else (5 if v > _ON else 6)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _heights(
     points, corners, low, high, starts, normals, rim, guess, distance, places, upward, triangle
 ):  # pragma: no cover - compiled

@@ -4,12 +4,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from marey.arrays import Floats, Mask, freeze_fields
+from marey.kernels import kernel
 from marey.knee.outlines.wire_tree import MOST_COST, Costs
 
 FEATURES = ("inside", "outside", "across", "magnitude")
@@ -56,7 +56,7 @@ class BoundaryElements:
         return some[np.isfinite(some).all(axis=1)]
 
     def around(self, mask: Mask) -> NDArray[np.float32]:
-        """Give the features (N, 4) of the steps round what a mask (rows, columns) marks; at the border it goes on."""
+        """Return the features (N, 4) of the steps round what a mask (rows, columns) marks; at the border it goes on."""
         here, below, beside = mask[:-1], mask[1:], mask[:, 1:]
         right, left = here & ~below, below & ~here
         down, up = beside & ~mask[:, :-1], mask[:, :-1] & ~beside
@@ -124,7 +124,7 @@ def learned_costs(examples: Sequence[tuple[BoundaryElements, Mask]]) -> LearnedC
 
 
 def step_costs(elements: BoundaryElements, learned: LearnedCosts | None = None) -> Costs:
-    """Give each step its cost: small on an outline, in proportion to its length in mm.
+    """Return each step its cost: small on an outline, in proportion to its length in mm.
 
     Args:
         elements: The steps.
@@ -174,7 +174,7 @@ def _log_odds(on: Floats, off: Floats, ends: Floats) -> Floats:
     return np.asarray(np.log(shares[0]) - np.log(shares[1]))
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _unlikely(features, ends, log_odds, out):  # type: ignore[no-untyped-def]
     """Probability that a step is not on an outline: the features' odds taken together, and how rare outlines are."""
     for step in range(len(features)):

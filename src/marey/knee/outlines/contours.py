@@ -9,10 +9,10 @@ from scipy.interpolate import PchipInterpolator
 
 from marey.arrays import Floats, Mask, freeze_fields
 from marey.errors import MareyError
-from marey.knee.bones.region_growing import signed_distance
 from marey.knee.outlines.outlines import filled
+from marey.knee.space.distances import signed_distance
 from marey.knee.space.structures import LABELS
-from marey.knee.space.volume import Grid, Labels
+from marey.knee.space.volume import Labels, VoxelGrid
 
 AXES = ("i", "j", "k")
 """Along which axis of the voxels slices follow each other. Slices across k have rows along j and columns along i, those
@@ -45,24 +45,24 @@ def slice_of(array: np.ndarray, axis: str, index: int) -> np.ndarray:
     return part
 
 
-def slice_shape(grid: Grid, axis: str) -> tuple[int, int]:
+def slice_shape(grid: VoxelGrid, axis: str) -> tuple[int, int]:
     """Rows and columns of the slices along an axis."""
     rows, columns = (count for each, count in enumerate(grid.shape) if each != _array_axis(axis))
     return rows, columns
 
 
-def slice_spacing_mm(grid: Grid, axis: str) -> tuple[float, float]:
+def slice_spacing_mm(grid: VoxelGrid, axis: str) -> tuple[float, float]:
     """Distances of rows, and of columns, of the slices along an axis."""
     rows, columns = (mm for each, mm in enumerate(grid.array_spacing_mm) if each != _array_axis(axis))
     return rows, columns
 
 
-def slice_count(grid: Grid, axis: str) -> int:
+def slice_count(grid: VoxelGrid, axis: str) -> int:
     """How many slices follow each other along an axis."""
     return grid.shape[_array_axis(axis)]
 
 
-def outline_mm(contour: Contour, grid: Grid) -> Floats:
+def outline_mm(contour: Contour, grid: VoxelGrid) -> Floats:
     """(N, 3) LPS [mm] of an outline's points."""
     along = AXES.index(contour.axis)
     voxels = np.insert(contour.outline, along, contour.index, axis=1)
@@ -77,7 +77,7 @@ def outlined_mask(contours: Iterable[Contour], shape: tuple[int, int]) -> Mask:
     return mask
 
 
-def slice_distance(contours: Sequence[Contour], grid: Grid, structure: str, index: int) -> Floats | None:
+def slice_distance(contours: Sequence[Contour], grid: VoxelGrid, structure: str, index: int) -> Floats | None:
     """Signed distance of a structure in one slice, from its outlines there or from those before and behind.
 
     Between outlined slices the distances are interpolated as [Raya1990] do: the edge is where that is 0. Unlike the
@@ -108,7 +108,7 @@ def slice_distance(contours: Sequence[Contour], grid: Grid, structure: str, inde
     return between
 
 
-def structure_distance(contours: Sequence[Contour], grid: Grid, structure: str) -> Floats:
+def structure_distance(contours: Sequence[Contour], grid: VoxelGrid, structure: str) -> Floats:
     """(k, j, i) the same for all slices [mm]; -1000 before the first outlined slice, and behind the last.
 
     Raises:
@@ -125,7 +125,7 @@ def structure_distance(contours: Sequence[Contour], grid: Grid, structure: str) 
     return distance
 
 
-def labels_of_contours(contours: Sequence[Contour], grid: Grid) -> Labels:
+def labels_of_contours(contours: Sequence[Contour], grid: VoxelGrid) -> Labels:
     """Fill all outlines and what lies between them; a voxel of two structures goes to the one it lies deeper in.
 
     Raises:
@@ -159,7 +159,7 @@ def _by_slice(contours: Sequence[Contour], structure: str) -> tuple[str, dict[in
 
 
 @lru_cache(maxsize=16)
-def _distance_to(contours: tuple[Contour, ...], grid: Grid, axis: str) -> Floats:
+def _distance_to(contours: tuple[Contour, ...], grid: VoxelGrid, axis: str) -> Floats:
     rows_mm, columns_mm = slice_spacing_mm(grid, axis)
     mask = outlined_mask(contours, slice_shape(grid, axis))
     return np.asarray(signed_distance(mask, (rows_mm, columns_mm)))

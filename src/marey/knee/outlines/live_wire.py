@@ -85,7 +85,7 @@ class LiveWire:
         return points_of(np.array(self._anchor))
 
     def path_to(self, point: Sequence[float]) -> Floats:
-        """Give the wire (n, 2) from the anchor to a point; fast for the next point, too.
+        """Return the wire (n, 2) from the anchor to a point; fast for the next point, too.
 
         Raises:
             MareyError: No anchor was set.

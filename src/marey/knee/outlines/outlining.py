@@ -74,7 +74,7 @@ def anchor_places(contour: Contour) -> Integers:
 
 
 def _in_order(places: Integers) -> bool:
-    """Tell whether places follow each other once round."""
+    """Return whether places follow each other once round."""
     return int((np.diff(np.append(places, places[0])) < 0).sum()) <= 1
 
 

@@ -1,10 +1,10 @@
 """Cheapest paths along the edges between pixels, found only as far as they are asked for."""
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from marey.arrays import Integers
+from marey.kernels import kernel
 
 MOST_COST = 1023
 _BUCKETS = 1024
@@ -42,7 +42,7 @@ class WireTree:
         _settle(start, self._columns, *self._arrays)
 
     def cost(self, corner: tuple[int, int]) -> int:
-        """Give the sum of the costs of the cheapest path from the root to a corner.
+        """Return the sum of the costs of the cheapest path from the root to a corner.
 
         Raises:
             ValueError: No path leads there.
@@ -76,14 +76,14 @@ class WireTree:
 
 
 def reversed_costs(costs: Costs) -> Costs:
-    """Give the costs of going every step the other way about: a tree on them holds the paths that end at its root."""
+    """Return the costs of going every step the other way about: a tree on them holds the paths that end at its root."""
     turned = np.zeros_like(costs)
     turned[:, 1:, 2], turned[:, :-1, 0] = costs[:, :-1, 0], costs[:, 1:, 2]
     turned[1:, :, 3], turned[:-1, :, 1] = costs[:-1, :, 1], costs[1:, :, 3]
     return turned
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _settle(at, columns, costs, least, step_in, settled, behind, first, reached):  # type: ignore[no-untyped-def]
     """Make a corner's cost final, and let its neighbours wait with what they cost by way of it."""
     settled[at] = True
@@ -103,7 +103,7 @@ def _settle(at, columns, costs, least, step_in, settled, behind, first, reached)
         reached[1] += 1
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _grow(goal, columns, costs, least, step_in, settled, behind, first, reached):  # type: ignore[no-untyped-def]
     """Settle corners in the order of their costs until the goal is; `reached`: the cost so far, and steps waiting."""
     while not settled[goal] and reached[1] > 0:
@@ -119,7 +119,7 @@ def _grow(goal, columns, costs, least, step_in, settled, behind, first, reached)
             _settle(at, columns, costs, least, step_in, settled, behind, first, reached)
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def _offset(step, columns):  # type: ignore[no-untyped-def]
     """How far a corner's number changes by a step."""
     if step == 0:
@@ -129,7 +129,7 @@ def _offset(step, columns):  # type: ignore[no-untyped-def]
     return -1 if step == 2 else -columns
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _walked_back(at, columns, step_in):  # type: ignore[no-untyped-def]
     """List the corners from one to the root."""
     corners = [at]

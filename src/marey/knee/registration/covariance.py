@@ -19,7 +19,7 @@ _SMOOTH_MM = 4.0
 
 
 def pulls_covariance(places_mm: Floats, deviations: Floats, jacobian: Floats) -> Floats:
-    """Give the covariance (6, 6) of jacobian.T @ deviations, whatever length the deviations are smooth over.
+    """Return the covariance (6, 6) of jacobian.T @ deviations, whatever length the deviations are smooth over.
 
     The mean product of two places' deviations, by how far they lie apart, is taken for a sum of Gaussians of
     `LENGTHS_MM`; their shares are found by least squares, none below nothing. What the fit has taken away from the
@@ -55,7 +55,7 @@ def _less_fit(matrix: Floats, fitted: Floats) -> Floats:
 
 
 def _by_distance(matrix: Floats, bins: Integers) -> Floats:
-    """Give the means of a matrix's terms, bin by bin."""
+    """Return the means of a matrix's terms, bin by bin."""
     flat = bins.ravel()
     return np.asarray(np.bincount(flat, matrix.ravel()) / np.maximum(np.bincount(flat), 1))
 
@@ -72,7 +72,7 @@ def bounded_stiffness(measured: Floats, supposed: Floats) -> Floats:
 
 
 def smoothed_normals(places_mm: Floats, normals: Floats) -> Floats:
-    """Give the mean normals (N, 3) of the places about each: those of the bone under its roughness."""
+    """Return the mean normals (N, 3) of the places about each: those of the bone under its roughness."""
     summed = np.empty_like(normals)
     tree = cKDTree(places_mm)
     for part in np.array_split(np.arange(len(places_mm)), max(len(places_mm) // 1000, 1)):

@@ -3,12 +3,12 @@
 from dataclasses import dataclass
 from functools import cached_property
 
-import numba
 import numpy as np
 from scipy import ndimage
 
 from marey.arrays import Floats, freeze_fields
 from marey.errors import MareyError
+from marey.kernels import kernel
 from marey.knee.space.surface import Surface
 
 _NEWTON_STEPS = 40
@@ -54,7 +54,7 @@ class Deformation:
         raise MareyError("The deformation cannot be inverted everywhere: it folds.")
 
     def jacobians(self, subject_mm: Floats) -> Floats:
-        """Give the derivatives (..., 3, 3) of the template's points by the subject's: of positive determinants."""
+        """Return the derivatives (..., 3, 3) of the template's points by the subject's: of positive determinants."""
         return np.asarray(np.eye(3) - self._read(subject_mm)[1])
 
     def subject_normals(self, subject_mm: Floats, template_normals: Floats) -> Floats:
@@ -93,7 +93,7 @@ class Deformation:
         return self._read(places_mm)[0]
 
     def _read(self, places_mm: Floats) -> tuple[Floats, Floats]:
-        """Give the displacements (..., 3) at places (..., 3), and their derivatives (..., 3, 3) by these."""
+        """Return the displacements (..., 3) at places (..., 3), and their derivatives (..., 3, 3) by these."""
         nodes = (np.asarray(places_mm, float) - self.origin_mm) / self.step_mm
         flat = np.ascontiguousarray(nodes.reshape(-1, 3))
         values, slopes = np.empty((len(flat), 3)), np.empty((len(flat), 3, 3))
@@ -101,7 +101,7 @@ class Deformation:
         return values.reshape(nodes.shape), slopes.reshape(*nodes.shape, 3) / self.step_mm
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _read_spline(coefficients, nodes, values, slopes):  # pragma: no cover - compiled
     """Write a cubic spline's values (n, 3) at nodes (n, 3), and its derivatives (n, 3, 3), value by axis.
 

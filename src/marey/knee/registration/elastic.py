@@ -10,12 +10,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
-import numba
 import numpy as np
 from scipy import ndimage
 
 from marey.arrays import Floats, Integers, Mask
 from marey.errors import MareyError
+from marey.kernels import kernel
 from marey.knee.registration.deformation import Deformation
 from marey.knee.space.cut_ends import CutPlane, cut_planes, known_faces
 from marey.knee.space.surface import Surface
@@ -91,13 +91,13 @@ class _Image:
         return _Image(self.origin_mm, self.step_mm, blurred, self.known)
 
     def at(self, places: Floats) -> tuple[Floats, Mask]:
-        """Give the distances and which are known, (...) each, at places (..., 3)."""
+        """Return the distances and which are known, (...) each, at places (..., 3)."""
         nodes = np.moveaxis((places - self.origin_mm) / self.step_mm, -1, 0)
         values = ndimage.map_coordinates(self.distance_mm, nodes, order=1, mode="nearest")
         return values, ndimage.map_coordinates(self.known, nodes, order=1, mode="nearest") > 0.5
 
     def slopes(self, places: Floats) -> Floats:
-        """Give the derivatives (..., 3) at places."""
+        """Return the derivatives (..., 3) at places."""
         nodes = np.moveaxis((places - self.origin_mm) / self.step_mm, -1, 0)
         parts = [
             ndimage.map_coordinates(part / self.step_mm, nodes, order=1, mode="nearest")
@@ -152,7 +152,7 @@ def register_elastically(
 def surface_distances(
     first: Surface, second: Surface, first_cuts: tuple[CutPlane, ...], second_cuts: tuple[CutPlane, ...]
 ) -> Floats:
-    """Give the distances (n,) of each surface's vertices from the other surface [mm]; what only one of them has is out.
+    """Return the distances (n,) [mm] of each surface's vertices from the other surface, where both are known.
 
     Raises:
         MareyError: Nothing is in common.
@@ -284,7 +284,7 @@ class _Stabiliser:
         return (42.0 + 6.0 * self.tension) / (self.step_mm**2 * self.bend_sd) ** 2
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _pull_by_bends(field, out):  # pragma: no cover - compiled
     """Add to out what second and mixed differences of a field (X, Y, Z) pull at its nodes, axis by axis."""
     for axis in range(3):
@@ -318,7 +318,7 @@ def _pull_by_bends(field, out):  # pragma: no cover - compiled
                     to_here[k] += twist
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _pull_by_rises(field, tension, out):  # pragma: no cover - compiled
     """Add to out what first differences of a field (X, Y, Z) pull at its nodes, as the tension about them says."""
     for axis in range(3):
@@ -349,7 +349,7 @@ def _without_folds(
 
 
 def _determinants(field: Floats, step: float) -> Floats:
-    """Give the least determinant (X, Y, Z) of the Jacobian of u - d(u) at each node, of all one-sided differences."""
+    """Return the least determinant (X, Y, Z) of the Jacobian of u - d(u) at each node, of all one-sided differences."""
     least = np.full(field.shape[1:], np.inf)
     slopes = []
     for axis in range(3):

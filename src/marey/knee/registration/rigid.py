@@ -204,13 +204,13 @@ def _weights(fit: _Fit, scale: float) -> Floats:
 
 
 def _cost(fit: _Fit, scale: float) -> float:
-    """Give the robust cost whose slope the weights have; an unmatched point costs the most a point can."""
+    """Return the robust cost whose slope the weights have; an unmatched point costs the most a point can."""
     squared = (fit.residual / scale) ** 2
     return float(np.where(fit.matched, squared / (1 + squared), 1.0).mean())
 
 
 def _scale(fit: _Fit) -> float:
-    """Give the scale for the next round: three robust standard deviations of what is matched."""
+    """Return the scale for the next round: three robust standard deviations of what is matched."""
     if not fit.matched.any():
         return COARSE_MM
     return float(max(3 * 1.4826 * np.median(np.abs(fit.residual[fit.matched])), FINEST_MM))
@@ -273,7 +273,7 @@ class _Backward:
 
 
 def _both_ways(motion: RigidTransform, points: Points, supports: Supports, back: _Backward) -> float:
-    """Give the robust cost of both surfaces' points: a template that hides in a corner of the subject costs much."""
+    """Return the robust cost of both surfaces' points: a template that hides in a corner of the subject costs much."""
     there = _residuals(motion, points, supports)
     here = _residuals(motion.inverse(), back.points, back.supports)
     return _cost(there, COARSE_MM / 2) + _cost(here, COARSE_MM / 2)
@@ -301,7 +301,7 @@ def _result(
 
 
 def _covariance(motion: RigidTransform, points: Points, supports: Supports, about: Floats, scale: float) -> Floats:
-    """Give the covariance (6, 6): what the deviations pull, over how the pull changes with the motion.
+    """Return the covariance (6, 6): what the deviations pull, over how the pull changes with the motion.
 
     The change of the pull is measured: by the planes' slopes alone a rough surface would seem to hold better than it
     does, for what is rough has slopes, too, and they give way.
@@ -334,5 +334,5 @@ def _pull(motion: RigidTransform, points: Points, supports: Supports, about: Flo
 
 
 def _jacobian(fit: _Fit, about: Floats) -> Floats:
-    """Give the derivatives (N, 6) of the residuals by a turn about a point, and a shift."""
+    """Return the derivatives (N, 6) of the residuals by a turn about a point, and a shift."""
     return np.concatenate([np.cross(fit.moved - about, fit.normals), fit.normals], axis=1)

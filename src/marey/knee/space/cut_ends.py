@@ -1,4 +1,4 @@
-"""Where a bone's surface is not the bone's: the flat ends at which the image was cut off, and open rims."""
+"""Detection of the flat ends at which a bone was cut off by its image, and of open rims."""
 
 from dataclasses import dataclass
 
@@ -9,44 +9,45 @@ from marey.arrays import Floats, Mask, freeze_fields
 from marey.knee.space.surface import Surface
 
 LEAST_CUT_MM2 = 200.0
-"""A flat end is at least so large."""
+"""Least area [mm2] of a flat end; chosen by hand."""
 FLAT_MM = 0.6
-"""It lies so near a plane: labels often end by a step of half a voxel, not all at one height."""
+"""Largest distance [mm] of a flat end from its plane: labels often end in a step of half a voxel."""
 ALIGNED = 0.99
-"""Cosine of the angle by which its faces may lean, 8 degrees."""
+"""Cosine of the largest angle of its faces to the plane, 8 degrees; chosen by hand."""
 EVEN = np.radians(4.4)
-"""The root mean square of that angle is less: it is 5.7 degrees in a cap of a ball, and 1 to 4.4 in cut shafts."""
+"""Largest root mean square [rad] of that angle: it is 5.7 degrees in a cap of a ball, and 1 to 4.4 in cut shafts."""
 LEANING = 0.94
-"""The same, 20 degrees, before the plane's own slant is known."""
+"""Cosine of the largest angle, 20 degrees, before the plane's own orientation is known; chosen by hand."""
 _CANDIDATES = 300
+"""Number of the largest faces of the convex hull that are tried; chosen by hand."""
 SAME_END = 0.9
-"""Planes of normals nearer than that are one."""
+"""Cosine of the angle, 26 degrees, within which two planes are the same end; chosen by hand."""
 SAME = 0.995
-"""Cosine of the angle, 6 degrees, within which no second plane is tried."""
+"""Cosine of the angle, 6 degrees, within which no second plane is tried; chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CutPlane:
-    """A plane at which the image ended: what lies beyond is not known."""
+    """A plane at which the image ended: the bone beyond it is unknown."""
 
     point_mm: Floats
-    """(3,)."""
+    """(3,) a point of the plane, LPS."""
     normal: Floats
-    """(3,) unit, out of the bone."""
+    """(3,) unit vector, pointing out of the bone."""
 
     def __post_init__(self) -> None:
         freeze_fields(self, "point_mm", "normal")
 
     def depth_mm(self, points_mm: Floats) -> Floats:
-        """Tell how far points (..., 3) lie within the plane; negative beyond."""
+        """Return the distance [mm] of points (..., 3) inside the plane; negative beyond it."""
         return np.asarray((self.point_mm - points_mm) @ self.normal)
 
 
 def cut_planes(surface: Surface) -> tuple[CutPlane, ...]:
-    """Find the flat ends of a bone: planes that touch it from outside and that much of its surface lies in."""
+    """Find the flat ends of a bone: planes that touch it from outside and contain much of its surface."""
     hull = ConvexHull(surface.vertices_mm)
     normals, offsets = hull.equations[:, :3], hull.equations[:, 3]
-    # The hull of a rounded bone has little of its own in any direction; one that spans a hollow has no bone in it.
+    # The hull of a rounded bone has little area in any direction; a face that spans a hollow contains no bone.
     size = _areas(surface.vertices_mm[hull.simplices])
     large = np.argsort(-size)[:_CANDIDATES]
     spread = (normals[large] @ normals.T > ALIGNED) @ size
@@ -65,7 +66,7 @@ def cut_planes(surface: Surface) -> tuple[CutPlane, ...]:
 
 
 def _flat_end(surface: Surface, normal: Floats, offset: float) -> CutPlane | None:
-    """Lay a plane through the faces about one that touches a bone; none where they are too few or round."""
+    """Fit a plane to the faces about one that touches a bone; None where they are too few or rounded."""
     near = np.flatnonzero(surface.face_normals @ normal > LEANING)
     area, facing, middle = surface.face_areas_mm2[near], surface.face_normals[near], surface.corners_mm[near].mean(1)
     point = -offset * normal
@@ -82,7 +83,7 @@ def _flat_end(surface: Surface, normal: Floats, offset: float) -> CutPlane | Non
 
 
 def known_faces(surface: Surface, planes: tuple[CutPlane, ...], margin_mm: float) -> Mask:
-    """Tell which faces (T,) are the bone's own: not within a margin of a cut, nor at an open rim."""
+    """Return which faces (T,) belong to the bone itself: not within a margin of a cut, nor at an open rim."""
     edges = np.sort(surface.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     _, place, count = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
     closed = (count[place.reshape(-1)].reshape(-1, 3) > 1).all(1)
@@ -90,7 +91,7 @@ def known_faces(surface: Surface, planes: tuple[CutPlane, ...], margin_mm: float
 
 
 def known_points(points_mm: Floats, planes: tuple[CutPlane, ...], margin_mm: float) -> Mask:
-    """Tell which points (..., 3) lie within all planes by more than a margin."""
+    """Return which points (..., 3) lie within all planes by more than a margin."""
     known = np.ones(np.shape(points_mm)[:-1], bool)
     for plane in planes:
         known &= plane.depth_mm(points_mm) > margin_mm
@@ -98,7 +99,7 @@ def known_points(points_mm: Floats, planes: tuple[CutPlane, ...], margin_mm: flo
 
 
 def _areas(corners: Floats) -> Floats:
-    """Give the areas (n,) of triangles (n, 3, 3)."""
+    """Return the areas (n,) of triangles (n, 3, 3)."""
     return np.asarray(
         np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
     )

@@ -1,22 +1,25 @@
-"""How far each place of a mask lies from its edge: exact distances, whatever the voxels, line by line."""
+"""Exact Euclidean distances within masks, for voxels of any shape."""
 
 from collections.abc import Sequence
 
-import numba
 import numpy as np
 
 from marey.arrays import Floats, Mask
+from marey.kernels import kernel
+
+_FARTHEST_MM = 1e3
+"""Largest signed distance [mm]; also returned where the mask has no edge. Larger than any image; chosen by hand."""
 
 
 def distance_within(mask: Mask, spacing_mm: Sequence[float] = (1.0, 1.0, 1.0)) -> Floats:
-    """Give the distance of each place of a mask from the nearest one outside it.
+    """Return the distance of each voxel of a mask from the nearest voxel outside it.
 
-    One axis after the other, each line by the lower envelope of parabolas ([Felzenszwalb2012]): the same numbers as
+    One axis after the other, each line by the lower envelope of parabolas ([Felzenszwalb2012]): the same result as
     SciPy's `distance_transform_edt`, in less time and without its arrays of indices.
 
     Args:
         mask: (k, j, i), or (rows, columns).
-        spacing_mm: Between places along each axis of the mask.
+        spacing_mm: Spacing [mm] along each axis of the mask.
 
     Returns:
         The same shape [mm]; 0 outside the mask, infinite where nothing is outside.
@@ -32,7 +35,23 @@ def distance_within(mask: Mask, spacing_mm: Sequence[float] = (1.0, 1.0, 1.0)) -
     return np.sqrt(squared, out=squared)
 
 
-@numba.njit(cache=True, nogil=True)
+def signed_distance(mask: Mask, spacing_mm: Sequence[float]) -> np.ndarray:
+    """Return the signed distance to a mask's edge, positive inside; a mask continues beyond the end of its image.
+
+    Args:
+        mask: (k, j, i), or (rows, columns).
+        spacing_mm: Spacing [mm] along each axis of the mask.
+
+    Returns:
+        The same shape [mm].
+    """
+    inside, outside = distance_within(mask, spacing_mm), distance_within(~mask, spacing_mm)
+    # The edge lies between the last voxel inside and the first outside; less than half a spacing keeps the signs.
+    signed = np.where(mask, inside, -outside) - 0.5 * min(spacing_mm) * np.where(mask, 1, -1)
+    return np.clip(signed, -_FARTHEST_MM, _FARTHEST_MM).astype(np.float32)
+
+
+@kernel
 def _along_lines(inside, step, squared):  # pragma: no cover - compiled
     """Write the squared distances (lines, n) from the nearest place outside in the same line."""
     lines, count = inside.shape
@@ -47,7 +66,7 @@ def _along_lines(inside, step, squared):  # pragma: no cover - compiled
             squared[line, i] = min(squared[line, i], (away * step) ** 2)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _across_lines(squared, step, given, lowest, begins):  # pragma: no cover - compiled
     """Lower squared distances (outer, n, inner) to what the other places along the middle axis allow.
 

@@ -1,16 +1,17 @@
-"""Numbers at the vertices of a surface: smoothing them over it, and the smoothest choice among candidates."""
+"""Values at the vertices of a surface: smoothing, and the smoothest choice among candidates."""
 
 from dataclasses import dataclass
 from functools import cached_property
 
-import numba
 import numpy as np
 from scipy import sparse
 
 from marey.arrays import Floats, Integers, Mask
+from marey.kernels import kernel
 from marey.knee.space.surface import Surface
 
 _ROUNDS, _DAMPING = 30, 0.3
+"""Rounds of belief propagation, and the share of each message that is kept from the round before; chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +35,7 @@ class MeshGraph:
 
     @cached_property
     def _mean(self) -> sparse.csr_matrix:
-        """Give each vertex half its own number and half its neighbours' mean."""
+        """Matrix that replaces each vertex' value by half of it and half of its neighbours' mean."""
         first, second = self.edges.T
         ones = np.ones(2 * len(self.edges))
         rows, columns = np.concatenate([first, second]), np.concatenate([second, first])
@@ -43,20 +44,22 @@ class MeshGraph:
         return 0.5 * (sparse.identity(self.count, format="csr") + sparse.diags(1 / number) @ beside)
 
     def smoothed(self, values: Floats, width_mm: float) -> Floats:
-        """Spread numbers (V,) or (V, n) over the surface as heat does, to about a standard deviation in mm."""
-        step = 0.5 * float(np.mean(self.lengths_mm**2)) / 2  # mean square way of half a step, along one direction
+        """Smooth values (V,) or (V, n) over the surface by diffusion, to about a standard deviation in mm."""
+        step = (
+            0.5 * float(np.mean(self.lengths_mm**2)) / 2
+        )  # mean squared displacement of half a step, along one direction
         out = np.asarray(values, float)
         for _ in range(max(int(np.ceil(width_mm**2 / max(step, 1e-9))), 1)):
             out = self._mean @ out
         return out
 
     def filled(self, values: Floats, weights: Floats, width_mm: float) -> Floats:
-        """Give the weighted mean of numbers (V,) about each vertex; NaN where no weight is near."""
+        """Return the weighted mean of values (V,) about each vertex; NaN where no weight is near."""
         both = self.smoothed(np.stack([np.where(weights > 0, values, 0.0) * weights, weights], 1), width_mm)
         return np.divide(both[:, 0], both[:, 1], out=np.full(self.count, np.nan), where=both[:, 1] > 1e-9)
 
     def pieces(self, mask: Mask) -> Integers:
-        """Number the pieces (V,) of what a mask covers, from 0 on; -1 elsewhere."""
+        """Number the pieces (V,) of a mask, from 0; -1 outside the mask."""
         kept = self.edges[mask[self.edges].all(1)]
         links = sparse.coo_matrix((np.ones(len(kept)), (kept[:, 0], kept[:, 1])), shape=(self.count, self.count))
         piece = sparse.csgraph.connected_components(links, directed=False)[1]
@@ -65,16 +68,16 @@ class MeshGraph:
         return numbers
 
     def choose(self, costs: Floats, levels_mm: Floats, slope_sd: float, most: float) -> Floats:
-        """Choose among candidates at each vertex so that neighbours agree: belief propagation, min-sum.
+        """Choose among candidates at each vertex so that neighbours agree, by min-sum belief propagation.
 
         Args:
-            costs: (V, L) of each candidate alone, as half a square.
-            levels_mm: (L,) the candidates, rising, the same everywhere.
-            slope_sd: How fast they may change over the surface [mm/mm].
-            most: No pair of neighbours costs more, however they differ.
+            costs: (V, L) cost of each candidate alone: half a squared residual.
+            levels_mm: (L,) the candidates, increasing, the same at all vertices.
+            slope_sd: Standard deviation of their slope over the surface [mm/mm].
+            most: Largest cost of a pair of neighbours.
 
         Returns:
-            (V, L) the least cost of the whole, about, when a vertex takes each candidate; the least of a vertex is 0.
+            (V, L) approximate least total cost when a vertex takes each candidate; the least of each vertex is 0.
         """
         sd = slope_sd * np.maximum(self.lengths_mm, 0.2)
         beliefs = _beliefs(
@@ -84,9 +87,9 @@ class MeshGraph:
         return np.asarray(beliefs - beliefs.min(1, keepdims=True))
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _beliefs(costs, levels, edges, stiffness, most, rounds, damping):  # pragma: no cover - compiled
-    """Pass messages; message 2 e + b goes from the end b of edge e to its other end."""
+    """Pass messages; message 2 e + b is sent from end b of edge e to its other end."""
     number = costs.shape[1]
     messages = np.zeros((2 * len(edges), number))
     beliefs = costs.copy()
@@ -102,7 +105,7 @@ def _beliefs(costs, levels, edges, stiffness, most, rounds, damping):  # pragma:
                 target = edges[e, 1 - b]
                 for m in range(number):
                     best = least + most
-                    # Levels rise: beyond the first that is too far all are.
+                    # Levels increase: beyond the first one that is too far, all are.
                     for n in range(m, -1, -1):
                         step = stiffness[e] * (levels[m] - levels[n]) ** 2
                         if step >= most:

@@ -1,12 +1,14 @@
-"""The smoothest division of a volume in two that the voxels' evidence allows: total variation, solved exactly."""
+"""Segmentation of a volume by minimal cut: the voxels' evidence against the area of the surface, solved exactly."""
 
 import numpy as np
-from numba import njit
 
 from marey.arrays import Integers, Mask
+from marey.kernels import kernel
 
 _ITERATIONS = 150
+"""Number of iterations; chosen by hand."""
 _SETTLED = 50.0
+"""Log odds [nats] beyond which a voxel is fixed; larger than any evidence from an image."""
 
 
 def minimal_cut(
@@ -17,18 +19,18 @@ def minimal_cut(
     surface_nats_mm: float | np.ndarray,
     iterations: int = _ITERATIONS,
 ) -> np.ndarray:
-    """Choose the part of a volume with the most evidence less a price for its surface.
+    """Find the part of a volume with the most evidence minus a price for its surface.
 
     Minimises sum(-evidence u) + price |grad u| over u in [0, 1], the convex form of the minimal surface
     [Chan2006], by the primal-dual steps of [Chambolle2011] algorithm 1 with steps of each axis' own size.
 
     Args:
-        evidence: (k, j, i) float32: log odds [nats] of each voxel to be inside; beyond +-50 it is settled.
-        start: (k, j, i) a guess.
+        evidence: (k, j, i) float32: log odds [nats] of each voxel to be inside; beyond +-50 it is fixed.
+        start: (k, j, i) initial guess.
         spacing_mm: Of the voxels along k, j, i.
-        surface_nats_mm: Price of the surface, everywhere or (k, j, i) of each voxel; divided by the evidence of a voxel
-            it is the radius [mm] below which bumps are smoothed away, whatever the voxels' size.
-        iterations: More where the start is far off.
+        surface_nats_mm: Price of the surface, as one number or (k, j, i) for each voxel; divided by the evidence of a
+            voxel it is the radius [mm] below which bumps are smoothed away, for voxels of any size.
+        iterations: Number of iterations; more are needed where the initial guess is far off.
 
     Returns:
         (k, j, i) float32 u: inside above 0.5, between 0 and 1 at the surface.
@@ -45,7 +47,7 @@ def minimal_cut(
 
 
 def _moving_and_flowing(open_: Mask) -> tuple[Integers, Integers]:
-    """(n, 3), (m, 3) the voxels that are not settled, and those with one before or at them along an axis."""
+    """Return the voxels (n, 3) that are not fixed, and those (m, 3) that are or follow one along an axis."""
     flowing = open_.copy()
     flowing[:-1] |= open_[1:]
     flowing[:, :-1] |= open_[:, 1:]
@@ -53,9 +55,9 @@ def _moving_and_flowing(open_: Mask) -> tuple[Integers, Integers]:
     return np.argwhere(open_).astype(np.int32), np.argwhere(flowing).astype(np.int32)
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def _primal_dual(evidence, inside, moving, flowing, price, spacing, iterations):  # type: ignore[no-untyped-def]
-    """Turn `inside` into the solution, in place; only the moving voxels change."""
+    """Compute the solution in place in `inside`; only the moving voxels change."""
     deep, high, wide = evidence.shape
     hz, hy, hx = spacing[0], spacing[1], spacing[2]
     tau = np.float32(1.0) / (2 / hz + 2 / hy + 2 / hx)

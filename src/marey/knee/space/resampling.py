@@ -1,20 +1,21 @@
-"""Working grids along the body's axes: a volume smoothed, resampled onto them, and answers carried back."""
+"""Grids along the body's axes, and resampling of volumes between grids."""
 
-import numba
 import numpy as np
 from scipy import ndimage
 
 from marey.arrays import Floats, Mask
-from marey.knee.space.volume import Grid, Volume
+from marey.kernels import kernel
+from marey.knee.space.volume import Volume, VoxelGrid
 
 _WITHIN = 0.999
+"""Least interpolation weight of the source within its own image: 1, less a margin for rounding."""
 
 
-def upright_grid(grid: Grid, spacing_mm: float) -> Grid:
-    """Lay a grid of cubes along left, back and head over the whole of another grid.
+def upright_grid(grid: VoxelGrid, spacing_mm: float) -> VoxelGrid:
+    """Return a grid of cubes along left, back and head that covers another grid.
 
     Args:
-        grid: Turned as it may be.
+        grid: In any orientation.
         spacing_mm: Edge of a cube.
     """
     ends = np.array([(0, count - 1) for count in grid.shape[::-1]], dtype=float)
@@ -24,81 +25,83 @@ def upright_grid(grid: Grid, spacing_mm: float) -> Grid:
     lps_from_voxel = np.diag([spacing_mm, spacing_mm, spacing_mm, 1.0])
     lps_from_voxel[:3, 3] = low
     i, j, k = counts.tolist()
-    return Grid(shape=(k, j, i), lps_from_voxel=lps_from_voxel)
+    return VoxelGrid(shape=(k, j, i), lps_from_voxel=lps_from_voxel)
 
 
-def part_of(grid: Grid, box: tuple[slice, ...]) -> Grid:
-    """Give the grid of a part of an array: its slices along k, j, i."""
+def part_of(grid: VoxelGrid, box: tuple[slice, ...]) -> VoxelGrid:
+    """Return the grid of a part of an array: its slices along k, j, i."""
     bounds = [each.indices(count) for each, count in zip(box, grid.shape, strict=True)]
     lps_from_voxel = grid.lps_from_voxel.copy()
     lps_from_voxel[:3, 3] = grid.lps(np.array([float(start) for start, _, _ in bounds[::-1]]))
     k, j, i = (stop - start for start, stop, _ in bounds)
-    return Grid(shape=(k, j, i), lps_from_voxel=lps_from_voxel)
+    return VoxelGrid(shape=(k, j, i), lps_from_voxel=lps_from_voxel)
 
 
-def resampled(values: np.ndarray, source: Grid, target: Grid, *, outside: float = 0.0, order: int = 1) -> np.ndarray:
+def resampled(
+    values: np.ndarray, source: VoxelGrid, target: VoxelGrid, *, outside: float = 0.0, order: int = 1
+) -> np.ndarray:
     """Read an array of one grid at the voxels of another.
 
     Args:
         values: (k, j, i) on the source.
         source: Grid of the values.
-        target: Grid of the answer.
-        outside: What to give where the source does not reach.
-        order: 0 nearest, 1 linear.
+        target: Grid of the result.
+        outside: Value where the source does not reach.
+        order: 0 for nearest-neighbour, 1 for linear interpolation.
     """
     matrix = np.linalg.inv(source.lps_from_voxel) @ target.lps_from_voxel
     turned = matrix[[2, 1, 0, 3]][:, [2, 1, 0, 3]]
-    given: np.ndarray = ndimage.affine_transform(
+    result: np.ndarray = ndimage.affine_transform(
         values, turned[:3, :3], turned[:3, 3], output_shape=target.shape, order=order, cval=outside
     )
-    return given
+    return result
 
 
-def smoothed(values: np.ndarray, grid: Grid, sigma_mm: float) -> np.ndarray:
-    """Smooth by a Gaussian that is round in millimetres, whatever the voxels."""
+def smoothed(values: np.ndarray, grid: VoxelGrid, sigma_mm: float) -> np.ndarray:
+    """Smooth by a Gaussian that is isotropic in millimetres, for voxels of any shape."""
     sigma = [sigma_mm / spacing for spacing in grid.array_spacing_mm]
-    given: np.ndarray = ndimage.gaussian_filter(np.asarray(values, dtype=np.float32), sigma)
-    return given
+    result: np.ndarray = ndimage.gaussian_filter(np.asarray(values, dtype=np.float32), sigma)
+    return result
 
 
-def on_grid(volume: Volume, target: Grid, sigma_mm: float) -> np.ndarray:
-    """Give an image smoothed and read on another grid."""
+def on_grid(volume: Volume, target: VoxelGrid, sigma_mm: float) -> np.ndarray:
+    """Smooth an image and resample it to another grid."""
     return resampled(smoothed(volume.intensity, volume.grid, sigma_mm), volume.grid, target)
 
 
-def reach(source: Grid, target: Grid) -> Mask:
-    """(k, j, i) of the target: true where the source reaches; not in the corners beside one that is turned."""
+def reach(source: VoxelGrid, target: VoxelGrid) -> Mask:
+    """(k, j, i) of the target: true within the source, whose corners a rotated target exceeds."""
     return np.asarray(resampled(np.ones(source.shape, dtype=np.float32), source, target) > _WITHIN)
 
 
-def onward(values: np.ndarray, within: Mask) -> np.ndarray:
-    """Give an array that goes on outside a mask as it is at the nearest place within.
+def extrapolated(values: np.ndarray, within: Mask) -> np.ndarray:
+    """Return an array that continues outside a mask with the value of the nearest voxel within.
 
     Args:
         values: (k, j, i).
-        within: (k, j, i) where they are known.
+        within: (k, j, i) true where they are known.
     """
     if within.all() or not within.any():
         return values
     nearest = ndimage.distance_transform_edt(~within, return_distances=False, return_indices=True)
-    given: np.ndarray = values[tuple(nearest)]
-    return given
+    result: np.ndarray = values[tuple(nearest)]
+    return result
 
 
-def read_at(values: np.ndarray, grid: Grid, lps_mm: Floats, *, outside: float = 0.0) -> Floats:
-    """Read an array at positions (..., 3), linearly: as SciPy's `map_coordinates` does, with less ado for few."""
+def read_at(values: np.ndarray, grid: VoxelGrid, lps_mm: Floats, *, outside: float = 0.0) -> Floats:
+    """Interpolate an array linearly at positions (..., 3): as SciPy's `map_coordinates`, faster for few positions."""
     voxels = np.ascontiguousarray(grid.voxels(lps_mm).reshape(-1, 3))
     found = np.empty(len(voxels), values.dtype)
-    # A view that cannot be written: Numba compiles anew for arrays that can.
+    # A read-only view: Numba would compile another specialisation for writable arrays.
     readable = np.ascontiguousarray(values).view()
     readable.setflags(write=False)
     _read_linearly(readable, voxels, outside, found)
     return found.reshape(np.shape(lps_mm)[:-1])
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _read_linearly(values, voxels, outside, found):  # pragma: no cover - compiled
-    """Write what an array (k, j, i) is at fractional voxels (n, 3) i, j, k."""
+    """Write the values of an array (k, j, i) at fractional voxels (n, 3) i, j, k."""
     last_k, last_j, last_i = values.shape[0] - 1, values.shape[1] - 1, values.shape[2] - 1
     for n in range(len(voxels)):
         i, j, k = voxels[n, 0], voxels[n, 1], voxels[n, 2]

@@ -1,4 +1,4 @@
-"""A right knee as a left one, and the other way about; which of them it is."""
+"""Side of a knee, and mirroring of one side to the other."""
 
 from collections.abc import Mapping
 
@@ -9,20 +9,20 @@ from marey.knee.space.surface import Surface
 
 MIRROR = frozen(np.diag([-1.0, 1.0, 1.0, 1.0]))
 """Homogeneous, at the scanner's sagittal plane through its origin."""
-
 _LEAST_OFF_MM = 2.0
+"""Least distance [mm] of the patella's middle from the femur's, across the knee, to name a side; chosen by hand."""
 
 
 def mirrored(surface: Surface) -> Surface:
-    """Mirror a surface left to right, as `MIRROR` does; its faces turn outward again.
+    """Mirror a surface left to right, as `MIRROR` does; its faces are oriented outward again.
 
-    The vertices stay in their order.
+    The vertices keep their order.
     """
     return Surface(vertices_mm=surface.vertices_mm @ MIRROR[:3, :3], faces=surface.faces[:, ::-1])
 
 
 def is_left(bones: Mapping[str, Surface]) -> bool | None:
-    """Tell whether a knee is a left one: the patella lies to the lateral side of the femur's middle.
+    """Return whether a knee is a left one: the patella lies to the lateral side of the femur's middle.
 
     Args:
         bones: By name.

@@ -1,4 +1,4 @@
-"""The structures of a knee: their names, the numbers of their labels, and which cartilage lies on which bone."""
+"""Names and label numbers of the structures of a knee, and which cartilage lies on which bone."""
 
 LABELS = {
     "femur": 1,
@@ -8,14 +8,17 @@ LABELS = {
     "patella": 5,
     "patellar_cartilage": 6,
 }
-"""The number of each structure in a `labels.nii.gz` of ours."""
+"""Number of each structure in our `labels.nii.gz`."""
 BONES = ("femur", "tibia", "patella")
+"""Names of the bones, in the order in which they are processed."""
 CARTILAGE_OF_BONE = {"femur": "femoral_cartilage", "tibia": "tibial_cartilage", "patella": "patellar_cartilage"}
+"""Bone to the cartilage that lies on it."""
 BONE_OF_CARTILAGE = {cartilage: bone for bone, cartilage in CARTILAGE_OF_BONE.items()}
+"""Cartilage to the bone on which it lies."""
 
 
 def structure_named(text: str) -> str | None:
-    """Find which structure is meant by a name in somebody's label table; None if none of ours.
+    """Return the structure that a name in a label table means; None if it is none of ours.
 
     Args:
         text: Such as "lateral tibial cartilage" or "femoral cartilage (trusted slices only)"; medial and lateral parts

@@ -1,26 +1,29 @@
-"""Where rays cross a surface, and its point nearest to others: triangles in a tree of boxes."""
+"""Nearest points on a surface and its crossings with rays, by a tree of bounding boxes."""
 
 from dataclasses import dataclass
 from weakref import WeakKeyDictionary
 
-import numba
 import numpy as np
 
 from marey.arrays import Floats, Integers, frozen
+from marey.kernels import kernel
 from marey.knee.space.surface import Surface
 
 MOST_CROSSINGS = 16
-"""So many crossings of one ray are kept, the nearest."""
+"""Largest number of crossings of one ray that are kept: the nearest ones."""
 _LEAF = 4
+"""Number of triangles in a leaf, approximately; chosen by hand."""
 _DEEPEST = 64
+"""Length of the stack of boxes in a search; more than the depth of any tree that fits into memory."""
 SCRATCH = (2, 2 * _DEEPEST)
-"""Shape of what a search writes on: boxes that wait, with their squared distances, and a trial point."""
+"""Shape of the working array of a search: a stack of boxes with their squared distances, and a trial point."""
 _SAME_MM = 1e-6
+"""Crossings of one ray nearer to each other than this [mm] are one: a ray may meet two triangles at their edge."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class NearestPoints:
-    """For each point asked for, the nearest one on the surface."""
+    """The nearest point on the surface for each query point."""
 
     points_mm: Floats
     """(..., 3); NaN where nothing lies within reach."""
@@ -32,32 +35,32 @@ class NearestPoints:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Crossings:
-    """Where rays cross a surface, in their order along each ray."""
+    """Crossings of rays with a surface, in order along each ray."""
 
     distance_mm: Floats
     """(R, `MOST_CROSSINGS`) from the ray's start; NaN after the last."""
     leaving: Integers
-    """(R, `MOST_CROSSINGS`) 1 where the ray comes out of the surface, -1 where it goes in, 0 after the last."""
+    """(R, `MOST_CROSSINGS`) 1 where the ray leaves the surface, -1 where it enters, 0 after the last."""
 
 
 @dataclass(frozen=True, eq=False)
 class TriangleTree:
-    """The triangles of a surface in boxes, each halved into two others: box i holds the boxes 2 i + 1 and 2 i + 2."""
+    """Binary tree of bounding boxes of a surface's triangles: box i contains the boxes 2 i + 1 and 2 i + 2."""
 
     corners_mm: Floats
     """(T, 3, 3) in the order of the leaves."""
     faces: Integers
-    """(T,) which face of the surface each one is."""
+    """(T,) index of each triangle among the faces of the surface."""
     low_mm: Floats
     """(B, 3) least corner of each box."""
     high_mm: Floats
     """(B, 3)."""
     starts: Integers
-    """(leaves + 1,) where each leaf's triangles begin."""
+    """(leaves + 1,) index of the first triangle of each leaf."""
 
     @staticmethod
     def of(surface: Surface) -> "TriangleTree":
-        """Sort the triangles of a surface, along the longest side of each box; of each surface once."""
+        """Return the tree of a surface, built once per surface by halving boxes along their longest side."""
         if surface not in _SORTED:
             _SORTED[surface] = TriangleTree._of(surface)
         return _SORTED[surface]
@@ -86,13 +89,13 @@ class TriangleTree:
 
         Args:
             points_mm: (..., 3).
-            reach_mm: What lies farther is not looked for: that saves most of the time where most is far.
+            reach_mm: Points farther than this are not searched, which saves most of the time where most are far.
         """
-        asked = _readable(points_mm).reshape(-1, 3)
-        found, face = np.full(asked.shape, np.nan), np.empty(len(asked), np.int64)
-        _nearest(asked, self.corners_mm, self.low_mm, self.high_mm, self.starts, float(reach_mm), found, face)
+        queries = _readable(points_mm).reshape(-1, 3)
+        found, face = np.full(queries.shape, np.nan), np.empty(len(queries), np.int64)
+        _nearest(queries, self.corners_mm, self.low_mm, self.high_mm, self.starts, float(reach_mm), found, face)
         shape = np.shape(points_mm)
-        away = np.where(face >= 0, np.linalg.norm(found - asked, axis=1), np.inf)
+        away = np.where(face >= 0, np.linalg.norm(found - queries, axis=1), np.inf)
         return NearestPoints(
             points_mm=found.reshape(shape),
             distance_mm=away.reshape(shape[:-1]),
@@ -100,12 +103,12 @@ class TriangleTree:
         )
 
     def crossings(self, starts_mm: Floats, directions: Floats, reach_mm: float) -> Crossings:
-        """Follow rays and note where they cross the surface.
+        """Find where rays cross the surface.
 
         Args:
             starts_mm: (R, 3).
-            directions: (R, 3) of any length; a ray of none crosses nothing.
-            reach_mm: How far each ray goes.
+            directions: (R, 3) of any length; a ray of length zero crosses nothing.
+            reach_mm: Length of each ray.
         """
         begin = _readable(starts_mm)
         length = np.linalg.norm(directions, axis=1, keepdims=True)
@@ -122,19 +125,19 @@ _SORTED: WeakKeyDictionary[Surface, TriangleTree] = WeakKeyDictionary()
 
 
 def _readable(points: Floats) -> Floats:
-    """Give a contiguous view that cannot be written: Numba compiles anew for arrays that can."""
+    """Return a contiguous read-only view: Numba would compile another specialisation for writable arrays."""
     view = np.ascontiguousarray(points, float).view()
     view.setflags(write=False)
     return view
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _share(part, whole):  # pragma: no cover - compiled
-    """Divide; nothing of nothing is nothing: a triangle without area has its neighbours' sides."""
+    """Divide; 0 / 0 is 0, for triangles without area."""
     return part / whole if whole != 0.0 else 0.0
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _nearest_on_triangle(point, corners, out):  # pragma: no cover - compiled
     """Write the point of a triangle (3, 3) nearest to another and give its squared distance ([Ericson2005] 5.1.5)."""
     d1 = d2 = d3 = d4 = d5 = d6 = 0.0
@@ -148,7 +151,7 @@ def _nearest_on_triangle(point, corners, out):  # pragma: no cover - compiled
         d5 += ab * cp
         d6 += ac * cp
     va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
-    # Shares of the second and the third corner.
+    # Barycentric weights of the second and the third corner.
     if d1 <= 0.0 and d2 <= 0.0:
         v, w = 0.0, 0.0
     elif d3 >= 0.0 and d4 <= d3:
@@ -172,7 +175,7 @@ def _nearest_on_triangle(point, corners, out):  # pragma: no cover - compiled
 
 
 def corner_weights(corners_mm: Floats, places_mm: Floats) -> Floats:
-    """Give the weights (..., 3) of triangles' corners (..., 3, 3) at places (..., 3) in them."""
+    """Return the weights (..., 3) of triangles' corners (..., 3, 3) at places (..., 3) in them."""
     first, second = corners_mm[..., 1, :] - corners_mm[..., 0, :], corners_mm[..., 2, :] - corners_mm[..., 0, :]
     off = places_mm - corners_mm[..., 0, :]
     a, b, c = (np.einsum("...i,...i->...", p, q) for p, q in ((first, first), (first, second), (second, second)))
@@ -182,28 +185,28 @@ def corner_weights(corners_mm: Floats, places_mm: Floats) -> Floats:
     return np.clip(np.stack([1 - v - w, v, w], -1), 0, 1)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _to_box(point, low, high):  # pragma: no cover - compiled
-    """Give the squared distance of a point from a box."""
+    """Return the squared distance of a point from a box."""
     squared = 0.0
     for i in range(3):
         squared += max(low[i] - point[i], 0.0, point[i] - high[i]) ** 2
     return squared
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _keep(trial, found):  # pragma: no cover - compiled
-    """Copy a point one by one: for a slice Numba compiles the texts of its errors, too, for seconds."""
+    """Copy a point by elements: for a slice Numba would also compile error handling, which takes seconds."""
     for i in range(3):
         found[i] = trial[i]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def nearest_triangle(point, corners, low, high, starts, guess, reach, found, scratch):  # pragma: no cover - compiled
     """Write the nearest point (3,) of a tree's triangles and give the triangle's number; -1 where none is in reach.
 
-    It goes down into the nearer box first, and leaves out those that lie farther than what was found. A good guess, a
-    triangle's number, saves most of the way; -1 stands for none. Scratch is of `SCRATCH`'s shape.
+    The nearer box is searched first, and boxes farther than the point found so far are skipped. A good guess of the
+    triangle's number saves most of the search; -1 means none. `scratch` has the shape `SCRATCH`.
     """
     leaves = len(starts) - 1
     waiting, trial = scratch[0], scratch[1]
@@ -234,7 +237,7 @@ def nearest_triangle(point, corners, low, high, starts, guess, reach, found, scr
     return face
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _nearest(points, corners, low, high, starts, reach, found, face):  # pragma: no cover - compiled
     """Find the nearest point of each, one after the other."""
     scratch = np.empty(SCRATCH)
@@ -242,9 +245,9 @@ def _nearest(points, corners, low, high, starts, reach, found, face):  # pragma:
         face[n] = nearest_triangle(points[n], corners, low, high, starts, -1, reach, found[n], scratch)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _meet(start, along, corners):  # pragma: no cover - compiled
-    """Give where a ray meets a triangle, and 1 or -1 by its side; 0 where it misses ([Moeller1997])."""
+    """Return the distance along a ray to a triangle, and 1 or -1 by its side; 0 where it misses ([Moeller1997])."""
     slope = squared = height = u = v = 0.0
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
@@ -259,15 +262,15 @@ def _meet(start, along, corners):  # pragma: no cover - compiled
         v -= (corners[1, i] - corners[0, i]) * turned
     if abs(slope) <= 1e-12 * np.sqrt(squared):
         return 0.0, 0
-    # Inclusive by rounding: a ray through a common edge meets one of the two, or both, and these are joined.
+    # With a margin for rounding: a ray through a common edge meets one or both triangles; duplicates are joined.
     if u / slope < -1e-9 or v / slope < -1e-9 or (u + v) / slope > 1.0 + 1e-9:
         return 0.0, 0
     return height / slope, 1 if slope > 0 else -1
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _passes(start, along, reach, low, high):  # pragma: no cover - compiled
-    """Tell whether a ray comes through a box."""
+    """Return whether a ray crosses a box."""
     entry, last = 0.0, reach
     for i in range(3):
         if along[i] == 0.0:
@@ -279,9 +282,9 @@ def _passes(start, along, reach, low, high):  # pragma: no cover - compiled
     return entry <= last + _SAME_MM
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _crossings(begin, along, reach, corners, low, high, starts, distance, leaving):  # pragma: no cover - compiled
-    """Try the triangles of each box that a ray comes through."""
+    """Test the triangles of each box that a ray crosses."""
     leaves = len(starts) - 1
     waiting = np.empty(_DEEPEST, np.int64)
     for n in range(len(begin)):
@@ -301,12 +304,12 @@ def _crossings(begin, along, reach, corners, low, high, starts, distance, leavin
             for t in range(starts[box - leaves + 1], starts[box - leaves + 2]):
                 away, sign = _meet(begin[n], along[n], corners[t])
                 if sign != 0 and 0.0 <= away <= reach:
-                    found = _note(distance[n], leaving[n], found, away, sign)
+                    found = _record(distance[n], leaving[n], found, away, sign)
 
 
-@numba.njit(cache=True, nogil=True)
-def _note(distance, leaving, found, away, sign):  # pragma: no cover - compiled
-    """Put a crossing into its place in the order, once."""
+@kernel
+def _record(distance, leaving, found, away, sign):  # pragma: no cover - compiled
+    """Insert a crossing in order, unless it is already there."""
     place = found
     while place > 0 and distance[place - 1] > away:
         place -= 1

@@ -1,4 +1,4 @@
-"""An MR volume, and a volume of labels, with their place in the scanner."""
+"""MR volumes and label volumes, with their position in the scanner."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,11 +11,11 @@ from marey.knee.space.structures import LABELS
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Grid:
-    """Where the voxels of a volume lie: voxel (i, j, k) is `array[k, j, i]`, its centre at whole numbers."""
+class VoxelGrid:
+    """Position of the voxels of a volume: voxel (i, j, k) is `array[k, j, i]`, its centre at whole numbers."""
 
     shape: tuple[int, int, int]
-    """Numbers of voxels as NumPy counts them: along k, j, i."""
+    """Numbers of voxels in the order of NumPy: along k, j, i."""
     lps_from_voxel: Floats
     """(4, 4): homogeneous (i, j, k) to LPS [mm]. Its determinant may be negative."""
 
@@ -24,12 +24,12 @@ class Grid:
 
     @property
     def spacing_mm(self) -> Floats:
-        """(3,) distance of neighbouring voxels along i, j, k."""
+        """(3,) spacing of the voxels along i, j, k."""
         return np.linalg.norm(self.lps_from_voxel[:3, :3], axis=0)
 
     @property
     def array_spacing_mm(self) -> tuple[float, float, float]:
-        """The same along the array's axes k, j, i, as SciPy's `sampling` wants it."""
+        """Spacing along the array's axes k, j, i, as SciPy's `sampling` expects it."""
         i, j, k = self.spacing_mm.tolist()
         return k, j, i
 
@@ -39,11 +39,11 @@ class Grid:
         return float(abs(np.linalg.det(self.lps_from_voxel[:3, :3])))
 
     def lps(self, voxels: Floats) -> Floats:
-        """Give positions (..., 3) [mm] of fractional voxels (i, j, k)."""
+        """Return positions (..., 3) [mm] of fractional voxels (i, j, k)."""
         return np.asarray(voxels) @ self.lps_from_voxel[:3, :3].T + self.lps_from_voxel[:3, 3]
 
     def voxels(self, lps_mm: Floats) -> Floats:
-        """Give fractional voxels (i, j, k) of positions (..., 3) [mm]; outside the volume too."""
+        """Return fractional voxels (i, j, k) of positions (..., 3) [mm]; outside the volume too."""
         return (np.asarray(lps_mm) - self.lps_from_voxel[:3, 3]) @ self._voxel_from_mm.T
 
     @cached_property
@@ -56,8 +56,8 @@ class Volume:
     """An MR image."""
 
     intensity: NDArray[np.float32]
-    """(k, j, i) in the scanner's own unit."""
-    grid: Grid
+    """(k, j, i) in the scanner's unit."""
+    grid: VoxelGrid
 
     def __post_init__(self) -> None:
         freeze_fields(self, "intensity", dtype=np.float32)
@@ -65,15 +65,15 @@ class Volume:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Labels:
-    """Which structure each voxel belongs to."""
+    """The structure of each voxel."""
 
     labels: NDArray[np.uint8]
     """(k, j, i) numbers of `LABELS`, 0 elsewhere."""
-    grid: Grid
+    grid: VoxelGrid
 
     def __post_init__(self) -> None:
         freeze_fields(self, "labels", dtype=np.uint8)
 
     def mask(self, structure: str) -> Mask:
-        """(k, j, i) true where the structure is."""
+        """(k, j, i) true in the structure."""
         return np.asarray(self.labels == LABELS[structure])

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from marey.arrays import Floats, Mask, freeze_fields
+from marey.arrays import Floats, Integers, Mask, freeze_fields
 from marey.errors import MareyError
 
 
@@ -53,6 +53,32 @@ class MarkerTrajectories:
     def present(self) -> Mask:
         """(F, M) true where a marker has a place, measured or filled."""
         return np.asarray(np.isfinite(self.points).all(-1))
+
+    def only_in(self, frames: Mask) -> "MarkerTrajectories":
+        """Return a copy that is empty outside of some frames.
+
+        Args:
+            frames: (F,) true for the frames to keep.
+        """
+        if frames.all():
+            return self
+        points = np.array(self.points)
+        points[~frames] = np.nan
+        return replace(self, points=points)
+
+    def with_frames_of(self, other: "MarkerTrajectories", frames: Integers) -> "MarkerTrajectories":
+        """Return a copy that takes from another one the given frames, where they are empty here.
+
+        Args:
+            other: Trajectories of the same markers over the same frames.
+            frames: (K,) numbers of frames.
+        """
+        empty = [f for f in frames if not self.present[f].any() and other.present[f].any()]
+        if not empty:
+            return self
+        points = np.array(self.points)
+        points[empty] = other.points[empty]
+        return replace(self, points=points)
 
     def select(self, labels: Sequence[str]) -> "MarkerTrajectories":
         """Give the trajectories of some markers, in the order asked for.

@@ -1,15 +1,15 @@
 """Kernels of inverse kinematics: one posture by weighted least squares over all markers."""
 
-import numba
 import numpy as np
 
 from marey.body.articulation.jointed_kinematics import follow, place_bodies
+from marey.kernels import kernel
 
 _LONGEST = 0.6  # rad or m; a longer step is shortened
 _FLOOR = 1e-10  # of the markers' weight; keeps coordinates in place that nothing sees
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def evaluate(packed, markers, tasks, values, variable, slope, state, hessian, gradient):
     """Give the cost of a posture and, where hessian is not empty, its derivatives.
 
@@ -68,7 +68,7 @@ def evaluate(packed, markers, tasks, values, variable, slope, state, hessian, gr
     return cost, total
 
 
-@numba.njit(inline="always", cache=True, nogil=True)
+@kernel(inline="always")
 def _posed(rotation, origin, body, place):
     if body < 0:
         return place[0], place[1], place[2]
@@ -80,7 +80,7 @@ def _posed(rotation, origin, body, place):
     )
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def marker_rows(packed, body, p, axes, points, motion_slope, variable, slope, rows, used):
     """Write how a point on a body moves with the coordinates into rows (N, 3); list those in used, give the number."""
     number = 0
@@ -113,7 +113,7 @@ def marker_rows(packed, body, p, axes, points, motion_slope, variable, slope, ro
     return number
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def new_state(packed):
     """Make room for what `place_bodies` fills."""
     bodies, motions = packed.parents.shape[0], packed.turns.shape[0]
@@ -123,7 +123,7 @@ def new_state(packed):
     )  # fmt: skip
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def descend(packed, markers, tasks, free, lower, upper, values, most, stop):
     """Find the posture of least cost near values (N,), which it changes, by damped Gauss-Newton within the limits.
 
@@ -167,7 +167,7 @@ def descend(packed, markers, tasks, free, lower, upper, values, most, stop):
     return cost, False
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _step(hessian, gradient, free, lower, upper, values, damping, floor):
     """Solve for a damped step (N,) of the coordinates that may move."""
     count = values.shape[0]
@@ -208,7 +208,7 @@ def _step(hessian, gradient, free, lower, upper, values, damping, floor):
     return step
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def linearised(packed, body, place, values):
     """Give how a posture's markers and bodies move: what the covariance needs.
 

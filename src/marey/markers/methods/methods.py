@@ -18,7 +18,7 @@ class MethodEntry:
     name: str
     """As `--method` takes it."""
     function: str
-    """`module:function` within this room."""
+    """`room.module:function` within `marey.markers`."""
     summary: str
     """What it does, in a line."""
     postures: int = 1
@@ -62,47 +62,47 @@ METHODS: dict[str, MethodEntry] = {
     entry.name: entry
     for entry in (
         MethodEntry(
-            name="rigid", function="rigid_fit:rigid",
+            name="rigid", function="data.rigid_fit:rigid",
             summary="each cluster as a rigid body, least squares (Spoor and Veldpaus 1980)",
         ),
         MethodEntry(
-            name="pct", function="point_cluster:point_cluster",
+            name="pct", function="methods.point_cluster:point_cluster",
             summary="centre of mass and principal axes of each cluster, unit masses (Andriacchi 1998)",
         ),
         MethodEntry(
-            name="pct_masses", function="point_cluster:point_cluster_masses",
+            name="pct_masses", function="methods.point_cluster:point_cluster_masses",
             summary="the same, masses chosen so that the eigenvalues of inertia stay constant (Andriacchi 1998)",
         ),
         MethodEntry(
-            name="interval", function="interval_deformation:interval",
+            name="interval", function="methods.interval_deformation:interval",
             summary="markers' paths on the bone of a chosen form, with the bone's motion (Alexander 2001)",
         ),
         MethodEntry(
-            name="homogeneous", function="homogeneous:homogeneous",
+            name="homogeneous", function="methods.homogeneous:homogeneous",
             summary="each cluster as a few basis shapes in rigid motion (Alexander 2003)",
         ),
         MethodEntry(
-            name="calibration", function="multiple_calibration:multiple_calibration", postures=2,
+            name="calibration", function="methods.multiple_calibration:multiple_calibration", postures=2,
             summary="markers' places interpolated between known postures by the joint's turn (Cappello 1997)",
         ),
         MethodEntry(
-            name="artefact", function="artefact_assessment:artefact_assessment", exercise=True,
+            name="artefact", function="methods.artefact_assessment:artefact_assessment", exercise=True,
             summary="skin motion learned from an exercise against a joint's turn, taken away (Lucchetti 1998)",
         ),
         MethodEntry(
-            name="skin", function="estimator:skin_and_joints",
+            name="skin", function="methods.estimator:skin_and_joints",
             summary="rigid clusters, joints that give a little and a statistical model of the skin's motion, together",
         ),
         MethodEntry(
-            name="global", function="global_optimisation:global_ball", joints=True,
+            name="global", function="methods.global_optimisation:global_ball", joints=True,
             summary="all bones at once, joints as balls or as said, their places estimated (Lu and O'Connor 1999)",
         ),
         MethodEntry(
-            name="global_hinge", function="global_optimisation:global_hinge", joints=True,
+            name="global_hinge", function="methods.global_optimisation:global_hinge", joints=True,
             summary="the same with knees and elbows as hinges",
         ),
         MethodEntry(
-            name="global_soft", function="global_optimisation:global_soft", joints=True,
+            name="global_soft", function="methods.global_optimisation:global_soft", joints=True,
             summary="the same with six degrees in every joint, its centre held to 5 mm",
         ),
     )

@@ -1,12 +1,12 @@
 """Linear equations of a sequence in which each frame is coupled to its next two: solution and local covariances."""
 
 import numpy as np
-from numba import njit
 
 from marey.arrays import Floats
+from marey.kernels import kernel
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def solve_banded(  # pragma: no cover - compiled
     diagonal: Floats, first: Floats, second: Floats, right: Floats
 ) -> tuple[Floats, Floats, Floats, Floats, float]:
@@ -27,7 +27,7 @@ def solve_banded(  # pragma: no cover - compiled
     return solution, here, next_, beyond, determinant
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _factored(diagonal, first, second, right):  # pragma: no cover - compiled
     """Cholesky factors: inverse blocks, couplings to the next frame and the one after, forward substitution."""
     frames, size = right.shape
@@ -58,7 +58,7 @@ def _factored(diagonal, first, second, right):  # pragma: no cover - compiled
     return inverse, near, far, forward, determinant
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _substituted_back(inverse, near, far, forward):  # pragma: no cover - compiled
     """Solution and blocks of the inverse, from the last frame to the first."""
     frames, size = forward.shape

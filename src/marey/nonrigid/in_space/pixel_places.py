@@ -3,13 +3,13 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
 from marey.arrays import Floats, Mask
 from marey.cameras.camera import Camera
 from marey.cameras.triangulate import triangulate
 from marey.geometry import rotations
+from marey.kernels import kernel
 
 FAR = 9.0
 """Squared distance, in variances, beyond which the weight of a pixel falls with its square. Three standard deviations;
@@ -184,7 +184,7 @@ class PixelPlaces:
         return found
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def add_rays(
     residual: Floats, slope: Floats, weight: Floats, variance: float, normal: Floats, pull: Floats
 ) -> None:  # pragma: no cover - compiled
@@ -213,7 +213,7 @@ def add_rays(
                 normal[i, j, k] += w * (a[j] * a[k] + b[j] * b[k])
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def see_through(variance: float, normal: Floats, pull: Floats) -> None:  # pragma: no cover - compiled
     """Convert normal equations of points into those of the model, about which the points have a variance.
 

@@ -8,11 +8,11 @@ a single minimum, so no initial solution is needed, and perspective determines t
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from marey.arrays import Floats, Integers, Mask
+from marey.kernels import kernel
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,7 +142,7 @@ def _inverses(rays: Floats, used: Mask, first: Integers, second: Integers) -> Fl
     return np.linalg.inv(square + ridge[:, None, None] * np.eye(points))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _rounds(
     rays, used, tied, first, second, inverse, depth, distance, push, largest_dual, rounds, still
 ):  # pragma: no cover - compiled
@@ -177,7 +177,7 @@ def _rounds(
     return depth, distance
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _mean_distances(own, own_dual, used, times, distance):  # pragma: no cover - compiled
     """Compute the distance of each pair, the mean over its frames, with a mean of 1; into `distance` (E,)."""
     frames, edges = own.shape
@@ -193,7 +193,7 @@ def _mean_distances(own, own_dual, used, times, distance):  # pragma: no cover -
         distance[e] += 1.0 - total / edges
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _solve_depths(
     rays, used, tied, first, second, inverse, depth, push, apart, apart_dual
 ):  # pragma: no cover - compiled
@@ -217,7 +217,7 @@ def _solve_depths(
     return moved
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _keep_short(
     rays, used, first, second, depth, distance, largest_dual, apart, apart_dual, own, own_dual
 ):  # pragma: no cover - compiled

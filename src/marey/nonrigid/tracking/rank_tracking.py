@@ -19,7 +19,7 @@ from marey.images.matching.feature_tracks import (
 from marey.images.matching.features import edge_features, good_features
 from marey.images.matching.splines import SplinePicture, spline_of
 from marey.nonrigid.tracking.weighted_factorisation import (
-    LEAST_SEEN,
+    LEAST_POINTS_SEEN,
     LowRankTracks,
     PlaceEquations,
     inverse_of_symmetric,
@@ -193,7 +193,7 @@ def track_features(
 
 def _require_enough(equations: PlaceEquations, rank: int) -> None:
     known = equations.known
-    frames, points = int((known.sum(axis=1) >= LEAST_SEEN).sum()), int(known.any(axis=0).sum())
+    frames, points = int((known.sum(axis=1) >= LEAST_POINTS_SEEN).sum()), int(known.any(axis=0).sum())
     if points <= rank + 1 or 2 * frames <= rank + 1:
         raise SettingProblem(
             f"{points} points seen in {frames} frames are too few for tracks of rank {rank}: more points than "

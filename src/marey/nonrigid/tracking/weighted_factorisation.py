@@ -14,7 +14,7 @@ Chosen by hand; results were not measured against other values."""
 _UNWEIGHTED_ROUNDS = 3
 """Number of first rounds in which all positions have the same weight. Chosen by hand; results were not measured against
 other values."""
-LEAST_SEEN = 3
+LEAST_POINTS_SEEN = 3
 """Least number of points with information in a frame that is part of the model, as a translation and a rotation of the
 image require."""
 
@@ -90,7 +90,7 @@ def low_rank_tracks(equations: PlaceEquations, tracks: Floats, rank: int, *, rou
         The model; NaN in frames with fewer than three points with information.
     """
     known = equations.known
-    used = known.sum(axis=1) >= LEAST_SEEN
+    used = known.sum(axis=1) >= LEAST_POINTS_SEEN
     information, right, known = equations.information[used], equations.right[used], known[used]
     columns, start = _start(tracks[used], rank)
     spread, ridge = 1.0, np.zeros(rank + 1)

@@ -30,10 +30,13 @@ from marey.fit.search.search import Candidate
 from marey.io.results.results import write_results
 from marey.io.stages import Arrays
 from marey.io.trial.start_joints import read_start_joints
+from marey.io.trial.trial import Trial
 from marey.motion.from_fit import Measured, measured, motion_of
+from marey.observations.observation import Observation
 from marey.pipelines.capture import stages
 from marey.pipelines.capture.kept_candidates import KeptArrays, KeptCandidates
 from marey.pipelines.capture.mask_store import MaskStore
+from marey.pipelines.capture.motion import Motion, load_motion
 from marey.pipelines.capture.report import draw_overlays, report_capture
 from marey.pipelines.capture.run import Bodies, Logs, Run, opened
 from marey.pipelines.capture.settings import CaptureSettings
@@ -53,23 +56,30 @@ class Tracked:
     scores: Mapping[int, float]
 
 
-def capture(folder: Path, settings: CaptureSettings, progress: Progress) -> Path:
+def capture_trial(
+    trial: Trial,
+    settings: CaptureSettings,
+    progress: Progress,
+    *,
+    observations: Mapping[int, Sequence[Observation]] | None = None,
+) -> Motion:
     """Capture the joint motion of the person in a trial.
 
     Args:
-        folder: The trial.
-        settings: What is asked for; what it leaves open, trial.toml may say.
-        progress: Is shown, and keeps timings and warnings.
+        trial: The trial, opened with `settings.changes()`.
+        settings: Settings of the run.
+        progress: Progress reporter; it keeps timings and warnings.
+        observations: Further observations by frame, of any kind; they are used in the refinement of motion and body.
 
     Returns:
-        The folder with the results.
+        The motion, whose files are in `settings.out`, or in `marey/` in the trial.
 
     Raises:
         FileProblem: Something in the trial cannot be used.
     """
-    with opened(folder, settings, progress) as (run, bodies, logs):
+    with opened(trial, settings, progress, observations=observations) as (run, bodies, logs):
         _capture(run, bodies, logs)
-    return run.out
+    return load_motion(run.out)
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,7 +180,8 @@ def _tracked(run: Run, take: Take, bodies: Bodies) -> Tracked:
         ):
             for fit in refine_person(
                 take, followed.body, followed.poses, frames_for_sizes(run, followed.scores), person,
-                height=person.track_height, rounds=SHAPE_ROUNDS, done=lambda frame: step(), memory=memory,
+                height=person.track_height, rounds=SHAPE_ROUNDS, also=run.further, done=lambda frame: step(),
+                memory=memory,
             ):  # fmt: skip
                 poses |= fit.by_frame
             # Room on the disk: a round is soon done again, should the run end just here.
@@ -259,7 +270,8 @@ def refined_person(run: Run, followed: Followed, bodies: Bodies) -> Refined:
     ):
         for fit in refine_person(
             take, tracked.body, poses, frames_for_sizes(run, tracked.scores), person,
-            height=person.fine_height, rounds=FINE_ROUNDS, blind=blind, done=lambda frame: step(), memory=memory,
+            height=person.fine_height, rounds=FINE_ROUNDS, blind=blind, also=run.further, done=lambda frame: step(),
+            memory=memory,
         ):  # fmt: skip
             found |= fit.by_frame
             pieces.append(measured(fit))

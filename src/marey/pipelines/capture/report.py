@@ -13,7 +13,7 @@ from marey.body.articulation.surface import Body
 from marey.body.people.person import stature
 from marey.io.results.body import segment_lengths
 from marey.io.trial.trial import Trial
-from marey.motion.motion import MEASURED, Motion
+from marey.motion.motion import MEASURED, BodyMotion
 from marey.pipelines.progress import Progress
 from marey.view.pages.capture_report import ReportContent, Size, write_report
 from marey.view.pages.html import Still
@@ -39,7 +39,7 @@ FILES = {
 
 
 def draw_overlays(
-    trial: Trial, body: Body, poses: Mapping[int, Pose], motion: Motion, masks_of: Silhouettes, *, folder: Path,
+    trial: Trial, body: Body, poses: Mapping[int, Pose], motion: BodyMotion, masks_of: Silhouettes, *, folder: Path,
     progress: Progress,
 ) -> list[Still]:  # fmt: skip
     """Write `overlay_<camera>.mp4` for every camera, and keep some pictures for the report.
@@ -91,7 +91,7 @@ def draw_overlays(
     return [still for _, still in sorted(stills, key=lambda pair: order.index(pair[0]))]
 
 
-def _scene(frame: int, motion: Motion, body: Body, poses: Mapping[int, Pose]) -> Scene:
+def _scene(frame: int, motion: BodyMotion, body: Body, poses: Mapping[int, Pose]) -> Scene:
     state = int(motion.state[frame])
     if frame not in poses:
         return Scene(frame=frame, state=state)
@@ -99,7 +99,7 @@ def _scene(frame: int, motion: Motion, body: Body, poses: Mapping[int, Pose]) ->
     return Scene(frame=frame, vertices=vertices, joints=motion.joint_centres[frame], state=state)
 
 
-def _worth_a_look(motion: Motion) -> dict[tuple[int, int], str]:
+def _worth_a_look(motion: BodyMotion) -> dict[tuple[int, int], str]:
     """Choose pictures (frame, camera), each with what it shows."""
     measured = np.flatnonzero(motion.state == MEASURED)
     if not len(measured):
@@ -112,7 +112,7 @@ def _worth_a_look(motion: Motion) -> dict[tuple[int, int], str]:
     return chosen
 
 
-def cut_by_border(motion: Motion, masks_of: Silhouettes) -> Mask:
+def cut_by_border(motion: BodyMotion, masks_of: Silhouettes) -> Mask:
     """Tell in which frames and cameras (F, C) the picture's border cuts the person."""
     cut = np.zeros(motion.agreement.shape, bool)
     for frame in np.flatnonzero(motion.state > 0):
@@ -133,7 +133,7 @@ def person_sizes(body: Body) -> list[Size]:
 
 
 def report_capture(
-    trial: Trial, motion: Motion, body: Body, masks_of: Silhouettes, *, stills: Sequence[Still],
+    trial: Trial, motion: BodyMotion, body: Body, masks_of: Silhouettes, *, stills: Sequence[Still],
     settings: Mapping[str, object], folder: Path, progress: Progress,
 ) -> None:  # fmt: skip
     """Write report.html.

@@ -1,12 +1,12 @@
 """One run on a trial: what is captured, with which body, and what an interrupted run left."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from uuid import uuid4
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from marey.body.articulation.presets import GENERIC_BODIES, PRESETS
 from marey.body.articulation.surface import Body
@@ -16,17 +16,19 @@ from marey.body.people.family import LEVELS
 from marey.body.people.person import person_body, preset_body
 from marey.cameras.rig import Rig
 from marey.errors import FileProblem
+from marey.fit.recipes.frame_observations import FrameObservations
 from marey.fit.recipes.person import (
     PersonSettings,
     with_shape,
 )
 from marey.fit.recipes.pick_up import of_one_shape
+from marey.fit.recipes.sequence import Further
 from marey.io.calibration.readers import read_rig
 from marey.io.results.body import open_body
 from marey.io.stages import FrameLog, file_fingerprint
 from marey.io.trial.start_joints import read_start_joints
-from marey.io.trial.trial import Trial, read_trial
-from marey.pipelines.capture import stages
+from marey.io.trial.trial import Trial
+from marey.observations.observation import Observation
 from marey.pipelines.capture.settings import CaptureSettings
 from marey.pipelines.progress import Progress
 from marey.pipelines.run_record import StageCache
@@ -37,50 +39,53 @@ TWIN_M = 1e-4
 
 @contextmanager
 def opened(
-    folder: Path,
+    trial: Trial,
     settings: CaptureSettings,
     progress: Progress,
     *,
     more: Sequence[Path] = (),
     corrected: Path | None = None,
+    observations: Mapping[int, Sequence[Observation]] | None = None,
 ) -> "Iterator[tuple[Run, Bodies, Logs]]":
-    """Open a trial, and what the last run on it left when it was interrupted.
+    """Open a run on a trial, and what an interrupted run on it left.
 
     Args:
-        folder: The trial.
-        settings: What is asked for.
-        progress: Is shown.
+        trial: The trial, opened with `settings.changes()`.
+        settings: Settings of the run.
+        progress: Progress reporter.
         more: Other files on which the results depend.
-        corrected: Cameras in the world of the results that count instead of the calibrated ones, if that file is there.
+        corrected: A file of cameras in the world of the results that replace the calibrated ones, if it exists.
+        observations: Further observations by frame. What such a run has finished is not found by another one.
+
+    Yields:
+        The run, its bodies, and the logs of its silhouettes.
 
     Raises:
         FileProblem: Something in the trial cannot be used.
     """
-    trial = read_trial(folder, **settings.changes())
+    out = settings.out or trial.folder / "marey"
     if corrected is not None and corrected.is_file() and not corrected.samefile(trial.calibration):
         trial, more = with_corrected_cameras(trial, corrected, progress), [*more, corrected]
     require_two_cameras(trial)
     if trial.start is not None:
-        # Read again where it is needed; a wrong file shall be told of before the work begins.
+        # It is read again where it is needed; an error in it is to be reported before the work begins.
         read_start_joints(trial.start, trial.rig, count=trial.take.count)
-    out = settings.out or folder / "marey"
     for note in trial.take.notes:
         progress.warn(note)
-    stages.quiet_threads()
-    stages.keep_memory()
-    with threadpool_limits(1):
-        bodies = open_bodies(trial, settings)
-        named = [*trial.input_files, *([settings.body_file] if settings.body_file else []), *more]
-        how = f"{settings.body if settings.body_file is None else ''}, {settings.fixed_sizes}"
-        cache = StageCache(out, [*(file_fingerprint(path) for path in named), how])
-        scope = (trial.rig.names, trial.take.first, trial.take.end, trial.settings.model_dump_json())
-        with (
-            cache,
-            cache.frames("silhouettes", depends=scope) as log,
-            cache.frames("common", depends=scope) as common,
-            cache.frames("outlines", depends=scope) as better,
-        ):
-            yield Run(trial, settings, progress, cache, scope, out), bodies, Logs(log, common, better)
+    bodies = open_bodies(trial, settings)
+    named = [*trial.input_files, *([settings.body_file] if settings.body_file else []), *more]
+    how = f"{settings.body if settings.body_file is None else ''}, {settings.fixed_sizes}"
+    own = [uuid4().hex] if observations else []
+    cache = StageCache(out, [*(file_fingerprint(path) for path in named), how, *own])
+    scope = (trial.rig.names, trial.take.first, trial.take.end, trial.settings.model_dump_json())
+    with (
+        cache,
+        cache.frames("silhouettes", depends=scope) as log,
+        cache.frames("common", depends=scope) as common,
+        cache.frames("outlines", depends=scope) as better,
+    ):
+        run = Run(trial, settings, progress, cache, scope, out, observations=observations or {})
+        yield run, bodies, Logs(log, common, better)
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,6 +100,13 @@ class Run:
     """What every stage depends on besides the input files."""
     out: Path
     person: PersonSettings = field(default_factory=PersonSettings)
+    observations: Mapping[int, Sequence[Observation]] = field(default_factory=dict)
+    """Further observations by frame."""
+
+    @property
+    def further(self) -> Further | None:
+        """The further observations as terms of the refinement; None without any."""
+        return FrameObservations(self.observations).of_round if self.observations else None
 
 
 @dataclass(frozen=True, eq=False)

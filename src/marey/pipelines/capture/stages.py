@@ -1,11 +1,8 @@
 """The stages of a capture that go through the videos, frame by frame, and remember what is done."""
 
-import ctypes
-import sys
 from collections import deque
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -460,33 +457,3 @@ def require_upright(trial: Trial, posed: PosedBody) -> None:
         f'Write [world] up = "{guess}" into trial.toml if that axis points up, or up = "z" if the person really does.'
     )
     raise FileProblem(trial.calibration, wrong, remedy)
-
-
-SWITCH_S = 3e-4
-"""How long a thread may keep Python's lock when another one waits for it [s]."""
-
-
-def quiet_threads() -> None:
-    """Leave the parallel work to the cameras: OpenCV's own threads would only wait for each other."""
-    cv2.setNumThreads(1)
-    # Kernels finish within less than the usual 5 ms: who waits for Python's lock shall have it soon.
-    sys.setswitchinterval(SWITCH_S)
-
-
-KEPT_FREE, LARGE = 1 << 28, 1 << 25
-"""Bytes of freed memory that a process keeps, and from which on a piece of memory goes back at once."""
-
-
-def keep_memory() -> None:
-    """Let the C library keep what is freed: memory that is new to a process costs as much as what is done in it.
-
-    Every picture needs some megabytes for a moment. Says so to glibc; another C library is left as it is.
-    """
-    with suppress(OSError, AttributeError, TypeError):
-        tell = ctypes.CDLL(None).mallopt
-        tell(_MMAP_THRESHOLD, LARGE)
-        tell(_TRIM_THRESHOLD, KEPT_FREE)
-
-
-_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
-"""Of malloc.h."""

@@ -156,7 +156,7 @@ def animate(knee_folder: Path, motion_folder: Path, options: AnimateOptions, pro
         )  # fmt: skip
         write_animation(results, out, progress)
     for line in told(found, compared):
-        progress.say(line)
+        progress.report(line)
     return out
 
 

@@ -15,13 +15,13 @@ from marey.io.mr.tables import write_parts
 from marey.io.npz import write_arrays
 from marey.io.video.pictures import write_picture
 from marey.knee.bones.bones import BoneSegmentation
-from marey.knee.bones.surfacing import surface_of_labels
 from marey.knee.cartilage.knee_cartilage import KneeCartilage, find_knee_cartilage, knee_template
 from marey.knee.cartilage.labels import with_cartilage
 from marey.knee.cartilage.subregions import Subregion, flat_map, subregion_names, subregions, whole
 from marey.knee.space.sides import MIRROR, is_left
 from marey.knee.space.structures import BONES, CARTILAGE_OF_BONE, LABELS
 from marey.knee.space.surface import Surface
+from marey.knee.space.surfacing import surface_of_labels
 from marey.knee.space.volume import Labels, Volume
 from marey.pipelines.progress import Progress
 from marey.view.pictures.flat_cartilage import flat_picture
@@ -115,7 +115,7 @@ def write_cartilage(
     if left is None:
         progress.warn("The knee's side is not known: give --side to have medial and lateral parts measured.")
     elif side is None:
-        progress.say(f"Taken for a {'left' if left else 'right'} knee, by its patella.")
+        progress.report(f"Taken for a {'left' if left else 'right'} knee, by its patella.")
     parts: dict[str, list[Subregion]] = {}
     pictures: dict[str, Image] = {}
     for bone, sheet in cartilage.sheets.items():
@@ -139,7 +139,7 @@ def write_cartilage(
             write_picture(folder / f"{name}_flat.png", pictures[name])
             parts[name] = subregions(bone, sheet, left=left)
         write_arrays(folder / f"{bone}_thickness.npz", arrays)
-        progress.say(f"{name}: {sheet.outer.volume_mm3 / 1000:.1f} cm3, mean {whole(sheet).mean_mm:.2f} mm")
+        progress.report(f"{name}: {sheet.outer.volume_mm3 / 1000:.1f} cm3, mean {whole(sheet).mean_mm:.2f} mm")
     if parts:
         write_parts(folder / "cartilage.csv", parts)
     return CartilageMaps(parts=parts, pictures=pictures)

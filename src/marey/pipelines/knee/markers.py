@@ -46,9 +46,9 @@ def markers_in(
     for note in found.notes:
         progress.warn(note)
     if not len(found):
-        progress.say("No gadolinium markers are on the skin.")
+        progress.report("No gadolinium markers are on the skin.")
         return None
     size = f"{np.median(found.diameter_mm):.1f} mm wide"
-    progress.say(f"{len(found)} gadolinium marker{'s' if len(found) > 1 else ''} on the skin, {size}.")
+    progress.report(f"{len(found)} gadolinium marker{'s' if len(found) > 1 else ''} on the skin, {size}.")
     markers = MarkersInScanner.of(found)
     return markers if earlier is None else markers.named_as(earlier)

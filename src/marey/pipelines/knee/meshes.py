@@ -7,7 +7,7 @@ import numpy as np
 from marey.arrays import Floats
 from marey.errors import FileProblem
 from marey.io.mr.meshes import read_mesh
-from marey.knee.space.mesh_mending import turned_alike, with_holes_closed
+from marey.knee.space.mesh_repair import consistently_oriented, with_holes_closed
 from marey.knee.space.surface import Surface
 from marey.pipelines.progress import Progress
 
@@ -46,7 +46,7 @@ def read_bone(path: Path, progress: Progress) -> Surface:
         raise FileProblem(path, f"is {longest:.3g} mm long, which no bone of a knee is", remedy)
     if _thickness_mm(used.reshape(-1, 3)) < THINNEST_MM:
         raise FileProblem(path, f"is flat: {len(surface.faces)} faces in one plane", "Give the surface of a bone.")
-    alike, turned = turned_alike(surface)
+    alike, turned = consistently_oriented(surface)
     if turned.any():
         progress.warn(f"{path.name}: {turned.sum()} of {len(turned)} faces turned inward; they were turned.")
     return alike
@@ -104,7 +104,7 @@ def read_cartilage(path: Path, progress: Progress) -> Surface:
     Raises:
         FileProblem: It cannot be read, or it is open.
     """
-    alike, turned = turned_alike(read_mesh(path))
+    alike, turned = consistently_oriented(read_mesh(path))
     if turned.any():
         progress.warn(f"{path.name}: {turned.sum()} of {len(turned)} faces turned inward; they were turned.")
     whole, closed, left = with_holes_closed(alike, SMALL_HOLE)

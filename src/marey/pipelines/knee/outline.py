@@ -27,7 +27,7 @@ def outline_server(volume: Path, out: Path | None, port: int, progress: Progress
     with progress.stage("Reading"):
         session = OutlineSession(read_volume(volume), path, volume.resolve().name)
     if session.contours:
-        progress.say(f"{len(session.contours)} outlines of {path} are gone on with.")
+        progress.report(f"{len(session.contours)} outlines of {path} are gone on with.")
     return OutlineServer(session, port)
 
 

@@ -11,7 +11,7 @@ from marey.io.mr.tables import write_rigid
 from marey.knee.registration.elastic import ElasticRegistration, register_elastically
 from marey.knee.registration.rigid import RigidRegistration
 from marey.knee.registration.sided import SidedRegistration, register_on_either_side
-from marey.knee.space.mesh_mending import joined
+from marey.knee.space.mesh_repair import joined
 from marey.knee.space.sides import MIRROR, mirrored
 from marey.knee.space.surface import Surface
 from marey.knee.space.triangle_tree import TriangleTree
@@ -73,7 +73,7 @@ def _registered(
     matrix = sided.rigid.subject_from_template.matrix @ (MIRROR if sided.mirrored else np.eye(4))
     write_rigid(out / "rigid.json", matrix, _about(sided, elastic))
     write_mesh(out / "registered.ply", elastic.deformation.subject_surface(laid))
-    progress.say(_summary(sided.rigid, elastic))
+    progress.report(_summary(sided.rigid, elastic))
     return out
 
 
@@ -106,7 +106,7 @@ def _say_side(sided: SidedRegistration, mirror: bool | None, progress: Progress)
         f"{sided.same_side_mm:.2f} mm off as it is, {sided.other_side_mm:.2f} mm mirrored."
     )
     if sided.clear:
-        progress.say(text)
+        progress.report(text)
     else:
         force = "--no-mirror" if sided.mirrored else "--mirror"
         progress.warn(f"{text} That is little of a difference; where you know better, say {force}.")

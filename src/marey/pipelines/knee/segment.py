@@ -15,11 +15,11 @@ from marey.io.mr.meshes import write_mesh
 from marey.io.mr.volumes import read_template, read_volume, write_labels
 from marey.io.stages import file_fingerprint
 from marey.knee.bones.bones import BoneSegmentation, segment_bones
-from marey.knee.bones.surfacing import surface_of_field
 from marey.knee.bones.template_fit import TemplateProblem
 from marey.knee.cartilage.knee_cartilage import KneeCartilage
 from marey.knee.space.structures import BONES
 from marey.knee.space.surface import Surface
+from marey.knee.space.surfacing import surface_of_field
 from marey.knee.space.volume import Labels, Volume
 from marey.pipelines.knee.cartilage import CartilageMaps, cartilage_by_template, labels_with, write_cartilage
 from marey.pipelines.knee.markers import earlier_markers, markers_in
@@ -100,7 +100,7 @@ def segment(paths: Sequence[Path], options: SegmentOptions, progress: Progress) 
     except TemplateProblem as problem:
         raise _of_template(options.template or out, problem) from problem
     for name, surface in found.surfaces.items():
-        progress.say(f"{name}: {surface.volume_mm3 / 1000:.1f} cm3, {surface.area_mm2 / 100:.0f} cm2")
+        progress.report(f"{name}: {surface.volume_mm3 / 1000:.1f} cm3, {surface.area_mm2 / 100:.0f} cm2")
     return Segmented(folder=out, missing=found.missing)
 
 

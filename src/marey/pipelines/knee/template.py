@@ -8,14 +8,14 @@ from marey.io.mr.contours import OutlinedVolume, read_contours, same_grid
 from marey.io.mr.meshes import write_mesh
 from marey.io.mr.volumes import read_labels, read_volume, write_labels
 from marey.io.stages import file_fingerprint
-from marey.knee.bones.template import Template, checked_template
+from marey.knee.bones.template import CheckedTemplate, checked_template
 from marey.knee.outlines.contours import labels_of_contours
 from marey.knee.space.volume import Labels
 from marey.pipelines.progress import Progress
 from marey.pipelines.run_record import StageCache, finished_together, write_record
 
 
-def make_template(sources: Sequence[Path], out: Path, progress: Progress) -> Template:
+def make_template(sources: Sequence[Path], out: Path, progress: Progress) -> CheckedTemplate:
     """Read labels or outlines, check them and write the template, all at once.
 
     Args:

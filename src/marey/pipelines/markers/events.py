@@ -3,25 +3,27 @@
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from marey.arrays import Floats
-from marey.errors import FileProblem, MareyError
+from marey.errors import MareyError
 from marey.geometry.rigid import RigidTransform
-from marey.io.markers.c3d_forces import read_events, read_force_plates
+from marey.io.markers.trial_file import MarkerFile
 from marey.markers.data.clusters import Cluster
-from marey.markers.data.force_plates import ForcePlate
 from marey.markers.data.trajectories import MarkerTrajectories
 from marey.markers.kinematics.joint_angles import JointKinematics
 from marey.markers.preprocessing.gait_events import events_from_force, events_from_markers
 from marey.motion.gait import STRIKE, GaitCycle, GaitEvent, gait_cycles, over_cycles
 
 _FOOT = re.compile(r"(?P<side>l|r|left|right)?[._ ]?(?P<what>heel?|cal|calc|toe)([._ ]?tip)?", re.IGNORECASE)
+"""Labels of heel and toe markers in common marker sets."""
 _SIDES = {"l": "left", "left": "left", "r": "right", "right": "right"}
+"""Side by its abbreviation in a label."""
 _TRUNK = ("pelvis", "thorax", "left_thigh", "right_thigh", "thigh")
+"""Segments that can stand for the body, the best first."""
 _TRUNK_LABELS = ("SACR", "LASI", "RASI", "LPSI", "RPSI", "V.Sacral", "L.ASIS", "R.ASIS")
+"""Labels of pelvis markers in common marker sets."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -32,81 +34,64 @@ class Gait:
     cycles: tuple[GaitCycle, ...]
     notes: tuple[str, ...]
     plates: Mapping[str, RigidTransform]
-    """The force plates' frames, laboratory from plate [m]."""
+    """Frames of the force plates, laboratory from plate [m]."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CycleCurves:
-    """Joint angles and translations over 0 to 100 % of the cycle, one curve a cycle."""
+    """Joint angles and translations over 0 to 100 % of the gait cycle."""
 
     names: tuple[str, ...]
     """N names, with units as in angles.csv."""
     mean: Floats
-    """(101, N) over the cycles; degrees, mm."""
+    """(101, N) mean over the cycles [degrees, mm]."""
     spread: Floats
-    """(101, N) standard deviation between the cycles; NaN of a single cycle."""
+    """(101, N) standard deviation between the cycles [degrees, mm]; NaN for a single cycle."""
     counts: tuple[int, ...]
-    """(N,) cycles."""
+    """(N,) number of cycles."""
 
 
-def find_gait(
-    path: Path, trajectories: MarkerTrajectories, clusters: Sequence[Cluster], *, side: str | None, y_up: bool
-) -> Gait:
-    """Take the events that the file gives; else find them from the heels, else from force plates.
+def find_gait(file: MarkerFile, clusters: Sequence[Cluster], *, side: str | None) -> Gait:
+    """Return the events of the file; if it has none, find them from the heels, or else from force plates.
 
     Args:
-        path: The trial.
-        trajectories: Its markers.
-        clusters: Of its segments; the pelvis, or a thigh, goes along with the body.
-        side: Of a foot whose label does not tell it.
-        y_up: Whether the trial has Y up instead of Z.
+        file: The trial.
+        clusters: Its segments; the motion of the heels is measured relative to the pelvis, or a thigh.
+        side: `left` or `right`, for a foot whose label does not contain it.
     """
-    is_c3d = path.suffix.lower() == ".c3d"
-    plates, unread = _plates(path) if is_c3d else ((), ())
-    events, how = _events(path if is_c3d else None, plates, trajectories, clusters, side=side, y_up=y_up)
+    events, source = _events(file, clusters, side)
     cycles = gait_cycles(events)
-    notes = list(unread)
+    notes = list(file.plate_notes)
     if events:
         strikes = sum(event.kind == STRIKE for event in events)
         offs = len(events) - strikes
-        notes.append(f"Gait events, {how}. Foot strikes: {strikes}; foot offs: {offs}; whole cycles: {len(cycles)}.")
-    frames = {plate.name: plate.laboratory_from_plate for plate in plates}
+        notes.append(f"Gait events {source}: {strikes} foot strikes, {offs} foot offs, {len(cycles)} complete cycles.")
+    frames = {plate.name: plate.laboratory_from_plate for plate in file.plates}
     return Gait(events=tuple(events), cycles=cycles, notes=tuple(notes), plates=frames)
 
 
-def _plates(path: Path) -> tuple[tuple[ForcePlate, ...], tuple[str, ...]]:
-    """Read the force plates; what cannot be read of them is said, as markers do not need it."""
-    try:
-        return read_force_plates(path), ()
-    except FileProblem as problem:
-        return (), (f"The force plates are not read: {problem}",)
-
-
-def _events(
-    c3d: Path | None, plates: Sequence[ForcePlate], trajectories: MarkerTrajectories, clusters: Sequence[Cluster],
-    *, side: str | None, y_up: bool,
-) -> tuple[Sequence[GaitEvent], str]:  # fmt: skip
-    """Give the events and where they are from."""
-    events = () if c3d is None else read_events(c3d)
-    if gait_cycles(events):
-        return events, "given in the file"
+def _events(file: MarkerFile, clusters: Sequence[Cluster], side: str | None) -> tuple[Sequence[GaitEvent], str]:
+    """Return the events and their source."""
+    if gait_cycles(file.events):
+        return file.events, "given in the file"
+    trajectories = file.trajectories
     feet = _feet(trajectories, side)
     body = _body(trajectories, clusters)
     found: list[GaitEvent] = []
     if body is not None:
         for own, foot in feet.items():
             if "heel" in foot:
-                found += _of_foot(foot, body, trajectories, own or None, y_up)
+                found += _of_foot(foot, body, trajectories, own or None, file.y_up)
     if gait_cycles(found):
         labels = ", ".join(name for foot in feet.values() for name in foot.values())
         return sorted(found, key=lambda e: e.time), f"found from {labels}"
     heels = {own: trajectories.select([foot["heel"]]).points[:, 0] for own, foot in feet.items() if "heel" in foot}
-    by_force = events_from_force(plates, heels, rate=trajectories.rate, start_s=trajectories.start_s)
-    return (by_force, "found from the force plates") if by_force else (events, "given in the file")
+    by_force = events_from_force(file.plates, heels, rate=trajectories.rate, start_s=trajectories.start_s)
+    return (by_force, "found from the force plates") if by_force else (file.events, "given in the file")
 
 
 def _feet(trajectories: MarkerTrajectories, side: str | None) -> dict[str, dict[str, str]]:
-    """Find the heels' and toes' markers by their labels: side ("" where unknown) to `heel` and `toe`."""
+    """Find the markers of heels and toes by their labels, by side ("" if it is unknown)."""
     feet: dict[str, dict[str, str]] = {}
     there = np.asarray(trajectories.present.any(0))
     for label, seen in zip(trajectories.labels, there, strict=True):
@@ -119,7 +104,7 @@ def _feet(trajectories: MarkerTrajectories, side: str | None) -> dict[str, dict[
 
 
 def _body(trajectories: MarkerTrajectories, clusters: Sequence[Cluster]) -> Floats | None:
-    """Give the path (F, 3) of something that goes along with the pelvis, None where there is nothing."""
+    """Return the path (F, 3) of the pelvis, or of a segment that moves with it; None if there is none."""
     by_name = {cluster.segment: cluster.labels for cluster in clusters}
     trunk = [label for label in _TRUNK_LABELS if label in trajectories.labels]
     choices = [by_name[name] for name in _TRUNK[:2] if name in by_name]
@@ -146,22 +131,22 @@ def _of_foot(
             up=np.array([0.0, 1.0, 0.0] if y_up else [0.0, 0.0, 1.0]),
         )  # fmt: skip
     except MareyError:
-        return ()  # the heel and the body are never seen together: no event shows
+        return ()  # heel and body are never seen together
 
 
 def cycle_curves(
     joints: JointKinematics, time: Floats, cycles: Sequence[GaitCycle], *, side: str | None
 ) -> CycleCurves | None:  # fmt: skip
-    """Put joint angles and translations over the cycles of their own side.
+    """Average joint angles and translations over the gait cycles of their own side.
 
     Args:
-        joints: Over the trial.
+        joints: Angles and translations over the trial.
         time: (F,) [s].
-        cycles: Of either foot.
-        side: Of joints whose names do not tell it.
+        cycles: Cycles of both feet.
+        side: `left` or `right`, for joints whose names do not contain it.
 
     Returns:
-        None where no cycle lies within what is known.
+        None if no cycle has values in all of its frames.
     """
     names = [f"{n}_deg" for n in joints.angle_names] + [f"{n}_mm" for n in joints.translation_names]
     values = np.concatenate([np.degrees(joints.angles), 1e3 * joints.translations], 1)
@@ -181,14 +166,14 @@ def cycle_curves(
 
 
 def _side_of(name: str) -> str | None:
-    """Tell the side of an angle: `left_knee_flexion`, or `knee_angle_l` as OpenSim's models write it."""
+    """Return the side of an angle: `left_knee_flexion`, or `knee_angle_l` as in OpenSim's models."""
     if name.startswith(("left_", "right_")):
         return name.partition("_")[0]
     return {"_l": "left", "_r": "right"}.get(name[-2:])
 
 
 def _of_side(cycles: Sequence[GaitCycle], side: str | None) -> list[GaitCycle]:
-    """Choose the cycles of a side; what has none goes by the right foot's, or by those that there are."""
+    """Return the cycles of a side; an angle without a side uses those of the right foot, or else the others."""
     sides = {cycle.side for cycle in cycles}
     for wanted in (side, None, *(() if side else ("right", "left"))):
         if wanted in sides:

@@ -1,7 +1,6 @@
-"""A trial's markers and an OpenSim model that follows them."""
+"""A marker trial and the OpenSim model that follows it."""
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -9,116 +8,116 @@ from marey.arrays import Floats, Mask
 from marey.body.articulation.jointed_body import JointedBody
 from marey.errors import FileProblem, MareyError
 from marey.io.axes import OPENSIM_FROM_WORLD
-from marey.io.markers.readers import read_markers
-from marey.io.markers.results import is_y_up
+from marey.io.markers.trial_file import MarkerFile
 from marey.io.opensim.mot_sto import Table
 from marey.io.opensim.osim_model import read_osim_model
 from marey.io.opensim.osim_tasks import read_task_values, read_tasks
 from marey.markers.data.bone_motion import BoneMotion
 from marey.markers.data.clusters import Cluster
-from marey.markers.data.trajectories import MarkerTrajectories
 from marey.markers.kinematics.inverse_kinematics import InverseKinematics, inverse_kinematics
 from marey.markers.kinematics.joint_angles import JointKinematics
 from marey.markers.kinematics.tasks import TaskSet
-from marey.markers.preprocessing.gaps import FilledGaps
-from marey.pipelines.markers.settings import MarkersOptions
-from marey.pipelines.markers.trial import asked_frames, cut, filled
+from marey.pipelines.markers.selection import selected_trajectories
+from marey.pipelines.markers.settings import MarkerSettings
+from marey.pipelines.markers.trial import MarkerTrial
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FollowedModel:
-    """What a model found of a trial."""
+    """Postures of a model that follow the markers of a trial."""
 
     bones: BoneMotion
-    """The bodies, in the trial's own axes."""
+    """Poses of the model's bodies, in the trial's own axes."""
     coordinates: JointKinematics
     """Angles and translations of the model."""
     table: Table
     """All coordinates in the model's order, as OpenSim reads them."""
     notes: tuple[str, ...]
-    told: str
-    """What was found, in a line."""
+    """What was skipped, and which coordinates are not determined, one sentence each."""
+    summary: str
+    """Number of frames and distance between markers and model, in one line."""
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class ModelTrial:
-    """One trial, and the model that is to follow it."""
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class ModelTrial(MarkerTrial):
+    """A trial of skin markers and the OpenSim model whose coordinates are estimated."""
 
-    path: Path
-    measured: MarkerTrajectories
-    used: MarkerTrajectories
-    """With what was filled, without frames that were not asked for."""
-    filling: FilledGaps | None
-    """How gaps were filled, where that was asked for."""
-    asked: Mask
     model: JointedBody
-    model_path: Path
     tasks: TaskSet | None
+    """Weights of markers and coordinates; None if all markers have the same weight."""
     targets: dict[str, Floats]
-    """Values that the tasks take from a file."""
-    clusters: tuple[Cluster, ...]
-    """Markers of the trial by the body of the model on which they ride."""
-    notes: tuple[str, ...]
-    ground_from_file: Floats
-    """(3, 3) OpenSim's ground from the trial's axes."""
+    """Values of coordinates that the tasks take from a file."""
+    riding: tuple[Cluster, ...]
+    """Bodies of the model and the labels of the trial's markers on each."""
 
-    def follow(self) -> FollowedModel:
-        """Find the model's postures.
-
-        Raises:
-            FileProblem: No marker is common to all, or a task names no coordinate.
-        """
-        turned = replace(self.used, points=self.used.points @ self.ground_from_file.T)
-        try:
-            found = inverse_kinematics(self.model, self.tasks, turned, targets=self.targets)
-        except MareyError as problem:
-            remedy = "Give the model that was scaled with this person's markers, and its weights."
-            raise FileProblem(
-                self.model_path, f"cannot follow {self.path.name}: {problem}".rstrip("."), remedy
-            ) from None
-        file_from_ground = self.ground_from_file.T
-        turn = np.zeros((6, 6))
-        turn[:3, :3], turn[3:, 3:] = np.eye(3), file_from_ground
-        bones = replace(
-            found.bones, rotation=file_from_ground @ found.bones.rotation,
-            origin=found.bones.origin @ file_from_ground.T, covariance=turn @ found.bones.covariance @ turn.T,
-        )  # fmt: skip
-        return FollowedModel(
-            bones=bones, coordinates=_coordinates(found), table=_table(found, self.measured.time),
-            notes=tuple(found.passed_over) + _undetermined(found, self.asked), told=_told(found, self.asked),
-        )  # fmt: skip
+    @property
+    def clusters(self) -> tuple[Cluster, ...]:
+        """The bodies of the model and the labels of the markers on each."""
+        return self.riding
 
 
-def read_model_trial(path: Path, options: MarkersOptions) -> ModelTrial:
-    """Read a trial, a model and its tasks.
+def model_trial(file: MarkerFile, settings: MarkerSettings) -> ModelTrial:
+    """Combine a trial with an OpenSim model and its tasks.
+
+    Args:
+        file: The content of the trial's file.
+        settings: Name the model and its tasks.
 
     Raises:
-        FileProblem: One of them cannot be used.
-        SettingProblem: The frames that are asked for are not there.
+        FileProblem: A file cannot be used.
+        SettingProblem: The trial has none of the requested frames.
     """
-    assert options.model is not None
-    measured = read_markers(path, unit=options.unit)
-    model = read_osim_model(options.model)
-    tasks = None if options.weights is None else read_tasks(options.weights)
+    assert settings.model is not None
+    measured = file.trajectories
+    model = read_osim_model(settings.model)
+    tasks = None if settings.weights is None else read_tasks(settings.weights)
     targets = {}
-    if options.weights is not None and tasks is not None:
-        targets = read_task_values(options.weights, tasks, model, measured.time)
-    asked = asked_frames(len(measured), options.frames)
-    y_up = is_y_up(path)
-    riding: dict[str, list[str]] = {}
+    if settings.weights is not None and tasks is not None:
+        targets = read_task_values(settings.weights, tasks, model, measured.time)
+    labels: dict[str, list[str]] = {}
     for marker in model.markers:
         if marker.body is not None and marker.label in measured.labels:
-            riding.setdefault(marker.body, []).append(marker.label)
-    clusters = tuple(Cluster(segment=body, labels=tuple(labels)) for body, labels in riding.items())
-    used = cut(measured, asked)
-    filling = filled(used, clusters, options)
-    used = used if filling is None else cut(filling.trajectories, asked)
-    turned = "" if y_up else f"{path.name} has Z up; it was turned into the ground of OpenSim, Y up."
+            labels.setdefault(marker.body, []).append(marker.label)
+    riding = tuple(Cluster(segment=body, labels=tuple(each)) for body, each in labels.items())
+    selection = selected_trajectories(measured, riding, settings)
+    turned = f"{file.path.name} has Z up; it was rotated into the ground frame of OpenSim, which has Y up."
     return ModelTrial(
-        path=path, measured=measured, used=used, filling=filling, asked=asked, model=model, model_path=options.model,
-        tasks=tasks, targets=targets, clusters=clusters,
-        notes=(*measured.notes, *(() if filling is None else filling.notes), *([turned] if turned else [])),
-        ground_from_file=np.eye(3) if y_up else OPENSIM_FROM_WORLD,
+        file=file, settings=settings, selection=selection, model=model, tasks=tasks, targets=targets, riding=riding,
+        notes=(*measured.notes, *selection.notes, *(() if file.y_up else (turned,))),
+    )  # fmt: skip
+
+
+def follow_model(trial: ModelTrial) -> FollowedModel:
+    """Estimate the coordinates of the model in every frame.
+
+    Args:
+        trial: The markers and the model.
+
+    Raises:
+        FileProblem: Model, tasks and trial have no marker in common, or a task names an unknown coordinate.
+    """
+    selection = trial.selection
+    ground_from_file = np.eye(3) if trial.file.y_up else OPENSIM_FROM_WORLD
+    turned = replace(selection.used, points=selection.used.points @ ground_from_file.T)
+    try:
+        found = inverse_kinematics(trial.model, trial.tasks, turned, targets=trial.targets)
+    except MareyError as problem:
+        wrong = f"cannot follow {trial.path.name}: {problem}".rstrip(".")
+        remedy = "Give the model that was scaled to this person, and tasks for its markers."
+        raise FileProblem(trial.settings.model or trial.path, wrong, remedy) from None
+    return FollowedModel(
+        bones=_in_axes_of_file(found.bones, ground_from_file.T), coordinates=_coordinates(found),
+        table=_table(found, trial.time), notes=tuple(found.passed_over) + _undetermined(found, selection.frames),
+        summary=_summary(found, selection.frames),
+    )  # fmt: skip
+
+
+def _in_axes_of_file(bones: BoneMotion, file_from_ground: Floats) -> BoneMotion:
+    turn = np.zeros((6, 6))
+    turn[:3, :3], turn[3:, 3:] = np.eye(3), file_from_ground
+    return replace(
+        bones, rotation=file_from_ground @ bones.rotation, origin=bones.origin @ file_from_ground.T,
+        covariance=turn @ bones.covariance @ turn.T,
     )  # fmt: skip
 
 
@@ -133,16 +132,16 @@ def _coordinates(found: InverseKinematics) -> JointKinematics:
 
 
 def _table(found: InverseKinematics, time: Floats) -> Table:
-    """Give the coordinates in degrees and metres, in the model's order."""
+    """Return the coordinates in degrees and metres, in the model's order."""
     values = np.where(found.rotational, np.degrees(found.coordinates), found.coordinates)
     return Table(name="Coordinates", columns=found.coordinate_names, time=time, values=values)
 
 
-def _undetermined(found: InverseKinematics, asked: Mask) -> tuple[str, ...]:
-    """Say which coordinates the markers do not determine, although nothing locks them."""
-    answered = asked & np.isfinite(found.coordinates).any(1)
+def _undetermined(found: InverseKinematics, frames: Mask) -> tuple[str, ...]:
+    """List the unlocked coordinates that the markers do not determine."""
+    answered = frames & np.isfinite(found.coordinates).any(1)
     if not answered.any():
-        return ("No frame has an answer.",)
+        return ("No frame has a result.",)
     locked = (found.coordinates_sd[answered] == 0).all(0)
     never = [
         name
@@ -152,12 +151,12 @@ def _undetermined(found: InverseKinematics, asked: Mask) -> tuple[str, ...]:
     return (f"Not determined by the markers: {', '.join(never)}.",) if never else ()
 
 
-def _told(found: InverseKinematics, asked: Mask) -> str:
-    rms = found.rms[asked]
+def _summary(found: InverseKinematics, frames: Mask) -> str:
+    rms = found.rms[frames]
     known = rms[np.isfinite(rms)]
     if not known.size:
-        return "No frame has an answer."
+        return "No frame has a result."
     return (
-        f"{known.size} of {int(asked.sum())} frames; the {len(found.marker_labels)} markers that were followed lie "
-        f"{1e3 * np.sqrt(np.mean(known**2)):.1f} mm from the model (RMS; worst frame {1e3 * known.max():.1f} mm)."
+        f"{known.size} of {int(frames.sum())} frames; distance of the {len(found.marker_labels)} markers from the "
+        f"model: {1e3 * np.sqrt(np.mean(known**2)):.1f} mm (RMS; worst frame {1e3 * known.max():.1f} mm)."
     )

@@ -1,15 +1,13 @@
 """The files of a run on markers."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from marey.arrays import Integers, Mask
 from marey.io.markers.bones import BoneFile, write_bones
 from marey.io.markers.results import (
-    is_y_up,
     write_bone_orientations,
     write_cycle_csv,
     write_events,
@@ -20,137 +18,96 @@ from marey.io.markers.results import (
     write_marker_motion,
     write_motion_c3d,
 )
-from marey.io.opensim.mot_sto import Table, write_table
-from marey.markers.data.bone_motion import BoneMotion
-from marey.markers.data.marker_motion import MarkerMotion
+from marey.io.opensim.mot_sto import write_table
 from marey.markers.data.trajectories import MarkerTrajectories
-from marey.markers.kinematics.joint_angles import JointKinematics
-from marey.markers.preprocessing.gaps import FilledGaps
-from marey.pipelines.markers.events import CycleCurves, Gait, cycle_curves
-from marey.pipelines.markers.settings import MarkersOptions
+from marey.pipelines.markers.estimated_bones import EstimatedBones, MethodRun
+from marey.pipelines.markers.events import CycleCurves, cycle_curves
+from marey.pipelines.markers.trial import MarkerTrial
 from marey.pipelines.progress import Progress
 from marey.pipelines.run_record import finished_together, write_record
 from marey.view.pages.curves import PlotGroup
 from marey.view.pages.markers_report import MethodView, cycle_plots, write_markers_report
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class MethodRun:
-    """What one method made of the trial."""
-
-    name: str
-    summary: str
-    motion: BoneMotion
-    joints: JointKinematics
-    markers: MarkerMotion
-    seconds: float
-    """How long it took; of the run in which it was computed."""
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class MarkersResults:
-    """What a run on markers found."""
-
-    path: Path
-    """The trial."""
-    measured: MarkerTrajectories
-    """As the file has them."""
-    used: MarkerTrajectories
-    """With what was filled."""
-    filling: FilledGaps | None = None
-    """How, where gaps were to be filled."""
-    asked: Mask
-    """(F,) the frames that were estimated."""
-    runs: Sequence[MethodRun]
-    """The first one's results are the run's."""
-    gait: Gait
-    """Events and cycles; empty where there are none."""
-    anatomical: bool = True
-    """Whether the bones' frames are anatomical ones."""
-    side: str | None = None
-    """`left` or `right` where it is known and the segments' names do not tell."""
-    reference_frames: Integers | None = None
-    """(K,) frames of the trial in which the bones were known; None of a model's."""
-    coordinates: Table | None = None
-    """Coordinates of a model, for angles.mot instead of the joints between bones."""
-
-
-def write_results(results: MarkersResults, options: MarkersOptions, out: Path, progress: Progress) -> None:
-    """Write all results at once: those of the first method, and the bones of every other one beside them.
+def write_results(bones: EstimatedBones, out: Path, progress: Progress) -> None:
+    """Write all files at once: those of the first method, and the bones of every other one beside them.
 
     Args:
-        results: What was found.
-        options: As asked.
-        out: Where.
-        progress: Knows timings and warnings.
+        bones: A result that was estimated, not one that was read.
+        out: The folder.
+        progress: Progress reporter; its times and warnings are in the report.
     """
-    runs, first = results.runs, results.runs[0]
-    time, rate = results.measured.time, results.measured.rate
-    asked = {**{k: v for k, v in vars(options).items() if v not in (None, ())}, "methods": [run.name for run in runs]}
+    trial = bones.trial
+    assert trial is not None
+    cycles = [_over_cycles(run, bones) for run in bones.runs]
     with finished_together(out) as folder:
         with progress.stage("Results"):
-            for run in runs:
-                name = "bones.npz" if run is first else f"bones_{run.name}.npz"
-                known = results.reference_frames
-                write_bones(
-                    folder / name, BoneFile(motion=run.motion, time=time, side=results.side, reference_frames=known)
-                )  # fmt: skip
-            if results.coordinates is not None:
-                write_table(folder / "angles.mot", results.coordinates)
-            elif first.joints.angle_names:
-                write_joint_table(folder / "angles.mot", time, first.joints)
-            if first.joints.angle_names:
-                write_joint_csv(folder / "angles.csv", time, first.joints)
-            write_marker_motion(folder / "marker_motion.csv", time, first.markers)
-            if results.gait.events:
-                write_events(folder / "events.csv", results.gait.events)
-            if results.gait.plates:
-                write_frames(folder / "frames.json", results.gait.plates)
-            cycles = _cycles(results)
-            if cycles and cycles[0] is not None:
+            _write_bones(folder, bones)
+            _write_tables(folder, bones)
+            if cycles[0] is not None:
                 write_cycle_csv(folder / "cycles.csv", cycles[0].names, cycles[0].mean, cycles[0].spread)
-            if results.filling is not None:
-                write_filled(folder / "filled.csv", results.filling)
-            write_motion_c3d(folder / "motion.c3d", results.path, _all_points(results), first.motion)
+            if trial.selection.filling is not None:
+                write_filled(folder / "filled.csv", trial.selection.filling)
+            write_motion_c3d(folder / "motion.c3d", trial.path, _all_points(trial), bones.motion)
             write_bone_orientations(
-                folder / "orientations.sto", time, rate, first.motion, y_up=is_y_up(results.path)
+                folder / "orientations.sto", bones.time, trial.rate, bones.motion, y_up=trial.file.y_up
             )  # fmt: skip
             write_markers_report(
-                folder / "report.html", title=results.path.stem, time=time, asked=results.asked,
-                methods=[_view(run) for run in runs], anatomical=results.anatomical, notes=progress.warnings,
-                filled=int(results.used.filled.sum()), more=_cycle_group(results, cycles), timings=progress.timings,
-                settings=asked, of_model=results.coordinates is not None,
+                folder / "report.html", title=trial.path.stem, time=bones.time, asked=bones.frames,
+                methods=[_view(run) for run in bones.runs], anatomical=bones.anatomical, notes=progress.warnings,
+                filled=int(trial.selection.used.filled.sum()), more=_cycle_group(bones, cycles),
+                timings=progress.timings, settings=bones.details.settings, of_model=bones.coordinates is not None,
             )  # fmt: skip
         write_record(
-            folder, command="markers", settings=asked, inputs=[results.path, *options.files], root=results.path.parent,
-            progress=progress,
+            folder, command=bones.details.command, settings=bones.details.settings, inputs=bones.details.inputs,
+            root=bones.details.root, progress=progress,
         )  # fmt: skip
 
 
-def _all_points(results: MarkersResults) -> MarkerTrajectories:
-    """Give what was filled, and what was measured also in frames that were not asked for."""
-    known = np.isfinite(results.used.points)
-    return replace(results.used, points=np.where(known, results.used.points, results.measured.points))
+def _write_bones(folder: Path, bones: EstimatedBones) -> None:
+    for run in bones.runs:
+        name = "bones.npz" if run is bones.runs[0] else f"bones_{run.name}.npz"
+        held = BoneFile(
+            motion=run.motion, time=bones.time, side=bones.side, reference_frames=bones.reference_frames
+        )  # fmt: skip
+        write_bones(folder / name, held)
 
 
-def _cycles(results: MarkersResults) -> list[CycleCurves | None]:
-    """Put every method's joints over the cycles."""
-    if not results.gait.cycles:
-        return []
-    time = results.measured.time
-    return [cycle_curves(run.joints, time, results.gait.cycles, side=results.side) for run in results.runs]
+def _write_tables(folder: Path, bones: EstimatedBones) -> None:
+    if bones.coordinates is not None:
+        write_table(folder / "angles.mot", bones.coordinates)
+    elif bones.joints.angle_names:
+        write_joint_table(folder / "angles.mot", bones.time, bones.joints)
+    if bones.joints.angle_names:
+        write_joint_csv(folder / "angles.csv", bones.time, bones.joints)
+    write_marker_motion(folder / "marker_motion.csv", bones.time, bones.markers)
+    if bones.gait.events:
+        write_events(folder / "events.csv", bones.gait.events)
+    if bones.gait.plates:
+        write_frames(folder / "frames.json", bones.gait.plates)
 
 
-def _cycle_group(results: MarkersResults, cycles: Sequence[CycleCurves | None]) -> list[PlotGroup]:
-    """Draw the mean curves over the cycle, all methods over each other."""
-    first = cycles[0] if cycles else None
+def _all_points(trial: MarkerTrial) -> MarkerTrajectories:
+    """Return the filled points and all measured ones, also those in frames that were not requested."""
+    used, measured = trial.selection.used, trial.file.trajectories
+    return replace(used, points=np.where(np.isfinite(used.points), used.points, measured.points))
+
+
+def _over_cycles(run: MethodRun, bones: EstimatedBones) -> CycleCurves | None:
+    """Average one method's joint angles over the gait cycles; None if there are no cycles."""
+    return cycle_curves(run.joints, bones.time, bones.gait.cycles, side=bones.side) if bones.gait.cycles else None
+
+
+def _cycle_group(bones: EstimatedBones, cycles: Sequence[CycleCurves | None]) -> list[PlotGroup]:
+    """Draw the mean curves over the gait cycle, those of all methods in one plot."""
+    first = cycles[0]
     if first is None:
         return []
-    named = [(run.name, curves) for run, curves in zip(results.runs, cycles, strict=True) if curves is not None]
+    named = [(run.name, curves) for run, curves in zip(bones.runs, cycles, strict=True) if curves is not None]
     return [cycle_plots([(name, c.mean, c.spread) for name, c in named], first.names, first.counts)]
 
 
-def _view(run: "MethodRun") -> MethodView:
+def _view(run: MethodRun) -> MethodView:
     return MethodView(
         name=run.name, summary=run.summary, motion=run.motion, joints=run.joints, markers=run.markers,
         seconds=run.seconds,

@@ -1,84 +1,91 @@
-"""What was typed for a run on markers."""
+"""Settings of a run on skin markers."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from marey.errors import FileProblem, SettingProblem
+from marey.markers.preprocessing.gaps import FROM_CLUSTER, SPLINE
 
-FILLS = ("none", "spline", "cluster", "best")
+FILLS: Mapping[str, tuple[int, ...]] = {
+    "none": (), "spline": (SPLINE,), "cluster": (FROM_CLUSTER,), "best": (SPLINE, FROM_CLUSTER),
+}  # fmt: skip
+"""Names of the ways to fill gaps, and the methods among which each chooses; dimensionless."""
 SIDES = ("left", "right")
+"""Names of the body's sides."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class MarkersOptions:
-    """What the command line asks for; None leaves it to the program.
+class MarkerSettings:
+    """Which files describe the bones beneath the markers, and which part of the trial is used.
 
     Raises:
-        FileProblem: A file that was named is not there.
-        SettingProblem: A value is impossible.
+        FileProblem: A named file does not exist.
+        SettingProblem: A value is impossible, or two settings exclude each other.
     """
 
-    out: Path | None = None
-    """Where the results go; `FILE_marey` beside the trial when None."""
     reference: Path | None = None
-    """An NPZ that says where the bones were in a frame, or in several."""
-    setup: Path | None = None
-    """A TOML of segments, landmarks, joints and noise."""
+    """NPZ with the poses of the bones in one frame of the trial, or in several."""
+    clusters: Path | None = None
+    """TOML with segments, landmarks, joints and noise."""
     static: Path | None = None
-    """A trial of a person who stands, with landmarks."""
+    """Trial of the person standing, with landmarks."""
     functional: tuple[Path, ...] = ()
-    """Trials in which a joint was moved about."""
+    """Trials in which a hip or shoulder was moved; they give the joint's centre."""
     exercise: Path | None = None
-    """A trial from which the markers' motion over the bones is learned."""
+    """Trial from which the motion of the skin over the bones is learned."""
     exercise_reference: Path | None = None
-    """An NPZ that says where the bones were in frames of the exercise."""
-    methods: tuple[str, ...] | None = None
-    """Names of methods, or `all`; the default one when None."""
+    """NPZ with the poses of the bones in frames of the exercise."""
     model: Path | None = None
-    """An OpenSim model whose coordinates are estimated instead."""
+    """OpenSim model whose coordinates are estimated instead of the motion of single bones."""
     weights: Path | None = None
-    """Its tasks and their weights."""
+    """OpenSim tasks with the weights of markers and coordinates."""
     frames: tuple[int, int] | None = None
-    """First frame and the first one after the last."""
+    """First frame, and the first frame that is not used any more; None for all."""
     fill: str = "none"
-    """How gaps are filled before the methods work."""
+    """How gaps are filled before the bones are estimated; a name of `FILLS`."""
     unit: str | None = None
-    """mm, cm or m, where the file says it wrong."""
+    """mm, cm or m, if the file states its unit wrongly."""
     side: str | None = None
-    """`left` or `right`, where the segments' names do not tell."""
+    """`left` or `right`, if the names of the segments do not contain it."""
 
     def __post_init__(self) -> None:
-        named = {
-            "--reference": self.reference, "--clusters": self.setup, "--static": self.static,
-            "--exercise": self.exercise, "--exercise-reference": self.exercise_reference, "--model": self.model,
-            "--weights": self.weights,
-        }  # fmt: skip
-        files = [*named.items(), *(("--functional", path) for path in self.functional)]
-        for option, path in files:
-            if path is not None and not path.is_file():
-                raise FileProblem(path, "is a folder" if path.is_dir() else "does not exist", f"Mend {option}.")
-        for option, path in (("--reference", self.reference), ("--exercise-reference", self.exercise_reference)):
-            if path is not None and path.suffix.lower() != ".npz":
-                raise FileProblem(path, "is no NPZ", f"Mend {option}; docs/markers.md says what it holds.")
+        self._require_files()
         if self.fill not in FILLS:
             raise SettingProblem(f"--fill is '{self.fill}'; it should be one of {', '.join(FILLS)}.")
         if self.side is not None and self.side not in SIDES:
             raise SettingProblem(f"--side is '{self.side}'; it should be left or right.")
         if self.weights is not None and self.model is None:
-            raise SettingProblem("--weights belongs to --model: name the OpenSim model, too.")
-        if self.model is not None and (self.methods or self.reference or self.static or self.setup):
-            raise SettingProblem("--model brings its own segments and method: give it without the options of clusters.")
+            raise SettingProblem("--weights requires an OpenSim model: add --model.")
+        if self.model is not None and (self.reference or self.static or self.clusters):
+            raise SettingProblem(
+                "--model defines its own segments: leave out --reference, --clusters and --static, or --model."
+            )
         if self.exercise_reference is not None and self.exercise is None:
-            raise SettingProblem("--exercise-reference belongs to --exercise: name the trial, too.")
+            raise SettingProblem("--exercise-reference requires the trial it belongs to: add --exercise.")
         if self.functional and self.static is None:
-            raise SettingProblem("--functional tells where joints are in a static trial: give --static, too.")
+            raise SettingProblem("--functional gives joint centres in a static trial: add --static.")
         if self.reference is not None and self.static is not None:
-            raise SettingProblem("--reference and --static both say how the bones lie: give one of them.")
+            raise SettingProblem("--reference and --static both define the poses of the bones: give one of them.")
+
+    def _require_files(self) -> None:
+        for option, path in self._files():
+            if not path.is_file():
+                wrong = "is a folder" if path.is_dir() else "does not exist"
+                raise FileProblem(path, wrong, f"Correct --{option}.")
+            if option in ("reference", "exercise-reference") and path.suffix.lower() != ".npz":
+                remedy = f"Correct --{option}; docs/markers.md describes the NPZ."
+                raise FileProblem(path, "is not an NPZ", remedy)
+
+    def _files(self) -> list[tuple[str, Path]]:
+        named = {
+            "reference": self.reference, "clusters": self.clusters, "static": self.static, "exercise": self.exercise,
+            "exercise-reference": self.exercise_reference, "model": self.model, "weights": self.weights,
+        }  # fmt: skip
+        files = [(option, path) for option, path in named.items() if path is not None]
+        return files + [("functional", path) for path in self.functional]
 
     @property
     def files(self) -> list[Path]:
-        """The files that were named, besides the trial."""
-        one = (
-            self.reference, self.setup, self.static, self.exercise, self.exercise_reference, self.model, self.weights,
-        )  # fmt: skip
-        return [path for path in one if path is not None] + list(self.functional)
+        """All files that the settings name, the trial itself not among them."""
+        return [path for _, path in self._files()]

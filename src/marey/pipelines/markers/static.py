@@ -1,7 +1,6 @@
-"""What other trials tell of the one that is followed: bones in a static trial, joint centres, skin in an exercise."""
+"""Poses of the bones from a static trial with landmarks, and joint centres from functional trials."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -9,10 +8,8 @@ import numpy as np
 from marey.arrays import Floats
 from marey.errors import FileProblem, MareyError
 from marey.io.markers.readers import read_markers
-from marey.io.markers.setup import read_reference
 from marey.markers.data.clusters import AnatomicalCalibration, Cluster
 from marey.markers.data.labels import clusters_named, find_clusters
-from marey.markers.data.problem import MarkerProblem
 from marey.markers.data.rigid_fit import fit_rigid
 from marey.markers.data.setup import MarkerSetup
 from marey.markers.data.trajectories import MarkerTrajectories
@@ -20,95 +17,92 @@ from marey.markers.kinematics.joint_angles import usual_joints
 from marey.markers.preprocessing.exchanges import exchanged_since
 from marey.markers.preprocessing.functional import FunctionalCentre, carried, score
 from marey.markers.preprocessing.landmarks import static_bones
-from marey.markers.preprocessing.own_frames import BonesAndMarkers, CarriedCalibration, carried_calibration
-from marey.pipelines.markers.settings import MarkersOptions
+from marey.markers.preprocessing.own_frames import CarriedCalibration, carried_calibration
+from marey.pipelines.markers.settings import MarkerSettings
 
 LANDMARK_SD_M = 5e-3
-"""Standard deviation of a palpated landmark's coordinate [m]: some millimetres from one examiner to the other."""
+"""Standard deviation of a coordinate of a palpated landmark [m]: examiners differ by some millimetres."""
 CENTRES = {"thigh": "HJC", "upperarm": "GH"}
-"""Landmarks that are centres of joints, by the kind of the segment that turns about them."""
+"""Names of the landmarks at joint centres, by the segment that rotates about them."""
 _SIDES = ("left_", "right_")
+"""Prefixes of the segments of one side."""
 _ACROSS = (("KJC", "LE", "ME"), ("AJC", "LM", "MM"), ("EJC", "EL", "EM"), ("WJC", "RS", "US"))
-"""Centre, lateral and medial landmark of joints."""
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class StaticBones:
-    """The bones as a static trial gives them, carried into the trial."""
-
-    carried: CarriedCalibration
-    notes: tuple[str, ...]
+"""Names of the centre, the lateral and the medial landmark of each joint."""
 
 
 def from_static(
-    trajectories: MarkerTrajectories, clusters: Sequence[Cluster], setup: MarkerSetup, options: MarkersOptions
-) -> StaticBones:
-    """Find the bones by the landmarks of a static trial and carry them into the trial.
+    trajectories: MarkerTrajectories, clusters: Sequence[Cluster], setup: MarkerSetup, settings: MarkerSettings
+) -> tuple[AnatomicalCalibration, tuple[str, ...]]:
+    """Find the bones in a static trial by its landmarks, and transfer them to the trial by the shared markers.
 
     Args:
-        trajectories: Of the trial.
-        clusters: Of the trial.
-        setup: Names the landmarks.
-        options: Names the static trial, and functional ones.
+        trajectories: Markers of the trial.
+        clusters: Segments of the trial.
+        setup: The content of the TOML; it names the landmarks.
+        settings: Name the static trial and the functional trials.
+
+    Returns:
+        The poses of the bones in the frame of the trial that is most similar to the static trial, and notes.
 
     Raises:
-        FileProblem: No landmark is named, or one is not there; no bone can be made, or carried.
+        FileProblem: No landmark is named, or one is missing; no bone can be constructed or transferred.
     """
-    assert options.static is not None
+    assert settings.static is not None
     if not setup.landmarks:
-        place = options.setup or options.static
+        place = settings.clusters or settings.static
         raise FileProblem(
-            place, "names no landmarks, without which a static trial tells no bones",
-            'Write [landmarks] left_LE = "LKNE", ... into the TOML given with --clusters.',
+            place, "names no landmarks; without them a static trial does not give the poses of the bones",
+            'Add [landmarks] left_LE = "LKNE", ... to the TOML given with --clusters.',
         )  # fmt: skip
-    static = read_markers(options.static, unit=options.unit)
-    further, notes = functional_centres(static, setup, options)
+    static = read_markers(settings.static, unit=settings.unit)
+    further, notes = functional_centres(static, setup, settings)
     try:
         mirrored, said = across_centres(static, setup.landmarks)
         further, notes = {**mirrored, **further}, [*notes, *said]
         bones, found = static_bones(
-            static, clusters, setup.landmarks, landmark_sd_m=LANDMARK_SD_M, side=options.side, further=further
+            static, clusters, setup.landmarks, landmark_sd_m=LANDMARK_SD_M, side=settings.side, further=further
         )
     except MareyError as problem:
         raise FileProblem(
-            options.static, f"lacks a landmark ({str(problem).rstrip('.')})", "Mend [landmarks]."
+            settings.static, f"lacks a landmark ({str(problem).rstrip('.')})", "Correct [landmarks]."
         ) from None
     if not found.frames:
-        raise FileProblem(options.static, f"gives no bone: {' '.join(found.notes)}".rstrip("."), "Add landmarks.")
+        raise FileProblem(settings.static, f"gives no bone: {' '.join(found.notes)}".rstrip("."), "Add landmarks.")
     turns = [float(np.degrees(np.sqrt(np.diag(f.covariance)[:3].max()))) for f in found.frames]
-    told = ", ".join(f"{f.segment} {turn:.1f}" for f, turn in zip(found.frames, turns, strict=True))
+    turn_text = ", ".join(f"{f.segment} {turn:.1f}" for f, turn in zip(found.frames, turns, strict=True))
     notes += [
-        f"Bones from the landmarks of {options.static.name}. If these are palpated to {1e3 * LANDMARK_SD_M:.0f} mm, "
-        f"a bone's axes are known to (degrees): {told}. This error is constant and is in no stated deviation."
+        f"Bones from the landmarks of {settings.static.name}. With landmarks palpated to {1e3 * LANDMARK_SD_M:.0f} mm, "
+        f"the standard deviation of a bone's axes is (degrees): {turn_text}. This error is constant and is not part "
+        "of the standard deviations in the results."
     ]
     try:
         moved = carried_calibration(bones, trajectories, clusters)
     except MareyError as problem:
-        raise FileProblem(options.static, f"does not fit the trial: {problem}".rstrip(".")) from None
+        raise FileProblem(settings.static, f"does not fit the trial: {problem}".rstrip(".")) from None
     notes += [*found.notes, *moved.notes, _carried_text(moved)]
     notes += [
-        f"Against {options.static.name}, {exchange.note}"
+        f"Against {settings.static.name}, {exchange.note}"
         for exchange in exchanged_since(trajectories, clusters, bones.labels, bones.points)
     ]
-    return StaticBones(carried=moved, notes=tuple(notes))
+    return moved.calibration, tuple(notes)
 
 
 def across_centres(
     static: MarkerTrajectories, landmarks: Mapping[str, Sequence[str]]
 ) -> tuple[dict[str, Floats], list[str]]:
-    """Put missing medial landmarks across the joint's centre from the lateral ones.
+    """Reflect lateral landmarks at the joint centre to obtain missing medial landmarks.
 
-    Many marker sets palpate the lateral side only and tell the joint's centre (`left_KJC`, `left_AJC`).
+    Many marker sets have only the lateral landmark and the centre of a joint (`left_KJC`, `left_AJC`).
 
     Args:
         static: The static trial.
-        landmarks: As the TOML names them.
+        landmarks: Landmarks and their markers, as the TOML names them.
 
     Returns:
-        Landmark to place (3,) in the static trial's laboratory [m], and what was done.
+        The place (3,) of each landmark in the laboratory of the static trial [m], and notes.
 
     Raises:
-        MareyError: A landmark names a marker that is not there.
+        MareyError: A landmark names a marker that the static trial does not have.
     """
     places: dict[str, Floats] = {}
     notes: list[str] = []
@@ -118,12 +112,12 @@ def across_centres(
             if names[0] in landmarks and names[1] in landmarks and names[2] not in landmarks:
                 middle, outer = (_mean_place(static, landmarks[name]) for name in names[:2])
                 places[names[2]] = 2 * middle - outer
-                notes.append(f"{names[2]} is taken across {names[0]} from {names[1]}.")
+                notes.append(f"{names[2]} is {names[1]} reflected at {names[0]}.")
     return places, notes
 
 
 def _mean_place(static: MarkerTrajectories, labels: Sequence[str]) -> Floats:
-    """Give the mean place (3,) of one marker, or of the middle of several; NaN where one is never there."""
+    """Return the mean place (3,) of one marker, or of the midpoint of several; NaN if one is never seen."""
     points = static.select(labels).points
     known = np.isfinite(points)
     total = np.where(known, points, 0.0).sum(0)
@@ -136,47 +130,47 @@ def _carried_text(moved: CarriedCalibration) -> str:
     each = ", ".join(
         f"{name} {1e3 * off:.1f}" for name, off in zip(moved.calibration.segments, moved.residual_m, strict=True)
     )
-    return f"Frame {frame} looks most as the static trial; its markers lie from theirs by (mm, RMS): {each}."
+    return f"Frame {frame} is most similar to the static trial; distance of the markers (mm, RMS): {each}."
 
 
 def functional_centres(
-    static: MarkerTrajectories, setup: MarkerSetup, options: MarkersOptions
+    static: MarkerTrajectories, setup: MarkerSetup, settings: MarkerSettings
 ) -> tuple[dict[str, Floats], list[str]]:
-    """Find joint centres from trials in which a joint was moved about, and carry them into the static trial.
+    """Estimate joint centres from functional trials, and transfer them to the static trial.
 
-    Of each functional trial the joint is taken whose bones turn most against each other.
+    In each functional trial it is the joint whose two bones rotate most relative to each other.
 
     Args:
-        static: Into which the centres are carried by the parent's markers.
-        setup: Names the segments.
-        options: Names the trials.
+        static: The static trial; the markers of the parent segment are in both.
+        setup: The content of the TOML; it names the segments.
+        settings: Name the functional trials.
 
     Returns:
-        Landmark to place (3,) in the static trial's laboratory, and what was found.
+        The place (3,) of each centre in the laboratory of the static trial [m], and notes.
 
     Raises:
-        FileProblem: A trial shows no such joint, or the static one not the markers above it.
+        FileProblem: A trial has no such joint, or the static trial lacks the markers of the parent segment.
     """
     places, notes = {}, []
-    for path in options.functional:
-        trial = read_markers(path, unit=options.unit)
+    for path in settings.functional:
+        trial = read_markers(path, unit=settings.unit)
         parent, child = _moved_joint(path, trial, setup)
         try:
             found = score(trial.select(parent.labels).points, trial.select(child.labels).points)
         except MareyError as problem:
-            raise FileProblem(path, f"does not tell the joint's centre ({str(problem).rstrip('.')})") from None
+            raise FileProblem(path, f"does not determine the joint's centre ({str(problem).rstrip('.')})") from None
         name = _centre_name(child.segment)
         places[name] = _in_static(found, parent, static, path)
         sd = 1e3 * float(np.sqrt(np.diag(found.covariance).max()))
         notes.append(
-            f"{name} is the centre about which {child.segment} turns on {parent.segment} in {path.name}: known to "
-            f"{sd:.1f} mm, the two bones' centres {1e3 * found.residual:.1f} mm apart (RMS)."
+            f"{name} is the centre about which {child.segment} rotates on {parent.segment} in {path.name}: standard "
+            f"deviation {sd:.1f} mm; the centres fixed to the two bones are {1e3 * found.residual:.1f} mm apart (RMS)."
         )
     return places, notes
 
 
 def _moved_joint(path: Path, trial: MarkerTrajectories, setup: MarkerSetup) -> tuple[Cluster, Cluster]:
-    """Find the joint of a functional trial: among those with a centre, the one that turns most."""
+    """Find the joint of a functional trial: among those with a centre, the one that rotates most."""
     try:
         named = clusters_named(setup.segments, trial.labels) if setup.segments else find_clusters(trial.labels)
     except MareyError as problem:
@@ -185,7 +179,7 @@ def _moved_joint(path: Path, trial: MarkerTrajectories, setup: MarkerSetup) -> t
     pairs = [pair for pair in usual_joints(tuple(clusters)) if _kind(pair[1]) in CENTRES]
     if not pairs:
         raise FileProblem(
-            path, f"has no joint whose centre is sought; its segments are {', '.join(clusters)}",
+            path, f"has no joint whose centre can be estimated; its segments are {', '.join(clusters)}",
             "Name pelvis and left_thigh or right_thigh (or thorax and an upperarm) in [segments].",
         )  # fmt: skip
     turned = [_turned(trial, clusters[parent], clusters[child]) for parent, child in pairs]
@@ -194,7 +188,7 @@ def _moved_joint(path: Path, trial: MarkerTrajectories, setup: MarkerSetup) -> t
 
 
 def _turned(trial: MarkerTrajectories, parent: Cluster, child: Cluster) -> float:
-    """Say how much two clusters turn against each other: the spread of the relative rotation."""
+    """Return the spread of the relative rotation of two clusters."""
     turns = []
     for cluster in (parent, child):
         points = trial.select(cluster.labels).points
@@ -215,7 +209,7 @@ def _centre_name(segment: str) -> str:
 
 
 def _in_static(found: FunctionalCentre, parent: Cluster, static: MarkerTrajectories, path: Path) -> Floats:
-    """Carry a centre by the parent's markers into the static trial: the mean over its frames."""
+    """Transfer a centre to the static trial by the markers of the parent segment: the mean over its frames."""
     shared = [label for label in parent.labels if label in static.labels]
     if not shared:
         raise FileProblem(path, f"shares no marker of {parent.segment} with the static trial")
@@ -223,47 +217,5 @@ def _in_static(found: FunctionalCentre, parent: Cluster, static: MarkerTrajector
     moved = carried(shape, found.in_parent, static.select(shared).points)
     known = moved[np.isfinite(moved).all(1)]
     if not len(known):
-        raise FileProblem(path, f"shares less than three markers of {parent.segment} with the static trial")
+        raise FileProblem(path, f"shares fewer than three markers of {parent.segment} with the static trial")
     return np.asarray(known.mean(0))
-
-
-def read_exercise(problem: MarkerProblem, options: MarkersOptions) -> tuple[MarkerProblem, tuple[str, ...]]:
-    """Read the exercise from which the markers' motion over the bones is learned.
-
-    Its bones are told by a reference of its own, or carried over from the trial's reference.
-
-    Raises:
-        FileProblem: It has other markers, or its reference cannot be used.
-    """
-    assert options.exercise is not None
-    trial = read_markers(options.exercise, unit=options.unit)
-    clusters = tuple(
-        replace(cluster, labels=tuple(label for label in cluster.labels if label in trial.labels))
-        for cluster in problem.clusters
-    )
-    clusters = tuple(cluster for cluster in clusters if len(cluster.labels) >= 3)
-    calibration: AnatomicalCalibration
-    if options.exercise_reference is not None:
-        segments = tuple(cluster.segment for cluster in clusters)
-        calibration, notes = read_reference(options.exercise_reference, segments, frames=len(trial))
-    else:
-        try:
-            moved = carried_calibration(_posture(problem), trial, clusters)
-        except MareyError as fault:
-            raise FileProblem(options.exercise, f"does not fit the trial: {fault}".rstrip(".")) from None
-        calibration, notes = moved.calibration, moved.notes
-    kept = tuple(cluster for cluster in clusters if cluster.segment in calibration.segments)
-    joints = tuple(pair for pair in problem.joints if set(pair) <= set(calibration.segments))
-    exercise = MarkerProblem(
-        trajectories=trial, clusters=kept, calibration=calibration, joints=joints, noise_m=problem.noise_m
-    )
-    return replace(problem, exercise=exercise), tuple(f"{options.exercise.name}: {note}" for note in notes)
-
-
-def _posture(problem: MarkerProblem) -> BonesAndMarkers:
-    """Give the bones and markers of the trial's first known posture."""
-    calibration, trial = problem.calibration, problem.trajectories
-    return BonesAndMarkers(
-        segments=calibration.segments, rotation=calibration.rotation[0], origin=calibration.origin[0],
-        labels=trial.labels, points=trial.points[calibration.frames[0]],
-    )  # fmt: skip

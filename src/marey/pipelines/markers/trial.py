@@ -1,224 +1,167 @@
-"""What a run on markers works with: the trial's trajectories, its clusters, and where the bones were."""
+"""A marker trial as the methods need it: trajectories, segments, and the poses of the bones in some frames."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
-from marey.arrays import Mask
-from marey.errors import FileProblem, MareyError, SettingProblem
-from marey.io.markers.readers import read_markers
-from marey.io.markers.setup import read_marker_setup, read_reference
-from marey.io.npz import read_arrays
-from marey.markers.data.clusters import AnatomicalCalibration, Cluster
-from marey.markers.data.labels import NEEDED, FoundClusters, clusters_named, find_clusters
+from marey.arrays import Floats
+from marey.errors import SettingProblem
+from marey.io.markers.setup import read_marker_setup
+from marey.io.markers.trial_file import MarkerFile
+from marey.markers.data.clusters import Cluster
 from marey.markers.data.problem import MarkerProblem
 from marey.markers.data.setup import MarkerSetup
-from marey.markers.data.trajectories import MarkerTrajectories
-from marey.markers.kinematics.joint_angles import usual_joints
-from marey.markers.preprocessing.faults import find_faults
-from marey.markers.preprocessing.gaps import FROM_CLUSTER, SPLINE, FilledGaps, fill_gaps
-from marey.markers.preprocessing.own_frames import own_calibration
-from marey.pipelines.markers.settings import MarkersOptions
-from marey.pipelines.markers.static import StaticBones, from_static, read_exercise
+from marey.pipelines.markers.calibration import Calibrated, calibrated
+from marey.pipelines.markers.exercise import read_exercise
+from marey.pipelines.markers.segments import segments_of
+from marey.pipelines.markers.selection import SelectedTrajectories, selected_trajectories
+from marey.pipelines.markers.settings import MarkerSettings
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class MarkersTrial:
-    """One trial, ready for the methods."""
+class MarkerTrial:
+    """A trial of skin markers with everything that is known about it, as `marey.open_markers` returns it."""
 
-    path: Path
-    measured: MarkerTrajectories
-    """As the file has them."""
-    used: MarkerTrajectories
-    """With what was filled, without frames that were not asked for."""
-    filling: FilledGaps | None
-    """How gaps were filled, where that was asked for."""
-    asked: Mask
-    """(F,) the frames that are estimated."""
-    problem: MarkerProblem
-    anatomical: bool
-    """Whether the bones' frames are anatomical ones, or the clusters' own."""
-    side: str | None
-    """`left` or `right` where it is known and the segments' names do not tell."""
+    file: MarkerFile
+    """The content of the trial's file."""
+    settings: MarkerSettings
+    """The settings with which the trial was opened."""
+    selection: SelectedTrajectories
+    """The frames to be estimated, with filled gaps if that was requested."""
     notes: tuple[str, ...]
+    """What was skipped or decided while the trial was read, one sentence each."""
+
+    @property
+    def path(self) -> Path:
+        """The trial's file."""
+        return self.file.path
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Labels of the M markers."""
+        return self.file.trajectories.labels
+
+    @property
+    def rate(self) -> float:
+        """Sampling rate [Hz]."""
+        return self.file.trajectories.rate
+
+    @property
+    def time(self) -> Floats:
+        """(F,) time of each frame [s]."""
+        return self.file.trajectories.time
+
+    @property
+    def points(self) -> Floats:
+        """(F, M, 3) places of the markers in the laboratory [m]; NaN where a marker is missing."""
+        return self.selection.used.points
+
+    @property
+    def clusters(self) -> tuple[Cluster, ...]:
+        """The segments and the labels of the markers on each."""
+        raise NotImplementedError
+
+    @property
+    def segments(self) -> tuple[str, ...]:
+        """Names of the segments whose bones can be estimated."""
+        return tuple(cluster.segment for cluster in self.clusters)
+
+    @property
+    def side(self) -> str | None:
+        """`left` or `right`, if it is known and the names of the segments do not contain it."""
+        return None
+
+    def __len__(self) -> int:
+        return len(self.file.trajectories)
+
+    def __repr__(self) -> str:
+        seen = 100 * float(self.file.trajectories.present.mean())
+        return (
+            f"<{type(self).__name__} {self.path.name}: {len(self.labels)} markers, {len(self)} frames at "
+            f"{self.rate:g} Hz, {seen:.1f} % of the points seen; segments: {', '.join(self.segments) or 'none'}>"
+        )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class ClusterTrial(MarkerTrial):
+    """A trial in which at least three markers ride on each segment."""
+
+    problem: MarkerProblem
+    """What every method is given."""
+    anatomical: bool
+    """Whether the bones' frames are anatomical; otherwise they are the clusters' principal axes."""
+    known_side: str | None = None
+    """`left` or `right`, if it is known and the names of the segments do not contain it."""
+
+    @property
+    def clusters(self) -> tuple[Cluster, ...]:
+        """The segments and the labels of the markers on each."""
+        return self.problem.clusters
+
+    @property
+    def side(self) -> str | None:
+        """`left` or `right`, if it is known and the names of the segments do not contain it."""
+        return self.known_side
 
     @property
     def key(self) -> object:
-        """On what a method's result depends, besides the files."""
+        """Everything on which the result of a method depends, apart from the files."""
         problem = self.problem
         return (
             [(c.segment, c.labels) for c in problem.clusters], problem.calibration, list(problem.joints),
-            list(problem.degrees_of_freedom), problem.noise_m, self.asked, self.used.points,
+            list(problem.degrees_of_freedom), problem.noise_m, self.selection.frames, self.selection.used.points,
             problem.exercise is not None,
             [(name, s.form, s.period_s, s.pieces, s.functions, s.still) for name, s in problem.skin.items()],
         )  # fmt: skip
 
 
-def read_trial(path: Path, options: MarkersOptions) -> MarkersTrial:
-    """Read a trial and all that was said of it.
+def cluster_trial(file: MarkerFile, settings: MarkerSettings) -> ClusterTrial:
+    """Combine a trial with what its settings state about segments and bones.
+
+    Args:
+        file: The content of the trial's file.
+        settings: Name the other files.
 
     Raises:
         FileProblem: A file cannot be used.
         SettingProblem: A setting does not fit the trial.
     """
-    measured = read_markers(path, unit=options.unit)
-    setup = MarkerSetup() if options.setup is None else read_marker_setup(options.setup)
-    found = found_clusters(path, measured, setup, options)
-    asked = asked_frames(len(measured), options.frames)
-    used = cut(measured, asked)
-    filling = filled(used, found.clusters, options)
-    used = used if filling is None else cut(filling.trajectories, asked)
-    notes = [*measured.notes, *found.notes, *(() if filling is None else filling.notes)]
-    seen = _seen(used, found.clusters)
-    static = None if options.static is None else from_static(used, seen, setup, options)
-    calibration, anatomical, said = _calibration(path, measured, used, seen, static, options)
-    used = with_frames(used, measured, calibration)
-    notes += said
-    # Frames that were not asked for are empty in what is used; that is no fault of the markers.
-    riding = [label for cluster in found.clusters for label in cluster.labels]
-    judged = (used if asked.all() else measured).select(riding)
-    notes += find_faults(judged, found.clusters, calibration if anatomical else None)
-    clusters = tuple(cluster for cluster in found.clusters if cluster.segment in calibration.segments)
-    strange = sorted(set(setup.skin) - {cluster.segment for cluster in found.clusters})
-    if strange:
-        there = ", ".join(cluster.segment for cluster in found.clusters)
-        raise SettingProblem(f"The TOML says how skin moves on {', '.join(strange)}; there are: {there}.")
-    side, said = _side(calibration.segments, options)
+    setup = MarkerSetup() if settings.clusters is None else read_marker_setup(settings.clusters)
+    found = segments_of(file, setup, settings)
+    selection = selected_trajectories(file.trajectories, found.clusters, settings)
+    bones = calibrated(file, selection, found.clusters, setup, settings)
+    _require_known(setup, found.clusters)
+    problem = _problem(bones, found.clusters, setup)
+    notes = [*file.trajectories.notes, *found.notes, *selection.notes, *bones.notes]
+    if problem.joints:
+        notes += bones.side_notes
+    if settings.exercise is not None:
+        problem, more = read_exercise(problem, settings)
+        notes += more
+    if not problem.joints:
+        notes.append("There are no joint angles: no joint between the segments is known. Add [joints] to the TOML.")
+    return ClusterTrial(
+        file=file, settings=settings, selection=replace(selection, used=bones.trajectories), notes=tuple(notes),
+        problem=problem, anatomical=bones.anatomical, known_side=bones.side,
+    )  # fmt: skip
+
+
+def _require_known(setup: MarkerSetup, clusters: Sequence[Cluster]) -> None:
+    """Raise an error if the TOML describes the skin of a segment that the trial does not have."""
+    names = {cluster.segment for cluster in clusters}
+    unknown = sorted(set(setup.skin) - names)
+    if unknown:
+        there = ", ".join(cluster.segment for cluster in clusters)
+        raise SettingProblem(f"[skin] names the unknown segment {', '.join(unknown)}; the segments are: {there}.")
+
+
+def _problem(bones: Calibrated, clusters: Sequence[Cluster], setup: MarkerSetup) -> MarkerProblem:
+    known = bones.calibration.segments
     problem = MarkerProblem(
-        trajectories=used, clusters=clusters, calibration=calibration,
-        joints=_joints(setup, calibration.segments), skin=setup.skin,
+        trajectories=bones.trajectories, clusters=tuple(c for c in clusters if c.segment in known),
+        calibration=bones.calibration, joints=bones.joints, skin=setup.skin,
     )  # fmt: skip
     degrees = {(j.parent, j.child): j.degrees_of_freedom for j in setup.joints}
     if degrees:
         problem = replace(problem, degrees_of_freedom=tuple(degrees[pair] for pair in problem.joints))
-    if setup.noise_m is not None:
-        problem = replace(problem, noise_m=setup.noise_m)
-    notes += said if anatomical and problem.joints else []
-    if options.exercise is not None:
-        problem, told = read_exercise(problem, options)
-        notes += told
-    if not problem.joints:
-        notes.append("No joint is known between the segments, so there are no joint angles: see [joints] of the TOML.")
-    return MarkersTrial(
-        path=path, measured=measured, used=used, filling=filling, asked=asked, problem=problem,
-        anatomical=anatomical, side=side, notes=tuple(notes),
-    )  # fmt: skip
-
-
-def _seen(trajectories: MarkerTrajectories, clusters: Sequence[Cluster]) -> tuple[Cluster, ...]:
-    """Give the clusters of which some frame shows enough markers; the others have no answer in any."""
-    return tuple(c for c in clusters if (trajectories.select(c.labels).present.sum(1) >= NEEDED).any())
-
-
-def found_clusters(
-    path: Path, trajectories: MarkerTrajectories, setup: MarkerSetup, options: MarkersOptions
-) -> FoundClusters:
-    """Find the clusters that the TOML names, or that the labels tell.
-
-    Raises:
-        FileProblem: There is none, or one that is named has too few markers.
-    """
-    if setup.segments:
-        try:
-            return clusters_named(setup.segments, trajectories.labels)
-        except MareyError as problem:
-            assert options.setup is not None
-            raise FileProblem(options.setup, f"does not fit {path.name} ({str(problem).rstrip('.')})") from problem
-    found = find_clusters(trajectories.labels)
-    if not found.clusters:
-        some = ", ".join(trajectories.labels[:12]) + (", ..." if len(trajectories.labels) > 12 else "")
-        raise FileProblem(
-            path, f"has no three labels that differ by a number only, so no segment can be told; it has {some}",
-            'Name the segments in a TOML: [segments] thigh = ["label", ...], and give it with --clusters.',
-        )  # fmt: skip
-    return found
-
-
-def asked_frames(count: int, frames: tuple[int, int] | None) -> Mask:
-    """Tell which of so many frames (F,) are asked for.
-
-    Raises:
-        SettingProblem: None of them.
-    """
-    asked = np.ones(count, bool)
-    if frames is not None:
-        first, end = frames
-        if first >= count:
-            raise SettingProblem(f"--frames begins at {first}; the trial has the frames 0 to {count - 1}.")
-        asked[:first] = False
-        asked[end:] = False
-    return asked
-
-
-def cut(trajectories: MarkerTrajectories, asked: Mask) -> MarkerTrajectories:
-    """Take away what was measured in frames that were not asked for."""
-    if asked.all():
-        return trajectories
-    points = np.array(trajectories.points)
-    points[~asked] = np.nan
-    return replace(trajectories, points=points)
-
-
-def with_frames(
-    used: MarkerTrajectories, measured: MarkerTrajectories, calibration: AnatomicalCalibration
-) -> MarkerTrajectories:
-    """Give the frames in which the bones are known their markers again, also where they were not asked for."""
-    lost = [f for f in calibration.frames if not used.present[f].any() and measured.present[f].any()]
-    if not lost:
-        return used
-    points = np.array(used.points)
-    points[lost] = measured.points[lost]
-    return replace(used, points=points)
-
-
-def filled(trajectories: MarkerTrajectories, clusters: Sequence[Cluster], options: MarkersOptions) -> FilledGaps | None:
-    """Fill gaps where that was asked for: as the way that is named does, or by the better one of each gap."""
-    ways = {"spline": (SPLINE,), "cluster": (FROM_CLUSTER,), "best": (SPLINE, FROM_CLUSTER)}
-    return fill_gaps(trajectories, clusters, ways=ways[options.fill]) if options.fill in ways else None
-
-
-def _calibration(
-    path: Path, measured: MarkerTrajectories, used: MarkerTrajectories, clusters: Sequence[Cluster],
-    static: StaticBones | None, options: MarkersOptions,
-) -> tuple[AnatomicalCalibration, bool, list[str]]:  # fmt: skip
-    """Find where the bones are: as a file says, as a static trial says, or by the clusters' own axes."""
-    segments = tuple(cluster.segment for cluster in clusters)
-    if not segments:
-        raise FileProblem(path, "shows three markers of no segment in any frame", "See the gaps of the trial.")
-    if options.reference is not None:
-        calibration, notes = read_reference(options.reference, segments, frames=len(measured))
-        return calibration, True, list(notes)
-    if static is not None:
-        return static.carried.calibration, True, list(static.notes)
-    try:
-        own = own_calibration(used, clusters)
-    except MareyError as problem:
-        raise FileProblem(path, str(problem).rstrip("."), "Give a --reference, or name other segments.") from problem
-    note = (
-        f"Nothing tells how the bones lie beneath the markers. Each segment has its cluster's own axes as they lie in "
-        f"frame {int(own.frames[0])}, and joints tell how far they turned since then, not how far they are bent. For "
-        "anatomical angles give --reference, or --static with landmarks."
-    )
-    return own, False, [note]
-
-
-def _joints(setup: MarkerSetup, segments: Sequence[str]) -> tuple[tuple[str, str], ...]:
-    """Take the TOML's joints, or those that the segments' names tell."""
-    if setup.joints:
-        return tuple((j.parent, j.child) for j in setup.joints if j.parent in segments and j.child in segments)
-    return usual_joints(segments)
-
-
-def _side(segments: Sequence[str], options: MarkersOptions) -> tuple[str | None, list[str]]:
-    """Find the side of segments that do not name theirs: typed, or told by the reference."""
-    if all(name.startswith(("left_", "right_")) or name in ("pelvis", "thorax", "head") for name in segments):
-        return None, []
-    if options.side is not None:
-        return options.side, []
-    if options.reference is not None:
-        told = str(read_arrays(options.reference).get("side", ""))
-        if told in ("left", "right"):
-            return told, []
-    return None, ["Which side the segments are of is not said: signs are a right side's. Give --side."]
+    return problem if setup.noise_m is None else replace(problem, noise_m=setup.noise_m)

@@ -1,4 +1,4 @@
-"""What shapes are recovered from: points followed in videos, or read, and matched between cameras."""
+"""Points from which shapes are recovered: followed in videos, or read, and matched between cameras."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,9 +7,9 @@ import numpy as np
 
 from marey.arrays import Floats, Integers, Mask
 from marey.errors import MareyError
+from marey.nonrigid.core.track_checks import FEWEST_POINTS
 from marey.nonrigid.correspondence.calibrated_correspondence import join_calibrated
 from marey.nonrigid.correspondence.view_joining import join_views
-from marey.nonrigid.one_camera.one_view import FEWEST_POINTS
 from marey.pipelines.nonrigid.input import NonRigidInput
 from marey.pipelines.nonrigid.video import VideoTracks, follow_video, follow_views
 from marey.pipelines.progress import Progress
@@ -18,28 +18,28 @@ from marey.pipelines.run_record import StageCache
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MeasuredPoints:
-    """What the shapes are recovered from; one of `tracks` and `points` is there."""
+    """Points from which shapes are recovered: either `tracks` or `points` is set."""
 
     tracks: Floats | None = None
-    """(C, F, 2, P) where points were seen; NaN elsewhere."""
+    """(C, F, 2, P) places in the images of C cameras [px]; NaN where a point is not seen."""
     tracks_sd: Floats | None = None
-    """(C, F, 2, P) [px]."""
+    """(C, F, 2, P) standard deviations of the tracks [px]."""
     points: Floats | None = None
     """(F, P, 3)."""
     labels: tuple[str, ...]
     edges: Integers
     unit: str
-    """Of the input: px, m, or that nobody says it."""
+    """Unit of the input: px, m, or that it is not stated."""
     videos: tuple[VideoTracks, ...] = ()
-    """What was followed."""
+    """Tracks of each video, over all of its frames."""
     camera_points: Integers | None = None
-    """(C, P) which track of each camera a point is, -1 where none, where that was found."""
+    """(C, P) number of the track of each camera, -1 if it has none; None if the correspondence was given."""
     probability: Floats | None = None
-    """(C, P) that it is that one."""
+    """(C, P) probability of the correspondence."""
 
     @property
     def seen(self) -> Mask:
-        """(C, F, P) by camera; of points in space C = 1."""
+        """(C, F, P) true where a camera sees a point; C = 1 for points in space."""
         if self.tracks is not None:
             return np.asarray(np.isfinite(self.tracks).all(2))
         assert self.points is not None
@@ -47,15 +47,15 @@ class MeasuredPoints:
 
 
 def measure_points(given: NonRigidInput, cache: StageCache, progress: Progress) -> MeasuredPoints:
-    """Give what is known of the points: in videos they are followed first, and of several cameras matched.
+    """Follow points in videos, and match them between cameras, where that is necessary.
 
     Args:
         given: The input.
-        cache: Of the run.
-        progress: Is told.
+        cache: Checkpoints of the run.
+        progress: Progress reporter.
 
     Raises:
-        MareyError: A video shows nothing to follow, or cameras show no points in common.
+        MareyError: A video has nothing to follow, or the cameras have no points in common.
     """
     if len(given.data) == 1:
         data = given.data[0]
@@ -63,7 +63,7 @@ def measure_points(given: NonRigidInput, cache: StageCache, progress: Progress) 
             tracks=data.tracks, points=data.points, labels=data.labels, edges=data.edges, unit=data.unit
         )  # fmt: skip
     if given.data:
-        views = [one.tracks[0, given.asked] for one in given.data if one.tracks is not None]
+        views = [one.tracks[0, given.requested] for one in given.data if one.tracks is not None]
         return _joined(views, given, cache, progress)
     if len(given.clips) > len(given.starts) > 0 or (len(given.clips) > 1 and not given.starts):
         return _found_in_all(given, cache, progress)
@@ -75,7 +75,7 @@ def measure_points(given: NonRigidInput, cache: StageCache, progress: Progress) 
 
 
 def _of_videos(videos: tuple[VideoTracks, ...], probability: Floats | None = None) -> MeasuredPoints:
-    """Give points that stand in one order in all videos; only what was seen counts."""
+    """Combine the tracks of all videos, which have the same points in the same order; predicted places are left out."""
     tracks = np.stack([np.where(v.found.visible[:, None], v.found.tracks, np.nan) for v in videos])
     return MeasuredPoints(
         tracks=tracks, tracks_sd=np.stack([video.found.tracks_sd for video in videos]), videos=videos, unit="px",
@@ -84,26 +84,26 @@ def _of_videos(videos: tuple[VideoTracks, ...], probability: Floats | None = Non
 
 
 def _found_in_all(given: NonRigidInput, cache: StageCache, progress: Progress) -> MeasuredPoints:
-    """Follow the first video's points in all of them."""
+    """Follow the points of the first video in all videos."""
     videos, probability, notes = follow_views(given, cache, progress)
     for note in notes:
         progress.warn(note)
     seen = np.array([video.found.visible.any(0).sum() for video in videos])
     shared = int((np.sum([video.found.visible.any(0) for video in videos], axis=0) > 1).sum())
     each = ", ".join(f"{name} {count}" for name, count in zip(given.names, seen, strict=True))
-    progress.say(f"Points found: {each}; {shared} of them in two cameras or more.")
+    progress.report(f"Points found: {each}; {shared} of them by two cameras or more.")
     return _of_videos(videos, probability)
 
 
 def _joined(views: Sequence[Floats], given: NonRigidInput, cache: StageCache, progress: Progress) -> MeasuredPoints:
-    """Find which points of several cameras are the same, from how they move."""
+    """Match the points of several cameras by their motion."""
 
     def compute() -> dict[str, np.ndarray]:
         found = join_views(views) if given.rig is None else join_calibrated(views, given.rig)
         kept = found.shared()
         if len(kept) < FEWEST_POINTS:
             words = " ".join(found.notes)
-            raise MareyError(f"No {FEWEST_POINTS} points are the same in two cameras beyond chance. {words}")
+            raise MareyError(f"Fewer than {FEWEST_POINTS} points match between two cameras beyond chance. {words}")
         return {
             "tracks": found.tracks[..., kept], "points": found.points[:, kept],
             "probability": found.probability[:, kept], "notes": np.array(found.notes, np.str_),
@@ -115,7 +115,7 @@ def _joined(views: Sequence[Floats], given: NonRigidInput, cache: StageCache, pr
     for note in found["notes"]:
         progress.warn(str(note))
     tracks = np.full((len(views), given.frames, *found["tracks"].shape[2:]), np.nan)
-    tracks[:, given.asked] = found["tracks"]
+    tracks[:, given.requested] = found["tracks"]
     labels = tuple("/".join("-" if p < 0 else str(p) for p in column) for column in found["points"].T)
     return MeasuredPoints(
         tracks=tracks, labels=labels, edges=np.zeros((0, 2), np.int64), unit=given.data[0].unit,

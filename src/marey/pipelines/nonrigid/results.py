@@ -12,38 +12,36 @@ from marey.io.video.video_writer import VideoWriter
 from marey.nonrigid.recovered import RecoveredShapes
 from marey.pipelines.nonrigid.input import NonRigidInput
 from marey.pipelines.nonrigid.measure import MeasuredPoints
-from marey.pipelines.nonrigid.settings import NonRigidOptions
 from marey.pipelines.progress import Progress
+from marey.pipelines.run_details import RunDetails
 from marey.pipelines.run_record import finished_together, write_record
 from marey.view.pages.html import Still
 from marey.view.pages.shape_report import ShapeReport, write_shape_report
 from marey.view.pictures.shape_overlay import ShapeOverlay, ShapeScene, near_lines
 
 _STILLS = 4
+"""Number of frames of each overlay video in the report."""
 _UNKNOWN_AS = 1e-3
-"""Metres that a unit of unknown length becomes in C3D: files in millimetres then hold the shapes' own numbers."""
+"""Length of a unit whose length is unknown, in C3D [m]: files in millimetres then have the values of the shapes."""
 _ABOUT_A_METRE = 1.0
+"""Size of an object of unknown size in the GLB [m], so that viewers show it at once."""
 
 
 def write_results(
-    given: NonRigidInput,
-    measured: MeasuredPoints,
-    found: RecoveredShapes,
-    options: NonRigidOptions,
-    out: Path,
-    progress: Progress,
-) -> None:
-    """Write all results at once.
+    given: NonRigidInput, measured: MeasuredPoints, found: RecoveredShapes, details: RunDetails, out: Path,
+    progress: Progress, *, overlay: bool,
+) -> None:  # fmt: skip
+    """Write all files at once.
 
     Args:
         given: The input.
-        measured: What the shapes were recovered from.
+        measured: The points from which the shapes were recovered.
         found: The shapes.
-        options: As asked.
-        out: Where.
-        progress: Knows timings and warnings.
+        details: Settings and inputs of the run.
+        out: The folder.
+        progress: Progress reporter; its times and warnings are in the report.
+        overlay: Whether overlay videos are drawn.
     """
-    asked = {**{k: v for k, v in vars(options).items() if v not in (None, ())}, "method": found.kind}
     with finished_together(out) as folder:
         with progress.stage("Results"):
             write_shapes(
@@ -55,17 +53,17 @@ def write_results(
             for name, video in zip(given.names, measured.videos, strict=False):
                 several = len(measured.videos) > 1
                 write_tracks(folder / (f"tracks_{name}.npz" if several else "tracks.npz"), video.found)
-        stills = _write_overlays(folder, given, measured, found, options, progress)
+        stills = _write_overlays(folder, given, measured, found, progress) if overlay else []
         with progress.stage("Report"):
-            _write_report(folder, given, measured, found, stills, asked, progress)
+            _write_report(folder, given, measured, found, details, stills, progress)
         write_record(
-            folder, command="nonrigid", settings=asked, inputs=[*given.paths, *options.files],
-            root=given.paths[0].parent, progress=progress,
+            folder, command=details.command, settings=details.settings, inputs=details.inputs, root=details.root,
+            progress=progress,
         )  # fmt: skip
 
 
 def _write_exports(folder: Path, given: NonRigidInput, measured: MeasuredPoints, found: RecoveredShapes) -> None:
-    """Write what other programs open, in metres where a length is known."""
+    """Write the files for other programs, in metres if a length is known."""
     known = bool(np.isfinite(found.metres_per_unit))
     unit = "m" if known else found.unit
     y_up = bool(given.data) and given.data[0].y_up
@@ -88,17 +86,13 @@ def _write_overlays(
     given: NonRigidInput,
     measured: MeasuredPoints,
     found: RecoveredShapes,
-    options: NonRigidOptions,
     progress: Progress,
 ) -> list[Still]:
-    """Draw a video a camera, and give some of its pictures; without videos there is nothing to draw on."""
-    if not given.clips or not options.overlay:
-        return []
-    assert measured.tracks is not None
+    """Draw one overlay video per camera, and return some of its frames; nothing is drawn without videos."""
     stills = []
     for number, clip in enumerate(given.clips):
         scene = ShapeScene(
-            name=given.names[number], measured=measured.tracks[number], modelled=found.modelled[number],
+            name=given.names[number], measured=_tracks_of(measured, number), modelled=found.modelled[number],
             placed=_before(given, found, number), lines=_lines(measured, found),
         )  # fmt: skip
         overlay = ShapeOverlay(scene, clip.size)
@@ -118,8 +112,13 @@ def _write_overlays(
     return stills
 
 
+def _tracks_of(measured: MeasuredPoints, camera: int) -> Floats:
+    assert measured.tracks is not None
+    return measured.tracks[camera]
+
+
 def _before(given: NonRigidInput, found: RecoveredShapes, camera: int) -> Floats:
-    """Give the shapes (F, 3, P) in the axes of one of the cameras."""
+    """Return the shapes (F, 3, P) in the axes of one camera."""
     if given.rig is not None:
         to_camera = given.rig.cameras[camera].camera_from_world
         return np.moveaxis(to_camera.apply(np.moveaxis(found.placed, 1, 2)), 2, 1)
@@ -133,20 +132,15 @@ def _lines(measured: MeasuredPoints, found: RecoveredShapes) -> np.ndarray:
 
 
 def _write_report(
-    folder: Path,
-    given: NonRigidInput,
-    measured: MeasuredPoints,
-    found: RecoveredShapes,
-    stills: list[Still],
-    asked: dict[str, object],
-    progress: Progress,
-) -> None:
+    folder: Path, given: NonRigidInput, measured: MeasuredPoints, found: RecoveredShapes, details: RunDetails,
+    stills: list[Still], progress: Progress,
+) -> None:  # fmt: skip
     y_up = bool(given.data) and given.data[0].y_up
     names = [path.name + ("/" if path.is_dir() else "") for path in folder.iterdir()]
     report = ShapeReport(
-        title=given.paths[0].stem, found=found, rate=given.rate, labels=measured.labels,
+        title=given.title, found=found, rate=given.rate, labels=measured.labels,
         lines=_lines(measured, found), own_lines=bool(len(measured.edges)), upright=upright(found, y_up=y_up),
-        views=given.names, notes=progress.warnings, stills=stills, timings=progress.timings, settings=asked,
-        files=names, track_curves=[video.curve for video in measured.videos],
+        views=given.names, notes=progress.warnings, stills=stills, timings=progress.timings,
+        settings=details.settings, files=names, track_curves=[video.curve for video in measured.videos],
     )  # fmt: skip
     write_shape_report(folder / "report.html", report)

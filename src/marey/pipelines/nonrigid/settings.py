@@ -1,4 +1,4 @@
-"""What was typed for a run on a deforming surface."""
+"""Settings of a run on a deforming surface."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,56 +10,55 @@ from marey.cameras.camera import matrix_faults
 from marey.errors import FileProblem, SettingProblem
 from marey.io.calibration.camera_matrix import read_matrix
 
-_MATRIX = "Give a file, fx,fy,cx,cy, or the nine numbers of the matrix row by row, set apart by commas."
+_MATRIX = "Give a file, fx,fy,cx,cy, or the nine numbers of the matrix row by row, separated by commas."
+"""What a camera matrix on the command line should look like."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class NonRigidOptions:
-    """What the command line asks for; None leaves it to the program.
+class NonRigidSettings:
+    """How the shapes of a deforming surface are recovered; None stands for a choice by the program.
 
     Raises:
-        FileProblem: A file that was named is not there.
-        SettingProblem: A value is impossible.
+        FileProblem: A named file does not exist.
+        SettingProblem: A value is impossible, or two settings exclude each other.
     """
 
-    out: Path | None = None
-    """Where the results go; `FILE_marey` beside the first input when None."""
     points: tuple[Path, ...] = ()
-    """The points to follow, a file a video."""
+    """NPZ files with the points to follow: one for the first video, or one per video."""
     mask: Path | None = None
-    """A picture that is white where points to follow may lie."""
+    """Picture that is white where points may be selected in the first video."""
     matrix: str | None = None
-    """Known intrinsics of the one camera: a file, or numbers."""
+    """Known intrinsics of a single camera: a file, or numbers."""
     scaled: bool = False
-    """Whether the one camera's scale may change from frame to frame."""
+    """Whether the scale of a single camera may change from frame to frame."""
     cameras: Path | None = None
-    """The calibration of the cameras."""
+    """Calibration of the cameras."""
     distance: tuple[int, int, float] | None = None
-    """Two points and how far they are apart [m]."""
+    """Two points, counted from 0, and their distance [m]."""
     frames: tuple[int, int] | None = None
-    """First frame and the first one after the last."""
+    """First frame, and the first frame that is not used any more; None for all."""
     only: tuple[str, ...] | None = None
-    """Labels, or patterns of labels, of the points of a file that are kept."""
+    """Labels of the points to be used, or patterns of labels."""
     basis_shapes: int | None = None
-    """K, of points in space."""
+    """Number K of basis shapes, for points in space and calibrated cameras."""
     overlay: bool = True
     """Whether overlay videos are drawn."""
 
     def __post_init__(self) -> None:
         for option, path in (("--mask", self.mask), ("--cameras", self.cameras)):
             if path is not None and not path.exists():
-                raise FileProblem(path, "does not exist", f"Mend {option}.")
+                raise FileProblem(path, "does not exist", f"Correct {option}.")
         for path in self.points:
             if not path.is_file():
-                raise FileProblem(path, "is a folder" if path.is_dir() else "does not exist", "Mend --points.")
+                raise FileProblem(path, "is a folder" if path.is_dir() else "does not exist", "Correct --points.")
         if self.matrix is not None and self.cameras is not None:
-            raise SettingProblem("--matrix and --cameras both say how the camera is made: give one of them.")
+            raise SettingProblem("--matrix and --cameras both define the camera: give one of them.")
         if self.scaled and (self.matrix is not None or self.cameras is not None):
             raise SettingProblem(
-                "--scaled is for a camera of which nothing is known: leave it out with --matrix or --cameras."
+                "--scaled is for an uncalibrated camera: leave it out, or leave out --matrix and --cameras."
             )
         if self.mask is not None and self.points:
-            raise SettingProblem("--mask says where points are chosen, --points which they are: give one of them.")
+            raise SettingProblem("--mask limits the selection of points, and --points replaces it: give one of them.")
         if self.basis_shapes is not None and self.basis_shapes < 1:
             raise SettingProblem(f"--basis-shapes is {self.basis_shapes}; it should be 1 (rigid) or more.")
         if self.distance is not None:
@@ -67,22 +66,25 @@ class NonRigidOptions:
             if not (np.isfinite(metres) and metres > 0) or first == second or min(first, second) < 0:
                 raise SettingProblem(
                     f"--distance is {first} {second} {metres:g}; it should be two different points, counted from 0, "
-                    "and how many metres they are apart, for example 0 12 0.085."
+                    "and their distance in metres, for example 0 12 0.085."
                 )
 
     @property
     def files(self) -> list[Path]:
-        """The files that were named, besides the videos or tracks."""
+        """All files that the settings name, the videos or tracks not among them."""
         matrix = [Path(self.matrix)] if self.matrix is not None and Path(self.matrix).is_file() else []
         return [*self.points, *(path for path in (self.mask, self.cameras) if path is not None), *matrix]
 
 
 def parse_matrix(text: str) -> Floats:
-    """Read known intrinsics (3, 3): the name of a file, `fx,fy,cx,cy`, or nine numbers row by row.
+    """Read a camera matrix (3, 3) from the name of a file, `fx,fy,cx,cy`, or nine numbers row by row.
+
+    Args:
+        text: As it is given on the command line.
 
     Raises:
-        FileProblem: The file holds no matrix.
-        SettingProblem: The text is neither a file nor such numbers, or they are no camera's.
+        FileProblem: The file has no matrix.
+        SettingProblem: The text is neither a file nor such numbers, or they are not those of a camera.
     """
     if Path(text).is_file():
         return read_matrix(Path(text))
@@ -90,7 +92,7 @@ def parse_matrix(text: str) -> Floats:
         numbers = [float(part) for part in text.replace(",", " ").replace(";", " ").split()]
     except ValueError as error:
         raise SettingProblem(
-            f"--matrix is '{text}', which is no file that is there and no numbers. {_MATRIX}"
+            f"--matrix is '{text}', which is neither an existing file nor numbers. {_MATRIX}"
         ) from error
     if len(numbers) not in (4, 9):
         raise SettingProblem(f"--matrix has {len(numbers)} numbers. {_MATRIX}")

@@ -1,4 +1,4 @@
-"""From a video to tracks: points are chosen or given, followed, and refined together."""
+"""From videos to tracks: points are selected or given, followed, and refined together."""
 
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -21,36 +21,41 @@ from marey.pipelines.progress import Progress
 from marey.pipelines.run_record import StageCache
 
 CORNERS, EDGES = 30, 80
-"""How many points are chosen ([Alexander2003] section 3.2)."""
+"""Number of corners and of points on edges that are selected ([Alexander2003] section 3.2)."""
 STILL = 2.0
-"""A point that never goes farther from its mean place belongs to the background [px]."""
+"""A point that never moves farther from its mean place belongs to the background [px].
+
+Chosen by hand; results were not measured against other values.
+"""
 _TRACKS = ("tracks", "tracks_sd", "visible", "predicted")
+"""Names of the arrays of `FeatureTracks`."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class VideoTracks:
-    """What was followed in one video."""
+    """Tracks of points in one video."""
 
     found: FeatureTracks
-    """Over all frames of the video."""
+    """Tracks over all frames of the video."""
     rank: int
-    """Of the tracks, beside the translation."""
+    """Rank of the tracks, without the translation."""
     curve: Floats
-    """(n, 2) ranks tried and their held-out error [px]."""
+    """(n, 2) ranks that were tried, and their held-out error [px]."""
     notes: tuple[str, ...]
+    """What was left out, one sentence each."""
 
 
 def follow_video(given: NonRigidInput, number: int, cache: StageCache, progress: Progress) -> VideoTracks:
-    """Follow points through one of the videos, or find what an interrupted run left of it.
+    """Follow points through one video, or read the checkpoint of an interrupted run.
 
     Args:
         given: The input.
-        number: Which video.
-        cache: Of the run.
-        progress: Is told.
+        number: Number of the video.
+        cache: Checkpoints of the run.
+        progress: Progress reporter.
 
     Raises:
-        MareyError: There is nothing to follow in the video.
+        MareyError: The video has nothing to follow.
     """
     name = given.names[number]
     start = given.starts[number] if given.starts else None
@@ -67,27 +72,27 @@ def follow_video(given: NonRigidInput, number: int, cache: StageCache, progress:
 def follow_views(
     given: NonRigidInput, cache: StageCache, progress: Progress
 ) -> tuple[tuple[VideoTracks, ...], Floats, tuple[str, ...]]:
-    """Follow points through several videos of one scene: chosen or given in the first, and found in the others.
+    """Follow points through several videos of one scene: selected or given in the first, and found in the others.
 
     Args:
         given: The input.
-        cache: Of the run.
-        progress: Is told.
+        cache: Checkpoints of the run.
+        progress: Progress reporter.
 
     Returns:
-        The tracks of each video, the points in one order in all; the probability (C, P) that a video's track shows the
-        first one's point, NaN where it has none; and notes.
+        The tracks of each video, with the points in the same order in all; the probability (C, P) that the track of a
+        video belongs to the point of the first video, NaN where there is no track; and notes.
 
     Raises:
-        MareyError: There is nothing to follow, or no other camera shares points with the first.
+        MareyError: There is nothing to follow, or no other camera has points in common with the first.
     """
     points, frame = given.starts[0] if given.starts else (None, given.first)
 
     def compute() -> dict[str, np.ndarray]:
         videos = [_pictures(given, number, cache, progress) for number in range(len(given.clips))]
-        with _StageTeller(progress) as teller:
+        with _NamedStages(progress) as stages:
             track = track_views if given.rig is None else partial(track_calibrated_views, rig=given.rig)
-            found = track(videos, frame=frame - given.first, points=points, within=given.within, progress=teller.told)
+            found = track(videos, frame=frame - given.first, points=points, within=given.within, progress=stages.step)
         return {
             "tracks": found.tracks, "tracks_sd": found.tracks_sd, "probability": found.probability,
             "notes": np.array(found.notes, np.str_),
@@ -103,21 +108,21 @@ def follow_views(
     return tuple(videos), arrays["probability"], tuple(map(str, arrays["notes"]))
 
 
-class _StageTeller:
-    """Shows a work that tells its own stages one after the other."""
+class _NamedStages:
+    """Shows the stages of a function that reports their names one after the other."""
 
     def __init__(self, progress: Progress):
         self._progress, self._what, self._open = progress, "", ExitStack()
         self._step: Callable[[], None] = lambda: None
 
-    def told(self, what: str, done: int, total: int) -> None:
+    def step(self, what: str, done: int, total: int) -> None:
         if what != self._what:
             self._open.close()
             self._what, self._open = what, ExitStack()
             self._step = self._open.enter_context(self._progress.stage(what, total))
         self._step()
 
-    def __enter__(self) -> "_StageTeller":
+    def __enter__(self) -> "_NamedStages":
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -156,28 +161,28 @@ def _chosen(first: np.ndarray, given: NonRigidInput) -> Floats:
     weak = edge_features(first, count=EDGES, taken=strong, within=given.within)
     if not len(strong):
         raise MareyError(
-            f"{given.paths[0]}: frame {given.first} shows no corners to follow. Begin with another one "
+            f"{given.paths[0]}: frame {given.first} has no corners to follow. Begin with another frame "
             "(--frames), or give points with --points."
         )
     return np.concatenate([strong, weak])
 
 
 def _widened(found: FeatureTracks, given: NonRigidInput) -> FeatureTracks:
-    """Put the tracks among all frames of the video; the others know nothing."""
+    """Extend the tracks to all frames of the video; the others are NaN."""
     count = found.tracks.shape[2]
     tracks, sd = np.full((2, given.frames, 2, count), np.nan)
     visible, predicted = np.zeros((2, given.frames, count), bool)
-    tracks[given.asked], sd[given.asked] = found.tracks, found.tracks_sd
-    visible[given.asked], predicted[given.asked] = found.visible, found.predicted
+    tracks[given.requested], sd[given.requested] = found.tracks, found.tracks_sd
+    visible[given.requested], predicted[given.requested] = found.visible, found.predicted
     return FeatureTracks(tracks=tracks, tracks_sd=sd, visible=visible, predicted=predicted)
 
 
 def _without_background(found: FeatureTracks, arrays: Arrays, given: NonRigidInput) -> VideoTracks:
-    """Leave out chosen points that stand still, where others move; points that were given stay."""
+    """Leave out selected points that do not move, if others do; given points are kept."""
     notes: tuple[str, ...] = ()
     moves = np.ones(found.tracks.shape[2], bool) if given.starts else _moving(found)
     if 4 <= moves.sum() < len(moves):
-        notes = (f"{int((~moves).sum())} chosen points never move by more than {STILL:g} px: background, left out.",)
+        notes = (f"{int((~moves).sum())} points never move by more than {STILL:g} px: left out as background.",)
         found = FeatureTracks(
             tracks=found.tracks[:, :, moves], tracks_sd=found.tracks_sd[:, :, moves], visible=found.visible[:, moves],
             predicted=found.predicted[:, moves],
@@ -186,7 +191,7 @@ def _without_background(found: FeatureTracks, arrays: Arrays, given: NonRigidInp
 
 
 def _moving(found: FeatureTracks) -> Mask:
-    """Tell which points (P,) go farther than `STILL` from their mean place."""
+    """Return which points (P,) move farther than `STILL` from their mean place."""
     seen = np.where(found.visible[:, None], found.tracks, np.nan)
     known: Mask = np.asarray(np.isfinite(seen).all(1))
     middle = np.where(known[:, None], seen, 0).sum(0) / np.maximum(known.sum(0), 1)

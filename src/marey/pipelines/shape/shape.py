@@ -44,17 +44,19 @@ from marey.io.shapes.measured_surface import read_surface
 from marey.io.shapes.trajectories import read_trajectories
 from marey.io.stages import Arrays
 from marey.io.trial.start_joints import read_start_joints
+from marey.io.trial.trial import Trial, read_trial
 from marey.motion.from_fit import Measured, measured
 from marey.observations.observation import Observation
 from marey.pipelines.capture import stages
 from marey.pipelines.capture.capture import Followed, Refined, Tracked, follow_person, refined_person, rounds_of
 from marey.pipelines.capture.capture import write_capture as write_results_of
 from marey.pipelines.capture.mask_store import MaskStore
+from marey.pipelines.capture.motion import Motion, load_motion
 from marey.pipelines.capture.run import Bodies, Logs, Run, opened
 from marey.pipelines.capture.settings import CaptureSettings
 from marey.pipelines.progress import Progress
 from marey.pipelines.surface.settings import SurfaceOptions
-from marey.pipelines.surface.surface import surface as measure_surface
+from marey.pipelines.surface.surface import surface_of_trial
 from marey.pipelines.surface.tracks import follow_measured, told, write_tracks
 from marey.surface.tracks.filters import FilterSettings
 from marey.surface.tracks.trajectories import Trajectories
@@ -71,25 +73,25 @@ Clicked = Mapping[int, Sequence[Observation]]
 """Clicked joints, by frame."""
 
 
-def shape(folder: Path, settings: CaptureSettings, progress: Progress) -> Path:
+def shape_trial(trial: Trial, settings: CaptureSettings, progress: Progress) -> Motion:
     """Fit a person's own body to the measured surface and the silhouettes of a trial.
 
     Args:
-        folder: The trial.
-        settings: What is asked for; what it leaves open, trial.toml may say.
-        progress: Is shown, and keeps timings and warnings.
+        trial: The trial, opened with `settings.changes()`.
+        settings: Settings of the run.
+        progress: Progress reporter; it keeps timings and warnings.
 
     Returns:
-        The folder with the results.
+        The motion with its body, whose files are in `settings.out`, or in `marey/` in the trial.
 
     Raises:
         FileProblem: Something in the trial cannot be used.
     """
-    out = settings.out or folder / "marey"
+    out = settings.out or trial.folder / "marey"
     if not (out / SURFACE[0]).is_file():
-        measure(folder, replace(settings, out=out), progress)
+        measure(trial, out, progress)
     measured_files = [out / name for name in SURFACE if (out / name).is_file()]
-    with opened(folder, settings, progress, more=measured_files, corrected=out / "cameras.toml") as opened_run:
+    with opened(trial, settings, progress, more=measured_files, corrected=out / "cameras.toml") as opened_run:
         run, bodies, logs = opened_run
         points = points_of(run, out / SURFACE[0])
         tracks = read_trajectories(out / SURFACE[1]) if (out / SURFACE[1]).is_file() else None
@@ -98,16 +100,22 @@ def shape(folder: Path, settings: CaptureSettings, progress: Progress) -> Path:
         given = OnSurface(PersonPoints(by_frame=few), None if tracks is None else PersonTracks.of(tracks), clicked)
         shaped = fitted(run, followed, begun, given)
         write_shape(run, followed, shaped, points)
-    return out
+    return load_motion(out)
 
 
-def measure(folder: Path, settings: CaptureSettings, progress: Progress) -> None:
-    """Measure the surface first, as `marey surface` does; say so where there is none to be measured."""
-    options = SurfaceOptions(out=settings.out, cameras=settings.cameras, frames=settings.frames)
+def measure(trial: Trial, out: Path, progress: Progress) -> None:
+    """Measure the surface first, as `marey surface` does; warn if there is none that can be measured.
+
+    Args:
+        trial: The trial.
+        out: Where the results go.
+        progress: Progress reporter.
+    """
+    options = SurfaceOptions(out=out, cameras=trial.settings.cameras, frames=trial.settings.frames)
     try:
-        measure_surface(folder, options, progress)
+        surface_of_trial(read_trial(trial.folder, **options.changes()), options, progress)
     except FileProblem as problem:
-        progress.warn(f"No surface was measured: {problem} The shape is fitted to silhouettes alone.")
+        progress.warn(f"No surface was measured: {problem} The shape is fitted to the silhouettes alone.")
 
 
 def points_of(run: Run, path: Path) -> dict[int, FramePoints]:
@@ -307,7 +315,7 @@ def find_lost_points(run: Run, folder: Path, skin: stages.PosedSkin, found: Fitt
         expected=expected,
     )  # fmt: skip
     write_tracks(folder, followed, trial.take, trial.rig)
-    run.progress.say(told(followed))
+    run.progress.report(told(followed))
 
 
 def write_skin_glb(folder: Path, body: Body, warn: Callable[[str], None]) -> None:

@@ -11,18 +11,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 import scipy.optimize
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
-from threadpoolctl import threadpool_limits
 
 from marey.arrays import Floats, Image, Mask
 from marey.body.articulation.pose import Pose, PosedBody, SurfacePoints
 from marey.body.people.person import family_body
 from marey.cameras.camera import Camera
+from marey.extras import install_advice
 from marey.fit.solver.moments import Moments, gather_moments
 from marey.fit.solver.pose_solver import solve_pose
 from marey.geometry import rotations
@@ -61,30 +57,22 @@ class Speed:
     remark: str = ""
 
 
-def bench(trial: Path | None, *, example: Path | None = None) -> list[Speed]:
-    """Measure and print the speeds.
+def measure_speeds(trial: Path | None, *, example: Path | None = None, progress: Progress) -> list[Speed]:
+    """Measure the speeds; in a process that is set as by `marey.process.tuned_process`.
 
     Args:
-        trial: Captured whole, to time the way from video to pose; left out when missing.
-        example: The take on whose pictures the silhouettes are timed; left out when missing.
+        trial: A trial that is captured as a whole, to time the way from video to pose; None skips it.
+        example: The take on whose images the silhouettes are timed; None skips it.
+        progress: Progress reporter of the capture.
 
     Returns:
-        What was printed.
+        One entry per measurement.
     """
-    cv2.setNumThreads(1)
-    with threadpool_limits(1):
-        speeds = [*solve_speeds(), drawing_speed(), wire_speed()]
-        if example is not None:
-            speeds += [*silhouette_speeds(example), surface_speed()]
+    speeds = [*solve_speeds(), drawing_speed(), wire_speed()]
+    if example is not None:
+        speeds += [*silhouette_speeds(example), surface_speed()]
     if trial is not None:
-        speeds += capture_speeds(trial)
-    title = f"marey bench on {machine()}; times of one core"
-    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
-    for heading in ("what", "measured", "beside", "remark"):
-        table.add_column(heading, overflow="fold")
-    for speed in speeds:
-        table.add_row(*map(escape, (speed.what, speed.measured, speed.beside, speed.remark)))
-    Console(width=None if sys.stdout.isatty() else 200).print(table)
+        speeds += capture_speeds(trial, progress)
     return speeds
 
 
@@ -224,7 +212,7 @@ def silhouette_speeds(example: Path) -> list[Speed]:
     own = Speed(what="silhouette of a 640x480 view after the first", measured=f"{own_ms:.1f} ms", beside=limit)
     peer = _peer_level_set(pictures[1], first.mask)
     if peer is None:
-        missing = Speed(what="the same by scikit-image", measured="-", beside="", remark="pip install 'marey[bench]'")
+        missing = Speed(what="the same by scikit-image", measured="-", beside="", remark=install_advice("bench"))
         return [own, missing]
     peer_ms = median_ms(peer, repeats=1)
     beside = f"{peer_ms / own_ms:.0f} times ours"
@@ -263,16 +251,15 @@ def _peer_level_set(picture: Image, start: Mask) -> Callable[[], object] | None:
     return lambda: morphological_chan_vese(grey, num_iter=10, init_level_set=start.astype(np.int8))
 
 
-def capture_speeds(trial: Path) -> list[Speed]:
+def capture_speeds(trial: Path, progress: Progress) -> list[Speed]:
     """Capture a trial without overlays; give frames a second without the start, and the memory."""
-    from marey.pipelines.capture.capture import capture
+    from marey.io.trial.trial import read_trial
+    from marey.pipelines.capture.capture import capture_trial
 
-    progress = Progress()
     begun = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
-        results = capture(trial, CaptureSettings(out=Path(folder) / "marey", overlay=False), progress)
-        with np.load(results / "motion.npz") as motion:
-            frames = len(motion["state"])
+        settings = CaptureSettings(out=Path(folder) / "marey", overlay=False)
+        frames = len(capture_trial(read_trial(trial), settings, progress))
     whole = time.perf_counter() - begun
     start, after = (sum(progress.timings.get(name, 0.0) for name in names) for names in (["Start"], AFTER_POSE))
     to_pose = sum(progress.timings.values()) - start - after

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from marey.errors import FileProblem
+from marey.surface.points.settings import SurfaceSettings
 from marey.surface.tracks.filters import FilterSettings
 
 
@@ -12,7 +13,8 @@ class SurfaceOptions:
     """What the command line asks for; None leaves what trial.toml says, or what the program finds out itself.
 
     Raises:
-        FileProblem: A file that was named is not there.
+        FileProblem: The file of seeds does not exist.
+        SettingProblem: A setting is impossible.
     """
 
     out: Path | None = None
@@ -39,7 +41,17 @@ class SurfaceOptions:
 
     def __post_init__(self) -> None:
         if self.seeds is not None and not self.seeds.exists():
-            raise FileProblem(self.seeds, "does not exist", "Mend --seeds.")
+            raise FileProblem(self.seeds, "does not exist", "Correct --seeds.")
+        self.settings()
+        self.filters()
+
+    def settings(self) -> SurfaceSettings:
+        """Return the settings of the matching.
+
+        Raises:
+            SettingProblem: One is impossible.
+        """
+        return SurfaceSettings(spacing=self.spacing, patch=self.patch)
 
     def filters(self) -> FilterSettings:
         """Give the thresholds of false tracks.

@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from marey.arrays import Floats
 from marey.cameras.rig import Rig
@@ -13,12 +12,13 @@ from marey.io.calibration.readers import read_rig, write_cameras_toml
 from marey.io.shapes.measured_surface import write_ply, write_surface
 from marey.io.stages import FrameLog, file_fingerprint
 from marey.io.trial.seeds import read_seeds
-from marey.io.trial.trial import Trial, read_trial
+from marey.io.trial.trial import Trial
 from marey.io.video.pictures import write_picture
-from marey.pipelines.capture import stages
 from marey.pipelines.capture.run import require_two_cameras
 from marey.pipelines.progress import Progress
+from marey.pipelines.result_files import ResultFiles
 from marey.pipelines.run_record import StageCache, finished_together, write_record
+from marey.pipelines.surface.result import Surface
 from marey.pipelines.surface.settings import SurfaceOptions
 from marey.pipelines.surface.stages import (
     KeptFrames,
@@ -33,7 +33,6 @@ from marey.pipelines.surface.stages import (
 from marey.pipelines.surface.tracks import follow_measured, told, write_tracks
 from marey.surface.points.measured import MeasuredPoints
 from marey.surface.points.refine_rig import RigRefinement
-from marey.surface.points.settings import SurfaceSettings
 from marey.surface.tracks.filters import Filtered
 from marey.view.pages.html import Still
 from marey.view.pages.surface_report import SurfaceReport, write_surface_report
@@ -43,41 +42,37 @@ _LEAST_CAMERAS = 3
 """Two cameras tell too little of themselves to be corrected unasked."""
 
 
-def surface(folder: Path, options: SurfaceOptions, progress: Progress) -> Path:
-    """Measure the surface that the pictures of a trial show.
+def surface_of_trial(trial: Trial, options: SurfaceOptions, progress: Progress) -> Surface:
+    """Measure the surface that the images of a trial show.
 
     Args:
-        folder: The trial.
-        options: What is asked for; what it leaves open, trial.toml may say.
-        progress: Is shown, and keeps timings and warnings.
+        trial: The trial, opened with `options.changes()`.
+        options: Settings of the run.
+        progress: Progress reporter; it keeps timings and warnings.
 
     Returns:
-        The folder with the results.
+        The surface, whose files are in `options.out`, or in `marey/` in the trial.
 
     Raises:
-        FileProblem: Something in the trial cannot be used, or its cameras show no surface in common. Frames that were
+        FileProblem: Something in the trial cannot be used, or its cameras show no common surface. Frames that were
             measured before a damaged one are written all the same.
         SettingProblem: A setting is impossible.
     """
-    settings = SurfaceSettings(spacing=options.spacing, patch=options.patch)
-    options.filters()
-    trial = read_trial(folder, **options.changes())
+    settings = options.settings()
     require_two_cameras(trial)
     clicks = None if options.seeds is None else _clicks(options.seeds, trial)
-    out = options.out or folder / "marey"
+    out = options.out or trial.folder / "marey"
     for note in trial.take.notes:
         progress.warn(note)
-    stages.quiet_threads()
     named = [*trial.input_files, *([options.seeds] if options.seeds else [])]
     scope = (trial.rig.names, trial.take.first, trial.take.end, trial.settings.model_dump_json(), settings)
-    with threadpool_limits(1):
-        run = measurement(trial, settings, clicks, progress)
-        with StageCache(out, [file_fingerprint(path) for path in named]) as cache:
-            refined = _refined(run, options, cache, scope)
-            rig = trial.rig if refined is None else refined.rig
-            with cache.frames("surface", depends=(scope, refined is not None)) as log:
-                _measure(run, rig, cache, log, out, options, refined, scope)
-    return out
+    run = measurement(trial, settings, clicks, progress)
+    with StageCache(out, [file_fingerprint(path) for path in named]) as cache:
+        refined = _refined(run, options, cache, scope)
+        rig = trial.rig if refined is None else refined.rig
+        with cache.frames("surface", depends=(scope, refined is not None)) as log:
+            _measure(run, rig, cache, log, out, options, refined, scope)
+    return Surface(ResultFiles(out))
 
 
 def _clicks(path: Path, trial: Trial) -> Floats:
@@ -159,10 +154,10 @@ def write_results(
             folder, command="surface", settings=asked, inputs=trial.input_files, root=trial.folder, progress=progress,
         )  # fmt: skip
     if refined is not None:
-        progress.say(correction_text(rig, refined))
-    progress.say(summary(parts))
+        progress.report(correction_text(rig, refined))
+    progress.report(summary(parts))
     if followed is not None:
-        progress.say(told(followed))
+        progress.report(told(followed))
 
 
 def _named(rig: Rig, template: int, searched: Sequence[int]) -> dict[str, object]:

@@ -5,10 +5,10 @@ that map by half their second derivatives, and the middle by the mean of that: 0
 on round limbs. All views see the same bend, so that rays go on meeting and no residual shows it.
 """
 
-import numba
 import numpy as np
 
 from marey.arrays import Floats
+from marey.kernels import kernel
 from marey.surface.points.field import Field, Grid
 
 _MOST = 3
@@ -36,7 +36,7 @@ def bends(field: Field, grid: Grid) -> Floats:
     return drawn
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _bends(maps, sizes, rows, columns, spacing, most, drawn):
     normal, right = np.empty((3, 3)), np.empty((3, 4))
     for node in range(rows * columns):
@@ -63,7 +63,7 @@ def _bends(maps, sizes, rows, columns, spacing, most, drawn):
         drawn[node, 1] = 0.5 * mean * (slopes[1, 2] + slopes[2, 3])
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _add(normal, right, x, y, values):
     """Add an observation of planes over (1, x, y) to normal equations."""
     normal[0, 0] += 1.0

@@ -2,11 +2,11 @@
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
 from marey.arrays import Floats, Integers, freeze_fields
 from marey.cameras.camera import Camera
+from marey.kernels import kernel
 
 _SUPPORTS = 65
 """Depths at which the epipolar curve and the affine map are computed; between them they are straight."""
@@ -123,7 +123,7 @@ def correlations(template: Floats, search: Floats, pixels: Floats, tried: Hypoth
     return scores
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _correlate(template, search, pixels, first, places, maps, half, scores):
     size = (2 * half + 1) ** 2
     grey, identity = np.empty(size, np.float32), np.array([1.0, 0.0, 0.0, 1.0])
@@ -139,7 +139,7 @@ def _correlate(template, search, pixels, first, places, maps, half, scores):
                 scores[k] = total
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def _take(picture, place, turn, half, out):
     """Write a patch of mean 0 and length 1, linear between the pixels; false where there is none."""
     height, width = picture.shape

@@ -7,12 +7,12 @@ frame.
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
 from marey.arrays import Floats, Integers, Mask
 from marey.images.matching.scanning import Pyramid, pyramid_of
 from marey.images.matching.splines import SplinePicture, spline_of
+from marey.kernels import kernel
 
 ARRAYS = ("tiles", "centres", "maps")
 MARGIN = 2
@@ -109,7 +109,7 @@ def joined(first: Appearances, second: Appearances) -> Appearances:
     return Appearances(**{name: np.concatenate([getattr(first, name), getattr(second, name)]) for name in ARRAYS})
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _draw(tiles, centres, maps, drawn):
     """Draw patches by going back through each map; what lies beyond a tile takes the value of its edge."""
     half, last = drawn.shape[1] // 2, tiles.shape[1] - 2

@@ -10,7 +10,7 @@ from marey.arrays import Floats, Mask
 from marey.body.articulation.surface import Body
 from marey.cameras.rig import Rig
 from marey.io.atomic import replacing
-from marey.motion.motion import FILLED, LOST, MEASURED, NOBODY, Motion
+from marey.motion.motion import FILLED, LOST, MEASURED, NOBODY, BodyMotion
 from marey.view.pages.html import MOST_FRAMES, Still, packed, rendered
 from marey.view.pages.problems import Problem, readable
 from marey.view.pictures.palette import OTHER, SEGMENTS, bone_pairs, side_colour
@@ -33,7 +33,7 @@ class ReportContent:
     """All that the report tells."""
 
     title: str
-    motion: Motion
+    motion: BodyMotion
     body: Body
     """Found or given; posed by the motion's segments in the replay."""
     rig: Rig
@@ -96,7 +96,7 @@ def _tiles(content: ReportContent) -> list[tuple[str, str, str]]:
     return tiles
 
 
-def _median_sd_mm(motion: Motion) -> float | None:
+def _median_sd_mm(motion: BodyMotion) -> float | None:
     values = motion.joint_centres_sd[np.isfinite(motion.joint_centres_sd)]
     return float(np.median(values)) * 1e3 if values.size else None
 
@@ -128,7 +128,7 @@ def _data(content: ReportContent) -> dict[str, object]:
     }
 
 
-def _angles(motion: Motion) -> dict[str, object]:
+def _angles(motion: BodyMotion) -> dict[str, object]:
     """Give the angles, and the plots in which they stand: left and right of a joint share one."""
     plots: dict[str, dict] = {}
     for i, name in enumerate(motion.angle_names):
@@ -157,7 +157,7 @@ def _group(base: str) -> str:
     return _GROUPS_AFTER.get(first, first)
 
 
-def _joints(motion: Motion) -> dict[str, object]:
+def _joints(motion: BodyMotion) -> dict[str, object]:
     return {
         "names": [readable(name) for name in motion.joint_names],
         "colours": [side_colour(name) for name in motion.joint_names],
@@ -167,7 +167,7 @@ def _joints(motion: Motion) -> dict[str, object]:
     }
 
 
-def _replay(motion: Motion, body: Body, rig: Rig) -> dict[str, object]:
+def _replay(motion: BodyMotion, body: Body, rig: Rig) -> dict[str, object]:
     """Give the body at rest and the segments' motion: the page itself blends the skin."""
     colours = [SEGMENTS.get(name, OTHER) for name in body.skeleton.segment_names]
     owner = body.vertex_segments[np.arange(len(body.vertices)), np.argmax(body.vertex_weights, 1)]

@@ -6,15 +6,15 @@ from pathlib import Path
 import numpy as np
 
 from marey.io.results.comparison import UNITS
-from marey.motion.comparison import Agreement, Comparison, worst
+from marey.motion.comparison import Agreement, MotionComparison, worst
 from marey.view.pages.curves import (
     COLOURS,
-    Curve,
     CurvePlot,
     CurvesContent,
     NumberTable,
     PlotGroup,
     ScatterPlot,
+    Trace,
     write_curves_page,
 )
 from marey.view.pages.problems import readable
@@ -43,8 +43,9 @@ _MEANING = {
 
 
 def write_comparison_report(
-    path: Path, result: Comparison, *, names: tuple[str, str], notes: Sequence[str], settings: Mapping[str, object]
-) -> None:
+    path: Path, result: MotionComparison, *, names: tuple[str, str], notes: Sequence[str],
+    settings: Mapping[str, object],
+) -> None:  # fmt: skip
     """Write report.html of a comparison.
 
     Args:
@@ -71,7 +72,7 @@ def write_comparison_report(
     write_curves_page(path, content)
 
 
-def _tiles(result: Comparison) -> list[tuple[str, str, str]]:
+def _tiles(result: MotionComparison) -> list[tuple[str, str, str]]:
     alignment = result.alignment
     span = result.time[-1] - result.time[0]
     tiles = [
@@ -100,7 +101,7 @@ def _spread(sd: float, unit: str) -> str:
     return f"standard deviation {sd:.2g} {unit}" if np.isfinite(sd) else "given, or not to be found"
 
 
-def _table(result: Comparison) -> NumberTable:
+def _table(result: MotionComparison) -> NumberTable:
     return NumberTable(
         title="Agreement",
         head=("quantity", "frames", "RMS", "bias", "limits of agreement", "correlation", "within stated", "unit"),
@@ -122,13 +123,13 @@ def _row(row: Agreement) -> list[str]:
     return [cell.replace("-", "−") for cell in cells]
 
 
-def _angle_curves(result: Comparison, keys: Sequence[tuple[str, str]]) -> list[CurvePlot]:
+def _angle_curves(result: MotionComparison, keys: Sequence[tuple[str, str]]) -> list[CurvePlot]:
     pair = (result.first, result.second)
     return [
         CurvePlot(
             title=readable(name),
             curves=[
-                Curve(label=label, colour=colour, values=np.degrees(r.angles[:, k]), sd=np.degrees(r.angles_sd[:, k]))
+                Trace(label=label, colour=colour, values=np.degrees(r.angles[:, k]), sd=np.degrees(r.angles_sd[:, k]))
                 for (label, colour), r in zip(keys, pair, strict=True)
             ],
         )
@@ -136,7 +137,7 @@ def _angle_curves(result: Comparison, keys: Sequence[tuple[str, str]]) -> list[C
     ]
 
 
-def _angle_scatters(result: Comparison) -> list[ScatterPlot]:
+def _angle_scatters(result: MotionComparison) -> list[ScatterPlot]:
     rows = {row.name: row for row in result.agreements if row.kind == "angle"}
     plots = []
     for k, name in enumerate(result.first.angle_names):
@@ -151,12 +152,12 @@ def _angle_scatters(result: Comparison) -> list[ScatterPlot]:
     return plots
 
 
-def _point_curves(result: Comparison) -> list[CurvePlot]:
+def _point_curves(result: MotionComparison) -> list[CurvePlot]:
     apart = 1e3 * np.linalg.norm(result.first.points - result.second.points, axis=-1)
     return [
         CurvePlot(
             title=readable(name), unit=" mm", least=2.0,
-            curves=[Curve(label="distance", colour=COLOURS[0], values=apart[:, k])],
+            curves=[Trace(label="distance", colour=COLOURS[0], values=apart[:, k])],
         )
         for k, name in enumerate(result.first.point_names)
     ]  # fmt: skip

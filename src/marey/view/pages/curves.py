@@ -17,7 +17,7 @@ COLOURS = (
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Curve:
+class Trace:
     """One line, with standard deviations where there are any."""
 
     label: str
@@ -33,7 +33,7 @@ class CurvePlot:
     """Curves over the page's time, or over an axis of their own."""
 
     title: str
-    curves: Sequence[Curve]
+    curves: Sequence[Trace]
     unit: str = "°"
     least: float = 5.0
     """The smallest range that is shown, so that noise does not look like motion."""

@@ -13,11 +13,11 @@ from marey.knee.motion.joint_motion import BASE, KneeMotion
 from marey.knee.motion.proximity import NEAR_MM, Proximity
 from marey.view.pages.curves import (
     COLOURS,
-    Curve,
     CurvePlot,
     CurvesContent,
     NumberTable,
     PlotGroup,
+    Trace,
     curves_data,
     stride_of,
 )
@@ -303,7 +303,7 @@ def _joint_plots(
     for j, joint in enumerate(report.found.joints):
         for c, name in enumerate(joint.compartments):
             curves = [
-                Curve(
+                Trace(
                     label=each.method, colour=COLOURS[n], values=getattr(each.joints[j], what)[:, c],
                     sd=getattr(each.joints[j], spread)[:, c] if spread is not None and n == 0 else None,
                 )
@@ -334,12 +334,12 @@ def _centre_plots(report: KneeReport) -> list[CurvePlot]:
     return plots
 
 
-def _centre_curve(joint: Proximity, label: str, c: int, axis: int, n: int) -> Curve:
+def _centre_curve(joint: Proximity, label: str, c: int, axis: int, n: int) -> Trace:
     values = joint.centre_mm[:, c, axis]
     known = np.isfinite(values)
     middle = values[known].mean() if known.any() else 0.0
     sd = joint.centre_sd_mm[:, c, axis] if n == 0 else None
-    return Curve(label=label, colour=COLOURS[n], values=values - middle, sd=sd)
+    return Trace(label=label, colour=COLOURS[n], values=values - middle, sd=sd)
 
 
 def _angle_plots(report: KneeReport, what: str, names: str, scale: float, unit: str) -> list[CurvePlot]:
@@ -348,7 +348,7 @@ def _angle_plots(report: KneeReport, what: str, names: str, scale: float, unit: 
     plots = []
     for k, name in enumerate(getattr(report.found.angles, names)):
         curves = [
-            Curve(
+            Trace(
                 label=each.method, colour=COLOURS[n], values=scale * getattr(each.angles, what)[:, k],
                 sd=scale * getattr(each.angles, f"{what}_sd")[:, k] if n == 0 else None,
             )

@@ -9,7 +9,7 @@ import numpy as np
 from marey.arrays import Floats, Image, Integers
 from marey.knee.outlines.contours import AXES, slice_count, slice_of, slice_shape
 from marey.knee.space.structures import LABELS
-from marey.knee.space.volume import Grid, Labels, Volume
+from marey.knee.space.volume import Labels, Volume, VoxelGrid
 from marey.view.pages.html import STILL_WIDTH, Still
 from marey.view.pictures.knee_maps import STRUCTURE_COLOURS
 from marey.view.pictures.slice_display import displayed
@@ -50,7 +50,7 @@ def slices_with_outlines(volume: Volume, labels: Labels, *, most: int = SLICES) 
     ]  # fmt: skip
 
 
-def main_axis(grid: Grid) -> str:
+def main_axis(grid: VoxelGrid) -> str:
     """Name the axis of the voxels along which slices follow each other: of the longest step.
 
     Where steps are about alike it is the axis from side to side: knees are mostly looked at in sagittal slices.
@@ -68,7 +68,7 @@ def _chosen(labels: Labels, axis: str, most: int) -> Integers:
     return np.unique(np.round(np.linspace(held[0], held[-1], most + 2)[1:-1]).astype(int))
 
 
-def _place(grid: Grid, axis: str, index: int) -> str:
+def _place(grid: VoxelGrid, axis: str, index: int) -> str:
     """Say where a slice's middle lies, as scanners do: L 12.3 mm."""
     along = AXES.index(axis)
     k, j, i = ((count - 1) / 2 for count in grid.shape)
@@ -91,7 +91,7 @@ class _Screen:
     """At the left, right, top and bottom."""
 
     @staticmethod
-    def of(grid: Grid, axis: str) -> "_Screen":
+    def of(grid: VoxelGrid, axis: str) -> "_Screen":
         """Lay the slices along an axis out; the longer side has the size of the page's pictures."""
         shown, (rows, columns) = displayed(grid, axis), slice_shape(grid, axis)
         matrix = np.reshape(np.array(shown["screen_mm"], float), (2, 2))

@@ -10,7 +10,15 @@ from marey.arrays import Floats, Mask
 from marey.markers.data.bone_motion import BoneMotion
 from marey.markers.data.marker_motion import MarkerMotion
 from marey.markers.kinematics.joint_angles import JointKinematics
-from marey.view.pages.curves import COLOURS, Curve, CurvePlot, CurvesContent, NumberTable, PlotGroup, write_curves_page
+from marey.view.pages.curves import (
+    COLOURS,
+    CurvePlot,
+    CurvesContent,
+    NumberTable,
+    PlotGroup,
+    Trace,
+    write_curves_page,
+)
 from marey.view.pages.problems import readable
 
 FILES = {
@@ -242,7 +250,7 @@ def cycle_plots(
             continue
         quantity, _, unit = name.rpartition("_")
         curves = [
-            Curve(label=label, colour=_colour(i), values=mean[:, k], sd=spread[:, k] if i == 0 else None)
+            Trace(label=label, colour=_colour(i), values=mean[:, k], sd=spread[:, k] if i == 0 else None)
             for i, (label, mean, spread) in enumerate(methods)
         ]
         plots.append(
@@ -264,13 +272,13 @@ def _translation_group(methods: Sequence[MethodView], keys: Sequence[tuple[str, 
     return PlotGroup(title="Joint translations", plots=plots, keys=keys, legend="Millimetres over seconds.")
 
 
-def _curves(methods: Sequence[MethodView], what: str, k: int, scale: float) -> list[Curve]:
+def _curves(methods: Sequence[MethodView], what: str, k: int, scale: float) -> list[Trace]:
     """Give one quantity by all methods; only the first one's band is drawn, so that it can be seen."""
     curves = []
     for i, m in enumerate(methods):
         sd = getattr(m.joints, f"{what}_sd")[:, k] * scale if i == 0 else None
         values = getattr(m.joints, what)[:, k] * scale
-        curves.append(Curve(label=m.name, colour=_colour(i), values=values, sd=sd))
+        curves.append(Trace(label=m.name, colour=_colour(i), values=values, sd=sd))
     return curves[::-1]
 
 
@@ -279,7 +287,7 @@ def _marker_group(methods: Sequence[MethodView], keys: Sequence[tuple[str, str]]
         CurvePlot(
             title=readable(name), unit=" mm", least=1.0,
             curves=[
-                Curve(label=m.name, colour=_colour(i), values=1e3 * m.markers.of(name)) for i, m in enumerate(methods)
+                Trace(label=m.name, colour=_colour(i), values=1e3 * m.markers.of(name)) for i, m in enumerate(methods)
             ][::-1],
         )
         for name in methods[0].motion.segments
@@ -297,7 +305,7 @@ def _interval_group(first: MethodView) -> PlotGroup:
         if np.isfinite(turn).any():
             kinds = (("turn", "°", np.degrees(turn.max(-1))), ("origin", " mm", 1e3 * place.max(-1)))
             for k, (what, unit, values) in enumerate(kinds):
-                line = Curve(label="sd", colour=COLOURS[k], values=values)
+                line = Trace(label="sd", colour=COLOURS[k], values=values)
                 title = f"{readable(name)}, {what}"
                 plots.append(CurvePlot(title=title, unit=unit, least=0.2, digits=2, curves=[line]))
     legend = "The standard deviation about, or along, the axis that is known least."

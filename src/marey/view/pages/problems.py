@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from marey.arrays import Mask
-from marey.motion.motion import FILLED, LOST, MEASURED, NOBODY, Motion
+from marey.motion.motion import FILLED, LOST, MEASURED, NOBODY, BodyMotion
 
 Severity = Literal["bad", "doubt", "note"]
 LOW_AGREEMENT = 0.80
@@ -28,7 +28,7 @@ class Problem:
 
 
 def find_problems(
-    motion: Motion, *, cut: Mask | None = None, warnings: Sequence[str] = (), usable: Mask | None = None
+    motion: BodyMotion, *, cut: Mask | None = None, warnings: Sequence[str] = (), usable: Mask | None = None
 ) -> list[Problem]:
     """List what went wrong where, the gravest first.
 
@@ -53,7 +53,7 @@ def find_problems(
     return sorted(found, key=lambda problem: order.index(problem.severity))
 
 
-def _states(motion: Motion, usable: Mask) -> list[Problem]:
+def _states(motion: BodyMotion, usable: Mask) -> list[Problem]:
     texts: tuple[tuple[int, Severity, str], ...] = (
         (LOST, "bad", "The person was lost here; the results have no answer."),
         (FILLED, "doubt", "Not measured but filled from the neighbouring frames, and flagged as such."),
@@ -69,7 +69,7 @@ def _states(motion: Motion, usable: Mask) -> list[Problem]:
     return found
 
 
-def _agreements(motion: Motion) -> list[Problem]:
+def _agreements(motion: BodyMotion) -> list[Problem]:
     found = []
     for c, name in enumerate(motion.camera_names):
         values = motion.agreement[:, c]
@@ -89,7 +89,7 @@ def _agreements(motion: Motion) -> list[Problem]:
     return found
 
 
-def _undetermined(motion: Motion) -> list[Problem]:
+def _undetermined(motion: BodyMotion) -> list[Problem]:
     measured = motion.state == MEASURED
     if not measured.any():
         return []
@@ -110,7 +110,7 @@ def _coordinates(count: int) -> str:
     return "1 coordinate" if count == 1 else f"{count} coordinates"
 
 
-def _borders(motion: Motion, cut: Mask | None) -> list[Problem]:
+def _borders(motion: BodyMotion, cut: Mask | None) -> list[Problem]:
     if cut is None:
         return []
     return [

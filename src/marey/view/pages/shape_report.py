@@ -12,11 +12,11 @@ from marey.io.atomic import replacing
 from marey.nonrigid.recovered import IN_LABORATORY, RecoveredShapes
 from marey.view.pages.curves import (
     COLOURS,
-    Curve,
     CurvePlot,
     CurvesContent,
     NumberTable,
     PlotGroup,
+    Trace,
     curves_data,
     stride_of,
 )
@@ -243,7 +243,7 @@ def _track_rank_plots(report: ShapeReport) -> list[CurvePlot]:
 def _over_ranks(title: str, ranks: Floats, errors: Floats, sd: Floats, unit: str) -> CurvePlot:
     """Draw errors over ranks; plots have even axes, so that what lies between ranks that were tried is a line."""
     axis = np.arange(ranks.min(), ranks.max() + 1)
-    line = Curve(label="error", values=np.interp(axis, ranks, errors), sd=np.interp(axis, ranks, sd), colour=COLOURS[0])
+    line = Trace(label="error", values=np.interp(axis, ranks, errors), sd=np.interp(axis, ranks, sd), colour=COLOURS[0])
     spread = float(np.ptp(errors))
     return CurvePlot(title=title, curves=[line], unit=unit, least=0.0, digits=_digits(spread), axis=axis)
 
@@ -263,13 +263,13 @@ def _frame_plots(report: ShapeReport) -> list[CurvePlot]:
     names = report.views or ("residual",)
     digits = _digits(float(np.nanmedian(rms)))
     curves = [
-        Curve(label=n, values=r, colour=COLOURS[k % len(COLOURS)])
+        Trace(label=n, values=r, colour=COLOURS[k % len(COLOURS)])
         for k, (n, r) in enumerate(zip(names, rms, strict=True))
     ]
-    axes = [Curve(label=f"sd along {a}", values=sd[:, k], colour=COLOURS[k]) for k, a in enumerate("xyz")]
+    axes = [Trace(label=f"sd along {a}", values=sd[:, k], colour=COLOURS[k]) for k, a in enumerate("xyz")]
     return [
         CurvePlot(title="points seen", unit="", least=2.0, digits=0, curves=[
-            Curve(label="seen", values=seen.any(0).sum(1).astype(float), colour=COLOURS[0])]),
+            Trace(label="seen", values=seen.any(0).sum(1).astype(float), colour=COLOURS[0])]),
         CurvePlot(
             title="residual, RMS" + (" by camera" if len(names) > 1 else ""), unit="", least=0.0, digits=digits,
             curves=curves,
@@ -287,7 +287,7 @@ def _coefficient_plots(found: RecoveredShapes) -> list[CurvePlot]:
     return [
         CurvePlot(
             title=f"basis shape {k + 2}", unit="", least=0.0, digits=_digits(float(np.nanstd(values))),
-            curves=[Curve(label="coefficient", values=values, colour=COLOURS[0])],
+            curves=[Trace(label="coefficient", values=values, colour=COLOURS[0])],
         )
         for k, values in enumerate(shown.T)
     ]  # fmt: skip
@@ -300,7 +300,7 @@ def _turn_plots(found: RecoveredShapes) -> list[CurvePlot]:
     sd = np.degrees(found.rotation_sd)
     return [
         CurvePlot(
-            title=f"about {axis}", curves=[Curve(label="turn", values=turn[:, k], sd=sd[:, k], colour=COLOURS[k])]
+            title=f"about {axis}", curves=[Trace(label="turn", values=turn[:, k], sd=sd[:, k], colour=COLOURS[k])]
         )
         for k, axis in enumerate("xyz")
     ]

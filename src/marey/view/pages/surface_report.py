@@ -11,7 +11,15 @@ from marey.cameras.rig import Rig
 from marey.surface.points.measured import MeasuredPoints
 from marey.surface.points.refine_rig import RigRefinement
 from marey.surface.tracks.filters import Filtered
-from marey.view.pages.curves import COLOURS, Curve, CurvePlot, CurvesContent, NumberTable, PlotGroup, write_curves_page
+from marey.view.pages.curves import (
+    COLOURS,
+    CurvePlot,
+    CurvesContent,
+    NumberTable,
+    PlotGroup,
+    Trace,
+    write_curves_page,
+)
 from marey.view.pages.html import Still
 
 FILES = {
@@ -140,13 +148,13 @@ def _curves(report: SurfaceReport, frames: Floats) -> list[CurvePlot]:
     what = (("points", "", 0, 10.0, 0), ("residual, median", " px", 2, 0.05, 2), ("sd, median", " mm", 3, 0.05, 2))
     plots = [
         CurvePlot(title=title, unit=unit, least=least, digits=digits,
-                  curves=[Curve(label=title, values=frames[:, column], colour=COLOURS[0])])
+                  curves=[Trace(label=title, values=frames[:, column], colour=COLOURS[0])])
         for title, unit, column, least, digits in what
     ]  # fmt: skip
     if report.followed is not None:
         tracks = report.followed.trajectories
         rows = tracks.measured[:, tracks.kept].sum(axis=1)[report.first : report.first + len(report.parts)]
-        curve = Curve(label="followed", values=rows.astype(float), colour=COLOURS[2])
+        curve = Trace(label="followed", values=rows.astype(float), colour=COLOURS[2])
         plots.append(CurvePlot(title="points followed", unit="", least=10.0, digits=0, curves=[curve]))
     return plots
 
@@ -164,7 +172,7 @@ def _histograms(report: SurfaceReport, gathered: _Gathered) -> list[CurvePlot]:
 
 def _histogram(title: str, unit: str, values: Floats) -> CurvePlot:
     counts, edges = np.histogram(values, _BINS, (0.0, max(float(np.quantile(values, _SHOWN)), 1e-9)))
-    share = Curve(label=unit, values=100 * counts / len(values), colour=COLOURS[0])
+    share = Trace(label=unit, values=100 * counts / len(values), colour=COLOURS[0])
     return CurvePlot(
         title=f"{title} [{unit}]", unit=" %", least=1.0, curves=[share], axis=0.5 * (edges[1:] + edges[:-1])
     )  # fmt: skip

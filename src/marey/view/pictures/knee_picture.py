@@ -4,11 +4,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import cv2
-import numba
 import numpy as np
 
 from marey.arrays import Floats, Image, Integers, Mask
 from marey.cameras.visibility import View, see
+from marey.kernels import kernel
 from marey.knee.space.surface import Surface
 from marey.view.pictures.knee_maps import BONE, proximity_colours
 
@@ -207,7 +207,7 @@ def _draw(
     return seen
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _lay_over(picture, depth, face, inverse, left, top, tint, opacity):  # pragma: no cover - compiled
     """Blend faces over a picture where they are nearer; what is opaque hides what comes later."""
     for y in range(face.shape[0]):

@@ -4,7 +4,7 @@ import numpy as np
 
 from marey.arrays import Floats
 from marey.knee.outlines.contours import AXES, slice_shape
-from marey.knee.space.volume import Grid
+from marey.knee.space.volume import VoxelGrid
 
 _NAMES = (("right", "left"), ("front", "back"), ("feet", "head"))
 """Towards smaller and greater LPS."""
@@ -12,7 +12,7 @@ _DOWN_FIRST = (2, 1, 0)
 """Which direction is rather laid down the screen: along the body, then from front to back."""
 
 
-def displayed(grid: Grid, axis: str) -> dict[str, object]:
+def displayed(grid: VoxelGrid, axis: str) -> dict[str, object]:
     """Tell how the slices along an axis are shown.
 
     Returns:

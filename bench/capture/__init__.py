@@ -1,0 +1,1 @@
+"""Benchmarks of capture from calibrated videos."""

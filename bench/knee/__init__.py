@@ -1,0 +1,1 @@
+"""Benchmarks of knees from magnetic resonance images."""

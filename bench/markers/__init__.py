@@ -1,0 +1,1 @@
+"""Benchmarks of skin markers, bones and joint angles."""

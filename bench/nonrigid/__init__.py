@@ -1,0 +1,1 @@
+"""Benchmarks of non-rigid factorisation and of points followed in video."""

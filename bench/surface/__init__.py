@@ -1,0 +1,1 @@
+"""Benchmarks of surfaces, patch matching, trajectories and shape."""

@@ -1,0 +1,101 @@
+"""The command `marey markers`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from marey.cli.options import Frames, Quiet
+from marey.cli.work import working
+from marey.pipelines.capture.settings import parse_frames, parse_names
+
+
+def markers(
+    trial: Annotated[
+        Path, typer.Argument(metavar="TRIAL", help="A C3D, TRC or CSV with the trajectories of skin markers.")
+    ],
+    reference: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="NPZ with the poses of the bones in one frame of the trial, or in several."),
+    ] = None,
+    clusters: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="TOML with the markers on each segment, landmarks, joints and noise."),
+    ] = None,
+    static: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Trial of the person standing, with the landmarks that the TOML names."),
+    ] = None,
+    functional: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="FILE", help="Trial in which a hip or shoulder is moved; the option can be repeated."),
+    ] = None,
+    exercise: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Trial from which the method `artefact` learns the motion of the skin."),
+    ] = None,
+    exercise_reference: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="NPZ with the poses of the bones in frames of the exercise."),
+    ] = None,
+    method: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME,...",
+            help="Methods separated by commas, or `all`. The files have the result of the first. [default: skin]",
+        ),
+    ] = None,
+    model: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="OpenSim model that follows the markers by inverse kinematics."),
+    ] = None,
+    weights: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="XML with the tasks of the model. [default: equal weight for all markers]"),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", metavar="DIR", help="Folder for the results. [default: TRIAL_marey]"),
+    ] = None,
+    frames: Frames = None,
+    fill: Annotated[
+        str,
+        typer.Option(
+            metavar="WAY", help="Fill gaps: spline (over time), cluster (from the segment's other markers), best, none."
+        ),
+    ] = "none",
+    unit: Annotated[
+        str | None, typer.Option(metavar="UNIT", help="mm, cm or m, if the file states its unit wrongly.")
+    ] = None,
+    side: Annotated[
+        str | None, typer.Option(metavar="SIDE", help="left or right, if the names of the segments do not contain it.")
+    ] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Estimate the motion of bones from skin markers.
+
+    Markers with the labels `thigh_01`, `thigh_02`, ... are on the segment `thigh`; for other labels, a TOML names the
+    markers of each segment. The results are the poses of the bones, joint angles and translations with standard
+    deviations, the motion of each marker over its bone, and a report with the curves of all methods.
+
+    Examples:
+    * `marey markers walk.c3d --reference walk_frame0.npz`
+    * `marey markers walk.c3d --reference walk_frame0.npz --method all --out results/walk`
+    * `marey markers walk.c3d --clusters person.toml --static static.c3d --functional left_hip.c3d`
+    * `marey markers walk.trc --model scaled.osim --weights tasks.xml`
+    """
+    from marey.pipelines.markers.estimate import estimate_bones, open_markers
+
+    methods = None if method is None else parse_names(method, option="--method", example="rigid,interval")
+    folder = out or trial.with_name(f"{trial.stem}_marey")
+    with working(quiet=quiet) as progress:
+        opened = open_markers(
+            trial, reference=reference, clusters=clusters, static=static, functional=functional or (),
+            exercise=exercise, exercise_reference=exercise_reference, model=model, weights=weights,
+            frames=None if frames is None else parse_frames(frames), fill=fill, unit=unit, side=side,
+            progress=progress,
+        )  # fmt: skip
+        bones = estimate_bones(opened, methods, out=folder, progress=progress)
+        for line in bones.summary():
+            progress.report(line)
+    typer.echo(f"Report: {folder / 'report.html'}")

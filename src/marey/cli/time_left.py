@@ -1,0 +1,100 @@
+"""Estimate of the time that a stage still takes, from the times of its finished steps."""
+
+from dataclasses import dataclass
+
+LEAST_SHARE = 0.05
+"""Finished share of a stage below which there is no estimate."""
+LEAST_STEPS = 2
+"""Finished steps of a stage below which there is no estimate: the first step alone often compiles and loads."""
+RECENT_SHARE = 0.5
+"""Share of the finished steps, the latest ones, that determine the rate.
+
+Half of them follow a rate that changes within a stage, and still average over the irregular steps of its beginning.
+"""
+BATCH_SHARE = 0.1
+"""Share of the usual time between reports below which two reports count as one.
+
+Chosen by hand, so that steps which several threads finish at almost the same time are one batch.
+"""
+HURRIED_SHARE, SURE_SHARE = 0.1, 0.25
+"""Share of the first step's time below which the next steps may be of the same batch, and finished share of the stage
+from which they are not.
+
+Chosen by hand on simulated stages (tests/cli/test_time_left.py).
+"""
+
+
+@dataclass(frozen=True)
+class _Mark:
+    """Number of finished steps at a time."""
+
+    steps: int
+    seconds: float
+
+
+class TimeLeft:
+    """Estimates the remaining time of a stage from the rate of its latest steps.
+
+    The first step does not count, as it often takes many times as long as the next ones (compilation, opening of
+    files). Time that the process is known to have spent on compilation is subtracted.
+
+    Args:
+        total: Number of steps of the stage.
+        done: Number of steps that an earlier run has finished.
+        started: Time at which the stage began [s].
+    """
+
+    def __init__(self, total: int, *, done: int = 0, started: float = 0.0):
+        self._total, self._done = total, done
+        self._marks = [_Mark(done, started)]
+
+    def add(self, number: int, seconds: float) -> None:
+        """Record finished steps.
+
+        Args:
+            number: How many steps were finished since the last call.
+            seconds: Time, without the time spent on compilation [s].
+        """
+        last = self._marks[-1]
+        steps = last.steps + number
+        intervals = len(self._marks) - 2
+        if intervals > 0 and seconds - last.seconds < BATCH_SHARE * (last.seconds - self._marks[1].seconds) / intervals:
+            # Steps that threads or windows finish together are one mark: the time between them says nothing.
+            self._marks.pop()
+        self._marks.append(_Mark(steps, seconds))
+
+    def estimate(self, seconds: float) -> float | None:
+        """Estimate the remaining time.
+
+        Args:
+            seconds: Present time, without the time spent on compilation [s].
+
+        Returns:
+            Seconds until the stage ends; None as long as too little is known.
+        """
+        last = self._marks[-1]
+        made = last.steps - self._done
+        if len(self._marks) <= LEAST_STEPS or made < LEAST_SHARE * (self._total - self._done):
+            return None
+        if made < SURE_SHARE * self._total and self._hurried(last):
+            return None
+        since = self._mark_before(last.steps - RECENT_SHARE * made)
+        if last.steps <= since.steps:
+            return None
+        rate = (last.seconds - since.seconds) / (last.steps - since.steps)
+        waited = max(seconds - last.seconds, 0.0)
+        return max(rate * (self._total - last.steps) - min(waited, rate), 0.0)
+
+    def _hurried(self, last: _Mark) -> bool:
+        """Return whether all steps after the first one took so little time that they may belong to its batch."""
+        begin, first = self._marks[:2]
+        return last.seconds - first.seconds < HURRIED_SHARE * (first.seconds - begin.seconds)
+
+    def _mark_before(self, steps: float) -> _Mark:
+        """Return the latest mark of at most a number of steps, but never the start of the stage."""
+        found = self._marks[1]
+        for mark in self._marks[2:-1]:
+            if mark.steps > steps:
+                break
+            found = mark
+        return found

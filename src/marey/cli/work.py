@@ -1,0 +1,25 @@
+"""What surrounds the work of every command: the process's settings and the progress display."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from marey.cli.progress import TerminalProgress
+
+
+@contextmanager
+def working(*, quiet: bool = False, parallel_cameras: bool = False) -> Iterator[TerminalProgress]:
+    """Set the process up for a command's work, and show its progress.
+
+    Args:
+        quiet: Show nothing but warnings.
+        parallel_cameras: Whether the command works on several videos in parallel.
+
+    Yields:
+        The progress display.
+    """
+    from marey.cli.compilation import observed_compilation
+    from marey.process import tuned_process
+
+    progress = TerminalProgress(quiet=quiet)
+    with tuned_process(parallel_cameras=parallel_cameras), observed_compilation(progress.compilation):
+        yield progress

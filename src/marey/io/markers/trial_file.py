@@ -1,0 +1,60 @@
+"""A marker trial as its file holds it: trajectories, force plates, gait events and the vertical axis, read once."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from marey.errors import FileProblem
+from marey.io.markers.c3d import open_c3d
+from marey.io.markers.c3d_forces import read_events, read_force_plates
+from marey.io.markers.readers import read_markers
+from marey.io.markers.results import is_y_up
+from marey.markers.data.force_plates import ForcePlate
+from marey.markers.data.trajectories import MarkerTrajectories
+from marey.motion.gait import GaitEvent
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MarkerFile:
+    """The content of one C3D, TRC or CSV of markers."""
+
+    path: Path
+    trajectories: MarkerTrajectories
+    """All markers, as measured."""
+    y_up: bool
+    """Whether Y points up in the laboratory; otherwise Z does."""
+    plates: tuple[ForcePlate, ...] = ()
+    """Force plates; only a C3D has them."""
+    events: tuple[GaitEvent, ...] = ()
+    """Gait events that the file gives; only a C3D has them."""
+    plate_notes: tuple[str, ...] = ()
+    """Why the force plates could not be read; empty otherwise."""
+
+
+def read_marker_file(path: Path, *, unit: str | None = None) -> MarkerFile:
+    """Read everything that a marker trial needs from its file, which is opened once.
+
+    Force plates that cannot be read are no error, because markers do not need them: `plate_notes` gives the reason.
+
+    Args:
+        path: A C3D, TRC or CSV.
+        unit: mm, cm or m, if the file states it wrongly or not at all.
+
+    Raises:
+        FileProblem: The file cannot be read, or holds no markers.
+    """
+    if not path.is_file():
+        raise FileProblem(path, "is a folder" if path.is_dir() else "does not exist", "Give a C3D, TRC or CSV.")
+    if path.suffix.lower() != ".c3d":
+        return MarkerFile(path=path, trajectories=read_markers(path, unit=unit), y_up=is_y_up(path))
+    opened = open_c3d(path)
+    trajectories = read_markers(path, unit=unit, opened=opened)
+    plates: tuple[ForcePlate, ...] = ()
+    notes: tuple[str, ...] = ()
+    try:
+        plates = read_force_plates(path, opened=opened)
+    except FileProblem as problem:
+        notes = (f"The force plates cannot be read: {problem}",)
+    return MarkerFile(
+        path=path, trajectories=trajectories, y_up=is_y_up(path, opened=opened), plates=plates,
+        events=read_events(path, opened=opened), plate_notes=notes,
+    )  # fmt: skip

@@ -1,0 +1,50 @@
+"""The decorator of compiled functions."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numba
+
+try:
+    from marey.kernel_cache import KernelCache
+except ImportError as _problem:
+    if not (_problem.name or "").startswith("numba"):
+        raise
+    KernelCache = None  # type: ignore[assignment,misc]
+
+
+def kernel(function: Callable[..., Any] | None = None, /, **options: Any) -> Any:
+    """Compile a function by Numba at its first call, and keep the machine code on disk for other processes.
+
+    The compiled function releases the interpreter's lock. An entry on disk is used as long as the function and all
+    that it uses have the same content (see `marey.kernel_digest`), in whatever folder the package is installed; see
+    `marey.kernel_cache.kernel_folder` for its place. The entry depends on constants of modules too: as always in
+    Numba, they are read once, when the function is compiled or loaded.
+
+    The cache builds on classes that Numba does not document. If a future version of Numba lacks them, `kernel` uses
+    Numba's own cache, which does not notice a change of a function in another file.
+
+    Args:
+        function: The function; absent where the decorator has options.
+        **options: Options of `numba.njit`, except `cache`.
+
+    Returns:
+        Numba's dispatcher, or the decorator if there is no function.
+    """
+    options = {"nogil": True, **options}
+    if function is None:
+        return lambda decorated: kernel(decorated, **options)
+    if KernelCache is None:
+        return _cached_by_numba(function, options)
+    dispatcher = numba.njit(**options)(function)
+    if not numba.config.DISABLE_JIT:
+        dispatcher._cache = KernelCache(dispatcher)
+    return dispatcher
+
+
+def _cached_by_numba(function: Callable[..., Any], options: dict[str, Any]) -> Any:
+    """Compile with Numba's own cache, or without one where Numba finds no folder to write to."""
+    try:
+        return numba.njit(cache=True, **options)(function)
+    except RuntimeError:
+        return numba.njit(**options)(function)

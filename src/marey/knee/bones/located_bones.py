@@ -1,0 +1,237 @@
+"""First two stages of the bone segmentation: prepared images, and a seed in each long bone that they show."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from marey.arrays import Floats, Integers, Mask
+from marey.errors import MareyError, SettingProblem
+from marey.knee.bones.marrow import WORK_MM, Kind, NoPairFound, PreparedImage, prepare
+from marey.knee.bones.partial_view import LONG_BONES, SeenBone, in_view, partial_view, seen_bones
+from marey.knee.bones.region_growing import grow, marrow_level, seed_ball
+from marey.knee.bones.seeds import find_seeds, kind_at
+from marey.knee.bones.settings import BONE_DEFAULTS, BoneSettings
+from marey.knee.bones.template_fit import TemplateBone
+from marey.knee.space.resampling import read_at
+from marey.knee.space.volume import Volume, VoxelGrid
+
+_REMEDIES = {
+    False: "If it shows only one of the two, give --template, or a --seed in that bone.",
+    True: "Neither the template's femur nor its tibia alone fits anywhere in it.",
+}
+"""What a user can do when no femur above a tibia is found, by whether a template was given."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PreparedImages:
+    """First stage: the images on one upright grid, and what was given with them."""
+
+    volumes: tuple[Volume, ...]
+    """One or two images of the same knee."""
+    knees: tuple[PreparedImage, ...]
+    """The same images, prepared, all on the grid of the first."""
+    template: Mapping[str, TemplateBone] = field(default_factory=dict)
+    """Bones of the template by name; empty without a template."""
+    seeds_mm: Mapping[str, Floats] = field(default_factory=dict)
+    """Bone to (3,) LPS: the seeds given by the user."""
+    settings: BoneSettings = BONE_DEFAULTS
+
+    @property
+    def grid(self) -> VoxelGrid:
+        """The upright grid of all prepared images."""
+        return self.knees[0].grid
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LocatedBones:
+    """Second stage: the kind of marrow, and the long bones that are in view, with a seed in each."""
+
+    images: PreparedImages
+    kinds: tuple[Kind, ...]
+    """Whether marrow is dark or bright, for each image."""
+    seeds: Mapping[str, Integers]
+    """Long bone to voxel (3,) k, j, i; one entry when only one long bone is in view."""
+    seen: Mapping[str, SeenBone]
+    """Where the template's long bones lie approximately, when not both are in view; else empty."""
+    single: Mask | None = None
+    """(k, j, i) the only long bone in view, when it was already grown to find that out."""
+
+    def likeness(self, voxel: Integers, radius_mm: float | None = None) -> np.ndarray:
+        """Return the similarity of each voxel to the marrow about a seed.
+
+        Args:
+            voxel: (3,) k, j, i of the seed.
+            radius_mm: Radius of the ball in which the marrow's level is measured; by default that of the settings.
+
+        Returns:
+            (k, j, i) from 0 to 1, the least over the images; NaN outside one of them.
+        """
+        each = []
+        for knee, kind in zip(self.images.knees, self.kinds, strict=True):
+            level = marrow_level(knee, kind, voxel, radius_mm, settings=self.images.settings.growing)
+            each.append(np.where(knee.within, level.likeness(knee.intensity) * knee.body, np.float32(np.nan)))
+        return np.asarray(np.minimum.reduce(each))
+
+    def lps(self, name: str) -> str:
+        """Return the position [mm] of a bone's seed as text."""
+        position = self.images.grid.lps(self.seeds[name][::-1].astype(float))
+        return " ".join(f"{each:.0f}" for each in position)
+
+
+def prepare_images(
+    volumes: tuple[Volume, ...],
+    template: Mapping[str, TemplateBone],
+    seeds_mm: Mapping[str, Floats],
+    settings: BoneSettings,
+) -> PreparedImages:
+    """Correct the bias of the images, and resample them to one upright grid.
+
+    Args:
+        volumes: One image, or two of the same knee in the same place.
+        template: Bones of the template by name.
+        seeds_mm: Bone to (3,) LPS.
+        settings: Of all stages.
+
+    Raises:
+        SettingProblem: There are more than two volumes, or none.
+        MareyError: Two volumes do not show one knee in one place.
+    """
+    if not 1 <= len(volumes) <= 2:
+        raise SettingProblem(f"Expected one volume, or two of the same knee, not {len(volumes)}.")
+    first = prepare(volumes[0], settings=settings.marrow)
+    knees = (first, *[prepare(other, first.grid, settings=settings.marrow) for other in volumes[1:]])
+    for knee in knees[1:]:
+        shared = (knee.body & first.body).sum() / max(1, min(knee.body.sum(), first.body.sum()))
+        if shared < settings.least_shared_body:
+            raise MareyError("The two volumes do not show one knee in one place: their bodies do not overlap enough.")
+    return PreparedImages(volumes=volumes, knees=knees, template=template, seeds_mm=seeds_mm, settings=settings)
+
+
+def locate_bones(images: PreparedImages) -> LocatedBones:
+    """Find a seed in each long bone in view, and whether both seeds lie in one bone.
+
+    Raises:
+        SettingProblem: A given seed lies outside the image, in the air, not in marrow, or in the wrong bone.
+        MareyError: No knee is found, or the only long bone cannot be named.
+    """
+    located = _located_in_images(images)
+    if len(located.seeds) == 1:
+        return located
+    single = _bone_of_both_seeds(located)
+    if single is not None:
+        settings = images.settings.partial_view
+        view = seen_bones(images.knees[0], images.template, kinds=located.kinds[:1], settings=settings)
+        seen = {**located.seen, **in_view(view, images.template, images.grid, settings=settings)}
+        if len(seen) < 2:
+            return _single_bone(located, seen, single)
+        moved = {name: each.seed for name, each in seen.items() if name not in images.seeds_mm}
+        located = LocatedBones(images=images, kinds=located.kinds, seeds={**located.seeds, **moved}, seen=seen)
+    if located.seeds["femur"][0] <= located.seeds["tibia"][0] and {"femur", "tibia"} & set(images.seeds_mm):
+        given = " and of the ".join(name for name in LONG_BONES if name in images.seeds_mm)
+        raise SettingProblem(
+            f"With the seed of the {given} the femur would lie below the tibia: check that each is in its bone."
+        )
+    return located
+
+
+def _located_in_images(images: PreparedImages) -> LocatedBones:
+    """Find the seeds from a femur above a tibia, or else from what a template or a seed shows of either."""
+    first = images.knees[0]
+    settings = images.settings
+    seen: Mapping[str, SeenBone] = {}
+    seeds: Mapping[str, Integers]
+    try:
+        found = find_seeds(first, images.seeds_mm, settings=settings.seeds, marrow=settings.marrow)
+        kind, seeds = found.kind, {"femur": found.femur, "tibia": found.tibia}
+    except NoPairFound as problem:
+        view = partial_view(first, images.template, images.seeds_mm, settings=settings.partial_view)
+        if view is None:
+            raise NoPairFound(f"{problem} {_REMEDIES[bool(images.template)]}") from problem
+        kind, seeds, seen = view.kind, view.seeds, view.seen
+    kinds = (kind, *[_kind_of(knee, seeds, settings) for knee in images.knees[1:]])
+    return LocatedBones(images=images, kinds=kinds, seeds=seeds, seen=seen)
+
+
+def _kind_of(knee: PreparedImage, seeds: Mapping[str, Integers], settings: BoneSettings) -> Kind:
+    """Return a further image's kind of marrow by its own femur and tibia, or else by the first image's seeds."""
+    try:
+        return find_seeds(knee, {}, settings=settings.seeds, marrow=settings.marrow).kind
+    except NoPairFound:
+        return kind_at(knee, list(seeds.values()))
+
+
+def _bone_of_both_seeds(located: LocatedBones) -> Mask | None:
+    """(k, j, i) the bone in which both seeds lie; None if they lie in two bones."""
+    first, second = located.seeds["femur"], located.seeds["tibia"]
+    likeness = located.likeness(first)
+    if not in_line(likeness, located.images.grid, first, second, settings=located.images.settings):
+        return None
+    whole = grow(likeness, first, settings=located.images.settings.growing)
+    return whole if whole[seed_ball(located.images.knees[0], second, 4.0)].mean() > 0.5 else None
+
+
+def _single_bone(located: LocatedBones, seen: Mapping[str, SeenBone], whole: Mask) -> LocatedBones:
+    """Name the bone in which both seeds lie by the template, or else by its shape."""
+    name = next(iter(seen), None) or thick_end(whole, settings=located.images.settings)
+    for given, other in (("femur", "tibia"), ("tibia", "femur")):
+        if given in located.images.seeds_mm and name != given:
+            seems = f"it seems to be the {name}" if name else "its shape does not show whether it is femur or tibia"
+            raise SettingProblem(
+                f"The seed of the {given} at LPS {located.lps(given)} mm and that of the {other} at"
+                f" {located.lps(other)} lie in one bone: {seems}. Choose a place within the {given}."
+            )
+    if name is None:
+        raise MareyError("Only one long bone is found, and its shape does not show whether it is a femur or a tibia.")
+    return LocatedBones(
+        images=located.images, kinds=located.kinds, seeds={name: located.seeds[name]}, seen=seen, single=whole
+    )
+
+
+def in_line(
+    likeness: np.ndarray, grid: VoxelGrid, first: Integers, second: Integers, *, settings: BoneSettings = BONE_DEFAULTS
+) -> bool:
+    """Return whether marrow continues from one seed to another without a gap as wide as a joint.
+
+    Args:
+        likeness: (k, j, i) similarity to the marrow, 0 to 1.
+        grid: Of the likeness.
+        first: (3,) voxel k, j, i.
+        second: (3,) voxel k, j, i.
+        settings: Radius of the discs and width of the gap.
+    """
+    ends = grid.lps(np.stack([first, second])[:, ::-1].astype(float))
+    length = float(np.linalg.norm(ends[1] - ends[0]))
+    if length < settings.gap_mm:
+        return True
+    along = ends[0] + np.linspace(0, 1, 1 + int(np.ceil(length / WORK_MM)))[:, None] * (ends[1] - ends[0])
+    places = along[:, None] + _disc((ends[1] - ends[0]) / length, settings.disc_mm)
+    poor = read_at((likeness > 0).astype(np.float32), grid, places).mean(axis=1) < 0.5
+    width = 1 + int(settings.gap_mm / WORK_MM)
+    return not (np.convolve(poor, np.ones(width, dtype=int)) >= width).any()
+
+
+def thick_end(mask: Mask, *, settings: BoneSettings = BONE_DEFAULTS) -> str | None:
+    """Name a long bone by its thick end: a femur's is below, a tibia's above; None where neither is clearly thicker.
+
+    Args:
+        mask: (k, j, i) the bone on the upright grid.
+        settings: How much thicker one end must be.
+    """
+    areas = mask.sum(axis=(1, 2))
+    areas = areas[areas > 0]
+    third = max(1, len(areas) // 3)
+    below, above = float(areas[:third].mean()), float(areas[-third:].mean())
+    if below > settings.wider * above:
+        return "femur"
+    return "tibia" if above > settings.wider * below else None
+
+
+def _disc(normal: Floats, radius_mm: float) -> Floats:
+    """(n, 3) [mm] points of a disc about the origin."""
+    across = np.cross(normal, np.eye(3)[int(np.abs(normal).argmin())])
+    across /= np.linalg.norm(across)
+    steps = np.arange(-radius_mm, radius_mm + 0.5)
+    a, b = np.meshgrid(steps, steps)
+    inside = np.hypot(a, b) <= radius_mm
+    return a[inside][:, None] * across + b[inside][:, None] * np.cross(normal, across)

@@ -1,0 +1,418 @@
+"""The result of a capture: a motion that knows its names, units, standard deviations and flags."""
+
+from collections.abc import Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from marey.arrays import Floats, Integers, Mask
+from marey.body.articulation.surface import Body
+from marey.body.people.person import stature
+from marey.errors import FileProblem
+from marey.extras import import_optional
+from marey.io.npz import read_arrays, read_motion, write_motion
+from marey.io.results.body import read_body
+from marey.io.results.netcdf import write_netcdf
+from marey.io.results.results import write_motion_tables, write_results
+from marey.motion.motion import FILLED, LOST, MEASURED, NOBODY, BodyMotion
+from marey.pipelines.labelled import Curve, Curves, Described, Summary, count_of, find_name, plot_curves
+from marey.pipelines.result_files import ResultFiles
+
+STATE_FLAGS = {NOBODY: "no person", MEASURED: "", FILLED: "filled", LOST: "lost"}
+"""The flag of a frame by its state: nothing for a measured frame."""
+UNDETERMINED = "not determined"
+"""The flag of a coordinate that the views do not determine: its value comes from what is usual in people."""
+_FILE = "motion.npz"
+
+
+class Motion(Described):
+    """The motion of a person, with standard deviations and flags.
+
+    Quantities are found by name, with spaces or underscores: `motion.angles["left knee flexion"]`. Frames without an
+    answer hold NaN and a flag.
+
+    Args:
+        data: The arrays of the motion.
+        files: The folder with all files of the run; None for a part of a motion.
+        body: The person's body at rest and the name of its preset, where they are not read from the files.
+
+    Example:
+        >>> import marey
+        >>> motion = marey.load_motion("walk01/marey")
+        >>> motion.rate
+        30.0
+        >>> knee = motion.angles["left knee flexion"]
+        >>> low, high = knee.interval(0.95)
+        >>> motion.joints["left ankle"].component("z").unit
+        'm'
+    """
+
+    def __init__(self, data: BodyMotion, files: ResultFiles | None = None, body: tuple[Body, str] | None = None):
+        self._data, self._files, self._given = data, files, body
+
+    @property
+    def data(self) -> BodyMotion:
+        """All arrays, under the names that they have in `motion.npz`."""
+        return self._data
+
+    @property
+    def time(self) -> Floats:
+        """(F,) time of each frame [s]."""
+        return self._data.time
+
+    @property
+    def rate(self) -> float:
+        """Frame rate [Hz]."""
+        return self._data.rate
+
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        """Names of the cameras."""
+        return self._data.camera_names
+
+    @cached_property
+    def flags(self) -> tuple[str, ...]:
+        """(F,) for each frame `no person`, `filled`, `lost`, or an empty text where it was measured."""
+        return tuple(STATE_FLAGS[int(state)] for state in self._data.state)
+
+    @property
+    def measured(self) -> Mask:
+        """(F,) true for frames whose pose was measured."""
+        return np.asarray(self._data.state == MEASURED)
+
+    @property
+    def angles(self) -> Curves:
+        """Anatomical joint angles by name [deg], with standard deviations."""
+        data = self._data
+
+        def curve(i: int) -> Curve:
+            return self._curve(data.angle_names[i], data.angles_deg[:, i], data.angles_deg_sd[:, i], unit="deg")
+
+        return Curves("angle", data.angle_names, curve)
+
+    @property
+    def joints(self) -> Curves:
+        """Joint centres by name, components x, y, z in the world (Z up) [m], with standard deviations."""
+        data = self._data
+
+        def curve(i: int) -> Curve:
+            return self._curve(
+                data.joint_names[i], data.joint_centres[:, i], data.joint_centres_sd[:, i], unit="m", components="xyz"
+            )
+
+        return Curves("joint centre", data.joint_names, curve)
+
+    @property
+    def coordinates(self) -> Curves:
+        """Generalised coordinates of the skeleton by name: the first three [m], all others [rad].
+
+        A value that the views do not determine has the flag `not determined`.
+        """
+        data = self._data
+
+        def curve(i: int) -> Curve:
+            known = data.determined[:, i]
+            flags = tuple(
+                UNDETERMINED if flag == "" and not sure else flag for flag, sure in zip(self.flags, known, strict=True)
+            )
+            return self._curve(
+                data.coordinate_names[i], data.coordinates[:, i], data.coordinates_sd[:, i],
+                unit="m" if i < 3 else "rad", flags=flags,
+            )  # fmt: skip
+
+        return Curves("coordinate", data.coordinate_names, curve)
+
+    @property
+    def agreement(self) -> Curves:
+        """Agreement of surface and silhouette by camera: intersection over union, from 0 to 1."""
+        data = self._data
+
+        def curve(i: int) -> Curve:
+            return self._curve(data.camera_names[i], data.agreement[:, i], None, unit="")
+
+        return Curves("camera", data.camera_names, curve)
+
+    def rotation(self, segment: str) -> Floats:
+        """Return the orientation of a segment.
+
+        Args:
+            segment: Its name, for example "left thigh".
+
+        Returns:
+            (F, 3, 3) world from segment; the identity in the rest posture.
+
+        Raises:
+            UnknownName: There is no such segment.
+        """
+        data = self._data
+        return data.segment_rotation[:, find_name(segment, data.segment_names, kind="segment")]
+
+    @cached_property
+    def _body(self) -> tuple[Body, str] | None:
+        if self._given is not None or self._files is None:
+            return self._given
+        path = self._files.path("body.npz")
+        return None if path is None else read_body(path)
+
+    @property
+    def body(self) -> Body:
+        """The person's body at rest.
+
+        Raises:
+            FileProblem: There is no body.npz beside the motion.
+        """
+        if self._body is None:
+            raise FileProblem(self.folder or _FILE, "has no body.npz beside it", "Load the folder of a capture.")
+        return self._body[0]
+
+    def skin(self) -> tuple[Floats, Integers]:
+        """Read the posed skin.
+
+        Returns:
+            Vertices (F, V, 3) in the world [m], NaN without an answer, and faces (T, 3).
+
+        Raises:
+            FileProblem: There is no skin.npz beside the motion.
+        """
+        path = None if self._files is None else self._files.path("skin.npz")
+        if path is None:
+            raise FileProblem(self.folder or _FILE, "has no skin.npz beside it", "Load the folder of a capture.")
+        stored = read_arrays(path, ("vertices", "faces"))
+        return stored["vertices"], stored["faces"]
+
+    @property
+    def folder(self) -> Path | None:
+        """Folder of the files, which may be a temporary one; None for a part of a motion."""
+        return None if self._files is None else self._files.folder
+
+    @property
+    def report(self) -> Path | None:
+        """The page with pictures and curves, where there is one."""
+        return None if self._files is None else self._files.path("report.html")
+
+    @cached_property
+    def record(self) -> dict[str, Any]:
+        """Version, settings, inputs, timings and warnings of the run, as in `run.json`."""
+        return {} if self._files is None else self._files.record(_FILE)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the run warned of."""
+        return tuple(self.record.get("warnings", ()))
+
+    def _curve(
+        self, name: str, values: Floats, sd: Floats | None, *, unit: str, components: Sequence[str] = (),
+        flags: tuple[str, ...] | None = None,
+    ) -> Curve:  # fmt: skip
+        return Curve(
+            name=name, time=self.time, values=values, sd=sd, unit=unit, components=tuple(components),
+            flags=self.flags if flags is None else flags,
+        )  # fmt: skip
+
+    def __len__(self) -> int:
+        """Return the number of frames."""
+        return len(self._data)
+
+    def frames(self, chosen: slice | range | Sequence[int] | Mask) -> "Motion":
+        """Return a part of the motion.
+
+        Args:
+            chosen: A slice, a range, indices of frames, or a mask (F,).
+
+        Returns:
+            The motion of these frames, in this order; without the files that need the videos.
+        """
+        index = list(chosen) if isinstance(chosen, range) else chosen
+        return Motion(self._data.frames(index), None, self._body)
+
+    def plot(self, names: str | Sequence[str], *, level: float = 0.95, axes: Any = None) -> Any:
+        """Draw angles over time, each with its interval as a band.
+
+        Args:
+            names: A part of the names, for example "knee", or a list of angles.
+            level: Probability of the interval.
+            axes: Matplotlib's axes to draw on; new ones by default.
+
+        Returns:
+            The axes.
+
+        Raises:
+            UnknownName: There is no such angle.
+            MissingPackage: Matplotlib is not installed.
+        """
+        chosen = self.angles.matching(names) if isinstance(names, str) else [self.angles[name] for name in names]
+        return plot_curves(chosen, level=level, axes=axes)
+
+    def to_xarray(self) -> Any:
+        """Return an `xarray.Dataset` with the same variables and dimensions as `motion.nc`, and units as attributes.
+
+        Raises:
+            MissingPackage: xarray is not installed.
+        """
+        xarray = import_optional("xarray", extra="xarray", purpose="Labelled arrays")
+        data = self._data
+        variables = {
+            "joint_centres": (("time", "joint", "space"), data.joint_centres, {"units": "m"}),
+            "joint_centres_sd": (("time", "joint", "space"), data.joint_centres_sd, {"units": "m"}),
+            "segment_rotation": (("time", "segment", "row", "column"), data.segment_rotation, {"units": "1"}),
+            "segment_origin": (("time", "segment", "space"), data.segment_origin, {"units": "m"}),
+            "coordinates": (("time", "coordinate"), data.coordinates, {"units": "rad; the first three m"}),
+            "coordinates_sd": (("time", "coordinate"), data.coordinates_sd, {"units": "rad; the first three m"}),
+            "determined": (("time", "coordinate"), data.determined),
+            "angles_deg": (("time", "angle"), data.angles_deg, {"units": "degrees"}),
+            "angles_deg_sd": (("time", "angle"), data.angles_deg_sd, {"units": "degrees"}),
+            "agreement": (("time", "camera"), data.agreement, {"units": "1"}),
+        }
+        coordinates = {
+            "time": ("time", data.time, {"units": "s"}),
+            "state": ("time", list(self.flags)),
+            "joint": list(data.joint_names),
+            "segment": list(data.segment_names),
+            "coordinate": list(data.coordinate_names),
+            "angle": list(data.angle_names),
+            "camera": list(data.camera_names),
+            "space": ["x", "y", "z"],
+        }
+        attributes = {"rate_hz": data.rate, "world": "Z up, right-handed"}
+        return xarray.Dataset(variables, coords=coordinates, attrs=attributes)
+
+    def to_pandas(self, *, sd: bool = False) -> Any:
+        """Return the joint angles as a `pandas.DataFrame`: one row per frame, one column per angle [deg].
+
+        Args:
+            sd: Whether columns `<angle>_sd` with the standard deviations follow.
+
+        Raises:
+            MissingPackage: pandas is not installed.
+        """
+        pandas = import_optional("pandas", extra="pandas", purpose="Tables")
+        data = self._data
+        index = pandas.Index(data.time, name="time")
+        table = pandas.DataFrame(np.array(data.angles_deg), index=index, columns=list(data.angle_names))
+        if sd:
+            names = [f"{name}_sd" for name in data.angle_names]
+            table = table.join(pandas.DataFrame(np.array(data.angles_deg_sd), index=index, columns=names))
+        table.insert(0, "state", list(self.flags))
+        return table
+
+    def save(self, folder: Path | str) -> Path:
+        """Write the motion: the same files as `marey capture --out folder`.
+
+        Of a part of a motion those files are written that need neither videos nor silhouettes.
+
+        Args:
+            folder: Where; made if it is missing.
+
+        Returns:
+            The folder.
+
+        Raises:
+            FileProblem: The folder cannot be written to.
+        """
+        if self._files is not None:
+            return self._files.save(folder, file=_FILE)
+        folder = Path(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        if self._body is not None:
+            body, preset = self._body
+            write_results(folder, self._data, body, preset=preset)
+        else:
+            write_motion(folder / _FILE, self._data)
+            write_netcdf(folder / "motion.nc", self._data)
+            write_motion_tables(folder, self._data)
+        return folder
+
+    def summary(self) -> Summary:
+        """Return the readable description."""
+        data = self._data
+        counts = {flag or "measured": self.flags.count(flag) for flag in STATE_FLAGS.values()}
+        states = ", ".join(f"{number} {name}" for name, number in counts.items() if number)
+        lines = {"frames": f"{len(self)} at {self.rate:g} Hz ({states})"}
+        seen = data.agreement[np.isfinite(data.agreement)]
+        lines["cameras"] = ", ".join(self.cameras) + (f"; agreement {np.median(seen):.2f}" if seen.size else "")
+        if self.measured.any():
+            joints, angles = (
+                float(np.nanmedian(values[self.measured])) for values in (data.joint_centres_sd, data.angles_deg_sd)
+            )
+            lines["joint centres"] = f"{len(data.joint_names)}, standard deviation {1e3 * joints:.1f} mm (median)"
+            lines["joint angles"] = f"{len(data.angle_names)}, standard deviation {angles:.1f} deg (median)"
+        if self._body is not None:
+            lines["person"] = _person(self.body)
+        if self.warnings:
+            lines["warnings"] = count_of(len(self.warnings), "warning") + ", see .warnings"
+        return Summary("Motion of a person", lines)
+
+
+def _person(body: Body) -> str:
+    height, sd = stature(body)
+    return f"stature {height:.3f} m" + (f", standard deviation {1e3 * sd:.0f} mm" if np.isfinite(sd) else "")
+
+
+def motion_file(path: Path | str) -> Path:
+    """Return the motion.npz of a folder of results.
+
+    Args:
+        path: A motion.npz, the folder with it, or a trial whose results are in `marey/`.
+
+    Raises:
+        FileProblem: There is none.
+    """
+    path = Path(path)
+    if path.is_file():
+        return path
+    for found in (path / _FILE, path / "marey" / _FILE):
+        if found.is_file():
+            return found
+    what = "holds no motion.npz" if path.is_dir() else "does not exist"
+    raise FileProblem(path, what, "Give the folder with the results of `marey capture` or `marey shape`.")
+
+
+def load_motion(path: Path | str) -> Motion:
+    """Read a motion that `marey capture`, `marey shape` or `Motion.save` wrote.
+
+    Args:
+        path: The folder with the results, the trial whose results are in `marey/`, or a motion.npz.
+
+    Returns:
+        The motion.
+
+    Raises:
+        FileProblem: There is no motion.npz, or it is damaged.
+
+    Example:
+        >>> import marey
+        >>> motion = marey.load_motion("walk01")
+        >>> len(motion)
+        24
+    """
+    file = motion_file(path)
+    return Motion(read_motion(file), ResultFiles(file.parent) if file.name == _FILE else None)
+
+
+def load_body(path: Path | str) -> Body:
+    """Read the body of a person that `marey capture` or `marey shape` wrote.
+
+    Args:
+        path: A body.npz, the folder with it, or the trial whose results are in `marey/`.
+
+    Returns:
+        The body at rest: skeleton, skin, sizes and, where known, metaballs.
+
+    Raises:
+        FileProblem: There is no body.npz, or it is damaged.
+
+    Example:
+        >>> import marey
+        >>> body = marey.load_body("walk01")
+        >>> body.skeleton.segment_names[:2]
+        ('pelvis', 'abdomen')
+    """
+    path = Path(path)
+    places = (path, path / "body.npz", path / "marey" / "body.npz")
+    for found in places:
+        if found.is_file():
+            return read_body(found)[0]
+    what = "holds no body.npz" if path.is_dir() else "does not exist"
+    raise FileProblem(path, what, "Give the folder with the results of `marey capture` or `marey shape`.")

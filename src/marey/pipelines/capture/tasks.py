@@ -1,0 +1,189 @@
+"""A capture in one call: open a trial, and measure the motion of the person in it."""
+
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from marey.cameras.rig import Rig
+from marey.errors import MareyWarning, SettingProblem
+from marey.io.calibration.readers import read_rig
+from marey.io.trial.trial import Trial, read_trial
+from marey.observations.observation import Observation
+from marey.pipelines.capture.capture import capture_trial
+from marey.pipelines.capture.motion import Motion
+from marey.pipelines.capture.settings import CaptureSettings
+from marey.pipelines.progress import Progress, RecordingProgress
+from marey.pipelines.result_files import ResultFiles
+
+Frames = range | tuple[int, int]
+"""Frames of a take: a range with steps of one, or the first frame and the one after the last."""
+
+
+def open_trial(
+    folder: Path | str,
+    *,
+    frames: Frames | None = None,
+    cameras: Sequence[str] | None = None,
+    preset: str | None = None,
+    stature: float | None = None,
+    start: Path | str | None = None,
+) -> Trial:
+    """Open a trial and check everything in it: cameras, videos, background, masks and settings.
+
+    Args:
+        folder: The folder with `cameras.toml` and one video per camera.
+        frames: Frames to use, for example `range(40, 100)`; by default those of `trial.toml`, or all.
+        cameras: Names of the cameras to use; by default those of `trial.toml`, or all.
+        preset: Part of the body to follow: full, upper, left_arm, right_arm, left_leg or right_leg.
+        stature: The person's height [m].
+        start: A file with the joints of one frame to start from, or a folder of OpenPose files.
+
+    Returns:
+        The trial.
+
+    Raises:
+        FileProblem: Something in the trial cannot be used; the message names the file and the remedy.
+        SettingProblem: A setting cannot be used.
+
+    Example:
+        >>> import marey
+        >>> trial = marey.open_trial(marey.example_folder(), frames=range(40, 100), cameras=["cam01", "cam02"])
+        >>> trial.rig.names
+        ('cam01', 'cam02')
+    """
+    settings = CaptureSettings(
+        cameras=_names(cameras), frames=first_and_end(frames), preset=preset, stature_m=stature,
+        start=None if start is None else Path(start),
+    )  # fmt: skip
+    return read_trial(folder, **settings.changes())
+
+
+def read_cameras(path: Path | str) -> Rig:
+    """Read calibrated cameras: Pose2Sim, Anipose, Caliscope, OpenCV's pair of YAML files, or Qualisys.
+
+    Args:
+        path: The file, or a folder that holds one.
+
+    Returns:
+        The cameras by name; lengths in metres.
+
+    Raises:
+        FileProblem: There is no calibration, or it cannot be used; the message lists everything that is wrong in it.
+
+    Example:
+        >>> import marey
+        >>> rig = marey.read_cameras(marey.example_folder())
+        >>> rig["cam01"].size
+        (640, 480)
+    """
+    return read_rig(path)
+
+
+def capture(
+    trial: Trial | Path | str,
+    *,
+    out: Path | str | None = None,
+    frames: Frames | None = None,
+    cameras: Sequence[str] | None = None,
+    preset: str | None = None,
+    stature: float | None = None,
+    start: Path | str | None = None,
+    body: Path | str | None = None,
+    fixed_sizes: bool = False,
+    overlay: bool = True,
+    observations: Mapping[int, Sequence[Observation]] | None = None,
+    progress: Progress | None = None,
+) -> Motion:
+    """Capture the joint motion of the person in a trial, as the command `marey capture` does.
+
+    The settings of the process are left as they are; `marey.tuned_process` sets them for the fastest run.
+
+    Args:
+        trial: A trial, or its folder. A setting that is given here replaces that of the trial.
+        out: Folder for the results. An interrupted run with the same folder and settings is resumed. By default the
+            results are in a temporary folder until `Motion.save` is called.
+        frames: Frames to use, for example `range(40, 100)`.
+        cameras: Names of the cameras to use.
+        preset: Part of the body to follow: full, upper, left_arm, right_arm, left_leg or right_leg.
+        stature: The person's height [m].
+        start: A file with the joints of one frame to start from, or a folder of OpenPose files.
+        body: A body.npz, a skinned GLB, a TOML that names a mesh, or the name of a generic body.
+        fixed_sizes: Keep the sizes of the body instead of estimating them.
+        overlay: Draw overlay videos.
+        observations: Further observations by frame, also of kinds that are defined outside of marey (see
+            `marey.Observation`); they are used in the refinement of motion and body, but not for the start and the
+            tracking. A run with observations is not resumed.
+        progress: Progress reporter; by default nothing is shown, and the warnings of the run are issued as Python
+            warnings of the category `marey.MareyWarning`.
+
+    Returns:
+        The motion, with standard deviations and flags.
+
+    Raises:
+        FileProblem: Something in the trial cannot be used; the message names the file and the remedy.
+        SettingProblem: A setting cannot be used.
+
+    Example:
+        >>> import marey
+        >>> motion = marey.capture("walk01", stature=1.80)  # doctest: +SKIP
+        >>> motion.angles["left knee flexion"]  # doctest: +SKIP
+    """
+    files = ResultFiles.at(out)
+    settings = CaptureSettings(
+        out=files.folder, cameras=_names(cameras), frames=first_and_end(frames), preset=preset, stature_m=stature,
+        start=None if start is None else Path(start), body=body, fixed_sizes=fixed_sizes, overlay=overlay,
+    )  # fmt: skip
+    reporter = RecordingProgress() if progress is None else progress
+    motion = capture_trial(reopened(trial, settings.changes()), settings, reporter, observations=observations)
+    if progress is None:
+        issue_warnings(reporter)
+    return Motion(motion.data, files)
+
+
+def reopened(trial: Trial | Path | str, changes: Mapping[str, object]) -> Trial:
+    """Open a trial with changed settings.
+
+    Args:
+        trial: A trial, or its folder.
+        changes: Settings by name that replace those of the trial; None leaves a setting as it is.
+
+    Returns:
+        The trial; the given one if nothing changes.
+    """
+    if not isinstance(trial, Trial):
+        return read_trial(trial, **changes)
+    given = {name: value for name, value in changes.items() if value is not None}
+    if not given:
+        return trial
+    return read_trial(trial.folder, **(trial.settings.model_dump(exclude_none=True) | given))
+
+
+def first_and_end(frames: Frames | None) -> tuple[int, int] | None:
+    """Return the first frame and the one after the last.
+
+    Raises:
+        SettingProblem: The range has gaps, or holds no frame.
+    """
+    if frames is None:
+        return None
+    first, end = (frames.start, frames.stop) if isinstance(frames, range) else frames
+    if (isinstance(frames, range) and frames.step != 1) or not 0 <= first < end:
+        raise SettingProblem(f"The frames are {frames}; they should be consecutive, for example range(40, 100).")
+    return first, end
+
+
+def issue_warnings(progress: Progress, *, stacklevel: int = 3) -> None:
+    """Issue what a run warned of as Python warnings.
+
+    Args:
+        progress: Progress reporter of the run.
+        stacklevel: Number of calls between this function and the code to which the warnings refer.
+    """
+    for text in progress.warnings:
+        warnings.warn(text, MareyWarning, stacklevel=stacklevel)
+
+
+def _names(names: Sequence[str] | None) -> tuple[str, ...] | None:
+    if isinstance(names, str):
+        raise SettingProblem(f"The cameras are {names!r}; they should be a list, for example ['cam01', 'cam02'].")
+    return None if names is None else tuple(names)

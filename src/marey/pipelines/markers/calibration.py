@@ -1,0 +1,122 @@
+"""Poses of the bones in some frames of a trial: from a reference, a static trial, or the markers alone."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from marey.errors import FileProblem, MareyError
+from marey.io.markers.setup import read_reference
+from marey.io.markers.trial_file import MarkerFile
+from marey.io.npz import read_arrays
+from marey.markers.data.clusters import AnatomicalCalibration, Cluster
+from marey.markers.data.labels import NEEDED
+from marey.markers.data.setup import MarkerSetup
+from marey.markers.data.trajectories import MarkerTrajectories
+from marey.markers.kinematics.joint_angles import usual_joints
+from marey.markers.preprocessing.faults import find_faults
+from marey.markers.preprocessing.own_frames import own_calibration
+from marey.pipelines.markers.selection import SelectedTrajectories
+from marey.pipelines.markers.settings import SIDES, MarkerSettings
+from marey.pipelines.markers.static import from_static
+
+_WITHOUT_SIDE = ("pelvis", "thorax", "head")
+"""Segments in the middle of the body."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Calibrated:
+    """Where the bones are in some frames, and what follows from it."""
+
+    calibration: AnatomicalCalibration
+    trajectories: MarkerTrajectories
+    """Those of the requested frames, and of the frames in which the bones are known."""
+    anatomical: bool
+    """Whether the bones' frames are anatomical; otherwise they are the clusters' principal axes."""
+    joints: tuple[tuple[str, str], ...]
+    """Pairs (parent, child) of segments that a joint connects."""
+    side: str | None
+    """`left` or `right`, if it is known and the names of the segments do not contain it."""
+    notes: tuple[str, ...]
+    """One sentence each."""
+    side_notes: tuple[str, ...]
+    """Whether the side is unknown; that matters only where there are joint angles."""
+
+
+def calibrated(
+    file: MarkerFile, selection: SelectedTrajectories, clusters: Sequence[Cluster], setup: MarkerSetup,
+    settings: MarkerSettings,
+) -> Calibrated:  # fmt: skip
+    """Find the poses of the bones in some frames, and check the markers against them.
+
+    Args:
+        file: The trial.
+        selection: Its requested frames.
+        clusters: Its segments.
+        setup: The content of the TOML.
+        settings: Name the reference or the static trial.
+
+    Raises:
+        FileProblem: A file cannot be used, or no segment has enough markers.
+    """
+    measured, used = file.trajectories, selection.used
+    # A segment without a frame in which enough of its markers are seen has no pose anywhere.
+    seen = tuple(c for c in clusters if (used.select(c.labels).present.sum(1) >= NEEDED).any())
+    segments = tuple(cluster.segment for cluster in seen)
+    if not segments:
+        wrong = "has no frame in which three markers of a segment are seen"
+        raise FileProblem(file.path, wrong, "Fill the gaps of the trial, or choose other frames.")
+    if settings.static is not None:
+        calibration, notes = from_static(used, seen, setup, settings)
+    elif settings.reference is not None:
+        calibration, notes = read_reference(settings.reference, segments, frames=len(measured))
+    else:
+        calibration, notes = _from_markers(file, used, seen)
+    anatomical = settings.static is not None or settings.reference is not None
+    used = used.with_frames_of(measured, calibration.frames)
+    # Frames that were not requested are empty in `used`; that is not a fault of the markers.
+    judged = used if selection.frames.all() else measured
+    faults = find_faults(
+        judged.select([label for cluster in clusters for label in cluster.labels]), clusters,
+        calibration if anatomical else None,
+    )  # fmt: skip
+    side, side_notes = _side(calibration.segments, settings)
+    return Calibrated(
+        calibration=calibration, trajectories=used, anatomical=anatomical, joints=_joints(setup, calibration.segments),
+        side=side, notes=(*notes, *faults), side_notes=side_notes if anatomical else (),
+    )  # fmt: skip
+
+
+def _from_markers(
+    file: MarkerFile, used: MarkerTrajectories, clusters: Sequence[Cluster]
+) -> tuple[AnatomicalCalibration, tuple[str, ...]]:
+    """Use the principal axes of each cluster in the frame with the most markers."""
+    try:
+        own = own_calibration(used, clusters)
+    except MareyError as problem:
+        remedy = "Add --reference, or name other segments."
+        raise FileProblem(file.path, str(problem).rstrip("."), remedy) from problem
+    note = (
+        "The poses of the bones beneath the markers are not known. Each segment has the principal axes of its markers "
+        f"in frame {int(own.frames[0])}, and joint angles are rotations since that frame, not anatomical angles. For "
+        "anatomical angles add --reference, or --static with landmarks."
+    )
+    return own, (note,)
+
+
+def _joints(setup: MarkerSetup, segments: Sequence[str]) -> tuple[tuple[str, str], ...]:
+    """Return the joints of the TOML, or those that the names of the segments indicate."""
+    if setup.joints:
+        return tuple((j.parent, j.child) for j in setup.joints if j.parent in segments and j.child in segments)
+    return usual_joints(segments)
+
+
+def _side(segments: Sequence[str], settings: MarkerSettings) -> tuple[str | None, tuple[str, ...]]:
+    """Return the side of segments whose names do not contain it: from the settings, or from the reference."""
+    if all(name.startswith(("left_", "right_")) or name in _WITHOUT_SIDE for name in segments):
+        return None, ()
+    if settings.side is not None:
+        return settings.side, ()
+    if settings.reference is not None:
+        stated = str(read_arrays(settings.reference).get("side", ""))
+        if stated in SIDES:
+            return stated, ()
+    return None, ("The side of the segments is not known: angles have the signs of a right leg. Add --side.",)

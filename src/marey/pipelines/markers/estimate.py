@@ -1,0 +1,168 @@
+"""From the skin markers of a trial to the motion of the bones beneath them."""
+
+import time
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from marey.errors import SettingProblem
+from marey.io.markers.trial_file import read_marker_file
+from marey.markers.data.marker_motion import marker_motion
+from marey.markers.methods.methods import DEFAULT
+from marey.pipelines.markers.bones import COMMAND, Bones
+from marey.pipelines.markers.estimated_bones import MethodRun
+from marey.pipelines.markers.events import find_gait
+from marey.pipelines.markers.method_runs import run_methods
+from marey.pipelines.markers.model import ModelTrial, follow_model, model_trial
+from marey.pipelines.markers.settings import MarkerSettings
+from marey.pipelines.markers.trial import ClusterTrial, MarkerTrial, cluster_trial
+from marey.pipelines.progress import Progress, RecordingProgress
+from marey.pipelines.run_details import RunDetails, checkpoints
+from marey.pipelines.values import FrameRange, PathLike, frame_limits, optional_path, path_tuple
+
+
+def open_markers(
+    path: PathLike,
+    *,
+    reference: PathLike | None = None,
+    clusters: PathLike | None = None,
+    static: PathLike | None = None,
+    functional: Iterable[PathLike] = (),
+    exercise: PathLike | None = None,
+    exercise_reference: PathLike | None = None,
+    model: PathLike | None = None,
+    weights: PathLike | None = None,
+    frames: FrameRange | None = None,
+    fill: str = "none",
+    unit: str | None = None,
+    side: str | None = None,
+    progress: Progress | None = None,
+) -> MarkerTrial:
+    """Open a trial of skin markers, with everything that is known about its bones.
+
+    Args:
+        path: A C3D, TRC or CSV with the trajectories of the markers.
+        reference: NPZ with the poses of the bones in one frame of the trial, or in several.
+        clusters: TOML with the markers on each segment, landmarks, joints and noise. Without it, the markers
+            `thigh_01`, `thigh_02`, ... are on the segment `thigh`.
+        static: Trial of the person standing, with the landmarks that the TOML names.
+        functional: Trials in which a hip or shoulder was moved; they give the joint's centre.
+        exercise: Trial from which the method `artefact` learns the motion of the skin.
+        exercise_reference: NPZ with the poses of the bones in frames of the exercise.
+        model: OpenSim model that is to follow the markers.
+        weights: OpenSim tasks of the model; by default all markers have the same weight.
+        frames: Frames to be estimated, counted from 0; all by default.
+        fill: How gaps are filled: `spline` (over time), `cluster` (from the segment's other markers), `best` or `none`.
+        unit: mm, cm or m, if the file states its unit wrongly.
+        side: `left` or `right`, if the names of the segments do not contain it.
+        progress: Progress reporter.
+
+    Returns:
+        The trial, for `estimate_bones`.
+
+    Raises:
+        FileProblem: A file cannot be used.
+        SettingProblem: A value is impossible, or two settings exclude each other.
+
+    Example:
+        >>> import marey
+        >>> walk = marey.open_markers("walk.c3d", reference="walk_frame0.npz")  # doctest: +SKIP
+        >>> walk.segments  # doctest: +SKIP
+        ('thigh', 'shank')
+    """
+    settings = MarkerSettings(
+        reference=optional_path(reference), clusters=optional_path(clusters), static=optional_path(static),
+        functional=path_tuple(functional), exercise=optional_path(exercise),
+        exercise_reference=optional_path(exercise_reference), model=optional_path(model),
+        weights=optional_path(weights),
+        frames=frame_limits(frames), fill=fill, unit=unit, side=side,
+    )  # fmt: skip
+    with (progress or RecordingProgress()).stage("Reading"):
+        file = read_marker_file(Path(path), unit=unit)
+        return cluster_trial(file, settings) if model is None else model_trial(file, settings)
+
+
+def estimate_bones(
+    trial: MarkerTrial,
+    method: str | Sequence[str] | None = None,
+    *,
+    out: PathLike | None = None,
+    progress: Progress | None = None,
+) -> Bones:
+    """Estimate the motion of the bones beneath the markers of a trial.
+
+    Args:
+        trial: The trial, as `open_markers` returns it.
+        method: Name of a method, several of them, or `all`; `skin` by default. A trial with an OpenSim model has its
+            own method.
+        out: Folder for the results. If it is given, the files of `marey markers` are written there, and an
+            interrupted run can be resumed by the same call; otherwise nothing is written.
+        progress: Progress reporter.
+
+    Returns:
+        The motion of the bones.
+
+    Raises:
+        SettingProblem: A method is unknown, or the trial lacks what it needs.
+        MareyError: The method finds no solution.
+
+    Example:
+        >>> import marey
+        >>> walk = marey.open_markers("walk.c3d", reference="walk_frame0.npz")  # doctest: +SKIP
+        >>> bones = marey.estimate_bones(walk, method=["skin", "rigid"])  # doctest: +SKIP
+    """
+    if isinstance(trial, ModelTrial) and method is not None:
+        raise SettingProblem("--model and --method exclude each other: leave out one of them.")
+    progress = progress or RecordingProgress()
+    for note in trial.notes:
+        progress.warn(note)
+    folder = None if out is None else Path(out)
+    with checkpoints(folder, [trial.path, *trial.settings.files]) as cache:
+        if isinstance(trial, ModelTrial):
+            bones = _by_model(trial, progress)
+        elif isinstance(trial, ClusterTrial):
+            names = (method,) if isinstance(method, str) else tuple(method or (DEFAULT,))
+            bones = _by_methods(trial, run_methods(trial, names, progress, cache), progress)
+        else:
+            raise TypeError(f"estimate_bones takes what open_markers returns, not a {type(trial).__name__}")
+        if folder is not None:
+            bones.save(folder, progress=progress)
+    return bones
+
+
+def _by_methods(trial: ClusterTrial, runs: Sequence[MethodRun], progress: Progress) -> Bones:
+    gait = find_gait(trial.file, trial.clusters, side=trial.side)
+    for note in gait.notes:
+        progress.warn(note)
+    return Bones(
+        runs=tuple(runs), time=trial.time, frames=trial.selection.frames, gait=gait, anatomical=trial.anatomical,
+        side=trial.side, reference_frames=trial.problem.calibration.frames, details=_details(trial, runs, progress),
+        trial=trial,
+    )  # fmt: skip
+
+
+def _by_model(trial: ModelTrial, progress: Progress) -> Bones:
+    with progress.stage("Inverse kinematics"):
+        began = time.perf_counter()
+        found = follow_model(trial)
+        seconds = time.perf_counter() - began
+    gait = find_gait(trial.file, trial.clusters, side=None)
+    for note in (*found.notes, *gait.notes):
+        progress.warn(note)
+    name = "" if trial.settings.model is None else trial.settings.model.name
+    run = MethodRun(
+        name="model", summary=f"the OpenSim model {name}", seconds=seconds, motion=found.bones,
+        joints=found.coordinates, markers=marker_motion(trial.selection.used, trial.clusters, found.bones),
+        fit=found.summary,
+    )  # fmt: skip
+    return Bones(
+        runs=(run,), time=trial.time, frames=trial.selection.frames, gait=gait, anatomical=True,
+        coordinates=found.table, details=_details(trial, [run], progress), trial=trial,
+    )  # fmt: skip
+
+
+def _details(trial: MarkerTrial, runs: Sequence[MethodRun], progress: Progress) -> RunDetails:
+    settings = {name: value for name, value in vars(trial.settings).items() if value not in (None, ())}
+    return RunDetails.of(
+        COMMAND, {**settings, "methods": [run.name for run in runs]}, [trial.path, *trial.settings.files],
+        trial.path.parent, progress,
+    )  # fmt: skip

@@ -1,0 +1,98 @@
+"""The record of an estimated motion of bones."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from marey.arrays import Floats, Integers, Mask
+from marey.io.opensim.mot_sto import Table
+from marey.markers.data.bone_motion import BoneMotion
+from marey.markers.data.marker_motion import MarkerMotion
+from marey.markers.kinematics.joint_angles import JointKinematics
+from marey.pipelines.markers.events import Gait
+from marey.pipelines.markers.trial import MarkerTrial
+from marey.pipelines.run_details import RunDetails
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MethodRun:
+    """The result of one method."""
+
+    name: str
+    """Name of the method, as `METHODS` has it, or `model`."""
+    summary: str
+    """What the method does, in one line."""
+    motion: BoneMotion
+    """Poses of the bones."""
+    joints: JointKinematics
+    """Joint angles and translations; without names if they were not read."""
+    markers: MarkerMotion
+    """Motion of the markers over the bones; without labels if it was not read."""
+    seconds: float
+    """Computing time [s], of the run in which the result was computed."""
+    fit: str = ""
+    """Distance between the markers and an OpenSim model, in one line; empty for other methods."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class EstimatedBones:
+    """The motion of the bones beneath the markers of a trial, by one method or several."""
+
+    runs: tuple[MethodRun, ...]
+    """One result per method; the first one's values are the result's own."""
+    time: Floats
+    """(F,) time of each frame [s]."""
+    frames: Mask
+    """(F,) true for the frames that were to be estimated."""
+    gait: Gait
+    """Gait events and cycles; empty if there are none."""
+    anatomical: bool
+    """Whether the bones' frames are anatomical; otherwise they are the clusters' principal axes."""
+    side: str | None = None
+    """`left` or `right`, if it is known and the names of the segments do not contain it."""
+    reference_frames: Integers | None = None
+    """(K,) frames in which the poses of the bones were known; None for a model."""
+    coordinates: Table | None = None
+    """All coordinates of an OpenSim model; None without a model."""
+    details: RunDetails
+    """Settings, inputs, warnings and times of the run."""
+    trial: MarkerTrial | None = None
+    """The trial; None for a result that was read from a folder."""
+    folder: Path | None = None
+    """The folder from which the result was read."""
+
+    @property
+    def methods(self) -> tuple[str, ...]:
+        """Names of the methods."""
+        return tuple(run.name for run in self.runs)
+
+    @property
+    def motion(self) -> BoneMotion:
+        """Poses of the bones with their covariances."""
+        return self.runs[0].motion
+
+    @property
+    def joints(self) -> JointKinematics:
+        """Joint angles [rad] and translations [m] with standard deviations."""
+        return self.runs[0].joints
+
+    @property
+    def markers(self) -> MarkerMotion:
+        """Places of the markers in the frames of their bones [m]."""
+        return self.runs[0].markers
+
+    @property
+    def segments(self) -> tuple[str, ...]:
+        """Names of the S bones."""
+        return self.motion.segments
+
+    @property
+    def rate(self) -> float:
+        """Sampling rate [Hz]; NaN for a single frame."""
+        return 1 / float(np.median(np.diff(self.time))) if len(self.time) > 1 else float("nan")
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Everything that the user should check, one sentence each."""
+        return self.details.warnings

@@ -1,0 +1,117 @@
+"""What a result knows about the run that made it, and the checkpoints of a run that can be resumed."""
+
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from marey.errors import FileProblem
+from marey.io.stages import file_fingerprint
+from marey.pipelines.progress import Progress, RecordingProgress
+from marey.pipelines.run_record import StageCache, recorded_run
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RunDetails:
+    """The settings, inputs, warnings and times of a run."""
+
+    command: str
+    """The command that leaves the same files, for example `markers`."""
+    settings: Mapping[str, object]
+    """Settings by name."""
+    inputs: tuple[Path, ...] = ()
+    """The files that were read."""
+    root: Path = Path()
+    """The folder to which the names of the inputs are relative in run.json."""
+    warnings: tuple[str, ...] = ()
+    """Everything that the user should check, one sentence each."""
+    timings: Mapping[str, float] = field(default_factory=dict)
+    """Seconds by stage."""
+    steps: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    """Seconds by step, for the stages that name their steps."""
+
+    @staticmethod
+    def of(
+        command: str, settings: Mapping[str, object], inputs: Sequence[Path], root: Path, progress: Progress
+    ) -> "RunDetails":
+        """Collect the details at the end of a run.
+
+        Args:
+            command: The command that leaves the same files.
+            settings: Settings by name.
+            inputs: The files that were read.
+            root: The folder to which the names of the inputs are relative.
+            progress: Has recorded warnings and times.
+        """
+        return RunDetails(
+            command=command, settings=dict(settings), inputs=tuple(inputs), root=root,
+            warnings=tuple(progress.warnings), timings=dict(progress.timings),
+            steps={name: dict(each) for name, each in progress.steps.items()},
+        )  # fmt: skip
+
+    @staticmethod
+    def read(folder: Path, command: str) -> "RunDetails":
+        """Read the details of the run that left the files of a folder.
+
+        Args:
+            folder: A folder of results.
+            command: Whose run.
+
+        Returns:
+            Empty details if the folder has no record of such a run.
+        """
+        record = recorded_run(folder, command)
+        return RunDetails(
+            command=command, settings=record.get("settings", {}), root=folder,
+            warnings=tuple(map(str, record.get("warnings", ()))), timings=record.get("timings_s", {}),
+            steps=record.get("steps_s", {}),
+        )  # fmt: skip
+
+    def resumed_progress(self) -> RecordingProgress:
+        """Return a progress reporter that continues the record of the run."""
+        progress = RecordingProgress()
+        progress.warnings.extend(self.warnings)
+        progress.timings.update(self.timings)
+        progress.steps.update({name: dict(each) for name, each in self.steps.items()})
+        return progress
+
+
+@contextmanager
+def checkpoints(out: Path | None, inputs: Sequence[Path]) -> Iterator[StageCache]:
+    """Open the checkpoints of a run: in the folder of its results, or in a temporary folder if there is none.
+
+    Args:
+        out: Folder of the results; None if nothing is to be written.
+        inputs: The files that are read; checkpoints of other files are not used.
+
+    Yields:
+        The checkpoints.
+    """
+    if out is not None:
+        with StageCache(out, [file_fingerprint(path) for path in inputs]) as cache:
+            yield cache
+        return
+    with TemporaryDirectory(prefix="marey-") as folder, StageCache(Path(folder) / "run", ()) as cache:
+        yield cache
+
+
+def copy_results(source: Path, folder: Path, command: str) -> None:
+    """Copy the files that one run left to another folder.
+
+    Args:
+        source: The folder of the results.
+        folder: Where they are copied to; it is made if it does not exist.
+        command: Whose files.
+
+    Raises:
+        FileProblem: The folder has no record of such a run.
+    """
+    names = recorded_run(source, command).get("files", [])
+    if not names:
+        raise FileProblem(source, f"has no run.json of `marey {command}`", "Copy the folder as a whole.")
+    for name in names:
+        if (source / name).is_file() and (source / name).resolve() != (folder / name).resolve():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(source / name, folder / name)

@@ -1,0 +1,65 @@
+"""The examples in the docstrings of the public names, run on small data that the tests make."""
+
+import doctest
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+import marey
+from marey.io.calibration.readers import write_cameras_toml
+from marey.io.results.results import write_results
+from marey.io.shapes.measured_surface import write_surface
+from marey.surface.points.measured import MeasuredPoints
+from tests import performer, rigs, scenes
+from tests.io.gltf.test_rig import segments
+
+FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
+
+
+def made_surface(rng: np.random.Generator) -> MeasuredPoints:
+    names, count = ("left", "middle", "right"), 40
+    return MeasuredPoints(
+        frame=np.repeat([0, 1], count // 2), points=rng.normal(size=(count, 3)),
+        covariance=np.tile(1e-6 * np.eye(3), (count, 1, 1)), camera_names=names,
+        pixels=rng.uniform(0, 200, (count, 3, 2)), correlation=np.tile([0.9, 1.0, 0.95], (count, 1)),
+        residual_px=np.full(count, 0.1), colour=np.full((count, 3), 128, np.uint8),
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folders and files by the names that the examples use."""
+    folder, rng = tmp_path_factory.mktemp("examples"), np.random.default_rng(11)
+    person = performer.body()
+    write_results(folder / "walk01" / "marey", performer.motion(person), person, preset="full")
+    rigs.write_rig(folder / "knight.glb", rigs.MIXAMO, segments(rigs.MIXAMO), unit=0.01)
+    (folder / "face1").mkdir()
+    write_surface(folder / "face1" / "surface.npz", [made_surface(rng)], ("left", "middle", "right"))
+    (folder / "ball").mkdir()
+    cameras = scenes.rig(-10, 0, 10)
+    write_cameras_toml(cameras, folder / "ball" / "cameras.toml")
+    for camera, image in zip(cameras, scenes.films(cameras, rng), strict=True):
+        cv2.imwrite(str(folder / "ball" / f"{camera.name}.png"), image)
+    return folder
+
+
+def documented() -> list[doctest.DocTest]:
+    """Return the examples of all public names and of their methods."""
+    finder = doctest.DocTestFinder(exclude_empty=True)
+    found = []
+    for name in marey.__all__:
+        value = getattr(marey, name)
+        if name != "__version__":
+            found += [test for test in finder.find(value, name, module=False, globs={}) if test.examples]
+    return found
+
+
+@pytest.mark.parametrize("example", documented(), ids=lambda test: test.name)
+def test_the_example_of_a_public_name_runs(example: doctest.DocTest, world: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(world)
+    runner = doctest.DocTestRunner(optionflags=FLAGS, verbose=False)
+    output: list[str] = []
+    runner.run(example, out=output.append)
+    assert runner.summarize(verbose=False).failed == 0, "".join(output)
