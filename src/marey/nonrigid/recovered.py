@@ -74,9 +74,9 @@ GAUGES = {
 """By kind: what the data do not determine, and the convention that was chosen."""
 IN_LABORATORY = (CALIBRATED, IN_SPACE)
 """Kinds whose motion is that in the laboratory, in its own unit."""
-UNSAID = "unit of the input"
+UNKNOWN_UNIT = "unit of the input"
 """Unit of results whose input has no known unit."""
-HELD = (
+HELD_SIZE = (
     "The object's size is held constant: its images are {least:.2f} to {most:.2f} times as large as on average, which "
     "is attributed to its distance."
 )
@@ -162,9 +162,9 @@ class RecoveredShapes:
     """Relations of several uncalibrated cameras."""
     curve: RankCurve | None = None
     """Errors for several numbers of basis shapes, where one was chosen."""
-    unit: str = UNSAID
-    """Unit of the shape: px, m, or `UNSAID`."""
-    residual_unit: str = UNSAID
+    unit: str = UNKNOWN_UNIT
+    """Unit of the shape: px, m, or `UNKNOWN_UNIT`."""
+    residual_unit: str = UNKNOWN_UNIT
     """Unit of the residuals and the noise."""
     path_doubt: Floats | None = None
     """(F, 3) deviation of other camera paths that explain the tracks of one orthographic camera nearly as well, root
@@ -312,7 +312,7 @@ def from_held_size(found: HeldSizeShapes) -> RecoveredShapes:
     cameras = replace(plain.cameras, translation=translation, magnification=size)
     notes = plain.notes
     if np.ptp(size) > 0:
-        notes = (*notes, HELD.format(least=size.min(), most=size.max()))
+        notes = (*notes, HELD_SIZE.format(least=size.min(), most=size.max()))
     return replace(
         plain, modelled=plain.modelled * size[:, None, None], residuals=plain.residuals * size[:, None],
         translation=translation[0], cameras=cameras, notes=notes,
@@ -329,7 +329,7 @@ def from_scaled(found: ScaledShapes) -> RecoveredShapes:
     )  # fmt: skip
     return replace(
         plain, kind=SCALED_VIEW, modelled=(turned + plain.translation[..., None])[None], cameras=relations,
-        gauge=GAUGES[SCALED_VIEW], notes=(*plain.notes, HELD.format(least=size.min(), most=size.max())),
+        gauge=GAUGES[SCALED_VIEW], notes=(*plain.notes, HELD_SIZE.format(least=size.min(), most=size.max())),
     )  # fmt: skip
 
 
@@ -355,7 +355,7 @@ def _curve_of(found: HomogeneousShapes, measure: str) -> RankCurve | None:
     )  # fmt: skip
 
 
-def usable(seen: Mask, *, least_points: int, least_frames: int) -> tuple[Mask, Mask]:
+def usable_places(seen: Mask, *, least_points: int, least_frames: int) -> tuple[Mask, Mask]:
     """Find the frames and points with enough measurements, excluding others until convergence.
 
     Args:
@@ -385,7 +385,7 @@ def usable(seen: Mask, *, least_points: int, least_frames: int) -> tuple[Mask, M
     return frames, points
 
 
-def widened(found: RecoveredShapes, frames: Mask, points: Mask) -> RecoveredShapes:
+def expanded(found: RecoveredShapes, frames: Mask, points: Mask) -> RecoveredShapes:
     """Insert a result for some frames and points among all of them; the others are NaN.
 
     Args:
@@ -420,7 +420,7 @@ def widened(found: RecoveredShapes, frames: Mask, points: Mask) -> RecoveredShap
     )  # fmt: skip
 
 
-def known_distance(found: RecoveredShapes, first: int, second: int, metres: float) -> RecoveredShapes:
+def with_known_distance(found: RecoveredShapes, first: int, second: int, metres: float) -> RecoveredShapes:
     """Set the scale of the shapes from a known distance between two points.
 
     The median of their distance over the frames is used, since the two may move relative to each other and depth is

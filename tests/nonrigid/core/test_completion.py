@@ -1,11 +1,11 @@
-"""Incomplete tracks of low rank are made whole."""
+"""Completion of low-rank tracks with gaps."""
 
 import numpy as np
 
 from marey.nonrigid.core.completion import complete_tracks
 
 
-def test_missing_entries_of_low_rank_tracks_are_found(rng):
+def test_missing_entries_of_low_rank_tracks_are_estimated(rng):
     tracks = np.einsum("fir,rp->fip", rng.normal(size=(120, 2, 4)), rng.normal(size=(4, 20)))
     tracks -= tracks.mean(2, keepdims=True)
     noisy = tracks + rng.normal(size=(120, 2, 1)) + 0.01 * rng.normal(size=tracks.shape)

@@ -1,4 +1,4 @@
-"""The model before several cameras: its derivatives are right, and of a camera that sees nothing it learns nothing."""
+"""The model before several cameras: derivatives, and frames that a camera does not see."""
 
 import numpy as np
 import pytest
@@ -38,7 +38,7 @@ def test_the_derivatives_are_those_of_the_residuals(made):
         np.testing.assert_allclose(-(sides[0] - sides[1]) / 2e-6, jacobian[..., unknown], atol=1e-7)
 
 
-def test_a_camera_that_sees_nothing_for_a_while_takes_no_part(made):
+def test_frames_that_a_camera_does_not_see_do_not_affect_it(made):
     model, tracks, seen = made
     seen[3:6, 1] = 0
     refine(model, np.where(np.repeat(seen, 2, axis=1) > 0, tracks, 1e3), seen, 3)

@@ -1,4 +1,4 @@
-"""Paths of rotations: derivatives, smoothed_path paths, and mirror images that explain rigid tracks as well."""
+"""Paths of rotations: derivatives, smoothing, and mirrored paths of rigid objects."""
 
 import numpy as np
 
@@ -22,13 +22,13 @@ def test_the_derivatives_of_accelerations_agree_with_differences(rng):
             np.testing.assert_allclose(change, jacobians[k][0][:, axis], atol=0.06)
 
 
-def test_a_steady_turn_has_no_acceleration_and_is_its_own_steadier_path():
+def test_a_steady_rotation_has_no_acceleration_and_is_not_changed_by_smoothing():
     path = turning(40, 5)
     np.testing.assert_allclose(accelerations(path), 0, atol=1e-12)
     np.testing.assert_allclose(smoothed_path(path, 1e8), path, atol=1e-8)
 
 
-def test_noise_about_a_steady_turn_is_taken_away(rng):
+def test_smoothing_removes_noise_about_a_steady_rotation(rng):
     path = turning(200, 5)
     noisy = rotations.exp(0.05 * rng.normal(size=(200, 3))) @ path
     steady = smoothed_path(noisy, 1e8)

@@ -1,11 +1,11 @@
-"""Singular vectors: the same as NumPy's, up to signs."""
+"""Singular vectors agree with NumPy's, up to signs."""
 
 import numpy as np
 
 from marey.nonrigid.core.completion import singular_vectors
 
 
-def test_they_make_up_the_matrix_again(rng):
+def test_singular_vectors_reconstruct_the_matrix(rng):
     for matrix in (rng.normal(size=(7, 4)), np.outer(np.arange(5.0), np.ones(9))):
         u, d, vt = singular_vectors(matrix)
         np.testing.assert_allclose((u * d) @ vt, matrix, atol=1e-12)

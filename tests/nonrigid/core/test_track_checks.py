@@ -20,7 +20,7 @@ def test_places_with_both_coordinates_are_seen():
     assert check_tracks(given[0], points=4, frames=5).all()
 
 
-def test_what_one_camera_misses_another_may_show():
+def test_points_missing_in_one_camera_may_be_seen_by_another():
     given = tracks()
     given[0, 3] = np.nan
     given[1, :, :, 0] = np.nan
@@ -37,6 +37,6 @@ def test_what_one_camera_misses_another_may_show():
         (lambda t: np.where(np.arange(POINTS) == 5, np.nan, t), "Point 5"),
     ],
 )
-def test_too_little_is_said_with_what_would_be_enough(spoil, message):
+def test_errors_state_the_required_numbers(spoil, message):
     with pytest.raises(MareyError, match=message):
         check_tracks(spoil(tracks()), points=4, frames=5)

@@ -1,11 +1,11 @@
-"""Processes of weights: what they add is the gradient of their cost; memory is learned from a path that obeys one."""
+"""Autoregressive processes: gradient of the cost, and estimation from a synthetic path."""
 
 import numpy as np
 
 from marey.nonrigid.core.weight_processes import estimated_processes, initial_processes
 
 
-def test_what_is_added_is_minus_the_gradient_of_the_cost(rng):
+def test_the_right_side_is_minus_the_gradient_of_the_cost(rng):
     weights = rng.normal(size=(8, 2))
     processes = initial_processes(weights, 1e-6)
     diagonal, first, second = (np.zeros((8, 3, 3)) for _ in range(3))
@@ -17,7 +17,7 @@ def test_what_is_added_is_minus_the_gradient_of_the_cost(rng):
     assert (right[:, 0] == 0).all()
 
 
-def test_memory_and_surprise_are_learned(rng):
+def test_autoregression_and_innovation_are_estimated(rng):
     weights = np.zeros((4000, 1))
     for f in range(2, 4000):
         weights[f] = 1.5 * weights[f - 1] - 0.7 * weights[f - 2] + 0.1 * rng.normal()

@@ -1,4 +1,4 @@
-"""The number of basis shapes is found where it is known."""
+"""The number of basis shapes of synthetic points is found."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Two cameras' roll and scale come out of the tracks alone; a camera is placed before known points."""
+"""Roll and scale of two cameras from tracks alone, and placement of a camera before known points."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ def seen(rng):
     return cameras, points, tracks
 
 
-def test_two_cameras_tell_all_but_the_angle_between_their_sights(seen):
+def test_two_cameras_determine_all_but_the_angle_between_their_lines_of_sight(seen):
     cameras, _, tracks = seen
     pair = view_pair(*tracks)
     relative = cameras[1] @ cameras[0].T
@@ -31,7 +31,7 @@ def test_two_cameras_tell_all_but_the_angle_between_their_sights(seen):
     assert not pair.outlying.any()
 
 
-def test_too_few_common_frames_tell_nothing(seen):
+def test_too_few_common_frames_give_no_pair(seen):
     tracks = seen[2].copy()
     tracks[1, 5:] = np.nan
     assert view_pair(*tracks) is None

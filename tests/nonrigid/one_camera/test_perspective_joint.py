@@ -33,7 +33,7 @@ def made(rng):
     return initial_model(rotation, shift, shapes, MODES, 0.01, pairs), points[:, :2] / points[:, 2:]
 
 
-def test_the_left_side_is_symmetric_and_its_solution_solves_it(made, rng):
+def test_the_matrix_is_symmetric_and_the_solution_satisfies_the_equations(made, rng):
     equations = joint_equations(*made, SEEN)
     sizes = (FRAMES, MOTION + MODES), (POINTS, 3 + 3 * MODES)
     (x, y), (u, v) = ([rng.normal(size=size) for size in sizes] for _ in range(2))
@@ -44,7 +44,7 @@ def test_the_left_side_is_symmetric_and_its_solution_solves_it(made, rng):
         assert np.linalg.norm(side - wanted) < 1e-2 * np.linalg.norm(wanted)
 
 
-def test_what_shapes_do_to_the_image_reaches_the_frames(made, rng):
+def test_changes_of_the_shapes_couple_to_the_frames(made, rng):
     model, tracks = made
     model.pairs, model.distance = model.pairs[:0], model.distance[:0]
     model.distance_variance = model.distance_variance[:0]
@@ -59,7 +59,7 @@ def test_what_shapes_do_to_the_image_reaches_the_frames(made, rng):
     np.testing.assert_array_equal(in_shapes(in_rows(step)), step)
 
 
-def test_rounds_together_gain_more_than_rounds_in_turns(made, rng):
+def test_joint_rounds_lower_the_cost_more_than_alternating_ones(made, rng):
     model, tracks = made
     noisy = tracks + 1e-3 * rng.normal(size=tracks.shape)
     model.rotation = rotations.exp(0.05 * rng.normal(size=(FRAMES, 3))) @ model.rotation
@@ -71,7 +71,7 @@ def test_rounds_together_gain_more_than_rounds_in_turns(made, rng):
     assert model.cost < other.cost
 
 
-def test_random_beliefs_vary_as_the_equations_say(made, rng):
+def test_random_priors_have_the_variance_of_the_equations(made, rng):
     model, tracks = made
     beliefs = frame_equations(model, tracks, 0 * SEEN)[0]
     drawn = np.stack([_random_priors(model, rng) for _ in range(1500)])
@@ -81,7 +81,7 @@ def test_random_beliefs_vary_as_the_equations_say(made, rng):
     np.testing.assert_allclose((drawn**2).mean(0), wanted, rtol=0.25)
 
 
-def test_draws_spread_more_than_the_frames_alone_and_stay_near_the_image(made, rng):
+def test_draws_vary_more_than_the_frames_alone_and_fit_the_image(made, rng):
     model, tracks = made
     refine(model, tracks + 1e-3 * rng.normal(size=tracks.shape), SEEN, 10, 1e-3)
     drawn = list(posterior_draws(model, tracks, SEEN, 10, rng))

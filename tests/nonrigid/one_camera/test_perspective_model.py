@@ -1,4 +1,4 @@
-"""The Gaussian model in perspective: derivatives against differences, the gauge, and its equations' solution."""
+"""The Gaussian model in perspective: derivatives, gauge, and the solution of its equations."""
 
 import numpy as np
 import pytest
@@ -33,7 +33,7 @@ def made(rng):
     return initial_model(rotation, shift, shapes, MODES, 0.01, pairs), points[:, :2] / points[:, 2:]
 
 
-def test_the_start_explains_the_tracks_it_was_made_from(made):
+def test_the_initial_model_explains_its_tracks(made):
     model, tracks = made
     residual, _ = residuals_and_jacobians(model, tracks, np.ones((FRAMES, POINTS)))
     np.testing.assert_allclose(residual, 0, atol=1e-12)
@@ -55,7 +55,7 @@ def test_derivatives_are_those_of_differences(made, rng):
     np.testing.assert_allclose(stretched, np.einsum("fem,fm->fe", by_weight, step[:, MOTION:]), atol=1e-10)
 
 
-def test_the_gauge_leaves_the_image_and_takes_motions_from_the_modes(made, rng):
+def test_the_gauge_preserves_the_image_and_removes_motion_from_the_modes(made, rng):
     model, tracks = made
     set_gauge(model)
     turn = np.array([0.2, -0.1, 0.3])
@@ -69,7 +69,7 @@ def test_the_gauge_leaves_the_image_and_takes_motions_from_the_modes(made, rng):
     np.testing.assert_allclose(moments, 0, atol=1e-10)
 
 
-def test_rounds_find_poses_and_shapes_from_a_start_that_is_off(made, rng):
+def test_rounds_converge_from_a_wrong_start(made, rng):
     model, tracks = made
     true = model.points
     model.rotation = rotations.exp(0.05 * rng.normal(size=(FRAMES, 3))) @ model.rotation
@@ -81,7 +81,7 @@ def test_rounds_find_poses_and_shapes_from_a_start_that_is_off(made, rng):
     assert np.sqrt(model.variance) < 5e-4
 
 
-def test_what_is_not_known_of_weights_and_motion_moves_the_points_together(made):
+def test_errors_of_weights_and_motion_are_correlated(made):
     model, tracks = made
     solve_frames(model, tracks, np.ones((FRAMES, POINTS)))
     wanted = np.zeros((FRAMES, 1 + MODES, 3, POINTS))
@@ -93,7 +93,7 @@ def test_what_is_not_known_of_weights_and_motion_moves_the_points_together(made)
     np.testing.assert_allclose(_motion_products(model), wanted, atol=1e-12)
 
 
-def test_modes_that_do_nothing_are_given_up(made):
+def test_negligible_modes_are_removed(made):
     model, tracks = made
     seen = np.ones((FRAMES, POINTS))
     solve_frames(model, tracks, seen)
@@ -110,7 +110,7 @@ def test_modes_that_do_nothing_are_given_up(made):
     np.testing.assert_allclose(model.points, before, atol=1e-9)
 
 
-def test_many_rounds_do_not_leave_the_answer_again(made, rng):
+def test_many_rounds_do_not_diverge(made, rng):
     model, tracks = made
     noisy = tracks + 1e-3 * rng.normal(size=tracks.shape)
     model = initial_model(

@@ -23,7 +23,7 @@ def made(rng: np.random.Generator, edges: int = 8) -> tuple[PlaceEquations, np.n
     return PlaceEquations(information=information, right=np.einsum("fpij,fpj->fpi", information, noisy)), truth
 
 
-def test_places_known_in_one_direction_only_are_held_by_the_others():
+def test_positions_known_in_one_direction_are_constrained_by_others():
     rng = np.random.default_rng(0)
     equations, truth = made(rng)
     model = low_rank_tracks(equations, truth + 0.5 * rng.standard_normal(truth.shape), RANK)
@@ -31,7 +31,7 @@ def test_places_known_in_one_direction_only_are_held_by_the_others():
     assert np.sqrt(np.mean((model.places() - truth) ** 2)) < SD
 
 
-def test_outliers_lose_their_weight():
+def test_outliers_have_a_reduced_weight():
     rng = np.random.default_rng(1)
     equations, truth = made(rng)
     equations.right[3, 5] += 20 / SD**2
@@ -41,7 +41,7 @@ def test_outliers_lose_their_weight():
     assert np.linalg.norm(model.places()[3, 5] - truth[3, 5]) < 5 * SD
 
 
-def test_stated_deviations_of_hidden_places_hold_the_truth():
+def test_standard_deviations_of_hidden_positions_are_valid():
     rng = np.random.default_rng(2)
     equations, truth = made(rng)
     hidden = rng.random((FRAMES, POINTS)) < 0.2
@@ -52,7 +52,7 @@ def test_stated_deviations_of_hidden_places_hold_the_truth():
     assert 0.85 < np.mean(np.abs(away) < 1.96 * sd) <= 1
 
 
-def test_a_frame_in_which_nothing_is_seen_stays_unknown():
+def test_a_frame_without_points_is_unknown():
     rng = np.random.default_rng(3)
     equations, truth = made(rng)
     hidden = np.zeros((FRAMES, POINTS), bool)

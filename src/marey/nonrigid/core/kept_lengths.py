@@ -24,10 +24,10 @@ class KeptLengthSettings:
     against other values."""
     least_sd: float = 0.01
     """Least standard deviation of a distance, as a fraction of the object's size. Without it the weight of a wrong
-    distance grows with each round (docs/nonrigid-methods.md, "What was tried")."""
+    distance grows with each round (docs/explanation/nonrigid.md, "What was tried")."""
     correlated_frames: float = 20
     """Number of frames over which departures from a distance are correlated; so many frames count as one observation.
-    With 5 depth improved by a third before slow cameras, but was worse for `pickup` (docs/nonrigid-methods.md)."""
+    With 5 depth improved by a third before slow cameras, but was worse for `pickup` (docs/explanation/nonrigid.md)."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

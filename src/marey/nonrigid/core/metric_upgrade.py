@@ -21,7 +21,7 @@ class MetricUpgradeSettings:
     other values."""
     random_starts: int = 8
     """Number of random starts for each number of basis shapes. Half of them or more find the least sum of squares where
-    the rigid start and the previous solution fail (`stretch` before a shaken camera, docs/nonrigid-methods.md)."""
+    the rigid start and the previous solution fail (`stretch` before a shaken camera, docs/explanation/nonrigid.md)."""
     steps: int = 200
     """Largest number of Levenberg-Marquardt steps; a limit on time."""
     tolerance: float = 1e-10

@@ -134,7 +134,7 @@ def _sides(equation: Floats, first: Floats, second: Floats) -> tuple[Floats, Flo
 def square_distances(left: Floats, right: Floats) -> Floats:
     """Compute the square distances (P, Q) between columns (K, P) and (K, Q)."""
     square = np.sum(left**2, 0)[:, None] + np.sum(right**2, 0) - 2 * left.T @ right
-    return np.maximum(square, 0)
+    return np.asarray(np.maximum(square, 0))
 
 
 def _spread(left: Floats, right: Floats) -> float:

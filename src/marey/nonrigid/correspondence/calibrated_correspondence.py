@@ -54,7 +54,10 @@ class CalibratedMatchSettings:
 
 
 def join_calibrated(
-    views: Sequence[Floats], rig: Rig, appearance: Mapping[tuple[int, int], Floats] | None = None
+    views: Sequence[Floats],
+    rig: Rig,
+    appearance: Mapping[tuple[int, int], Floats] | None = None,
+    settings: CalibratedMatchSettings = CalibratedMatchSettings(),
 ) -> JoinedViews:
     """Match the tracks of several calibrated, synchronised cameras.
 
@@ -62,6 +65,7 @@ def join_calibrated(
         views: Tracks (F, 2, P) of the C cameras, each with its own number of points, in the rig's order.
         rig: The cameras.
         appearance: Appearance of the points of cameras (i, j), i < j, as for `match_calibrated`.
+        settings: Tuned constants.
 
     Returns:
         All points, in descending order of the number of cameras that see them.
@@ -76,7 +80,7 @@ def join_calibrated(
         )
     looks, cameras = appearance or {}, rig.cameras
     found = {
-        (i, j): match_calibrated(views[i], views[j], (cameras[i], cameras[j]), looks.get((i, j)))
+        (i, j): match_calibrated(views[i], views[j], (cameras[i], cameras[j]), looks.get((i, j)), settings)
         for i, j in combinations(range(len(views)), 2)
     }
     return join_pairs(views, found)

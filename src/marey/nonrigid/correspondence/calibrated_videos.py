@@ -24,7 +24,7 @@ from marey.nonrigid.correspondence.uncalibrated_videos import (
 )
 from marey.nonrigid.tracking.stray_places import without_strays
 
-UNTIED = "Camera '{camera}' shares no points with '{first}' that could be found: it is ignored."
+NAMED_CAMERA_WITHOUT_POINTS = "Camera '{camera}' shares no points with '{first}' that could be found: it is ignored."
 """Note of a camera without common points."""
 
 
@@ -118,17 +118,19 @@ def _in_camera(
 
 def _shared(tracks: Floats, spread: Floats, probability: Floats, rig: Rig, frame: int) -> ViewTracks:
     """Assemble the points that at least two cameras share, without outliers."""
-    tied = np.isfinite(probability).sum(1) >= LEAST_PAIRS
-    if tied.sum() < 2:
+    connected = np.isfinite(probability).sum(1) >= LEAST_PAIRS
+    if connected.sum() < 2:
         raise MareyError(
             "No other camera shares points with the first: the calibration or the order of the cameras may be wrong, "
             "the videos may show different instants, or the views may be too far apart."
         )
     notes = tuple(
-        UNTIED.format(camera=name, first=rig.names[0]) for name, good in zip(rig.names, tied, strict=True) if not good
+        NAMED_CAMERA_WITHOUT_POINTS.format(camera=name, first=rig.names[0])
+        for name, good in zip(rig.names, connected, strict=True)
+        if not good
     )
     kept = np.isfinite(probability).sum(0) >= 2
-    tracks[tied] = without_strays(tracks[tied], spread[tied])
+    tracks[connected] = without_strays(tracks[connected], spread[connected])
     return ViewTracks(
         tracks=tracks[..., kept], tracks_sd=np.where(np.isfinite(tracks), spread, np.nan)[..., kept],
         probability=probability[:, kept], start=frame, notes=notes,

@@ -32,7 +32,7 @@ _LARGEST_EVIDENCE = 10.0
 _STILL = 1.5
 """Points that never move farther than this from their median position belong to the background [px]. Chosen by hand;
 results were not measured against other values."""
-UNTIED = "Camera {camera} shares no moving points with the others that could be found: it is ignored."
+CAMERA_WITHOUT_POINTS = "Camera {camera} shares no moving points with the others that could be found: it is ignored."
 """Note of a camera without common points."""
 
 ProgressReporter = Callable[[str, int, int], None]
@@ -62,7 +62,7 @@ class ViewTracks:
         freeze_fields(self, "tracks", "tracks_sd", "probability")
 
     @property
-    def tied(self) -> Mask:
+    def connected(self) -> Mask:
         """(C,) mask of the cameras that share points with the first."""
         return np.asarray(np.isfinite(self.probability).any(axis=1))
 
@@ -106,7 +106,7 @@ def track_views(
     notes = []
     for camera in range(1, len(videos)):
         if not _add_camera(videos, camera, frame, patches, progress, matches):
-            notes.append(UNTIED.format(camera=camera + 1))
+            notes.append(CAMERA_WITHOUT_POINTS.format(camera=camera + 1))
     if len(notes) == len(videos) - 1:
         raise MareyError(
             "No other camera shares points with the first whose motion agrees. Give synchronised videos of a textured "
@@ -154,9 +154,9 @@ def in_first_video(
 def _view_tracks(matches: "_Matches", frame: int, notes: tuple[str, ...]) -> ViewTracks:
     """Assemble the points that at least two cameras share, without outliers."""
     probability = np.stack(matches.probability)
-    shared, tied = np.isfinite(probability).sum(axis=0) >= 2, np.isfinite(probability).any(axis=1)
+    shared, connected = np.isfinite(probability).sum(axis=0) >= 2, np.isfinite(probability).any(axis=1)
     tracks, spread = np.stack(matches.tracks)[..., shared], np.stack(matches.tracks_sd)[..., shared]
-    tracks[tied] = without_strays(tracks[tied], spread[tied])
+    tracks[connected] = without_strays(tracks[connected], spread[connected])
     return ViewTracks(
         tracks=tracks, tracks_sd=np.where(np.isfinite(tracks), spread, np.nan), probability=probability[:, shared],
         start=frame, notes=notes,
@@ -225,8 +225,8 @@ def _add_camera(
     """Find and follow the points in one more camera; return whether enough were found."""
     picture, count = videos[camera][frame], len(matches.points)
     what = f"Following points in camera {camera + 1}"
-    tied = [c for c in range(len(matches.places)) if np.isfinite(matches.places[c]).any()]
-    candidates = _candidates(videos, tied, picture, frame, matches)
+    connected = [c for c in range(len(matches.places)) if np.isfinite(matches.places[c]).any()]
+    candidates = _candidates(videos, connected, picture, frame, matches)
     places = np.full((count, 2), np.nan)
     if len(candidates.points) >= LEAST_PAIRS:
         tracks, _ = followed(videos[camera], candidates.pixels, frame, patches, progress, what)
@@ -235,7 +235,7 @@ def _add_camera(
     correlation = np.full(count, np.nan)
     seeded = np.isfinite(places[:, 0])
     if seeded.sum() >= LEAST_PAIRS:
-        for source in tied:
+        for source in connected:
             here = np.flatnonzero(np.isfinite(matches.places[source][:, 0]))
             places[here], alike = find_beside(
                 videos[source][frame], picture, matches.places[source][here], places[here]
@@ -259,11 +259,11 @@ def _add_camera(
 
 
 def _candidates(
-    videos: Sequence[Pictures], tied: Sequence[int], picture: np.ndarray, frame: int, matches: _Matches
+    videos: Sequence[Pictures], connected: Sequence[int], picture: np.ndarray, frame: int, matches: _Matches
 ) -> Candidates:
     """Find candidates of all points by their appearance in any of the cameras that already share points."""
     parts = []
-    for source in tied:
+    for source in connected:
         here = np.flatnonzero(np.isfinite(matches.places[source][:, 0]))
         found = find_candidates(videos[source][frame], picture, matches.places[source][here])
         parts.append(found._replace(points=here[found.points]))

@@ -9,11 +9,11 @@ import numpy as np
 from marey.arrays import Floats, Integers, freeze_fields
 from marey.errors import SettingProblem
 from marey.nonrigid.correspondence.partial_assignment import best_pairs, pair_probabilities
-from marey.nonrigid.correspondence.view_correspondence import Correspondence, match_tracks
+from marey.nonrigid.correspondence.view_correspondence import Correspondence, TrackMatchSettings, match_tracks
 
 _SWEEPS = 10
 """Largest number of rounds in which the tracks of all cameras are assigned again; a limit on time."""
-UNTIED = "Camera {camera} shares no points with the others: its points have no partners."
+UNCONNECTED_CAMERA = "Camera {camera} shares no points with the others: its points have no partners."
 """Note of a camera without correspondences."""
 
 
@@ -40,7 +40,11 @@ class JoinedViews:
         return np.flatnonzero((self.points >= 0).sum(axis=0) >= cameras)
 
 
-def join_views(views: Sequence[Floats], appearance: Mapping[tuple[int, int], Floats] | None = None) -> JoinedViews:
+def join_views(
+    views: Sequence[Floats],
+    appearance: Mapping[tuple[int, int], Floats] | None = None,
+    settings: TrackMatchSettings | None = None,
+) -> JoinedViews:
     """Match the tracks of several fixed, synchronised, uncalibrated cameras.
 
     All pairs of cameras are matched (`match_tracks`). A point has at most one track per camera; the tracks of each
@@ -49,6 +53,7 @@ def join_views(views: Sequence[Floats], appearance: Mapping[tuple[int, int], Flo
     Args:
         views: Tracks (F, 2, P) of each camera, each with its own number of points.
         appearance: Appearance of the points of cameras (i, j), i < j, as for `match_tracks`.
+        settings: Tuned constants of `match_tracks`; the defaults if None.
 
     Returns:
         All points, in descending order of the number of cameras that see them.
@@ -58,8 +63,11 @@ def join_views(views: Sequence[Floats], appearance: Mapping[tuple[int, int], Flo
     """
     if len(views) < 2:
         raise SettingProblem(f"There are tracks of {len(views)} cameras; expected two cameras or more.")
-    looks = appearance or {}
-    found = {(i, j): match_tracks(views[i], views[j], looks.get((i, j))) for i, j in combinations(range(len(views)), 2)}
+    looks, settings = appearance or {}, settings or TrackMatchSettings()
+    found = {
+        (i, j): match_tracks(views[i], views[j], looks.get((i, j)), settings)
+        for i, j in combinations(range(len(views)), 2)
+    }
     return join_pairs(views, found)
 
 
@@ -90,7 +98,7 @@ def _order(found: Mapping[tuple[int, int], Correspondence], cameras: int) -> tup
         rest = [camera for camera in range(cameras) if camera not in order]
         best = max(rest, key=lambda camera: shared[camera, order].sum())
         if shared[best, order].sum() == 0:
-            notes.append(UNTIED.format(camera=best + 1))
+            notes.append(UNCONNECTED_CAMERA.format(camera=best + 1))
         order.append(best)
     return order, notes
 

@@ -120,7 +120,7 @@ def _mean_sd(tracks_sd: Floats, tracks: Floats, settings: CalibratedSettings) ->
     if tracks_sd.shape != tracks.shape:
         raise MareyError(f"The tracks have shape {tracks.shape}, but their standard deviations {tracks_sd.shape}.")
     sd = np.sqrt((tracks_sd**2).mean(2))
-    return np.maximum(sd, settings.least_sd_px)
+    return np.asarray(np.maximum(sd, settings.least_sd_px))
 
 
 def _noise_factor(rig: Rig, pixels: Floats, sd: Floats, settings: CalibratedSettings) -> float:

@@ -25,11 +25,11 @@ from marey.nonrigid.in_space.model import HomogeneousModel, HomogeneousModelSett
 from marey.nonrigid.in_space.rank import RankChoice, RankChoiceSettings, choose_rank
 from marey.nonrigid.in_space.start import RigidStartSettings, most_shapes, rigid_start
 
-RIGID = "The object is rigid as far as these points show: its mean shape alone explains them."
+RIGID_POINTS = "The object is rigid as far as these points show: its mean shape alone explains them."
 """Note of results without deformation modes."""
-UNSOLVED = "{} of {} frames have fewer than three points that are not on one line: they have no estimate."
+UNSOLVED_FRAMES = "{} of {} frames have fewer than three points that are not on one line: they have no estimate."
 """Note of frames without a pose."""
-UNTIED = "{} of {} points are never measured together with the others: they have no estimate."
+UNCONNECTED_POINTS = "{} of {} points are never measured together with the others: they have no estimate."
 """Note of points without a position."""
 
 
@@ -189,7 +189,7 @@ def solved_shapes(
     refine(model, inner)
     fields = _expanded(model, inner, frames, kept, first)
     rigid = choice is not None and count == 1
-    notes = (*_gaps(frames, kept), *((RIGID,) if rigid else ()))
+    notes = (*_gaps(frames, kept), *((RIGID_POINTS,) if rigid else ()))
     away = np.linalg.norm(places.known - fields.pop("points"), axis=-1)
     predicted = np.isfinite(fields["shape"][:, 0]) & ~places.seen
     if choice is not None:
@@ -212,9 +212,9 @@ def _gaps(frames: Mask, kept: Mask) -> tuple[str, ...]:
     """Compose the notes on frames and points without an estimate."""
     notes = []
     if not frames.all():
-        notes.append(UNSOLVED.format((~frames).sum(), len(frames)))
+        notes.append(UNSOLVED_FRAMES.format((~frames).sum(), len(frames)))
     if not kept.all():
-        notes.append(UNTIED.format((~kept).sum(), len(kept)))
+        notes.append(UNCONNECTED_POINTS.format((~kept).sum(), len(kept)))
     return tuple(notes)
 
 

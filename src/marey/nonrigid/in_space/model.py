@@ -248,7 +248,7 @@ def free_share(model: HomogeneousModel, places: MeasuredPlaces) -> float:
     """Compute the fraction of the measured coordinates that remains after the model's parameters."""
     (frames, modes), points = model.weights.shape, len(model.mean)
     taken = 6 * frames + frames * modes + 3 * points * (1 + modes) - modes * (modes + 6)
-    return max(1 - taken / places.coordinates, model.settings.least_free_share)
+    return float(max(1 - taken / places.coordinates, model.settings.least_free_share))
 
 
 def _fix_gauge(model: HomogeneousModel) -> None:

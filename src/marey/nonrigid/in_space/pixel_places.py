@@ -61,7 +61,7 @@ class PixelPlaces:
         found = triangulate(self.cameras, flat, sigma_px=sigma.reshape(len(flat), -1))
         # Rays that miss each other by far include an outlier, and do not determine a position.
         self._known = np.where(self._met(found.residual_px)[:, None], found.points, np.nan).reshape(frames, points, 3)
-        self._known_variance = np.trace(found.covariance, axis1=1, axis2=2).reshape(frames, points)
+        self._known_variance: Floats = np.trace(found.covariance, axis1=1, axis2=2).reshape(frames, points)
 
     def _met(self, residual: Floats) -> Mask:
         """Find the points (n,) whose rays meet within their accuracy; `residual` (n,) is their mean distance [px]."""

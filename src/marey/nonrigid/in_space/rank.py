@@ -32,11 +32,11 @@ class RankChoiceSettings:
     """The search ends after so many successive numbers of basis shapes that predict worse than the best."""
     outlier: float = 25.0
     """Squared distances of held-out points count at most this many times their median. Without a limit, outliers
-    dominated the choice (docs/nonrigid-methods.md)."""
+    dominated the choice (docs/explanation/nonrigid.md)."""
     model_rounds: int = 20
-    """Largest number of rounds of the least squares before a model is judged."""
+    """Largest number of rounds of the least squares before a model is evaluated."""
     model_tolerance: float = 0.02
-    """Tolerance of the least squares before a model is judged, see `HomogeneousModelSettings.tolerance`."""
+    """Tolerance of the least squares before a model is evaluated, see `HomogeneousModelSettings.tolerance`."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -69,13 +69,13 @@ class _Round:
     """Measurements of the model's frames and points, including those held out."""
     rest: MeasuredPlaces
     """The same without those held out."""
-    gone: Mask
+    hidden: Mask
     """(F, P) mask of the points held out."""
     model: HomogeneousModel
     settings: RankChoiceSettings
 
     def grow(self, count: int) -> None:
-        """Add modes to the model, and fit it well enough to be judged."""
+        """Add modes to the model, and fit it well enough to be evaluated."""
         self.model = with_more_modes(self.model, self.rest, count)
         refine(
             self.model, self.rest, rounds=self.settings.model_rounds, tolerance=self.settings.model_tolerance
@@ -83,15 +83,15 @@ class _Round:
 
     def error(self) -> float:
         """Compute the root mean square distance of the held-out measurements, with limited outliers."""
-        squares = self.whole.squares(self.model.places)[self.gone]
+        squares = self.whole.squares(self.model.places)[self.hidden]
         return float(np.sqrt(np.nanmean(np.minimum(squares, self.settings.outlier * np.nanmedian(squares)))))
 
     def farther(self) -> tuple[Floats, Floats]:
         """Compute squared errors of held-out points, less noise and pose, and their stated variances."""
-        squares = ((self.whole.known - self.model.places) ** 2).sum(-1)[self.gone]
-        stated = np.trace(shape_covariance(self.model, self.rest), axis1=2, axis2=3)[self.gone]
+        squares = ((self.whole.known - self.model.places) ** 2).sum(-1)[self.hidden]
+        stated = np.trace(shape_covariance(self.model, self.rest), axis1=2, axis2=3)[self.hidden]
         noise = 3 * self.model.variance + self.whole.known_variance + pose_variance(self.model)
-        known = noise[self.gone]
+        known = noise[self.hidden]
         median = np.nanmedian(squares / (known + stated))
         usual = squares < self.settings.outlier * median * (known + stated)
         return (squares - known)[usual], stated[usual]
@@ -120,17 +120,17 @@ def choose_rank(
     rng, start, model = np.random.default_rng(seed), start or RigidStartSettings(), model or HomogeneousModelSettings()
     places = _thinned(places, settings.most_frames)
 
-    def rigid_round(gone: Mask) -> _Round:
+    def rigid_round(hidden: Mask) -> _Round:
         """Fit the rigid shape to the points that are not held out."""
-        rest = places.without(gone)
+        rest = places.without(hidden)
         rigid, frames, points = rigid_start(rest, start, model)
-        kept = gone[np.ix_(frames, points)]
+        kept = hidden[np.ix_(frames, points)]
         one = _Round(places.among(frames, points), rest.among(frames, points), kept, rigid, settings)
         one.grow(0)
         return one
 
     rounds = [rigid_round(_hidden(places.seen, rng, settings)) for _ in range(settings.rounds)]
-    if any(not one.gone.any() for one in rounds):  # too few points to hold any out: they determine a rigid shape only
+    if any(not one.hidden.any() for one in rounds):  # too few points to hold any out: they determine a rigid shape only
         nothing = np.full(1, np.nan)
         return RankChoice(rank=1, ranks=np.ones(1, np.int64), held_out_rms=nothing, held_out_sd=nothing, farther=1.0)
     most = min(settings.most_shapes, *(most_shapes(one.rest) for one in rounds))
@@ -165,18 +165,18 @@ def _hidden(seen: Mask, rng: np.random.Generator, settings: RankChoiceSettings) 
 def _hidden_runs(seen: Mask, rng: np.random.Generator, settings: RankChoiceSettings) -> Mask:
     """Select points (F, P) to hold out in runs of frames, as real gaps occur."""
     frames, points = seen.shape
-    gone = np.zeros(seen.shape, bool)
+    hidden = np.zeros(seen.shape, bool)
     longest = min(settings.longest_run, max(frames // 10, 1))
     for _ in range(int(2 * settings.held_out * frames * points / (1 + longest)) + 1):
         first, length, point = rng.integers(frames), rng.integers(1, longest + 1), rng.integers(points)
-        gone[first : first + length, point] = True
-    return _enough_left(seen, gone)
+        hidden[first : first + length, point] = True
+    return _enough_left(seen, hidden)
 
 
-def _enough_left(seen: Mask, gone: Mask) -> Mask:
-    gone = seen & gone
-    gone[(seen & ~gone).sum(1) < KEPT_IN_FRAME] = False
-    return np.asarray(gone)
+def _enough_left(seen: Mask, hidden: Mask) -> Mask:
+    hidden = seen & hidden
+    hidden[(seen & ~hidden).sum(1) < KEPT_IN_FRAME] = False
+    return np.asarray(hidden)
 
 
 def _farther(rounds: list[_Round], rank: int) -> float:

@@ -84,4 +84,4 @@ def _near(
 def most_shapes(places: MeasuredPlaces) -> int:
     """Compute the largest number of basis shapes that the numbers of frames and points determine."""
     frames, points = places.seen.shape
-    return 1 + min(frames - 1, 3 * points - 6)
+    return int(1 + min(frames - 1, 3 * points - 6))

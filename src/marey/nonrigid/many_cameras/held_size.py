@@ -82,7 +82,7 @@ def _known(tracks: Floats) -> Mask:
     """Find the points (F, P) known in space: seen by two cameras or, in frames with few such points, by one."""
     cameras = np.isfinite(tracks).all(axis=2).sum(axis=0)
     twice = cameras >= 2
-    return np.where((twice.sum(axis=1) >= _FEWEST_SHARED)[:, None], twice, cameras >= 1)
+    return np.asarray(np.where((twice.sum(axis=1) >= _FEWEST_SHARED)[:, None], twice, cameras >= 1))
 
 
 def magnifications(shape: Floats, known: Mask) -> Floats:

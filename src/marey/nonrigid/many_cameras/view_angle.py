@@ -50,7 +50,7 @@ class ViewAngleSettings:
     """Number of modes in the first search."""
     mode_counts: tuple[int, ...] = (1, 2, 3, 4, 6, 8, 12)
     """Numbers of modes of which one is chosen for the second search. With 12 always, angles on the thigh of
-    `lmam_treadmill_walking` are wrong by up to 3 degrees, with 6 by 1 (docs/nonrigid-methods.md)."""
+    `lmam_treadmill_walking` are wrong by up to 3 degrees, with 6 by 1 (docs/explanation/nonrigid.md)."""
     equal_evidence: float = 0.025
     """Of numbers of modes whose evidence is within this of the best [natural logarithm per coordinate], the smallest is
     chosen; more modes explain a wrong angle as deformation."""
@@ -61,7 +61,7 @@ class ViewAngleSettings:
     sd_evidence: float = 9.0
     """Loss of evidence [natural logarithm] of an angle one standard deviation away. The theoretical value is 0.5, but
     deformation that is synchronous with rotations looks like another angle; with 9, stated intervals contain the true
-    angle on real skin (docs/nonrigid-methods.md)."""
+    angle on real skin (docs/explanation/nonrigid.md)."""
     most_frames: int = 300
     """Largest number of frames with which angles are compared."""
     most_points: int = 40
@@ -76,7 +76,7 @@ class ViewAngleSettings:
     """A rotation of constant rate is chosen where the object departs from its mean shape by at most this times as much
     as
     under the motion of least departure. Bodies before a camera that goes round them: 1.0 to 1.1; skin on walking legs:
-    3 to 9 (docs/nonrigid-methods.md)."""
+    3 to 9 (docs/explanation/nonrigid.md)."""
     frames_per_mode: int = 3
     """Least number of frames per mode."""
     model: DeformingModelSettings = field(default_factory=DeformingModelSettings)
@@ -292,7 +292,7 @@ def _arrangement(views: NormalisedViews, angle: float, modes: int, settings: Vie
 
 def most_modes(modes: int, views: NormalisedViews, settings: ViewAngleSettings) -> int:
     """Limit a number of modes to what the number of frames permits."""
-    return max(1, min(modes, views.tracks.shape[1] // settings.frames_per_mode))
+    return int(max(1, min(modes, views.tracks.shape[1] // settings.frames_per_mode)))
 
 
 def stacked(tracks: Floats, noise: Floats) -> tuple[Floats, Floats]:

@@ -85,21 +85,21 @@ def inextensible_depths(
     """
     first, second = np.ascontiguousarray(pairs[:, 0]), np.ascontiguousarray(pairs[:, 1])
     used = _within_largest_pieces(seen, pairs)
-    tied = np.zeros(seen.shape, bool)
+    connected = np.zeros(seen.shape, bool)
     for ends in (first, second):
-        np.logical_or.at(tied.T, ends, used.T)
+        np.logical_or.at(connected.T, ends, used.T)
     lengths = np.linalg.norm(rays[:, :, first] - rays[:, :, second], axis=1)
     widest = np.where(used, lengths, 0).max(0)
     widest = np.where(widest > 0, widest, widest[widest > 0].mean())
     depth = np.full(seen.shape, 1 / widest.mean())
     inverse = _inverses(rays, used, first, second)
-    push = settings.push * len(pairs) * widest.mean() / tied.sum(1).mean()
+    push = settings.push * len(pairs) * widest.mean() / connected.sum(1).mean()
     found, distance = _rounds(
-        np.ascontiguousarray(np.swapaxes(rays, 1, 2)), used, tied, first, second, inverse, depth,
+        np.ascontiguousarray(np.swapaxes(rays, 1, 2)), used, connected, first, second, inverse, depth,
         widest / widest.mean(), push, settings.largest_dual * settings.push, settings.rounds,
         settings.tolerance,
     )  # fmt: skip
-    return np.where(tied, found, np.nan), distance
+    return np.where(connected, found, np.nan), distance
 
 
 def _within_largest_pieces(seen: Mask, pairs: Integers) -> Mask:
@@ -144,7 +144,7 @@ def _inverses(rays: Floats, used: Mask, first: Integers, second: Integers) -> Fl
 
 @kernel
 def _rounds(
-    rays, used, tied, first, second, inverse, depth, distance, push, largest_dual, rounds, still
+    rays, used, connected, first, second, inverse, depth, distance, push, largest_dual, rounds, still
 ):  # pragma: no cover - compiled
     """Do the alternating steps; rays are (F, P, 3), the rest as in `inextensible_depths`."""
     frames, edges = len(rays), len(first)
@@ -165,7 +165,7 @@ def _rounds(
         moved = 0.0
         for f in range(frames):
             change = _solve_depths(
-                rays[f], used[f], tied[f], first, second, inverse[f], depth[f], push, apart[f], apart_dual[f]
+                rays[f], used[f], connected[f], first, second, inverse[f], depth[f], push, apart[f], apart_dual[f]
             )
             moved = max(moved, change)
             _keep_short(
@@ -195,12 +195,12 @@ def _mean_distances(own, own_dual, used, times, distance):  # pragma: no cover -
 
 @kernel
 def _solve_depths(
-    rays, used, tied, first, second, inverse, depth, push, apart, apart_dual
+    rays, used, connected, first, second, inverse, depth, push, apart, apart_dual
 ):  # pragma: no cover - compiled
     """Compute the depths of one frame that agree best with the pairs' vectors; return the largest relative change."""
     right = np.zeros(len(rays))
     for p in range(len(rays)):
-        if tied[p]:
+        if connected[p]:
             right[p] = push
     for e in range(len(first)):
         if used[e]:
@@ -211,7 +211,7 @@ def _solve_depths(
     solved = inverse @ right
     moved = 0.0
     for p in range(len(rays)):
-        if tied[p]:
+        if connected[p]:
             moved = max(moved, abs(solved[p] - depth[p]) / max(abs(solved[p]), 1e-12))
             depth[p] = solved[p]
     return moved

@@ -42,8 +42,8 @@ class OneViewSettings:
     """Settings of the factorisation of one orthographic camera's tracks.
 
     The defaults were chosen while looking at the five sequences of `nonrigid/`, those of `lengths` also at some other
-    camera paths of bench/nonrigid_cameras.py (docs/nonrigid-methods.md). Where nothing else is stated, results were not
-    measured against other values. Evidence is given in natural logarithms per coordinate of the tracks.
+    camera paths of bench/nonrigid/camera_paths.py (docs/explanation/nonrigid.md). Where nothing else is stated, results
+    were not measured against other values. Evidence is given in natural logarithms per coordinate of the tracks.
     """
 
     completion_rank: int = COMPLETION_RANK

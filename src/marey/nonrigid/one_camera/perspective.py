@@ -37,7 +37,7 @@ from marey.nonrigid.one_camera.perspective_starts import (
 FEWEST_PERSPECTIVE_POINTS = 6
 """Least number of points that a camera in perspective must see in a frame. Chosen by hand; results were not measured
 against other values."""
-NO_ANSWER = "No shape was found that explains these tracks with the given camera matrix. Check the matrix."
+NO_SOLUTION = "No shape was found that explains these tracks with the given camera matrix. Check the matrix."
 """Error where all initial solutions fail."""
 NO_PERSPECTIVE = (
     "Perspective is too weak here: the mirror image in depth explains the tracks equally well. The sign of depth is "
@@ -204,7 +204,7 @@ def _checked_matrix(matrix: Floats) -> Floats:
             "This is not a camera matrix: expected [[fx, skew, cx], [0, fy, cy], [0, 0, 1]] with focal lengths fx and "
             "fy above 0, in pixels."
         )
-    return matrix / matrix[2, 2]
+    return np.asarray(matrix / matrix[2, 2])
 
 
 def _checked(tracks: Floats) -> Mask:
@@ -284,7 +284,7 @@ def _best(
         compared.append((_compared(start, data, pairs, settings), start))
     model, start = min(compared, key=lambda pair: pair[0].cost if pair[0] else np.inf)
     if model is None:
-        raise MareyError(NO_ANSWER)
+        raise MareyError(NO_SOLUTION)
     mirrored = start_of(model).mirrored()
     other = _compared(mirrored, data, pairs, settings)
     progress(_JUDGED)
@@ -294,7 +294,7 @@ def _best(
     modes, noise = min(settings.modes, len(known) - 1), settings.least_noise
     best = _refined(start, data, pairs, modes, settings.rounds, noise, settings)
     if best is None:
-        raise MareyError(NO_ANSWER)
+        raise MareyError(NO_SOLUTION)
     rigid = _rigid_if_as_good(best, data, settings)
     if rigid is not best:
         return _Solution(rigid, [], gap)

@@ -38,7 +38,7 @@ class PerspectiveModelSettings:
     """Number of frames that the common standard deviation of distances counts, beside a pair's own frames."""
     least_stretch: float = 0.005
     """Least standard deviation of a pair's distance, as a fraction of it. Standard deviations shrink to zero where each
-    distance counts as one observation (docs/nonrigid-methods.md)."""
+    distance counts as one observation (docs/explanation/nonrigid.md)."""
     halvings: int = 6
     """Largest number of times that a step is halved."""
     least_mode_size: float = 1e-5
@@ -86,7 +86,7 @@ class PerspectiveModel:
 
         Distances of neighbours are correlated; counted as independent observations they would outweigh the tracks.
         """
-        return min(1.0, self.mean.shape[1] / max(len(self.pairs), 1)) / self.correlated_frames
+        return float(min(1.0, self.mean.shape[1] / max(len(self.pairs), 1)) / self.correlated_frames)
 
     @property
     def stretch(self) -> float:
@@ -213,7 +213,7 @@ def negative_log_probability(model: PerspectiveModel, tracks: Floats, seen: Floa
     total += model.distance_weight * of_distances
     for values, variance in zip((turns, changes), model.acceleration_variances, strict=True):
         total += float((values**2).sum()) / variance + values.size * np.log(variance)
-    return 0.5 * total + model.processes.cost(model.weights)
+    return float(0.5 * total + model.processes.cost(model.weights))
 
 
 def frame_equations(model: PerspectiveModel, tracks: Floats, seen: Floats) -> tuple[Floats, Floats, Floats, Floats]:

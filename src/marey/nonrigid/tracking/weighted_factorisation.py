@@ -31,7 +31,7 @@ class PlaceEquations:
     @property
     def known(self) -> Mask:
         """(F, P) mask of the positions with information."""
-        return np.trace(self.information, axis1=2, axis2=3) > 0
+        return np.asarray(np.trace(self.information, axis1=2, axis2=3) > 0)
 
     def without(self, hidden: Mask) -> "PlaceEquations":
         """Return the equations without the positions in the mask (F, P)."""
@@ -59,7 +59,7 @@ class LowRankTracks:
     @property
     def rank(self) -> int:
         """Rank r, beside the translation."""
-        return self.columns.shape[1] - 1
+        return int(self.columns.shape[1]) - 1
 
     def places(self) -> Floats:
         """Compute the tracks of the model (F, P, 2) [px]."""
@@ -70,7 +70,7 @@ class LowRankTracks:
         count = self.columns.shape[1]
         blocks = self.covariance.reshape(-1, 2, count, 2, count)
         both = np.einsum("pa,fiajb,pb->fpij", self.columns, blocks, self.columns, optimize=True)
-        return both + self.spread**2 * np.eye(2)
+        return np.asarray(both + self.spread**2 * np.eye(2))
 
 
 def low_rank_tracks(equations: PlaceEquations, tracks: Floats, rank: int, *, rounds: int = 25) -> LowRankTracks:
@@ -159,7 +159,7 @@ def _weights(information: Floats, right: Floats, places: Floats, spread: float) 
     away = times(inverse_of_symmetric(firm), pull)
     pulled = times(inverse_of_symmetric(np.eye(2) + spread**2 * firm), pull)
     square = np.einsum("fpi,fpi->fp", away, pulled)
-    return (_TAIL + 2) / (_TAIL + np.maximum(square, 0))
+    return np.asarray((_TAIL + 2) / (_TAIL + np.maximum(square, 0)))
 
 
 def _solve_frames(

@@ -22,8 +22,9 @@ from marey.nonrigid.many_cameras.scaled_orthographic import factorise_scaled
 from marey.nonrigid.one_camera.one_view import factorise_tracks
 from marey.nonrigid.one_camera.perspective import FEWEST_PERSPECTIVE_POINTS, factorise_perspective
 from marey.nonrigid.recovered import (
-    UNSAID,
+    UNKNOWN_UNIT,
     RecoveredShapes,
+    expanded,
     from_calibrated,
     from_held_size,
     from_many_views,
@@ -31,9 +32,8 @@ from marey.nonrigid.recovered import (
     from_perspective,
     from_points,
     from_scaled,
-    known_distance,
-    usable,
-    widened,
+    usable_places,
+    with_known_distance,
 )
 from marey.pipelines.nonrigid.input import NonRigidInput, input_of_data, read_input
 from marey.pipelines.nonrigid.measure import MeasuredPoints, measure_points
@@ -168,11 +168,11 @@ def _shapes(
 ) -> Shapes:
     measured = measure_points(given, cache, progress)
     found = _recovered(given, measured, settings, cache, progress)
-    if found.unit == UNSAID:
+    if found.unit == UNKNOWN_UNIT:
         metres = 1.0 if measured.unit == "m" else np.nan
         found = replace(found, unit=measured.unit, residual_unit=measured.unit, metres_per_unit=metres)
     if settings.distance is not None:
-        found = known_distance(found, *settings.distance)
+        found = with_known_distance(found, *settings.distance)
     about = {name: value for name, value in vars(settings).items() if value not in (None, ())}
     root = given.paths[0].parent if given.paths else Path()
     return Shapes(
@@ -189,7 +189,7 @@ def _recovered(
     wanted = np.zeros(given.frames, bool)
     wanted[given.requested] = True
     least = _least(given, measured)
-    frames, points = usable(measured.seen & wanted[:, None], least_points=least[0], least_frames=least[1])
+    frames, points = usable_places(measured.seen & wanted[:, None], least_points=least[0], least_frames=least[1])
     for note in _left_out(wanted & ~frames, ~points, measured.labels):
         progress.warn(note)
 
@@ -202,7 +202,7 @@ def _recovered(
         found = shapes_from(cache.arrays("shapes", compute, depends=depends))
     for note in found.notes:
         progress.warn(note)
-    return widened(found, frames, points)
+    return expanded(found, frames, points)
 
 
 @contextmanager
@@ -266,9 +266,7 @@ def _left_out(frames: Mask, points: Mask, labels: Sequence[str]) -> list[str]:
     notes = []
     if frames.any():
         numbers = np.flatnonzero(frames)
-        notes.append(
-            f"{len(numbers)} frames have too few points and no result: {_listed([str(n) for n in numbers])}."
-        )
+        notes.append(f"{len(numbers)} frames have too few points and no result: {_listed([str(n) for n in numbers])}.")
     if points.any():
         names = [labels[int(p)] for p in np.flatnonzero(points)]
         notes.append(f"{len(names)} points are seen in too few frames and have no result: {_listed(names)}.")
