@@ -90,7 +90,7 @@ def section(bench: Bench, record: Record, project: Path = PROJECT) -> str:
 def provenance(bench: Bench, record: Record, project: Path = PROJECT) -> str:
     """The line below a record's tables: commit, date, machine, and the mark of an old record."""
     if record.source:
-        return f"**NOT RE-MEASURED**: {record.source}.\n"
+        return f"**NOT RE-MEASURED**: {record.source.removesuffix(', not re-measured')}.\n"
     machine = record.machine
     line = (
         f"*Commit {record.commit[:7]}, {record.date}, {(record.seconds or 0) / 60:.1f} min on "

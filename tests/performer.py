@@ -7,7 +7,7 @@ from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.articulation.skeleton import full_skeleton, root_rotation
 from marey.body.articulation.surface import Body, ShapeSpace
 from marey.motion import anatomical
-from marey.motion.motion import MEASURED, NOBODY, BodyMotion
+from marey.motion.motion import MEASURED, NO_PERSON, BodyMotion
 
 ARM = np.array([0.67, -0.02, -0.74])
 CENTRES = {
@@ -75,7 +75,7 @@ def motion(person: Body, frames: int = 24, gap: tuple[int, ...] = (0, 1, 11, 12)
     for array in holes:
         array[list(gap)] = np.nan
     state = np.full(frames, MEASURED)
-    state[list(gap)] = NOBODY
+    state[list(gap)] = NO_PERSON
     return BodyMotion(
         time=np.arange(frames) / 30.0, rate=30.0, joint_names=person.joint_names, joint_centres=centres,
         joint_centres_sd=0.01 + 0 * centres, segment_names=person.skeleton.segment_names, segment_rotation=rotation,

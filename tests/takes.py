@@ -6,7 +6,7 @@ from marey.body.articulation.pose import PosedBody
 from marey.cameras.camera import Camera
 from marey.cameras.rig import Rig
 from marey.geometry.rigid import RigidTransform
-from marey.motion.motion import FILLED, LOST, MEASURED, NOBODY, BodyMotion
+from marey.motion.motion import FILLED, LOST, MEASURED, NO_PERSON, BodyMotion
 from tests.people import any_pose, stick_person
 
 FRAMES = 12
@@ -32,8 +32,8 @@ def small_take(rng: np.random.Generator) -> tuple[BodyMotion, list[PosedBody]]:
     segments = body.skeleton.segment_names
     joints, degrees = body.joint_segments, len(body.skeleton)
     state = np.full(FRAMES, MEASURED)
-    state[:2], state[5], state[8] = NOBODY, FILLED, LOST
-    gone = np.isin(state, (NOBODY, LOST))
+    state[:2], state[5], state[8] = NO_PERSON, FILLED, LOST
+    gone = np.isin(state, (NO_PERSON, LOST))
     rotation = np.stack([p.segment_rotation for p in posed])
     origin = np.stack([p.segment_origin for p in posed])
     rotation[gone], origin[gone] = np.nan, np.nan

@@ -21,13 +21,13 @@ from marey.body.articulation.surface import Body
 from marey.body.people.person import person_body
 from marey.cameras.camera import Camera
 from marey.fit.recipes import sequence
-from marey.fit.recipes.sequence import RefineMemory, SequenceFit, refine_in_pieces
+from marey.fit.recipes.sequence import RefineCheckpoint, SequenceFit, refine_in_pieces
 from marey.fit.search.levels import FrameLevels
 from marey.fit.solver.banded import windows
 from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
 from marey.io.stages import FrameLog
-from marey.motion.from_fit import measured
+from marey.motion.from_fit import measure_piece
 from marey.observations.correspondence import view_of
 from marey.pipelines.capture.kept_candidates import KeptArrays
 
@@ -95,12 +95,12 @@ def grow(table: Table, count: int) -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         with FrameLog(folder / "rounds.log") as rounds, FrameLog(folder / "windows.log") as parts:
-            memory = RefineMemory(KeptArrays(rounds), KeptArrays(parts))
+            memory = RefineCheckpoint(KeptArrays(rounds), KeptArrays(parts))
             kept = [
-                measured(piece)
+                measure_piece(piece)
                 for piece in refine_in_pieces(
                     range(count), start, body, levels, rate=RATE, rounds=ROUNDS, shape_frames=shape_frames,
-                    memory=memory,
+                    checkpoint=memory,
                 )
             ]  # fmt: skip
     seconds = time.perf_counter() - began

@@ -42,7 +42,7 @@ from marey.markers.data.labels import find_clusters
 from marey.markers.data.problem import MarkerProblem
 from marey.markers.data.trajectories import MarkerTrajectories, trajectories
 from marey.markers.kinematics.transform_chain import CAPTURE_GLOBAL, MR_GLOBAL
-from marey.markers.methods.methods import DEFAULT, choose_methods
+from marey.markers.methods.methods import DEFAULT_METHOD, choose_methods
 
 BENCH = Bench(
     measures="Bones of a scanned knee placed in the laboratory and moved, against simulated truth on real trials.",
@@ -357,7 +357,7 @@ def motion(run: Run) -> None:
     for name, trial in scenes(shared):
         scene = placed(shared, phantom(shared, name), trial)
         stood = standing(scene, NOISE_MM, np.random.default_rng(7))
-        for method in ("true bones", "rigid", DEFAULT):
+        for method in ("true bones", "rigid", DEFAULT_METHOD):
             driven = scene.motion if method == "true bones" else estimated(scene, method)
             found = joined(scene, scene.knee.found, with_balls(activity(scene, driven), stood, scene.frame), None)
             frames = np.flatnonzero((scene.motion.answered & driven.answered).all(1))

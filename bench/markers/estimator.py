@@ -11,6 +11,7 @@ import argparse
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -23,10 +24,11 @@ from marey.geometry import rotations
 from marey.markers.data.bone_motion import BoneMotion
 from marey.markers.data.problem import MarkerProblem
 from marey.markers.data.rigid_fit import rigid
-from marey.markers.methods import estimator, joint_constraints, skin_motion
-from marey.markers.methods.joint_constraints import Give
+from marey.markers.methods import joint_constraints
+from marey.markers.methods.estimator import SkinAndJointsSettings, skin_and_joints
+from marey.markers.methods.joint_constraints import JointLaxity, JointVariation
 from marey.markers.methods.multiple_calibration import multiple_calibration
-from marey.markers.methods.skin_motion import SkinForm
+from marey.markers.methods.skin_motion import SkinMotionSettings, SkinVarianceShares
 from marey.motion.anatomical import euler_angles
 
 BENCH = Bench(
@@ -133,43 +135,57 @@ def fill(table: Table, name: str, results: list[tuple[Judged, Judged]]) -> None:
 
 
 @contextmanager
-def scaled(joint: float, skin: float) -> Iterator[None]:
-    """Work with the knee's small turns and the skin's common motion taken that much larger."""
-    table, pair = joint_constraints._LAXITY, KNEE
-    before = table[pair], estimator._COMMON_TURN, estimator._COMMON_SHIFT
-    table[pair] = replace(
-        before[0], **{name: Give(anyway=g.anyway * joint, turned=g.turned * joint)
-                      for name in ("adduction", "rotation") if (g := getattr(before[0], name))},
-    )  # fmt: skip
-    estimator._COMMON_TURN, estimator._COMMON_SHIFT = before[1] * skin, before[2] * skin
+def knee_laxity(laxity: JointLaxity) -> Iterator[None]:
+    """Work with another prior laxity of the knee."""
+    table, before = joint_constraints._LAXITY, joint_constraints._LAXITY[KNEE]
+    table[KNEE] = laxity
     try:
         yield
     finally:
-        table[pair], estimator._COMMON_TURN, estimator._COMMON_SHIFT = before
+        table[KNEE] = before
+
+
+def scaled_knee(factor: float) -> JointLaxity:
+    """Return the prior laxity of the knee with its small rotations scaled."""
+    knee = joint_constraints._LAXITY[KNEE]
+    return replace(
+        knee, **{name: JointVariation(baseline_sd=g.baseline_sd * factor, rotation_sd=g.rotation_sd * factor)
+                 for name in ("adduction", "rotation") if (g := getattr(knee, name))},
+    )  # fmt: skip
+
+
+def scaled_skin(factor: float) -> Callable[[MarkerProblem], BoneMotion]:
+    """Return the default method with the prior of the skin's common motion scaled."""
+    usual = SkinAndJointsSettings()
+    settings = replace(
+        usual, common_rotation_ratio=usual.common_rotation_ratio * factor,
+        common_translation_ratio=usual.common_translation_ratio * factor,
+    )  # fmt: skip
+    return partial(skin_and_joints, settings=settings)
 
 
 def without(run: Run) -> None:
     """Take one part away at a time, on the real trials."""
     trials = [real_trial(run.shared, name) for name in TRIALS]
-    laxity, forms, skin = joint_constraints._LAXITY, skin_motion.FORMS, estimator.skin_and_joints
-    knee = laxity[KNEE]
+    knee = joint_constraints._LAXITY[KNEE]
+    one_form = SkinAndJointsSettings(skin=SkinMotionSettings(candidates=(SkinVarianceShares(),)))
 
     def alone(problem: MarkerProblem) -> BoneMotion:
-        return skin(replace(problem, joints=()))
+        return skin_and_joints(replace(problem, joints=()))
 
+    free_centre = replace(knee, translation=JointVariation(baseline_sd=1.0, rotation_sd=1.0))
     cases = {
-        "the whole method": (skin, knee, forms),
-        "no joint": (alone, knee, forms),
-        "joint's centre only": (skin, replace(knee, adduction=None, rotation=None), forms),
-        "joint's small turns only": (skin, replace(knee, translation=Give(anyway=1.0, turned=1.0)), forms),
-        "one form for every skin": (skin, knee, (SkinForm(),)),
+        "the whole method": (skin_and_joints, knee),
+        "no joint": (alone, knee),
+        "joint's centre only": (skin_and_joints, replace(knee, adduction=None, rotation=None)),
+        "joint's small turns only": (skin_and_joints, free_centre),
+        "one form for every skin": (partial(skin_and_joints, settings=one_form), knee),
     }
     table = by_trial(run, "Without one part of the method", "method", ("mean",))
-    for name, (method, joint, offered) in cases.items():
-        laxity[KNEE], skin_motion.FORMS = joint, offered
-        both = np.array([[each.against_rigid for each in judge(trial, method)] for trial in trials])
+    for name, (method, joint) in cases.items():
+        with knee_laxity(joint):
+            both = np.array([[each.against_rigid for each in judge(trial, method)] for trial in trials])
         table.row(name, *[f"{one:.2f}, {two:.2f}" for one, two in [*both, both.mean(0)]])
-    laxity[KNEE], skin_motion.FORMS = knee, forms
 
 
 def by_trial(run: Run, title: str, labels: str | tuple[str, ...], more: tuple[str, ...] = ()) -> Table:
@@ -185,8 +201,8 @@ def leave_one_out(run: Run) -> None:
     table = by_trial(run, "Factors of the method's constants", ("knee's small turns x", "skin's common motion x"))
     for joint in FACTORS:
         for skin in (0.7, 1.0, 1.4):
-            with scaled(joint, skin):
-                both = [judge(trial, estimator.skin_and_joints) for trial in trials.values()]
+            with knee_laxity(scaled_knee(joint)):
+                both = [judge(trial, scaled_skin(skin)) for trial in trials.values()]
             figures[joint, skin] = np.array([[each.against_rigid for each in pair] for pair in both])
             table.row((str(joint), str(skin)), *[f"{one:.2f}, {two:.2f}" for one, two in figures[joint, skin]])
     chosen = run.table(
@@ -203,19 +219,19 @@ def parts(run: Run) -> None:
     table = begin(run, f"{run.arguments.draws} random parts of each trial")
     for name in TRIALS:
         rng, trial = np.random.default_rng(0), real_trial(run.shared, name)
-        fill(table, name, [judge(part_of(rng, trial), estimator.skin_and_joints) for _ in range(run.arguments.draws)])
+        fill(table, name, [judge(part_of(rng, trial), skin_and_joints) for _ in range(run.arguments.draws)])
 
 
 def made(run: Run) -> None:
     """Judge the method, a tighter knee and simpler methods on made trials."""
-    count, skin = run.arguments.made, estimator.skin_and_joints
+    count, skin = run.arguments.made, skin_and_joints
     table = begin(run, f"{count} made trials of any kind")
     for name, method, joint in (
         ("default", skin, 1.0), ("knee held twice as tightly", skin, 0.5),
         ("rigid; with two postures `calibration`", calibrated, 1.0),
     ):  # fmt: skip
         rng = np.random.default_rng(0)
-        with scaled(joint, 1.0):
+        with knee_laxity(scaled_knee(joint)):
             fill(table, name, [judge(made_trial(rng), method) for _ in range(count)])
 
 
@@ -224,7 +240,7 @@ def kinds(run: Run) -> None:
     table = begin(run, f"{run.arguments.kinds} made trials of each kind")
     for name, kind in KINDS.items():
         rng = np.random.default_rng(0)
-        results = [judge(made_trial(rng, kind), estimator.skin_and_joints) for _ in range(run.arguments.kinds)]
+        results = [judge(made_trial(rng, kind), skin_and_joints) for _ in range(run.arguments.kinds)]
         fill(table, name, results)
 
 

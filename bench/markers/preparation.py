@@ -17,10 +17,10 @@ from bench.recording import Column, Run, Table
 from marey.io.markers.c3d_forces import read_events, read_force_plates
 from marey.io.markers.readers import read_markers
 from marey.markers.data.clusters import Cluster
-from marey.markers.data.labels import clusters_named, find_clusters
+from marey.markers.data.labels import clusters_from_names, find_clusters
 from marey.markers.data.trajectories import MarkerTrajectories
-from marey.markers.preprocessing.exchanges import Exchange, exchange_back, find_exchanges
-from marey.markers.preprocessing.functional import carried, score, sphere_centre
+from marey.markers.preprocessing.exchanges import LabelExchange, find_exchanges, undo_exchanges
+from marey.markers.preprocessing.functional import score, sphere_centre, transfer_point
 from marey.markers.preprocessing.gait_events import events_from_force, events_from_markers
 from marey.markers.preprocessing.gaps import FROM_CLUSTER, SPLINE, fill_gaps, from_cluster, spline
 from marey.motion.gait import STRIKE, GaitEvent
@@ -104,7 +104,7 @@ def exchanges(run: Run) -> None:
         trial = read_markers(path)
         clusters = find_clusters(trial.labels).clusters
         if path.suffix == ".trc":
-            clusters = clusters_named({"knee": ("*",)}, trial.labels).clusters
+            clusters = clusters_from_names({"knee": ("*",)}, trial.labels).clusters
         seen = [
             Cluster(segment=c.segment, labels=tuple(x for x in c.labels if trial.select([x]).present.mean() > 0.5))
             for c in clusters
@@ -118,7 +118,7 @@ def exchanges(run: Run) -> None:
             found = made = wrong = 0
             for _ in range(6):
                 pair, frames = drawn(seen, how, len(trial), rng)
-                broken = exchange_back(trial, [Exchange(labels=pair, frames=frames)])
+                broken = undo_exchanges(trial, [LabelExchange(labels=pair, frames=frames)])
                 named = find_exchanges(broken, clusters)
                 made += 1
                 found += any(set(x.labels) == set(pair) for x in named)
@@ -155,7 +155,7 @@ def joints(run: Run) -> None:
     known = walk.select(["LeftHipCenterScore"]).points[:, 0]
     for name, find in (("SCoRE", score), ("sphere", sphere_centre)):
         centre = find(trial.select(PELVIS).points, trial.select(thigh).points)
-        at = carried(centre.parent_shape, centre.in_parent, walk.select(PELVIS).points)
+        at = transfer_point(centre.parent_shape, centre.in_parent, walk.select(PELVIS).points)
         off = 1e3 * np.linalg.norm(at - known, axis=-1)
         sd = 1e3 * np.sqrt(np.diag(centre.covariance))
         table.row(name, np.median(off), off.max(), 1e3 * centre.residual, ", ".join(f"{v:.1f}" for v in sd))

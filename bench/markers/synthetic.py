@@ -46,8 +46,8 @@ def exact(run: Run) -> None:
     table = run.table("Rigid markers", "method", *columns)
     for entry in METHODS.values():
         leg, bones = leg_and_bones(np.random.default_rng(1), known=[0, 20])
-        if entry.lacks(leg):
-            table.row(entry.name, None, str(entry.lacks(leg)))
+        if entry.missing_requirement(leg):
+            table.row(entry.name, None, str(entry.missing_requirement(leg)))
             continue
         motion = entry.run(leg)
         turn = max(turns(motion.bone(name)[0], bone[0]).max() for name, bone in bones.items())
@@ -120,7 +120,7 @@ def interval_errors(form: str, frames: int, markers: int) -> tuple[Floats, str]:
         trial, rotation, origin, assumed, moving = made(seed, form, frames, markers)
         data = cluster_data(trial, trial.clusters[0])
         found, plain = deform(data, assumed, NOISE_M, moving=moving, most_frames=None), rigid(trial)
-        unseen = ", ".join(found.unseen) or "nothing"
+        unseen = ", ".join(found.unobserved) or "nothing"
         turned = [rms(turns(r, rotation)) for r in (plain.rotation[:, 0], found.fit.rotation)]
         shifted = [rms(np.linalg.norm(o - origin, axis=-1)) for o in (plain.origin[:, 0], found.fit.origin)]
         errors.append([*turned, *shifted])

@@ -249,7 +249,7 @@ def run(run: Run) -> None:
         first_stride_as_exercise(run)
         return
     methods = [
-        (each.name, lambda problem, e=each: None if e.lacks(problem) else e.run(problem))
+        (each.name, lambda problem, e=each: None if e.missing_requirement(problem) else e.run(problem))
         for each in choose_methods(given.methods)
     ]
     compare_methods(run, "Methods on real trials", "method", methods, sta_trials(run, given.trials))

@@ -16,6 +16,9 @@ import cv2
 import numpy as np
 from matplotlib.figure import Figure
 
+from marey.cli.main import run
+from marey.io.opensim.trc import PointPaths, write_trc
+
 ROOT = Path(__file__).parents[2]
 TAKE = ROOT / "examples" / "reach"
 FRAME = 50
@@ -43,6 +46,7 @@ def main() -> None:
     angle(given.results, "knee_rotation", "Knee rotation", given.out / "knee-rotation.png")
     if given.chromium:
         report(given.chromium, given.results / "report.html", given.out)
+        comparison(given.chromium, given.results, given.out)
 
 
 def still(video: Path, frame: int) -> np.ndarray:
@@ -92,8 +96,30 @@ def angle(results: Path, name: str, title: str, path: Path) -> None:
 
 def report(chromium: str, page: Path, out: Path) -> None:
     """Screenshots of the report: its head with the replay, and its curves."""
+    picture = screenshot(chromium, page, 2400)
+    write(out / "report.jpg", scaled(picture[:1110], 0.8))
+    write(out / "report-curves.jpg", scaled(picture[1120:1830], 0.8))
+
+
+def comparison(chromium: str, results: Path, out: Path) -> None:
+    """Screenshot of a comparison: the captured motion with the true joint centres of the rendered person."""
+    with np.load(TAKE / "truth" / "truth.npz") as truth:
+        joints, rate = truth["joints"], float(truth["rate"])
+        time = (np.arange(len(joints)) + int(truth["empty"])) / rate
+        paths = PointPaths(names=tuple(map(str, truth["joint_names"])), time=time, rate=rate, points=joints)
     with tempfile.TemporaryDirectory() as folder:
-        shot = Path(folder) / "report.png"
+        write_trc(Path(folder) / "truth.trc", paths)
+        arguments = ["compare", str(results), str(Path(folder) / "truth.trc"), "--out", str(Path(folder) / "compared")]
+        if run([*arguments, "--quiet"]):
+            raise SystemExit("The comparison failed.")
+        picture = screenshot(chromium, Path(folder) / "compared" / "report.html", 1200)
+    write(out / "comparison.jpg", scaled(picture[:1120], 0.8))
+
+
+def screenshot(chromium: str, page: Path, height: int) -> np.ndarray:
+    """Show a page in Chromium, 1200 pixels wide, and return the picture (height, 1200, 3)."""
+    with tempfile.TemporaryDirectory() as folder:
+        shot = Path(folder) / "page.png"
         options = [
             "--headless",
             "--no-sandbox",
@@ -101,11 +127,9 @@ def report(chromium: str, page: Path, out: Path) -> None:
             "--disable-background-networking",
             "--hide-scrollbars",
         ]
-        options += ["--window-size=1200,2400", "--virtual-time-budget=4000", f"--screenshot={shot}"]
+        options += [f"--window-size=1200,{height}", "--virtual-time-budget=4000", f"--screenshot={shot}"]
         subprocess.run([chromium, *options, page.resolve().as_uri()], check=True, capture_output=True)
-        picture = cv2.imread(str(shot))
-    write(out / "report.jpg", scaled(picture[:1110], 0.8))
-    write(out / "report-curves.jpg", scaled(picture[1120:1830], 0.8))
+        return cv2.imread(str(shot))
 
 
 def scaled(picture: np.ndarray, factor: float) -> np.ndarray:

@@ -8,11 +8,14 @@ if TYPE_CHECKING:
     from marey.cameras.rig import Rig
     from marey.cameras.triangulate import triangulate
     from marey.errors import FileProblem, MareyError, MareyWarning, SettingProblem
+    from marey.io.mr.volumes import read_volume
     from marey.io.trial.example import example_folder
     from marey.observations.observation import Linearization, Observation, SurfaceObservation
     from marey.pipelines.capture.motion import Motion, load_body, load_motion
     from marey.pipelines.capture.tasks import capture, open_trial, read_cameras
     from marey.pipelines.compare import Comparison, compare
+    from marey.pipelines.knee.knee import Knee, load_knee
+    from marey.pipelines.knee.segment import segment_knee
     from marey.pipelines.markers.bones import Bones, load_bones
     from marey.pipelines.markers.estimate import estimate_bones, open_markers
     from marey.pipelines.nonrigid.factorise import factorise, read_tracks
@@ -34,6 +37,7 @@ __all__ = [
     "Camera",
     "Comparison",
     "FileProblem",
+    "Knee",
     "Linearization",
     "MareyError",
     "MareyWarning",
@@ -55,6 +59,7 @@ __all__ = [
     "fit_shape",
     "load_body",
     "load_bones",
+    "load_knee",
     "load_motion",
     "load_shapes",
     "load_surface",
@@ -64,7 +69,9 @@ __all__ = [
     "open_trial",
     "read_cameras",
     "read_tracks",
+    "read_volume",
     "retarget",
+    "segment_knee",
     "triangulate",
     "tuned_process",
 ]
@@ -74,6 +81,7 @@ _MODULES = {
     "Camera": "cameras.camera",
     "Comparison": "pipelines.compare",
     "FileProblem": "errors",
+    "Knee": "pipelines.knee.knee",
     "Linearization": "observations.observation",
     "MareyError": "errors",
     "MareyWarning": "errors",
@@ -94,6 +102,7 @@ _MODULES = {
     "fit_shape": "pipelines.shape.tasks",
     "load_body": "pipelines.capture.motion",
     "load_bones": "pipelines.markers.bones",
+    "load_knee": "pipelines.knee.knee",
     "load_motion": "pipelines.capture.motion",
     "load_shapes": "pipelines.nonrigid.shapes",
     "load_surface": "pipelines.surface.result",
@@ -103,7 +112,9 @@ _MODULES = {
     "open_trial": "pipelines.capture.tasks",
     "read_cameras": "pipelines.capture.tasks",
     "read_tracks": "pipelines.nonrigid.factorise",
+    "read_volume": "io.mr.volumes",
     "retarget": "pipelines.retarget",
+    "segment_knee": "pipelines.knee.segment",
     "triangulate": "cameras.triangulate",
     "tuned_process": "process",
 }

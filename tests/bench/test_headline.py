@@ -46,7 +46,7 @@ def test_only_the_table_between_the_lines_is_replaced(tmp_path: Path):
     assert text.startswith(f"Before.\n{BEGIN}\n| quantity")
     assert text.endswith(f"{END}\nAfter.\n")
     assert "old table" not in text
-    assert "| [takes](accuracy/capture.md), **not re-measured** |" in text
+    assert "| see the page | [takes](accuracy/capture.md), **not re-measured** |" in text
     assert "| not measured | [arm](accuracy/surface.md) |" in text
 
 

@@ -12,7 +12,7 @@ from marey.geometry.rigid import RigidTransform
 from marey.io.npz import write_arrays
 from marey.io.opensim.mot_sto import Table, write_table
 from marey.io.opensim.trc import PointPaths, write_trc
-from marey.motion.names import known_angle, known_point, known_segment, one_sign
+from marey.motion.names import hinge_sign, known_angle, known_point, known_segment
 from marey.motion.recording import Recording
 from marey.pipelines.compare import same_names
 
@@ -159,9 +159,9 @@ def test_known_names_of_other_programs_are_ours():
 
 
 def test_a_knee_that_bends_below_zero_is_turned_round():
-    assert one_sign("left_knee_flexion", np.radians([-60, -30, 2.0])) == -1
-    assert one_sign("left_knee_flexion", np.radians([60, 30, -4.0])) == 1
-    assert one_sign("left_hip_flexion", np.radians([-60, -30, 2.0])) == 1
+    assert hinge_sign("left_knee_flexion", np.radians([-60, -30, 2.0])) == -1
+    assert hinge_sign("left_knee_flexion", np.radians([60, 30, -4.0])) == 1
+    assert hinge_sign("left_hip_flexion", np.radians([-60, -30, 2.0])) == 1
 
 
 def test_two_names_for_one_quantity_stay_apart():

@@ -9,6 +9,7 @@ from marey.io.mr.gadolinium import MarkersInScanner
 from marey.knee.bones.bones import BoneSegmentation
 from marey.knee.space.structures import BONES
 from marey.knee.space.surfacing import surface_of_labels
+from marey.pipelines.knee.found_knee import FoundKnee
 from marey.pipelines.knee.report import write_page
 from marey.pipelines.progress import RecordingProgress
 
@@ -20,12 +21,13 @@ def test_bones_without_a_template_have_a_page_that_view_finds(tmp_path, capsys):
     surfaces = {bone: surface_of_labels(labels, bone, edge_mm=3.0) for bone in BONES}
     progress.warn("A note of the run.")
     (tmp_path / "femur.ply").touch()
-    write_page(
-        tmp_path, made_volume(grid, "dark"), labels, bones, surfaces, progress, title="made", side="right",
-        missing=["patella"],
-        settings={"template": None, "seeds_lps_mm": {"femur": [1.0, 2.5, -3.0]}, "seeds_given": [], "mirrored": False},
-        markers=MarkersInScanner(centres_mm=np.zeros((2, 3)), sd_mm=np.ones((2, 3)), diameter_mm=np.full(2, 6.0)),
+    markers = MarkersInScanner(centres_mm=np.zeros((2, 3)), sd_mm=np.ones((2, 3)), diameter_mm=np.full(2, 6.0))
+    found = FoundKnee(
+        title="made", volume=made_volume(grid, "dark"), bones=bones, surfaces=surfaces, markers=markers, side="right",
+        missing={"patella": "It was not found in the image."},
     )  # fmt: skip
+    settings = {"template": None, "seeds_lps_mm": {"femur": [1.0, 2.5, -3.0]}, "seeds_given": [], "mirrored": False}
+    write_page(tmp_path, found, labels, progress, settings=settings, pictures={})
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "No template was given" in page
     assert "A note of the run." in page

@@ -13,7 +13,7 @@ from tests.made_knees import (
     volume_with_cartilage,
 )
 
-from marey.cli.knee import INCOMPLETE, with_seeds_joined
+from marey.cli.knee import INCOMPLETE, parse_seed, with_seeds_joined
 from marey.cli.main import run
 from marey.errors import SettingProblem
 from marey.io.mr.meshes import read_mesh
@@ -27,7 +27,7 @@ from marey.knee.space.resampling import part_of
 from marey.knee.space.structures import LABELS
 from marey.knee.space.surfacing import surface_of_labels
 from marey.knee.space.volume import Labels, Volume, VoxelGrid
-from marey.pipelines.knee.segment import SegmentOptions, given_seeds, parse_seed, title_of
+from marey.pipelines.knee.segment import SegmentSettings, title_of
 
 if find_spec("SimpleITK") is None:
     pytest.skip("SimpleITK is not installed", allow_module_level=True)
@@ -62,20 +62,19 @@ def test_four_words_of_a_seed_become_one_and_negative_numbers_stay():
 
 
 def test_seeds_are_places_or_voxels():
-    options = SegmentOptions(
-        out=None, template=None, seeds=(("femur", 1.0, 2.0, 3.0),), seed_voxels=(("tibia", 4.0, 5.0, 6.0),)
-    )
-    seeds = given_seeds(options, volume())
+    settings = SegmentSettings(seeds=(("femur", 1.0, 2.0, 3.0),), seed_voxels=(("tibia", 4.0, 5.0, 6.0),))
+    seeds = settings.seeds_mm(volume())
     np.testing.assert_allclose(seeds["femur"], [1, 2, 3])
     np.testing.assert_allclose(seeds["tibia"], volume().grid.lps(np.array([4.0, 5, 6])))
 
 
 def test_wrong_seeds_say_what_would_be_right():
-    with pytest.raises(SettingProblem, match="no bone and three numbers"):
+    with pytest.raises(SettingProblem, match="a bone and three numbers"):
         parse_seed("femur 1 2", "--seed")
-    for seeds, wrong in (((("fibula", 1.0, 2.0, 3.0),), "no bone"), ((("femur", 1.0, 2.0, 3.0),) * 2, "two seeds")):
+    femur, fibula = ("femur", 1.0, 2.0, 3.0), ("fibula", 1.0, 2.0, 3.0)
+    for seeds, wrong in (((fibula,), "not one of the bones"), ((femur, femur), "two seeds")):
         with pytest.raises(SettingProblem, match=wrong):
-            given_seeds(SegmentOptions(out=None, template=None, seeds=seeds, seed_voxels=()), volume())
+            SegmentSettings(seeds=seeds)
 
 
 def test_an_image_of_no_knee_leaves_nothing_behind(tmp_path, capsys, rng):
@@ -173,7 +172,7 @@ def test_a_folder_that_cannot_be_written_is_told_before_the_work(tmp_path, capsy
     (tmp_path / "file").write_text("in the way", encoding="utf-8")
     monkeypatch.setattr("marey.pipelines.knee.segment.segment_bones", lambda *_, **__: pytest.fail("it began to work"))
     assert run(["knee", "segment", str(tmp_path / "knee.nii.gz"), "--out", str(tmp_path / "file"), "-q"]) == 2
-    assert "cannot be made" in capsys.readouterr().err
+    assert "cannot be created" in capsys.readouterr().err
 
 
 def test_an_interrupted_run_leaves_nothing_behind(tmp_path, monkeypatch):

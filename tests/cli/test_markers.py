@@ -15,7 +15,7 @@ from marey.io.markers.readers import read_markers
 from marey.io.npz import write_arrays
 from marey.io.opensim.mot_sto import read_orientations, read_table
 from marey.io.opensim.trc import PointPaths, write_trc
-from marey.markers.methods.methods import DEFAULT
+from marey.markers.methods.methods import DEFAULT_METHOD
 
 FILES = ["angles.csv", "angles.mot", "bones.npz", "marker_motion.csv", "motion.c3d", "orientations.sto",
          "report.html", "run.json"]  # fmt: skip
@@ -90,9 +90,9 @@ def test_all_methods_stand_side_by_side(folder, capsys):
     told = capsys.readouterr().err
     record = json.loads((folder / "all" / "run.json").read_text())
     names = record["settings"]["methods"]
-    assert names[0] == DEFAULT
+    assert names[0] == DEFAULT_METHOD
     assert {"rigid", "pct", "calibration"} <= set(names)
-    assert f"the files have the result of {names[0]}" in told
+    assert f"the values are those of {names[0]}" in told
     page = (folder / "all" / "report.html").read_text()
     for name in names:
         assert name in page
@@ -170,7 +170,7 @@ def test_a_segment_that_never_has_three_markers_is_said_and_the_others_go_on(fol
         points[label][:] = np.nan
     write_trial(folder / "half.c3d", points)
     assert run(["markers", "half.c3d", "--method", "rigid", *reference]) == 0
-    assert "shank: no frame has 3 of its markers" in capsys.readouterr().err
+    assert "shank: no frame shows 3 of its markers" in capsys.readouterr().err
     found = read_bones(folder / "half_marey" / "bones.npz").motion
     assert found.answered[:, found.segments.index("thigh")].all()
 
@@ -224,7 +224,7 @@ def test_two_runs_can_be_compared_with_their_stated_deviations(folder, capsys):
 
 def test_the_help_names_the_default_method(capsys):
     assert run(["markers", "--help"]) == 0
-    assert f"[default: {DEFAULT}]" in " ".join(capsys.readouterr().out.replace("│", " ").split())
+    assert f"[default: {DEFAULT_METHOD}]" in " ".join(capsys.readouterr().out.replace("│", " ").split())
 
 
 def test_an_interrupted_run_leaves_no_results_and_goes_on(folder, monkeypatch, capsys):

@@ -111,7 +111,7 @@ def test_a_coordinate_and_the_angle_of_its_name_turn_the_same_way_on_both_sides(
         assert change * sign == pytest.approx(10, abs=0.6), side
 
 
-def test_signs_that_no_coordinate_shows_mean_what_the_table_says(anatomy: anatomical.Anatomy):
+def test_signs_that_no_coordinate_shows_follow_the_table(anatomy: anatomical.Anatomy):
     def turned(segment: str, axis: np.ndarray) -> dict[str, float]:
         frame = anatomy.frames[anatomy.segment_names.index(segment)]
         return placed(anatomy, {segment: rotations.about(axis, np.array(0.1)) @ frame})
@@ -192,7 +192,7 @@ def test_standard_deviations_match_the_spread_of_sampled_poses(person: Body, ana
     np.testing.assert_allclose(spread[~near_singular], sd[0][~near_singular], rtol=rtol, atol=1e-12)
 
 
-def test_a_singular_sequence_says_that_nothing_is_known(anatomy: anatomical.Anatomy):
+def test_a_singular_sequence_has_an_unbounded_deviation(anatomy: anatomical.Anatomy):
     hanging = np.stack([FORWARD, UP, RIGHT], -1)
     turn = np.tile(np.eye(3), (1, len(anatomy.segment_names), 1, 1))
     k = anatomy.segment_names.index("right_upperarm")
@@ -205,7 +205,7 @@ def test_a_singular_sequence_says_that_nothing_is_known(anatomy: anatomical.Anat
     assert sd[0, at("right_shoulder_flexion")] == pytest.approx(0.01, rel=1e-6)
 
 
-def test_frames_without_an_answer_have_none(anatomy: anatomical.Anatomy):
+def test_frames_without_an_estimate_have_none(anatomy: anatomical.Anatomy):
     turn = np.tile(np.eye(3), (3, len(anatomy.segment_names), 1, 1))
     turn[1] = np.nan
     wrt = np.zeros((3, len(anatomy.segment_names), 3, 6))
@@ -231,7 +231,7 @@ def test_a_limb_without_its_end_is_refused():
 
 
 def test_the_page_lists_every_angle_and_no_other(anatomy: anatomical.Anatomy):
-    page = (Path(__file__).parents[2] / "docs" / "angles.md").read_text()
+    page = (Path(__file__).parents[2] / "docs" / "explanation" / "angles.md").read_text()
     listed = re.findall(r"^\| `([a-z_]+)` \|", page, re.MULTILINE)
     assert len(listed) == len(set(listed))
     assert set(listed) == {re.sub("^(left|right)_", "", name) for name in anatomy.angle_names}

@@ -91,7 +91,7 @@ def test_a_shift_and_a_laboratory_that_are_known_stay():
     assert found.residual_m > 1
 
 
-def test_a_motion_that_repeats_itself_is_said_to_have_a_second_shift():
+def test_a_motion_that_repeats_itself_is_reported_with_a_second_shift():
     time = np.arange(0, 8, 0.02)
     wave = Recording(time=time, angle_names=("knee",), angles=np.sin(2 * np.pi * time)[:, None])
     found = align(wave, wave)
@@ -100,7 +100,7 @@ def test_a_motion_that_repeats_itself_is_said_to_have_a_second_shift():
     assert abs(found.rival_s) == pytest.approx(round(abs(found.rival_s)), abs=0.02)
 
 
-def test_points_that_differ_all_along_make_the_offset_less_sure(rng):
+def test_points_that_differ_over_the_whole_trial_make_the_offset_less_sure(rng):
     first, second = body(FIRST), body(SECOND, second=True)
     plain = align(first, second)
     # Joint centres that one system sees some centimetres off, each in a direction of its own.
@@ -115,7 +115,7 @@ def test_points_that_differ_all_along_make_the_offset_less_sure(rng):
     assert 0.5 < np.sqrt(np.mean(np.square(errors))) < 1.6
 
 
-def test_nothing_that_moves_gives_no_shift_and_says_so():
+def test_nothing_that_moves_gives_no_shift_and_this_is_reported():
     time = np.arange(0, 2, 0.02)
     still = Recording(time=time, angle_names=("knee",), angles=np.full((len(time), 1), 0.3))
     found = align(still, still)
@@ -147,7 +147,7 @@ def test_angles_that_differ_by_a_whole_turn_are_equal():
     assert result.agreements[0].rms < 1e-9
 
 
-def test_no_answer_is_read_across_a_gap_or_beyond_an_end():
+def test_nothing_is_interpolated_across_a_gap_or_beyond_an_end():
     time = np.arange(10.0)
     values = time**2
     values[4:6] = np.nan

@@ -11,8 +11,8 @@ from marey.body.articulation.skeleton import ROOT_COORDINATES, root_angles, root
 from marey.fit.recipes.sequence import SequenceFit
 from marey.geometry import rotations
 from marey.motion import from_fit
-from marey.motion.from_fit import coordinates_of, measured, root_coordinates_from_turn
-from marey.motion.motion import LOST, MEASURED, NOBODY
+from marey.motion.from_fit import coordinates_of, measure_piece, root_coordinates_from_turn
+from marey.motion.motion import LOST, MEASURED, NO_PERSON
 
 COUNT, FRAMES = 12, np.array([2, 3, 4, 5, 8, 9])
 
@@ -27,7 +27,7 @@ def motion_of(fit, **more):
         )
         for part in (slice(0, half), slice(half, None))
     ]  # fmt: skip
-    return from_fit.motion_of([measured(piece) for piece in pieces], fit.body, **more)
+    return from_fit.motion_of([measure_piece(piece) for piece in pieces], fit.body, **more)
 
 
 @pytest.fixture
@@ -47,8 +47,8 @@ def motion(fit):
     return motion_of(fit, count=COUNT, rate=50.0, lost=lost, camera_names=("cam01", "cam02"), agreement=agreement)
 
 
-def test_every_frame_of_the_video_has_a_row_and_no_answer_is_nan(motion):
-    expected = np.full(COUNT, NOBODY)
+def test_every_frame_of_the_video_has_a_row_and_missing_ones_are_nan(motion):
+    expected = np.full(COUNT, NO_PERSON)
     expected[FRAMES], expected[6:8] = MEASURED, LOST
     np.testing.assert_array_equal(motion.state, expected)
     np.testing.assert_allclose(motion.time, np.arange(COUNT) / 50)
@@ -94,7 +94,7 @@ def test_turns_count_on_through_full_turns(fit):
     np.testing.assert_allclose(motion.coordinates[:, 3], yaws, atol=1e-9)
 
 
-def test_the_roots_turns_follow_a_small_turn_as_the_derivative_says(rng):
+def test_the_roots_turns_follow_a_small_turn_as_the_derivative_predicts(rng):
     step = 1e-6
     for _ in range(10):
         rotation = root_rotation(rng.uniform(-1.3, 1.3, 3) * [2, 1, 2])
@@ -132,7 +132,7 @@ def test_what_a_frame_does_not_fix_is_not_determined(fit):
     assert np.delete(motion.determined[FRAMES], turn, 1).all()
 
 
-def test_joints_that_lie_elsewhere_than_the_skin_says_are_as_much_less_certain(fit, motion):
+def test_joints_that_lie_elsewhere_than_the_skin_indicates_are_as_much_less_certain(fit, motion):
     away = np.full(len(fit.body.skeleton.segment_names), 0.01)
     agreement = {int(f): np.zeros(2) for f in FRAMES}
     doubted = motion_of(

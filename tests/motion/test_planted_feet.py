@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from marey.motion.planted_feet import Leg, planted_feet, standing, turns_of_leg
+from marey.motion.planted_feet import LegJoints, leg_rotations, planted_feet, standing
 
 RATE = 30.0
 TIME = np.arange(90) / RATE
@@ -54,13 +54,13 @@ def leg(rng, count=40):
     hip = rng.normal(0, 0.1, (count, 3)) + [0, 0, 0.9]
     knee = hip + [0, -0.05, -0.42] + rng.normal(0, 0.03, (count, 3))
     ankle = knee + [0, 0.08, -0.40] + rng.normal(0, 0.03, (count, 3))
-    return Leg(hip, knee, ankle, np.tile([1.0, 0, 0], (count, 1)))
+    return LegJoints(hip, knee, ankle, np.tile([1.0, 0, 0], (count, 1)))
 
 
 def test_a_leg_reaches_where_its_ankle_shall_be(rng):
     own = leg(rng)
     shift = rng.normal(0, 0.01, own.ankle.shape) + [0, 0, 0.02]
-    thigh, shank = turns_of_leg(own, shift)
+    thigh, shank = leg_rotations(own, shift)
     knee = own.hip + np.einsum("kab,kb->ka", thigh, own.knee - own.hip)
     ankle = knee + np.einsum("kab,kb->ka", shank, own.ankle - own.knee)
     np.testing.assert_allclose(ankle, own.ankle + shift, atol=1e-4)
@@ -68,13 +68,13 @@ def test_a_leg_reaches_where_its_ankle_shall_be(rng):
 
 def test_a_leg_that_need_not_move_does_not(rng):
     own = leg(rng)
-    for turn in turns_of_leg(own, np.zeros_like(own.ankle)):
+    for turn in leg_rotations(own, np.zeros_like(own.ankle)):
         np.testing.assert_allclose(turn, np.broadcast_to(np.eye(3), turn.shape), atol=1e-6)
 
 
 def test_a_straight_leg_bends_forward_at_the_knee():
     hip, knee, ankle = (np.array([[0.0, 0, z]]) for z in (0.9, 0.5, 0.1))
-    thigh, shank = turns_of_leg(Leg(hip, knee, ankle, np.array([[1.0, 0, 0]])), np.array([[0.0, 0, 0.05]]))
+    thigh, shank = leg_rotations(LegJoints(hip, knee, ankle, np.array([[1.0, 0, 0]])), np.array([[0.0, 0, 0.05]]))
     bent = hip + np.einsum("kab,kb->ka", thigh, knee - hip)
     # Forward is -Y.
     assert bent[0, 1] < -0.05
@@ -83,7 +83,7 @@ def test_a_straight_leg_bends_forward_at_the_knee():
 
 def test_what_is_out_of_reach_is_come_near_to():
     hip, knee, ankle = (np.array([[0.0, y, z]]) for y, z in ((0, 0.9), (-0.1, 0.5), (0, 0.1)))
-    thigh, shank = turns_of_leg(Leg(hip, knee, ankle, np.array([[1.0, 0, 0]])), np.array([[0.0, 0, -0.5]]))
+    thigh, shank = leg_rotations(LegJoints(hip, knee, ankle, np.array([[1.0, 0, 0]])), np.array([[0.0, 0, -0.5]]))
     there = hip + np.einsum("kab,kb->ka", thigh, knee - hip) + np.einsum("kab,kb->ka", shank, ankle - knee)
     assert np.linalg.norm(there - hip) == pytest.approx(0.999 * 2 * np.hypot(0.1, 0.4))
     np.testing.assert_allclose(there[0, :2], 0, atol=1e-9)

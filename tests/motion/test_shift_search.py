@@ -47,7 +47,7 @@ def test_every_lag_is_as_the_plain_sums_give_it(rng, places):
         )
 
 
-def test_lags_with_too_little_in_common_tell_nothing(rng):
+def test_lags_with_too_little_in_common_carry_no_information(rng):
     a = rng.normal(size=(30, 1))
     mean, total = agreement_by_lag((a, a), (np.zeros((30, 0, 3)), np.zeros((30, 0, 3))), places=True, least=20)
     lags = np.arange(-29, 30)

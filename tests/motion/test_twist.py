@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from marey.geometry import rotations
-from marey.motion.twist import twist_angles, untwisted
+from marey.motion.twist import reduce_twist, twist_angles
 
 AXIS = np.array([0.3, -0.2, -0.9])
 
@@ -27,7 +27,7 @@ def test_the_twist_before_a_swing_is_found_beyond_a_whole_turn(rng):
 @pytest.mark.parametrize("share", [0.0, 0.4, 1.0])
 def test_a_share_of_the_twist_is_kept_and_the_limb_points_as_before(rng, share):
     parent, segment = (rotations.exp(np.cumsum(0.1 * rng.normal(size=(30, 3)), axis=0)) for _ in range(2))
-    kept = untwisted(parent, segment, AXIS, share)
+    kept = reduce_twist(parent, segment, AXIS, share)
     np.testing.assert_allclose(kept @ AXIS, segment @ AXIS, atol=1e-12)
     whole, part = (twist_angles(np.swapaxes(parent, 1, 2) @ turns, AXIS) for turns in (segment, kept))
     np.testing.assert_allclose(part, share * whole, atol=1e-9)

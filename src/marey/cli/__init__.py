@@ -1,1 +1,1 @@
-"""The only code that reads settings and talks to a person."""
+"""The command line: parses arguments, shows progress, prints results and errors, and returns exit codes."""

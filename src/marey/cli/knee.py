@@ -8,6 +8,7 @@ import typer
 
 from marey.cli.options import Quiet
 from marey.cli.work import working
+from marey.errors import SettingProblem
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode="markdown", help="Bones and cartilage of a knee from MR.")
 
@@ -29,6 +30,26 @@ def with_seeds_joined(arguments: Sequence[str]) -> list[str]:
             joined.append(" ".join(words[:_SEED_WORDS]))
             del words[:_SEED_WORDS]
     return joined
+
+
+def parse_seed(text: str, option: str) -> tuple[str, float, float, float]:
+    """Read a bone and three numbers, for example "femur 10 -3.5 20".
+
+    Args:
+        text: The value of the option.
+        option: Its name, for the error.
+
+    Raises:
+        SettingProblem: It is something else.
+    """
+    words = text.replace(",", " ").split()
+    try:
+        name, x, y, z = words
+        return name, float(x), float(y), float(z)
+    except ValueError as error:
+        raise SettingProblem(
+            f"{option} is '{text}'; it should be a bone and three numbers, for example {option} femur 10 -3.5 20."
+        ) from error
 
 
 _Out = Annotated[Path | None, typer.Option("--out", "-o", metavar="DIR", help="Where the results go.")]
@@ -77,22 +98,22 @@ def segment(
     * `marey knee segment fat_saturated.nii.gz plain.nii.gz --out knee`
     * `marey knee segment series --seed femur 12 -30 40`
     """
-    from marey.pipelines.knee.segment import SegmentOptions, parse_seed
-    from marey.pipelines.knee.segment import segment as segment_knee
+    from marey.pipelines.knee.segment import segment_knee, stem
 
-    options = SegmentOptions(
-        out=out,
-        template=template,
-        seeds=tuple(parse_seed(each, "--seed") for each in seed or ()),
-        seed_voxels=tuple(parse_seed(each, "--seed-voxel") for each in seed_voxel or ()),
-        side=side,
-    )
+    seeds = [parse_seed(each, "--seed") for each in seed or ()]
+    seed_voxels = [parse_seed(each, "--seed-voxel") for each in seed_voxel or ()]
+    folder = out or volumes[0].with_name(f"{stem(volumes[0])}_marey")
     with working(quiet=quiet) as progress:
-        left = segment_knee(volumes, options, progress)
-    typer.echo(f"Labels: {left.folder / 'labels.nii.gz'}")
-    typer.echo(f"Report: {left.folder / 'report.html'}")
-    if left.missing:
-        typer.echo(f"Not found: {', '.join(left.missing)} (see missing in labels.json).", err=True)
+        knee = segment_knee(
+            volumes, template=template, seeds=seeds, seed_voxels=seed_voxels, side=side, out=folder, progress=progress
+        )
+        for name in knee.bones:
+            surface = knee.surfaces[name]
+            progress.report(f"{name}: {surface.volume_mm3 / 1000:.1f} cm3, {surface.area_mm2 / 100:.0f} cm2")
+    typer.echo(f"Labels: {folder / 'labels.nii.gz'}")
+    typer.echo(f"Report: {folder / 'report.html'}")
+    if knee.missing:
+        typer.echo(f"Not found: {', '.join(knee.missing)} (labels.json gives the reasons).", err=True)
         raise typer.Exit(INCOMPLETE)
 
 

@@ -5,9 +5,8 @@ from typing import Annotated
 
 import typer
 
-from marey.cli.options import Frames, Quiet
+from marey.cli.options import Frames, Quiet, frame_range, parse_names
 from marey.cli.work import working
-from marey.pipelines.capture.settings import parse_frames, parse_names
 
 
 def markers(
@@ -92,10 +91,10 @@ def markers(
         opened = open_markers(
             trial, reference=reference, clusters=clusters, static=static, functional=functional or (),
             exercise=exercise, exercise_reference=exercise_reference, model=model, weights=weights,
-            frames=None if frames is None else parse_frames(frames), fill=fill, unit=unit, side=side,
+            frames=frame_range(frames), fill=fill, unit=unit, side=side,
             progress=progress,
         )  # fmt: skip
         bones = estimate_bones(opened, methods, out=folder, progress=progress)
-        for line in bones.summary():
-            progress.report(line)
+        for label, text in bones.summary().lines.items():
+            progress.report(f"{label}: {text}")
     typer.echo(f"Report: {folder / 'report.html'}")

@@ -5,9 +5,8 @@ from typing import Annotated
 
 import typer
 
-from marey.cli.options import Frames, NoOverlay, Quiet
+from marey.cli.options import Frames, NoOverlay, Quiet, frame_range, parse_names
 from marey.cli.work import working
-from marey.pipelines.capture.settings import parse_frames, parse_names
 
 
 def nonrigid(
@@ -80,9 +79,9 @@ def nonrigid(
         shapes = factorise(
             inputs, points=points or (), mask=mask, matrix=matrix, scaled=scaled, cameras=cameras, distance=distance,
             only=None if only is None else parse_names(only, option="--only", example="thigh_*"),
-            frames=None if frames is None else parse_frames(frames), basis_shapes=basis_shapes,
+            frames=frame_range(frames), basis_shapes=basis_shapes,
             overlay=not no_overlay, out=folder, progress=progress,
         )  # fmt: skip
-        for line in shapes.summary():
-            progress.report(line)
+        for label, text in shapes.summary().lines.items():
+            progress.report(f"{label}: {text}")
     typer.echo(f"Report: {folder / 'report.html'}")

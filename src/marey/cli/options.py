@@ -1,39 +1,105 @@
-"""Options that several commands share."""
+"""Options that several commands share, and how their texts are read."""
 
+import re
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from marey.body.articulation.presets import GENERIC_BODIES, PRESETS
+from marey.errors import FileProblem, SettingProblem
+
+RESULTS = "marey"
+"""Name of the folder for results inside of a trial."""
 
 Out = Annotated[
-    Path | None, typer.Option("--out", "-o", metavar="DIR", help="Where the results go. [default: TRIAL/marey]")
+    Path | None, typer.Option("--out", "-o", metavar="DIR", help="Folder for the results. [default: TRIAL/marey]")
 ]
-Cameras = Annotated[str | None, typer.Option(metavar="A,B,...", help="Names of the cameras to keep.")]
-Frames = Annotated[str | None, typer.Option(metavar="A:B", help="Only frames A to B, without B; they count from 0.")]
-Preset = Annotated[
-    str | None,
-    typer.Option(metavar="NAME", help=f"What to follow: {', '.join(PRESETS)}."),
+Cameras = Annotated[str | None, typer.Option(metavar="A,B,...", help="Names of the cameras to use.")]
+Frames = Annotated[
+    str | None, typer.Option(metavar="A:B", help="Use only frames A to B, without B; the first frame is 0.")
 ]
-Stature = Annotated[float | None, typer.Option(metavar="M", help="The person's height in metres, where it is known.")]
+Preset = Annotated[str | None, typer.Option(metavar="NAME", help=f"Part of the body to follow: {', '.join(PRESETS)}.")]
+Stature = Annotated[float | None, typer.Option(metavar="M", help="Height of the person in metres, if it is known.")]
 Start = Annotated[
     Path | None,
-    typer.Option(metavar="FILE", help="Clicked or detected joints to start from: JSON, or a folder of OpenPose JSON."),
+    typer.Option(
+        metavar="FILE",
+        help="Clicked or detected joints of one frame to start from: JSON, or a folder of OpenPose JSON files.",
+    ),
 ]
 BodyFile = Annotated[
     str | None,
     typer.Option(
         "--body",
         metavar="FILE|NAME",
-        help="A body.npz found before, a skinned GLB, or a TOML that names a mesh; or a generic body by name: "
-        f"{', '.join(GENERIC_BODIES)}.",
+        help="The person's body: a body.npz of an earlier run, a skinned GLB, or a TOML that names a mesh; or the name "
+        f"of a generic body: {', '.join(GENERIC_BODIES)}.",
     ),
 ]
 FixedSizes = Annotated[
-    bool, typer.Option("--fixed-sizes", help="Keep the body's sizes as they are instead of learning them.")
+    bool, typer.Option("--fixed-sizes", help="Keep the sizes of the body instead of estimating them.")
 ]
-NoOverlay = Annotated[bool, typer.Option("--no-overlay", help="Draw no overlay videos.")]
+NoOverlay = Annotated[bool, typer.Option("--no-overlay", help="Do not draw overlay videos.")]
 Quiet = Annotated[
-    bool, typer.Option("--quiet", "-q", help="Show nothing but warnings, and the report's place at the end.")
+    bool, typer.Option("--quiet", "-q", help="Show only warnings and, at the end, the path of the report.")
 ]
+
+
+def parse_frames(text: str) -> tuple[int, int]:
+    """Read `A:B`: the frames A to B, without B. A missing A is 0.
+
+    Args:
+        text: The argument of `--frames`.
+
+    Returns:
+        The first frame and the one after the last.
+
+    Raises:
+        SettingProblem: The text has another form, or A is not less than B.
+    """
+    match = re.fullmatch(r"\s*(\d*)\s*:\s*(\d+)\s*", text)
+    if match is None or int(match[1] or 0) >= int(match[2]):
+        raise SettingProblem(f"--frames is '{text}'; it should be A:B (frames A to B, without B), for example 10:120.")
+    return int(match[1] or 0), int(match[2])
+
+
+def parse_names(text: str, *, option: str = "--cameras", example: str = "cam01,cam02") -> tuple[str, ...]:
+    """Read names separated by commas.
+
+    Args:
+        text: The argument of the option.
+        option: The option.
+        example: An example of a correct argument.
+
+    Returns:
+        The names.
+
+    Raises:
+        SettingProblem: There is no name.
+    """
+    names = tuple(name.strip() for name in text.split(",") if name.strip())
+    if not names:
+        raise SettingProblem(f"{option} is '{text}'; it should be names separated by commas, for example {example}.")
+    return names
+
+
+def frame_range(text: str | None) -> tuple[int, int] | None:
+    """Read the argument of `--frames`, which may be missing."""
+    return None if text is None else parse_frames(text)
+
+
+def camera_names(text: str | None) -> tuple[str, ...] | None:
+    """Read the argument of `--cameras`, which may be missing."""
+    return None if text is None else parse_names(text)
+
+
+def require_trial(trial: Path) -> None:
+    """Check that a trial is a folder, before the modules that read it are loaded.
+
+    Raises:
+        FileProblem: It is a file, or does not exist.
+    """
+    if not trial.is_dir():
+        what = "is a file" if trial.exists() else "does not exist"
+        raise FileProblem(trial, what, "Give the folder that holds the videos and cameras.toml.")

@@ -2,12 +2,14 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
-from marey.cli.progress import TerminalProgress
+if TYPE_CHECKING:
+    from marey.cli.progress import TerminalProgress
 
 
 @contextmanager
-def working(*, quiet: bool = False, parallel_cameras: bool = False) -> Iterator[TerminalProgress]:
+def working(*, quiet: bool = False, parallel_cameras: bool = False) -> "Iterator[TerminalProgress]":
     """Set the process up for a command's work, and show its progress.
 
     Args:
@@ -17,7 +19,9 @@ def working(*, quiet: bool = False, parallel_cameras: bool = False) -> Iterator[
     Yields:
         The progress display.
     """
+    # Imported here, so that help appears at once.
     from marey.cli.compilation import observed_compilation
+    from marey.cli.progress import TerminalProgress
     from marey.process import tuned_process
 
     progress = TerminalProgress(quiet=quiet)

@@ -1,1 +1,1 @@
-"""Skin markers: clusters, the bone beneath them, joints, and the chain of transforms."""
+"""Skin markers: clusters, the bones beneath them, joints, and the chain of transforms."""

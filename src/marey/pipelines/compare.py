@@ -15,7 +15,7 @@ from marey.io.markers.recordings import motion_in, read_recording, recording_of
 from marey.io.results.comparison import SIGNED_KINDS, UNITS, write_comparison
 from marey.motion.comparison import Agreement, MotionComparison
 from marey.motion.comparison import compare as compare_motions
-from marey.motion.names import apply_map, known_angle, known_point, known_segment, one_sign
+from marey.motion.names import hinge_sign, known_angle, known_point, known_segment, rename_columns
 from marey.motion.recording import Recording
 from marey.pipelines.capture.motion import Motion
 from marey.pipelines.labelled import Curve, Described, Summary, count_of, find_name, plot_curves
@@ -35,6 +35,7 @@ _SHOWN_NAMES = 8
 _SHOWN_LEFT_OVER = 12
 """Names of quantities without a counterpart that a warning lists at most."""
 _FILE = "compare.csv"
+"""The file with one row per compared quantity."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -375,7 +376,7 @@ def same_names(
                 has = f"There are: {', '.join(names) or 'none'}."
                 raise FileProblem(path, f"names the {kind} {', '.join(missing)}, which are not in the motion", has)
         back = {other.removeprefix("-"): ("-" if other.startswith("-") else "") + own for own, other in given.items()}
-        second = _renamed(second, field, *apply_map(getattr(second, field), back))
+        second = _renamed(second, field, *rename_columns(getattr(second, field), back))
         common = set(getattr(first, field)) & set(getattr(second, field))
         first, second = (_known_names(r, field, common) for r in (first, second))
     return first, second
@@ -398,7 +399,7 @@ def _known(recording: Recording, field: str, k: int) -> tuple[str, float]:
     name = getattr(recording, field)[k]
     if field == "angle_names":
         own, sign = known_angle(name) or (name, 1.0)
-        return own, sign * (one_sign(own, recording.angles[:, k]) if own != name else 1.0)
+        return own, sign * (hinge_sign(own, recording.angles[:, k]) if own != name else 1.0)
     return (known_point(name) if field == "point_names" else known_segment(name)) or name, 1.0
 
 

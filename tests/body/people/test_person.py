@@ -1,11 +1,14 @@
 """The bodies that a capture starts from."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from tests import worlds
+from tests.people import stick_person
 
 from marey.body.articulation.pose import Pose, PosedBody
-from marey.body.people.person import family_body, person_body
+from marey.body.people.person import family_body, person_body, stature
 from marey.errors import SettingProblem
 from marey.geometry import rotations
 
@@ -117,9 +120,9 @@ def test_left_and_right_mirror_each_other_in_every_pose(rng):
 
 
 def test_a_known_stature_makes_the_body_that_tall():
-    for stature in (1.6, 1.9):
-        body = person_body("fine", stature_m=stature)
-        assert np.ptp(body.vertices[:, 2]) == pytest.approx(stature, abs=0.02)
+    for height in (1.6, 1.9):
+        body = person_body("fine", stature_m=height)
+        assert np.ptp(body.vertices[:, 2]) == pytest.approx(height, abs=0.02)
 
 
 def test_both_levels_are_one_body(rng):
@@ -136,3 +139,19 @@ def test_the_outline_of_what_a_preset_does_not_follow_does_not_count():
     legs = np.array([name.endswith(("thigh", "shank", "foot", "toes")) for name in names])
     np.testing.assert_array_equal(body.outlined, ~legs)
     assert person_body("coarse").outlined.all()
+
+
+def test_the_height_reaches_from_the_lowest_to_the_highest_point(rng):
+    body = stick_person(rng)
+    height, sd = stature(body)
+    assert height == pytest.approx(np.ptp(body.vertices[:, 2]))
+    assert np.isnan(sd)
+
+
+def test_its_spread_is_that_of_the_numbers(rng):
+    body = stick_person(rng)
+    body = replace(body, numbers_covariance=np.eye(len(body.space)) * 1e-6)
+    _, sd = stature(body)
+    draws = [stature(body.with_numbers(body.numbers + rng.normal(size=len(body.space)) * 1e-3))[0] for _ in range(4000)]
+    # A standard deviation from n draws is good to 1 / sqrt(2 n).
+    assert sd == pytest.approx(np.std(draws), rel=4 / np.sqrt(2 * 4000))

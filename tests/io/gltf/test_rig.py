@@ -12,7 +12,7 @@ from marey.geometry import rotations
 from marey.io.axes import GLTF_FROM_WORLD
 from marey.io.gltf.rig import read_map, read_rig
 from marey.io.gltf.rig_names import name_joints
-from marey.motion.retarget import NEEDED, rest_joints
+from marey.motion.retarget import REQUIRED_SEGMENTS, rest_joints
 from marey.motion.twist import twist_angles
 
 BONES = [("thigh", "shank"), ("shank", "foot"), ("upperarm", "forearm"), ("forearm", "hand")]
@@ -315,13 +315,13 @@ def test_joints_without_names_are_guessed_by_where_they_stand(tmp_path, rig, tur
     _, found = read_rig(path)
     names, _ = rigs.tree(text)
     expected = segments(text)
-    assert {names[n - 1]: s for s, n in found.nodes.items() if s in NEEDED} == {
-        n: s for n, s in expected.items() if s in NEEDED
+    assert {names[n - 1]: s for s, n in found.nodes.items() if s in REQUIRED_SEGMENTS} == {
+        n: s for n, s in expected.items() if s in REQUIRED_SEGMENTS
     }
     assert all(
         expected.get(names[n - 1], s) == s for s, n in found.nodes.items() if "neck" not in s and "head" not in s
     )
-    assert set(NEEDED) <= set(found.guessed)
+    assert set(REQUIRED_SEGMENTS) <= set(found.guessed)
 
 
 def test_what_has_no_shape_of_a_person_is_not_guessed(tmp_path):
@@ -370,6 +370,6 @@ def test_a_character_that_lies_or_hangs_together_wrongly_is_refused(tmp_path, mo
         write_retargeted(tmp_path / "b.glb", *read_rig(tmp_path / "a.glb"), motion, floor=None)
     rigs.write_rig(tmp_path / "a.glb", rigs.SMPL, segments(rigs.SMPL))
     gltf, rig = read_rig(tmp_path / "a.glb", {"left_shank": "L_Elbow", "left_forearm": "L_Knee"})
-    with pytest.raises(FileProblem, match="left_forearm does not hang from that of left_upperarm"):
+    with pytest.raises(FileProblem, match="left_forearm is not a descendant of that of left_upperarm"):
         write_retargeted(tmp_path / "b.glb", gltf, rig, motion, floor=None)
     assert not (tmp_path / "b.glb").exists()

@@ -179,10 +179,10 @@ def test_a_bad_csv_says_what_is_wrong(tmp_path, text: str, wrong: str):
 
 
 def test_real_files_give_their_clusters(shared):
-    from marey.markers.data.labels import clusters_named, find_clusters
+    from marey.markers.data.labels import clusters_from_names, find_clusters
 
     folder = shared / "data" / "markers"
     walk = read_markers(folder / "sta" / "lmam_treadmill_walking.c3d")
     assert [(c.segment, len(c.labels)) for c in find_clusters(walk.labels).clusters] == [("thigh", 35), ("shank", 26)]
     knee = read_markers(folder / "functional" / "knee_dense.trc")
-    assert len(clusters_named({"knee": ("*",)}, knee.labels).clusters[0].labels) == 71
+    assert len(clusters_from_names({"knee": ("*",)}, knee.labels).clusters[0].labels) == 71

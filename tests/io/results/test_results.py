@@ -19,7 +19,7 @@ from marey.io.gltf.character import read_character
 from marey.io.markers.c3d import read_c3d
 from marey.io.results.body import open_body, read_body, segment_lengths, write_body
 from marey.io.results.results import read_points, write_results
-from marey.motion.motion import NOBODY, BodyMotion
+from marey.motion.motion import NO_PERSON, BodyMotion
 
 FILES = {
     "joint_centres.trc", "angles.mot", "body.osim", "orientations.sto", "motion.c3d", "motion.bvh", "body.glb",
@@ -278,7 +278,7 @@ def test_a_motion_without_any_answer_still_leaves_its_files(person: Body, motion
             name: np.full_like(getattr(motion, name), np.nan)
             for name in ("joint_centres", "segment_rotation", "segment_origin", "coordinates", "angles_deg")
         },
-        state=np.full(len(motion), NOBODY),
+        state=np.full(len(motion), NO_PERSON),
     )
     write_results(tmp_path, empty, person, preset="full")
     assert {path.name for path in tmp_path.iterdir()} == FILES - {"motion.bvh", "skin.npz"}

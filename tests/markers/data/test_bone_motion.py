@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from marey.errors import MareyError
-from marey.markers.data.bone_motion import BoneMotion, side_by_side
+from marey.markers.data.bone_motion import BoneMotion, combine_bones
 
 
 def motion(*segments: str) -> BoneMotion:
@@ -19,7 +19,7 @@ def test_standard_deviations_are_the_roots_of_the_covariance():
 
 
 def test_bones_side_by_side_keep_their_names():
-    both = side_by_side([motion("thigh"), motion("shank")])
+    both = combine_bones([motion("thigh"), motion("shank")])
     assert both.segments == ("thigh", "shank")
     assert both.answered.all()
     with pytest.raises(MareyError, match="no segment 'foot'"):

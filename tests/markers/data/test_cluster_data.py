@@ -5,7 +5,7 @@ import pytest
 from tests.skin_clusters import placed, rigid_leg
 
 from marey.errors import MareyError
-from marey.markers.data.cluster_data import cluster_data, counted
+from marey.markers.data.cluster_data import cluster_data, frame_count_note
 from marey.markers.data.clusters import Cluster
 
 
@@ -31,6 +31,6 @@ def test_a_posture_outside_the_trial_is_an_error(rng):
         cluster_data(late, leg.clusters[0])
 
 
-def test_nothing_is_said_of_no_frames():
-    assert counted("thigh", np.zeros(4, bool), "fell") == ()
-    assert counted("thigh", np.array([True, False]), "fell") == ("thigh: 1 of 2 frames fell.",)
+def test_no_note_for_no_frames():
+    assert frame_count_note("thigh", np.zeros(4, bool), "fell") == ()
+    assert frame_count_note("thigh", np.array([True, False]), "fell") == ("thigh: 1 of 2 frames fell.",)

@@ -1,7 +1,7 @@
 import pytest
 
 from marey.errors import MareyError
-from marey.markers.data.labels import clusters_named, find_clusters, segment_of
+from marey.markers.data.labels import clusters_from_names, find_clusters, segment_from_label
 
 
 @pytest.mark.parametrize(
@@ -18,24 +18,24 @@ from marey.markers.data.labels import clusters_named, find_clusters, segment_of
     ],
 )
 def test_a_segment_is_the_label_without_its_number(label: str, segment: str | None):
-    assert segment_of(label) == segment
+    assert segment_from_label(label) == segment
 
 
 def test_clusters_need_three_markers_and_the_rest_is_listed():
     found = find_clusters(["heel", "thigh_01", "thigh_02", "C7", "thigh_03", "*4"])
     assert [(c.segment, c.labels) for c in found.clusters] == [("thigh", ("thigh_01", "thigh_02", "thigh_03"))]
-    assert found.passed_over == ("heel", "C7", "*4")
+    assert found.skipped == ("heel", "C7", "*4")
     assert "heel, *4" in " ".join(found.notes)
     assert "C7" in found.notes[0]
 
 
-def test_named_clusters_take_patterns_and_say_what_is_missing():
-    found = clusters_named({"knee": ("k*", "*9", "gone")}, ["k1", "k2", "*9", "x"])
+def test_named_clusters_accept_patterns_and_report_what_is_missing():
+    found = clusters_from_names({"knee": ("k*", "*9", "gone")}, ["k1", "k2", "*9", "x"])
     assert found.clusters[0].labels == ("k1", "k2", "*9")
     assert any("without gone" in note for note in found.notes)
-    assert found.passed_over == ("x",)
+    assert found.skipped == ("x",)
 
 
 def test_all_faults_of_named_clusters_come_at_once():
-    with pytest.raises(MareyError, match=r"thigh has 2 markers.*missing: c.*marker a rides on both"):
-        clusters_named({"thigh": ("a", "b", "c"), "shank": ("a", "d", "e")}, ["a", "b", "d", "e"])
+    with pytest.raises(MareyError, match=r"thigh has 2 markers.*missing: c.*marker a belongs to both"):
+        clusters_from_names({"thigh": ("a", "b", "c"), "shank": ("a", "d", "e")}, ["a", "b", "d", "e"])

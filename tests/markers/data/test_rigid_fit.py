@@ -14,23 +14,42 @@ from marey.markers.data.trajectories import trajectories
 NOISE = 5e-4
 
 
-def test_the_eigenvalues_form_and_the_singular_values_form_agree(rng):
+def rotation_by_eigenvalues(cross):
+    """The rotations (..., 3, 3) nearest to cross-dispersion matrices, by the eigenvalues of M'M ([Spoor1980])."""
+    squared, vectors = np.linalg.eigh(np.swapaxes(cross, -1, -2) @ cross)
+    first, second = vectors[..., 2], vectors[..., 1]
+    length = np.sqrt(squared[..., None, :])
+    # The third axis is the cross product of the first two, so that planar clusters need no special case.
+    turned_first = (cross @ first[..., None])[..., 0] / length[..., 2]
+    turned_second = (cross @ second[..., None])[..., 0] / length[..., 1]
+    before = np.stack([first, second, np.cross(first, second)], -1)
+    after = np.stack([turned_first, turned_second, np.cross(turned_first, turned_second)], -1)
+    return after @ np.swapaxes(before, -1, -2)
+
+
+def fit_by_eigenvalues(monkeypatch, shape, points, sd):
+    with monkeypatch.context() as context:
+        context.setattr(rotations, "nearest", rotation_by_eigenvalues)
+        return fit_rigid(shape, points, sd)
+
+
+def test_the_rotation_equals_that_by_eigenvalues(rng, monkeypatch):
     rotation, origin = smooth_motion(rng, 200)
     shape = thigh(rng, 8)
     points = placed(rotation, origin, shape) + rng.normal(0, 0.01, (200, 8, 3))
     points[3, 2] = np.nan
     sd = rng.uniform(0.2, 3, 8) * NOISE
-    ours, own = fit_rigid(shape, points, sd), fit_rigid(shape, points, sd, own_form=True)
-    np.testing.assert_allclose(own.rotation, ours.rotation, atol=1e-10)
-    np.testing.assert_allclose(own.translation, ours.translation, atol=1e-10)
+    ours, reference = fit_rigid(shape, points, sd), fit_by_eigenvalues(monkeypatch, shape, points, sd)
+    np.testing.assert_allclose(reference.rotation, ours.rotation, atol=1e-10)
+    np.testing.assert_allclose(reference.translation, ours.translation, atol=1e-10)
 
 
-def test_the_two_forms_agree_on_a_plane_cluster_and_reflect_nothing(rng):
+def test_the_rotation_of_a_planar_cluster_equals_that_by_eigenvalues_without_reflection(rng, monkeypatch):
     rotation, origin = smooth_motion(rng, 50)
     shape = thigh(rng, 5) * [1, 1, 0]
     points = placed(rotation, origin, shape) + rng.normal(0, 1e-3, (50, 5, 3))
-    ours, own = (fit_rigid(shape, points, NOISE, own_form=form) for form in (False, True))
-    np.testing.assert_allclose(own.rotation, ours.rotation, atol=1e-10)
+    ours, reference = fit_rigid(shape, points, NOISE), fit_by_eigenvalues(monkeypatch, shape, points, NOISE)
+    np.testing.assert_allclose(reference.rotation, ours.rotation, atol=1e-10)
     np.testing.assert_allclose(np.linalg.det(ours.rotation), 1)
 
 
@@ -78,7 +97,7 @@ def test_weights_let_a_loose_marker_go(rng):
     assert turns(fit_rigid(shape, points, 1e-3).rotation, rotation).max() > 1e-2
 
 
-def test_frames_with_fewer_than_three_markers_or_markers_in_a_line_have_no_answer_and_it_is_said(rng):
+def test_frames_with_fewer_than_three_markers_or_collinear_markers_have_no_estimate_and_is_reported(rng):
     rotation, origin = smooth_motion(rng, 10)
     shape = thigh(rng, 5)
     shape[2] = (shape[0] + shape[1]) / 2
@@ -89,16 +108,16 @@ def test_frames_with_fewer_than_three_markers_or_markers_in_a_line_have_no_answe
     assert np.flatnonzero(~motion.answered[:, 0]).tolist() == [4, 6]
     assert np.isnan(motion.covariance[[4, 6]]).all()
     assert any("1 of 10 frames have fewer than 3 markers" in note for note in motion.notes)
-    assert any("1 of 10 frames have their markers in a line" in note for note in motion.notes)
+    assert any("1 of 10 frames have collinear markers" in note for note in motion.notes)
 
 
-def test_a_marker_that_no_known_posture_shows_is_passed_over_and_said(rng):
+def test_a_marker_that_no_known_posture_shows_is_skipped_and_reported(rng):
     leg = rigid_leg(rng)
     points = leg.trajectories.points.copy()
     points[0, 2] = np.nan
     motion = rigid(replace(leg, trajectories=trajectories(leg.trajectories.labels, points, 100.0)))
     assert motion.answered.all()
-    assert any("passed over thigh_02" in note for note in motion.notes)
+    assert any("skipped thigh_02" in note for note in motion.notes)
 
 
 def test_the_walk_on_the_treadmill_is_read_as_its_publishers_meant_it(shared: Path):

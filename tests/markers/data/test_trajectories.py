@@ -5,7 +5,7 @@ from marey.errors import MareyError
 from marey.markers.data.trajectories import trajectories
 
 
-def test_chosen_markers_come_in_the_order_asked_for():
+def test_chosen_markers_come_in_the_given_order():
     points = np.random.default_rng(0).normal(size=(4, 3, 3))
     markers = trajectories(("a", "b", "c"), points, 100.0, start_s=2.0)
     chosen = markers.select(["c", "a"])

@@ -114,7 +114,7 @@ def test_missing_markers_are_done_without_and_empty_frames_stay_empty():
     assert np.isnan(found.residuals[3, [0, 6, 9]]).all()
 
 
-def test_a_frame_with_two_markers_has_no_answer_and_does_not_disturb_the_next():
+def test_a_frame_with_two_markers_has_no_estimate_and_does_not_disturb_the_next():
     body = leg()
     truth = walking(body)
     trial = filmed(body, truth)
@@ -159,7 +159,7 @@ def test_one_marker_on_the_last_segment_leaves_its_turn_about_that_marker_open()
         assert np.isnan(found.coordinates[:, body.coordinate(name)]).all()
 
 
-def test_a_task_holds_what_no_marker_sees_and_says_so():
+def test_a_task_determines_what_no_marker_observes_and_this_is_reported():
     body = leg(without=("foot",))
     task = CoordinateTask(coordinate="ankle", weight=1.0, value=0.3)
     found = inverse_kinematics(body, even(body, task), filmed(body, walking(body)))
@@ -179,7 +179,7 @@ def test_a_task_from_a_file_takes_each_frames_value_and_weighs_against_the_mean_
     task = CoordinateTask(coordinate="ankle", weight=0.1, from_file=True)
     found = inverse_kinematics(body, even(body, task), filmed(body, truth), targets={"ankle": wanted})
     assert np.allclose(found.coordinates[:, body.coordinate("ankle")], wanted)
-    with pytest.raises(MareyError, match="no number for each of the 30 frames"):
+    with pytest.raises(MareyError, match="one number for each of the 30 frames"):
         inverse_kinematics(body, even(body, task), filmed(body, truth))
 
 
@@ -205,14 +205,14 @@ def test_markers_that_are_not_used_are_listed():
     )  # fmt: skip
     labels = tuple(m.label for m in body.markers[:-1])
     found = inverse_kinematics(body, tasks, filmed(body, walking(body, 3), labels=labels))
-    assert found.passed_over == (
-        "1 tasks name markers that the model has not: nose",
-        "1 markers of the model are not in the trial: foot_3",
+    assert found.skipped == (
+        "1 markers of the tasks are missing from the model: nose",
+        "1 markers of the model are missing from the trial: foot_3",
         "1 markers have no task: pelvis_0",
     )
 
 
-def test_bad_input_is_said():
+def test_invalid_input_is_rejected():
     body = leg()
     trial = filmed(body, walking(body, 3))
     with pytest.raises(MareyError, match="has no markers"):

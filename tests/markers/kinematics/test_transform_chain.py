@@ -66,7 +66,7 @@ def test_frames_that_do_not_meet_are_an_error_that_names_them(rng):
 
 
 def test_arrays_that_do_not_fit_are_an_error(rng):
-    with pytest.raises(MareyError, match="does not fit together"):
+    with pytest.raises(MareyError, match="do not agree"):
         NamedTransform(to="b", from_="a", rotation=np.eye(3), translation=np.zeros((2, 3)))
 
 
@@ -135,7 +135,7 @@ def test_nothing_to_compose_is_an_error():
         compose()
 
 
-def test_a_frame_without_an_answer_stays_empty(rng):
+def test_a_frame_without_an_estimate_stays_empty(rng):
     moving = any_transform(rng, "b", "a", 3)
     rotation = moving.rotation.copy()
     rotation[1] = np.nan

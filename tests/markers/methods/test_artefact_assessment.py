@@ -18,7 +18,7 @@ def leg_with_skin(rng, shape, slide, bones, frames):
     return problem(bones, points, frames=frames)
 
 
-def test_skin_seen_in_an_exercise_with_known_bones_is_taken_away_in_the_activity(rng):
+def test_skin_seen_in_an_exercise_with_known_bones_is_removed_in_the_activity(rng):
     shape, slide = thigh(rng, 9), rng.normal(0, 0.012, (9, 3))
     exercise_bones, bones = leg_bones(rng, 50), leg_bones(rng, 40)
     exercise = leg_with_skin(rng, shape, slide, exercise_bones, list(range(50)))
@@ -53,20 +53,20 @@ def test_a_knee_held_still_carries_the_thigh_with_the_shank(rng):
     assert any("shank: the exercise does not show its bone" in note for note in motion.notes)
 
 
-def test_turns_beyond_the_exercise_are_said(rng):
+def test_turns_beyond_the_exercise_are_reported(rng):
     shape, slide = thigh(rng, 9), rng.normal(0, 0.01, (9, 3))
     bones = leg_bones(rng, 40)
     full = leg_with_skin(rng, shape, slide, bones, [0])
     half = leg_with_skin(rng, shape, slide, {n: (r[:12], o[:12]) for n, (r, o) in bones.items()}, list(range(12)))
     motion = artefact_assessment(replace(full, exercise=half))
-    assert any("of 40 frames turn farther" in note for note in motion.notes)
+    assert any("of 40 frames rotate beyond" in note for note in motion.notes)
 
 
-def test_no_exercise_or_one_that_tells_nothing_is_an_error(rng):
+def test_no_exercise_or_an_uninformative_one_is_an_error(rng):
     leg = rigid_leg(rng)
     with pytest.raises(MareyError, match="needs a trial of an exercise"):
         artefact_assessment(leg)
-    with pytest.raises(MareyError, match="does not tell how markers move over any bone"):
+    with pytest.raises(MareyError, match="does not determine the skin motion of any segment"):
         artefact_assessment(replace(leg, exercise=rigid_leg(rng)))
 
 
@@ -91,14 +91,14 @@ def test_the_walk_of_one_leg_without_joints_is_counted_in_the_laboratory(rng):
     assert learned["thigh"].axis.parent is None
 
 
-def test_an_exercise_without_markers_is_an_error_that_says_so(rng):
+def test_an_exercise_without_markers_is_an_error(rng):
     leg = rigid_leg(rng)
     empty = replace(leg.trajectories, points=np.full_like(leg.trajectories.points, np.nan))
-    with pytest.raises(MareyError, match="thigh: none of its markers is seen"):
+    with pytest.raises(MareyError, match="thigh: none of its markers is visible"):
         artefact_assessment(replace(leg, exercise=replace(leg, trajectories=empty)))
 
 
-def test_a_segment_that_the_exercise_does_not_show_is_fitted_rigidly_and_said(rng):
+def test_a_segment_that_the_exercise_does_not_show_is_fitted_rigidly_and_reported(rng):
     shape, slide = thigh(rng, 9), rng.normal(0, 0.012, (9, 3))
     bones = leg_bones(rng, 40)
     exercise = leg_with_skin(rng, shape, slide, bones, list(range(40)))

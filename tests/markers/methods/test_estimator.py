@@ -88,7 +88,7 @@ def test_stated_standard_deviations_hold_the_errors_of_simulated_trials(rng):
     assert 0.85 < np.mean(held) < 0.995
 
 
-def test_a_segment_alone_answers_like_the_rigid_fit(rng):
+def test_a_single_segment_is_estimated_as_by_the_rigid_fit(rng):
     leg, _ = skin_trial(rng)
     alone = MarkerProblem(
         trajectories=leg.trajectories, clusters=leg.clusters[:1], calibration=leg.calibration, joints=leg.joints
@@ -99,7 +99,7 @@ def test_a_segment_alone_answers_like_the_rigid_fit(rng):
     assert (motion.rotation_sd[1:] > rigid(alone).rotation_sd[1:]).mean() > 0.9
 
 
-def test_frames_without_a_cluster_stay_empty_and_the_other_bone_still_answers(rng):
+def test_frames_without_a_cluster_stay_empty_and_the_other_bone_is_estimated(rng):
     leg, _ = skin_trial(rng)
     points = np.array(leg.trajectories.points)
     points[10:15, :6] = np.nan
@@ -125,26 +125,26 @@ def test_two_markers_swapped_in_one_frame_make_that_frame_uncertain_and_change_t
     assert (changed <= np.linalg.norm(plain.rotation_sd[others], axis=-1)).all()
 
 
-def test_a_single_frame_and_postures_known_twice_are_answered(rng):
+def test_a_single_frame_and_postures_known_twice_are_estimated(rng):
     leg, bones = leg_and_bones(rng, frames=1)
     assert np.abs(errors(skin_and_joints(leg), bones)).max() < 1e-9
     leg, bones = skin_trial(rng, known=(0, 0))
     assert skin_and_joints(leg).answered.all()
 
 
-def test_what_was_believed_of_the_skin_is_said(rng):
+def test_the_model_of_the_skin_is_reported(rng):
     leg, _ = skin_trial(rng)
     notes = skin_and_joints(leg).notes
     assert any(note.startswith("thigh: the skin moves by about") for note in notes)
-    assert any("stays rigid" in note for note in skin_and_joints(rigid_leg(rng)).notes)
+    assert any("is rigid within its noise" in note for note in skin_and_joints(rigid_leg(rng)).notes)
 
 
-def test_axes_that_are_not_anatomical_are_said(rng):
+def test_axes_that_are_not_anatomical_are_reported(rng):
     leg, _ = skin_trial(rng)
     turned = rotations.about(np.array([0.0, 1.0, 0.0]), np.array(np.pi / 2))
     known = leg.calibration
     motion = skin_and_joints(replace(leg, calibration=replace(known, rotation=known.rotation @ turned)))
-    assert any("does not turn about the bones' Z axes" in note for note in motion.notes)
+    assert any("does not rotate about the bones' Z axes" in note for note in motion.notes)
 
 
 @pytest.mark.parametrize(("name", "one", "two"), [("ottawa_walking", 0.75, 0.65), ("unibo_step_up", 0.75, 0.55)])
@@ -174,14 +174,14 @@ def knee_error(motion, bones):
     return np.sqrt(((angles(motion.rotation[:, 0], motion.rotation[:, 1]) - true) ** 2).mean())
 
 
-def test_a_segment_that_no_posture_shows_stays_empty_in_its_place_and_the_other_answers(rng):
+def test_a_segment_that_no_posture_shows_stays_empty_and_the_other_is_estimated(rng):
     leg, _ = skin_trial(rng)
     points = np.array(leg.trajectories.points)
     points[0, 1:8] = np.nan
     motion = skin_and_joints(replace(leg, trajectories=trajectories(leg.trajectories.labels, points, 100.0)))
     assert motion.segments == ("thigh", "shank")
     np.testing.assert_array_equal(motion.answered.sum(0), [0, 60])
-    assert any("thigh: passed over" in note for note in motion.notes)
+    assert any("thigh: skipped" in note for note in motion.notes)
 
 
 def test_a_posture_in_which_one_bone_is_unknown_serves_the_other(rng):

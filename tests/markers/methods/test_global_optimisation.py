@@ -11,7 +11,7 @@ from marey.markers.data.clusters import AnatomicalCalibration, Cluster
 from marey.markers.data.problem import MarkerProblem
 from marey.markers.data.rigid_fit import rigid
 from marey.markers.data.trajectories import trajectories
-from marey.markers.methods.chain import ChainJoint, JointPlace, gap
+from marey.markers.methods.chain import ChainJoint, JointPlace, joint_gap
 from marey.markers.methods.global_optimisation import global_ball, global_hinge, global_soft, optimise_chain
 from marey.markers.methods.methods import METHODS
 
@@ -71,21 +71,21 @@ def turn_error(motion, bones, segment=2):
 @pytest.mark.parametrize("degrees", [1, 2, 3, 4, 5, 6])
 def test_the_gap_of_a_joint_and_its_derivatives_are_differences_at_any_scale_of_length(degrees, scale, rng):
     joint = ChainJoint(parent="a", child="b", degrees_of_freedom=degrees, sd_m=0.5 * scale, sd_rad=0.3)
-    held = np.linalg.qr(rng.normal(size=(3, 3)))[0][: joint.held_shifts]
+    held = np.linalg.qr(rng.normal(size=(3, 3)))[0][: joint.constrained_translations]
     units = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     place = JointPlace(
         *(scale * rng.normal(size=(2, 3))), units[0], (units[0] + units[1]) / np.sqrt(2), held,
         rotations.exp(rng.normal(size=3)),
     )  # fmt: skip
     parent, child = ((rotations.exp(0.6 * rng.normal(size=(4, 3))), scale * rng.normal(size=(4, 3))) for _ in range(2))
-    _, jacobian, shared = gap(joint, place, parent, child, 1e-4)
+    _, jacobian, shared = joint_gap(joint, place, parent, child, 1e-4)
 
     def at(step):
         moved = [
             (r @ rotations.exp(s[:3]), o + s[3:])
             for (r, o), s in zip((parent, child), step[:12].reshape(2, 6), strict=True)
         ]
-        return gap(joint, place.moved(step[12:]), *moved, 1e-4)[0]
+        return joint_gap(joint, place.moved(step[12:]), *moved, 1e-4)[0]
 
     lengths = np.r_[[1] * 3, [scale] * 3, [1] * 3, [scale] * 3, [scale] * 6, [1] * 4]
     for k, size in enumerate(lengths):
@@ -98,9 +98,9 @@ def test_the_gap_of_a_joint_and_its_derivatives_are_differences_at_any_scale_of_
 def test_the_freedom_of_a_joint_and_what_it_holds_make_six():
     for degrees in range(1, 6):
         joint = ChainJoint(parent="a", child="b", degrees_of_freedom=degrees)
-        assert joint.held_shifts + joint.held_turns + degrees == 6
-    assert ChainJoint(parent="a", child="b", degrees_of_freedom=6).held_shifts == 0
-    assert ChainJoint(parent="a", child="b", degrees_of_freedom=6, sd_m=0.005).held_shifts == 3
+        assert joint.constrained_translations + joint.constrained_rotations + degrees == 6
+    assert ChainJoint(parent="a", child="b", degrees_of_freedom=6).constrained_translations == 0
+    assert ChainJoint(parent="a", child="b", degrees_of_freedom=6, sd_m=0.005).constrained_translations == 3
 
 
 @pytest.mark.parametrize("degrees", [1, 2, 3, 4, 5, 6])
@@ -174,7 +174,7 @@ def test_a_bone_with_two_markers_is_known_through_its_joint_and_one_without_any_
     assert answered[:, :2].all()
     assert np.flatnonzero(~answered[:, 2]).tolist() == [30, 31]
     assert turn_error(found, bones)[[10, 11]].max() < 1e-5
-    assert any("shank: 2 of 60 frames have no answer" in note for note in found.notes)
+    assert any("shank: 2 of 60 frames have no estimate" in note for note in found.notes)
 
 
 def test_a_given_centre_and_axis_are_kept():
@@ -218,13 +218,13 @@ def test_the_registered_methods_are_these():
     problem = filmed(moving(20))
     for name, function in (("global", global_ball), ("global_hinge", global_hinge), ("global_soft", global_soft)):
         assert METHODS[name].load() is function
-        assert METHODS[name].lacks(replace(problem, joints=())) == "needs a joint between two segments"
+        assert METHODS[name].missing_requirement(replace(problem, joints=())) == "needs a joint between two segments"
         assert function(problem).answered.all()
 
 
-def test_what_cannot_be_a_joint_is_said():
+def test_what_cannot_be_a_joint_is_reported():
     problem = filmed(moving(20))
-    with pytest.raises(MareyError, match="ties 'foot', which has no markers"):
+    with pytest.raises(MareyError, match="connects 'foot', which has no markers"):
         optimise_chain(problem, [ChainJoint(parent="shank", child="foot")])
     with pytest.raises(MareyError, match="needs a joint"):
         optimise_chain(problem, [])
@@ -232,7 +232,7 @@ def test_what_cannot_be_a_joint_is_said():
         ChainJoint(parent="a", child="b", degrees_of_freedom=0)
     with pytest.raises(MareyError, match="sd_m -1"):
         ChainJoint(parent="a", child="b", sd_m=-1)
-    with pytest.raises(MareyError, match="axis of the joint of a and b is no vector"):
+    with pytest.raises(MareyError, match="axis of the joint of a and b is not a finite 3-vector"):
         ChainJoint(parent="a", child="b", axis=np.zeros(3))
     with pytest.raises(MareyError, match="No joint is a hinge"):
         global_hinge(replace(problem, joints=(("pelvis", "thigh"),)))

@@ -15,13 +15,13 @@ def test_all_are_every_method_and_names_keep_their_order():
 
 
 def test_an_unknown_name_lists_the_known_ones():
-    with pytest.raises(SettingProblem, match=r"no method fast\. There are: rigid"):
+    with pytest.raises(SettingProblem, match=r"no method fast\. Available methods: rigid"):
         choose_methods(["rigid", "fast"])
 
 
-def test_what_a_method_lacks_is_said(rng):
+def test_a_missing_requirement_is_reported(rng):
     leg = rigid_leg(rng)
-    assert METHODS["rigid"].lacks(leg) == ""
+    assert METHODS["rigid"].missing_requirement(leg) == ""
 
 
 @pytest.mark.parametrize("entry", WITHOUT_EXERCISE, ids=lambda entry: entry.name)

@@ -28,7 +28,7 @@ def test_a_marker_missing_in_one_posture_is_taken_from_the_others(rng):
     np.testing.assert_allclose(places[0, 2], postures[0, 2])
 
 
-def test_skin_that_follows_the_joint_in_proportion_is_taken_away_whole(rng):
+def test_skin_that_follows_the_joint_in_proportion_is_removed_whole(rng):
     bones = leg_bones(rng, 40)
     flexion = turns(bones["thigh"][0], bones["shank"][0])
     skin = flexion[:, None, None] * rng.normal(0, 0.01, (1, 9, 3))
@@ -55,7 +55,7 @@ def test_one_posture_is_an_error(rng):
         multiple_calibration(rigid_leg(rng))
 
 
-def test_two_equal_postures_are_said_and_fitted_plainly(rng):
+def test_two_equal_postures_are_reported_and_fitted_rigidly(rng):
     leg = rigid_leg(rng, known=[0, 0])
     motion = multiple_calibration(leg)
     assert any("hardly differ" in note for note in motion.notes)
@@ -70,7 +70,7 @@ def test_a_missing_cluster_leaves_its_frames_empty(rng):
     assert np.flatnonzero(~motion.answered[:, 0]).tolist() == [5]
 
 
-def test_where_the_joints_turn_is_not_known_the_mean_shape_is_fitted_and_it_is_said(rng):
+def test_where_the_joints_turn_is_not_known_the_mean_shape_is_fitted_and_is_reported(rng):
     leg, bones = leg_and_bones(rng, known=[0, 20])
     points = leg.trajectories.points.copy()
     points[5, :8] = np.nan

@@ -13,7 +13,7 @@ def test_every_form_is_of_largest_size_one():
         skin_forms.linear_in_turn(-2 * TIME),
         skin_forms.sinusoid(TIME, 0.6),
         skin_forms.spline(TIME, 5),
-        skin_forms.own("jump", lambda t: 7.0 * (t > 0.5)[:, None], TIME),
+        skin_forms.custom("jump", lambda t: 7.0 * (t > 0.5)[:, None], TIME),
     ]
     for form in forms:
         np.testing.assert_allclose(np.abs(form.functions).max(0), 1, rtol=1e-3)
@@ -52,7 +52,7 @@ def test_settings_that_make_no_form_are_errors():
         skin_forms.sinusoid(TIME, 0.0)
     with pytest.raises(SettingProblem, match="0 pieces"):
         skin_forms.spline(TIME, 0)
-    with pytest.raises(SettingProblem, match="'flat' should give"):
-        skin_forms.own("flat", lambda t: t, TIME)
+    with pytest.raises(SettingProblem, match="'flat' should return"):
+        skin_forms.custom("flat", lambda t: t, TIME)
     with pytest.raises(SettingProblem, match="joint is known"):
         skin_forms.linear_in_turn(np.full(5, np.nan))

@@ -6,12 +6,12 @@ from tests.skin_clusters import placed, problem, smooth_motion, thigh
 
 from marey.markers.data.cluster_data import ClusterData, cluster_data
 from marey.markers.methods.skin_motion import (
-    FORMS,
-    SkinForm,
+    CANDIDATE_SHARES,
     SkinMotion,
+    SkinVarianceShares,
     filled_postures,
     learn_skin,
-    settle_sizes,
+    shrink_sizes,
     without_gaps,
 )
 
@@ -47,17 +47,17 @@ def test_skin_that_steps_with_the_joint_is_likelier_to_follow_it_than_to_wobble(
     turn = np.cumsum(rng.uniform(0, 0.02, FRAMES))
     moved = np.cumsum(rng.normal(0, 0.001, (FRAMES, 10, 3)), 0)
     moved -= moved[0]
-    judged = dict(zip(FORMS, learned(rng, moved, turn=turn).log_likelihood, strict=True))
-    assert judged[SkinForm(turn=0.8)] > judged[SkinForm(turn=0.4)]
+    scored = dict(zip(CANDIDATE_SHARES, learned(rng, moved, turn=turn).log_likelihood, strict=True))
+    assert scored[SkinVarianceShares(turn=0.8)] > scored[SkinVarianceShares(turn=0.4)]
 
 
-def test_skin_of_two_modes_is_said_to_have_them(rng):
+def test_the_modes_of_skin_with_two_modes_are_found(rng):
     courses = np.stack([np.sin(np.arange(FRAMES) / 7), np.cos(np.arange(FRAMES) / 3)], -1)
     moved = np.einsum("fr,rmk->fmk", courses - courses[0], rng.normal(0, 0.004, (2, 10, 3)))
     skin = learned(rng, moved)
     assert skin.form.rank >= 2
     assert skin.form.modes == 0.4
-    assert len(skin.log_likelihood) == len(FORMS)
+    assert len(skin.log_likelihood) == len(CANDIDATE_SHARES)
 
 
 def test_three_markers_leave_none_out_and_keep_the_plain_form(rng):
@@ -69,9 +69,9 @@ def test_three_markers_leave_none_out_and_keep_the_plain_form(rng):
 def test_a_loose_marker_counts_less(rng):
     moved = rng.normal(0, 0.001, (FRAMES, 10, 3))
     moved[:, 4] *= 20
-    loose = learned(rng, moved).looseness
-    assert loose.argmax() == 4
-    assert loose[4] > 2 * np.delete(loose, 4).max()
+    relative = learned(rng, moved).relative_sd
+    assert relative.argmax() == 4
+    assert relative[4] > 2 * np.delete(relative, 4).max()
 
 
 def test_the_semivariance_is_a_half_on_the_mean_from_the_first_posture(rng):
@@ -86,11 +86,11 @@ def test_sizes_are_drawn_together_the_more_the_fewer_markers_there_are_and_rigid
     many = replace(few, segment="pelvis", size=0.016, freedom=99)
     few = replace(few, segment="trunk", size=0.004)
     rigid = replace(few, segment="head", size=0.0)
-    settled = settle_sizes([few, many, rigid])
+    settled = shrink_sizes([few, many, rigid])
     assert 0.004 < settled[0].size < settled[1].size < 0.016
     assert settled[1].size > 0.013
     assert settled[2].size == 0
-    assert settle_sizes([few])[0].size == few.size
+    assert shrink_sizes([few])[0].size == few.size
 
 
 def test_a_marker_missing_in_a_posture_has_its_place_of_the_nearest(rng):

@@ -4,7 +4,13 @@ from tests.clusters import moving_cluster
 
 from marey.markers.data.clusters import Cluster
 from marey.markers.data.trajectories import MarkerTrajectories, trajectories
-from marey.markers.preprocessing.exchanges import Exchange, exchange_back, exchanged_since, find_exchanges, ranges
+from marey.markers.preprocessing.exchanges import (
+    LabelExchange,
+    exchanges_against_posture,
+    find_exchanges,
+    ranges,
+    undo_exchanges,
+)
 
 THIGH, SHANK = tuple(f"thigh_{n}" for n in range(5)), tuple(f"shank_{n}" for n in range(4))
 CLUSTERS = (Cluster(segment="thigh", labels=THIGH), Cluster(segment="shank", labels=SHANK))
@@ -20,11 +26,11 @@ def right(rng) -> MarkerTrajectories:
 def exchanged(markers: MarkerTrajectories, first: str, second: str, start: int, end: int):
     frames = np.zeros(len(markers), bool)
     frames[start:end] = True
-    exchange = Exchange(labels=(first, second), frames=frames)
-    return exchange_back(markers, [exchange]), exchange
+    exchange = LabelExchange(labels=(first, second), frames=frames)
+    return undo_exchanges(markers, [exchange]), exchange
 
 
-def test_right_labels_raise_no_doubt(right):
+def test_correct_labels_are_not_reported(right):
     assert find_exchanges(right, CLUSTERS) == ()
 
 
@@ -35,30 +41,32 @@ def test_a_pair_that_is_exchanged_for_a_while_is_named_with_its_frames(right, fi
     assert found.labels == (first, second)
     np.testing.assert_array_equal(found.frames, exchange.frames)
     assert found.note == f"{first} and {second} look exchanged in the frames 10-29."
-    np.testing.assert_array_equal(exchange_back(wrong, [found]).points, right.points)
+    np.testing.assert_array_equal(undo_exchanges(wrong, [found]).points, right.points)
 
 
-def test_a_pair_of_two_segments_that_is_exchanged_all_along_is_named(right):
+def test_a_pair_of_two_segments_that_is_exchanged_over_the_whole_trial_is_named(right):
     wrong, _ = exchanged(right, "thigh_4", "shank_0", 0, 80)
     (found,) = find_exchanges(wrong, CLUSTERS)
     assert (found.labels, found.frames.all()) == (("thigh_4", "shank_0"), True)
     assert "in every frame" in found.note
 
 
-def test_a_pair_of_one_segment_that_is_exchanged_all_along_needs_a_posture_with_right_labels(right):
+def test_a_pair_of_one_segment_that_is_exchanged_over_the_whole_trial_needs_a_posture_with_right_labels(right):
     wrong, _ = exchanged(right, "thigh_1", "thigh_3", 0, 80)
     assert find_exchanges(wrong, CLUSTERS) == ()
     (found,) = find_exchanges(wrong, CLUSTERS, right.points[40])
     assert (found.labels, found.frames.all()) == (("thigh_1", "thigh_3"), True)
-    (told,) = exchanged_since(wrong, CLUSTERS, (*right.labels, "further"), np.vstack([right.points[40], np.zeros(3)]))
-    assert told.labels == ("thigh_1", "thigh_3")
-    assert exchanged_since(right, CLUSTERS, right.labels, right.points[40]) == ()
+    (against,) = exchanges_against_posture(
+        wrong, CLUSTERS, (*right.labels, "further"), np.vstack([right.points[40], np.zeros(3)])
+    )
+    assert against.labels == ("thigh_1", "thigh_3")
+    assert exchanges_against_posture(right, CLUSTERS, right.labels, right.points[40]) == ()
 
 
-def test_a_long_trial_is_looked_through_in_stretches(right, monkeypatch):
+def test_a_long_trial_is_processed_in_sections(right, monkeypatch):
     wrong, exchange = exchanged(right, "thigh_1", "thigh_3", 10, 30)
     whole = find_exchanges(wrong, CLUSTERS)
-    monkeypatch.setattr("marey.markers.preprocessing.exchanges._MOST_DISTANCES", 81 * 25)
+    monkeypatch.setattr("marey.markers.preprocessing.exchanges._MAXIMUM_DISTANCES", 81 * 25)
     parts = find_exchanges(wrong, CLUSTERS)
     assert [x.labels for x in parts] == [x.labels for x in whole]
     np.testing.assert_array_equal(parts[0].frames, exchange.frames)

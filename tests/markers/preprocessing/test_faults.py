@@ -29,15 +29,15 @@ def test_frames_with_fewer_than_three_markers_are_listed(markers):
     points = markers.points.copy()
     points[[5, 6, 20], :2] = np.nan
     (fault,) = find_faults(changed(markers, points), CLUSTERS)
-    assert fault == "thigh: 3 of 40 frames have fewer than 3 markers and no answer: 5-6, 20."
+    assert fault == "thigh: 3 of 40 frames have fewer than 3 markers and no estimate: 5-6, 20."
 
 
-def test_a_cluster_that_is_never_whole_has_no_answer(markers):
+def test_a_cluster_that_is_never_whole_has_no_estimate(markers):
     points = markers.points.copy()
     points[:, :2] = np.nan
     faults = find_faults(changed(markers, points), CLUSTERS)
-    assert "no frame has 3 of its markers" in faults[0]
-    assert "a, b is in no frame" in faults[1]
+    assert "no frame shows 3 of its markers" in faults[0]
+    assert "a, b is not visible in any frame" in faults[1]
 
 
 def test_an_impossible_size_asks_for_the_unit(markers):
@@ -45,21 +45,21 @@ def test_an_impossible_size_asks_for_the_unit(markers):
     assert "Is the file's unit right?" in fault
 
 
-def test_markers_in_a_line_are_said(markers):
+def test_collinear_markers_are_reported(markers):
     points = markers.points.copy()
     points[:, :, 1:] = points[:, :1, 1:]
-    assert any("in a line" in fault for fault in find_faults(changed(markers, points), CLUSTERS))
+    assert any("collinear" in fault for fault in find_faults(changed(markers, points), CLUSTERS))
 
 
-def test_a_reference_in_another_unit_or_without_the_segment_is_said(markers):
+def test_a_reference_in_another_unit_or_without_the_segment_is_reported(markers):
     still = np.eye(3)[None, None]
     far = AnatomicalCalibration(
         segments=("thigh",), frames=[0], rotation=np.eye(3)[None, None], origin=[[[300.0, 0, 0]]]
     )
     assert "Are its origins in millimetres" in find_faults(markers, CLUSTERS, far)[0]
     other = AnatomicalCalibration(segments=("hip",), frames=[0], rotation=still, origin=[[[0.0, 0, 0]]])
-    assert "nothing says where this bone was" in find_faults(markers, CLUSTERS, other)[0]
+    assert "no reference pose is given for this bone" in find_faults(markers, CLUSTERS, other)[0]
     points = markers.points.copy()
     points[0, :2] = np.nan
     near = replace(far, origin=[[[0.0, 0, 0.8]]])
-    assert any("has 2 of its markers" in fault for fault in find_faults(changed(markers, points), CLUSTERS, near))
+    assert any("shows 2 of its markers" in fault for fault in find_faults(changed(markers, points), CLUSTERS, near))

@@ -41,7 +41,7 @@ def test_a_toe_leaves_the_floor_when_it_is_farthest_behind():
 
 def test_a_heel_that_is_never_seen_with_the_body_is_an_error():
     heel = np.full((50, 3), np.nan)
-    with pytest.raises(MareyError, match="not seen together"):
+    with pytest.raises(MareyError, match="never visible together"):
         events_from_markers(heel, np.zeros((50, 3)), rate=100)
 
 

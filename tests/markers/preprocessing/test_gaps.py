@@ -45,7 +45,7 @@ def test_the_stated_deviation_is_what_held_out_gaps_showed(whole):
     assert np.isnan(filled.sd[filled.way == MEASURED]).all()
 
 
-def test_what_cannot_be_filled_well_stays_empty_and_is_said(whole):
+def test_what_cannot_be_filled_well_stays_empty_and_is_reported(whole):
     alone = with_gaps(whole, *((m, 40, 110) for m in range(6)))
     filled = fill_gaps(alone, CLUSTER, largest_error_m=1e-3)
     assert (filled.way[40:110] == STILL_MISSING).all()

@@ -7,7 +7,7 @@ from marey.geometry import rotations
 from marey.markers.data.clusters import Cluster
 from marey.markers.data.trajectories import trajectories
 from marey.markers.preprocessing.landmarks import anatomical_frames, static_bones
-from marey.markers.preprocessing.own_frames import carried_calibration
+from marey.markers.preprocessing.own_frames import transfer_calibration
 
 LIMB = {
     "HJC": (0, 0.9, 0.1), "ME": (0, 0.5, 0.05), "LE": (0, 0.5, 0.15), "MC": (0, 0.45, 0.06), "LC": (0, 0.45, 0.14),
@@ -60,7 +60,7 @@ def test_the_covariance_is_the_spread_over_palpations(rng, segment: str):
     np.testing.assert_allclose(np.sqrt(np.diag(frame.covariance)), spread, rtol=0.25)  # 4 / sqrt(2 * 150)
 
 
-def test_what_is_missing_is_said():
+def test_what_is_missing_is_reported():
     found = anatomical_frames({"HJC": np.zeros(3)}, ["thigh", "hand"], landmark_sd_m=0.01)
     assert found.frames == ()
     assert "without the landmarks ME, LE" in found.notes[0]
@@ -71,7 +71,7 @@ def test_what_is_missing_is_said():
     np.testing.assert_allclose(frame.rotation, np.eye(3), atol=1e-12)
 
 
-def test_what_stands_in_for_a_landmark_is_said():
+def test_what_stands_in_for_a_landmark_is_reported():
     few = {name: at for name, at in PERSON.items() if name[-2:] not in ("MC", "LC", "CA", "M1", "M5")}
     found = anatomical_frames(few, ["right_shank", "right_foot"], landmark_sd_m=0.01)
     assert len(found.frames) == 2
@@ -79,7 +79,7 @@ def test_what_stands_in_for_a_landmark_is_said():
     assert any("shank's frame" in note for note in found.notes)
 
 
-def test_bones_of_a_static_trial_are_carried_into_another(rng):
+def test_bones_of_a_static_trial_are_transferred_into_another(rng):
     cluster = Cluster(segment="left_thigh", labels=("a", "b", "c", "d"))
     on_thigh = rng.uniform(-0.1, 0.1, (4, 3)) + [0, 0.7, -0.1]
     names = ["left_HJC", "left_ME", "left_LE"]
@@ -89,7 +89,7 @@ def test_bones_of_a_static_trial_are_carried_into_another(rng):
     bones, found = static_bones(static, [cluster], {n: (n,) for n in names}, landmark_sd_m=0.01)
     turns = [rotations.exp(v) for v in rng.normal(size=(6, 3))]
     walk = trajectories(cluster.labels, np.stack([on_thigh @ turn.T for turn in turns]), 100.0)
-    calibration = carried_calibration(bones, walk, [cluster]).calibration
+    calibration = transfer_calibration(bones, walk, [cluster]).calibration
     turn = turns[int(calibration.frames[0])]
     np.testing.assert_allclose(calibration.rotation[0, 0], turn, atol=1e-9)
     np.testing.assert_allclose(calibration.origin[0, 0], turn @ PERSON["left_HJC"], atol=1e-9)

@@ -1,7 +1,7 @@
 import numpy as np
 from tests.clusters import moving_cluster
 
-from marey.markers.preprocessing.low_rank import complete, in_cluster, predict
+from marey.markers.preprocessing.low_rank import complete, in_cluster_frame, predict_markers
 
 
 def test_a_matrix_of_low_rank_is_completed(rng):
@@ -22,7 +22,7 @@ def test_a_column_that_is_never_known_stays_unknown(rng):
 def test_a_rigid_cluster_stands_still_in_its_own_frame(rng):
     points, rotation, _ = moving_cluster(rng, skin_m=0)
     points[10:20, 2] = np.nan
-    local, found, _ = in_cluster(points)
+    local, found, _ = in_cluster_frame(points)
     assert np.nanmax(np.abs(local - np.nanmean(local, 0))) < 1e-12
     np.testing.assert_allclose(found, rotation @ rotation[0].T @ found[0], atol=1e-9)
 
@@ -31,12 +31,12 @@ def test_a_missing_marker_is_where_the_others_say(rng):
     points, _, _ = moving_cluster(rng, count=8)
     holed = points.copy()
     holed[40:90, 3] = np.nan
-    still = np.linalg.norm(predict(holed, 0) - points, axis=-1)[40:90, 3]
-    moving = np.linalg.norm(predict(holed, 2) - points, axis=-1)[40:90, 3]
+    still = np.linalg.norm(predict_markers(holed, 0) - points, axis=-1)[40:90, 3]
+    moving = np.linalg.norm(predict_markers(holed, 2) - points, axis=-1)[40:90, 3]
     assert np.sqrt((moving**2).mean()) < 0.2 * np.sqrt((still**2).mean())
 
 
-def test_frames_with_two_markers_have_no_answer(rng):
+def test_frames_with_two_markers_have_no_estimate(rng):
     points, _, _ = moving_cluster(rng, count=4)
     points[5, 2:] = np.nan
-    assert np.isnan(predict(points, 0)[5]).all()
+    assert np.isnan(predict_markers(points, 0)[5]).all()

@@ -7,7 +7,7 @@ from marey.errors import MareyError
 from marey.geometry import rotations
 from marey.markers.data.clusters import Cluster
 from marey.markers.data.trajectories import trajectories
-from marey.markers.preprocessing.own_frames import BonesAndMarkers, carried_calibration, own_calibration
+from marey.markers.preprocessing.own_frames import BonesAndMarkers, calibration_from_cluster_axes, transfer_calibration
 
 LABELS = ("a", "b", "c", "d")
 CLUSTER = (Cluster(segment="thigh", labels=LABELS),)
@@ -23,7 +23,7 @@ def moving(rng, frames=12):
 def test_a_clusters_own_axes_are_right_handed_and_its_origin_the_markers_mean(rng):
     _, _, _, points = moving(rng)
     points[0, 2] = np.nan
-    found = own_calibration(trajectories(LABELS, points, 100.0), CLUSTER)
+    found = calibration_from_cluster_axes(trajectories(LABELS, points, 100.0), CLUSTER)
     # The first frame lacks a marker, so the second is the reference.
     assert found.frames.tolist() == [1]
     np.testing.assert_allclose(found.origin[0, 0], points[1].mean(0))
@@ -38,10 +38,10 @@ def test_no_frame_with_three_markers_is_an_error(rng):
     points = moving(rng)[3]
     points[:, :2] = np.nan
     with pytest.raises(MareyError, match="No frame shows 3 markers"):
-        own_calibration(trajectories(LABELS, points, 100.0), CLUSTER)
+        calibration_from_cluster_axes(trajectories(LABELS, points, 100.0), CLUSTER)
 
 
-def test_a_bone_of_another_trial_is_carried_over_in_the_frame_that_looks_like_it(rng):
+def test_a_bone_of_another_trial_is_transferred_in_the_frame_that_looks_like_it(rng):
     rotation, origin, shape, points = moving(rng)
     points += 0.003 * rng.normal(size=points.shape) * (np.arange(12) != 7)[:, None, None]
     other = rotations.exp(np.array([0.3, -0.2, 1.0]))
@@ -49,14 +49,14 @@ def test_a_bone_of_another_trial_is_carried_over_in_the_frame_that_looks_like_it
         segments=("thigh",), rotation=other[None], origin=np.array([[1.0, 2.0, 3.0]]), labels=LABELS,
         points=shape @ other.T + [1.0, 2.0, 3.0],
     )  # fmt: skip
-    found = carried_calibration(known, trajectories(LABELS, points, 100.0), CLUSTER)
+    found = transfer_calibration(known, trajectories(LABELS, points, 100.0), CLUSTER)
     assert found.calibration.frames.tolist() == [7]
     np.testing.assert_allclose(found.calibration.rotation[0, 0], rotation[7], atol=1e-9)
     np.testing.assert_allclose(found.calibration.origin[0, 0], origin[7], atol=1e-9)
     np.testing.assert_allclose(found.residual_m, 0, atol=1e-9)
 
 
-def test_a_bone_without_three_markers_in_common_is_passed_over(rng):
+def test_a_bone_without_three_markers_in_common_is_skipped(rng):
     _, _, shape, points = moving(rng)
     known = BonesAndMarkers(
         segments=("thigh",),
@@ -66,4 +66,4 @@ def test_a_bone_without_three_markers_in_common_is_passed_over(rng):
         points=shape,
     )
     with pytest.raises(MareyError, match="three markers in common"):
-        carried_calibration(known, trajectories(LABELS, points, 100.0), CLUSTER)
+        transfer_calibration(known, trajectories(LABELS, points, 100.0), CLUSTER)

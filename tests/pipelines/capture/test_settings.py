@@ -2,9 +2,9 @@ from pathlib import Path
 
 import pytest
 
-from marey.errors import FileProblem, SettingProblem
+from marey.errors import FileProblem
 from marey.io.trial.trial import read_settings
-from marey.pipelines.capture.settings import CaptureSettings, parse_frames, parse_names
+from marey.pipelines.capture.settings import CaptureSettings
 
 
 def test_an_option_wins_over_the_trials_own_file_and_none_leaves_it(tmp_path):
@@ -32,16 +32,3 @@ def test_a_generic_body_is_named_by_a_word_instead_of_a_file(tmp_path):
         CaptureSettings(body="balls")
     (tmp_path / "body.npz").touch()
     assert CaptureSettings(body=str(tmp_path / "body.npz")).body_file == tmp_path / "body.npz"
-
-
-def test_frames_may_leave_the_first_away():
-    assert parse_frames(":12") == (0, 12)
-    for text in ("12:", "a:b", "1:2:3", "-3:4", "", "5:5"):
-        with pytest.raises(SettingProblem, match="--frames"):
-            parse_frames(text)
-
-
-def test_names_are_set_apart_by_commas():
-    assert parse_names("cam01, cam02,") == ("cam01", "cam02")
-    with pytest.raises(SettingProblem, match="--cameras"):
-        parse_names(" , ")

@@ -73,7 +73,7 @@ def test_sizes_problems_and_settings_are_there_as_text(content):
     text = report_html(content)
     assert "± 2.0" in text
     assert "unknown" in text
-    assert "The person was lost here" in text
+    assert "The person was lost in these frames" in text
     assert "<th>frames</th><td>1, 2</td>" in text
     assert "<th>start</th>" not in text
 
@@ -87,7 +87,7 @@ def test_long_takes_are_thinned_out(content, monkeypatch):
 
 def test_a_take_without_an_answer_still_gives_a_report(content):
     empty = replace(content, motion=content.motion.frames([0, 1]), problems=(), sizes=())
-    assert "Nothing: every frame" in report_html(empty)
+    assert "None: every frame" in report_html(empty)
 
 
 def test_every_segment_has_a_colour_of_its_own_and_bones_join_named_joints():
@@ -101,4 +101,4 @@ def test_frames_that_nobody_asked_for_are_not_counted(content):
     asked = np.arange(FRAMES) < 9
     text = report_html(replace(content, asked=asked))
     assert "5 of 7" in text
-    assert "1 filled, 1 lost, 2 without a person, 3 not asked for" in text
+    assert "1 filled, 1 lost, 2 without a person, 3 not selected" in text

@@ -5,23 +5,25 @@ from tests.takes import small_take
 from marey.view.pages.problems import find_problems, frames_text, touches_border
 
 
-def test_every_doubt_of_a_motion_is_named_with_its_frames(rng):
+def test_every_problem_of_a_motion_is_named_with_its_frames(rng):
     motion, _ = small_take(rng)
     cut = np.zeros((len(motion), 2), bool)
     cut[3:5, 0] = True
     problems = find_problems(motion, cut=cut, warnings=["cam01 is dark"])
-    assert [p.severity for p in problems] == sorted((p.severity for p in problems), key=("bad", "doubt", "note").index)
-    told = {p.where: p.what for p in problems}
-    assert "lost" in told["frame 8"]
-    assert "filled" in told["frame 5"]
-    assert "Nobody" in told["frames 0 to 1"]
-    assert "down to 0.50): frame 6" in told["cam02"]
-    assert "frames 3 to 4" in told["cam01"]
-    assert motion.coordinate_names[10].replace("_", " ") in told["1 coordinate"]
-    assert told["run"] == "cam01 is dark"
+    assert [p.severity for p in problems] == sorted(
+        (p.severity for p in problems), key=("problem", "caution", "note").index
+    )
+    found = {p.where: p.what for p in problems}
+    assert "lost" in found["frame 8"]
+    assert "interpolated" in found["frame 5"]
+    assert "No person" in found["frames 0 to 1"]
+    assert "down to 0.50): frame 6" in found["cam02"]
+    assert "frames 3 to 4" in found["cam01"]
+    assert motion.coordinate_names[10].replace("_", " ") in found["1 coordinate"]
+    assert found["run"] == "cam01 is dark"
 
 
-def test_a_flawless_motion_has_nothing_to_tell(rng):
+def test_a_motion_without_problems_has_an_empty_list(rng):
     motion, _ = small_take(rng)
     fine = motion.frames([3, 4, 7])
     object.__setattr__(fine, "determined", np.ones_like(fine.determined))
@@ -31,7 +33,7 @@ def test_a_flawless_motion_has_nothing_to_tell(rng):
 def test_a_motion_without_any_measured_frame_is_bad(rng):
     motion, _ = small_take(rng)
     problems = find_problems(motion.frames([0, 1]))
-    assert any(p.severity == "bad" and p.where == "whole take" for p in problems)
+    assert any(p.severity == "problem" and p.where == "whole take" for p in problems)
 
 
 def test_frames_are_told_in_stretches():

@@ -17,7 +17,7 @@ from marey.io.gltf.gltf import Additions, Gltf, local_matrix
 from marey.io.gltf.rig_shape import place_joints
 from marey.io.gltf.rig_twists import find_twists
 from marey.motion.motion import BodyMotion
-from marey.motion.retarget import NEEDED, CharacterRig, RigMotion, retarget
+from marey.motion.retarget import REQUIRED_SEGMENTS, CharacterRig, RigMotion, retarget
 
 _LISTED = 40
 
@@ -63,8 +63,8 @@ def read_rig(path: Path | str, named: Mapping[str, str] | None = None) -> tuple[
     try:
         known = _known(gltf, named or {})
         by_name = named_joints(gltf, known)
-        found = by_name if all(segment in by_name for segment in NEEDED) else _guessed(gltf, known, by_name)
-        missing = [segment for segment in NEEDED if segment not in found]
+        found = by_name if all(segment in by_name for segment in REQUIRED_SEGMENTS) else _guessed(gltf, known, by_name)
+        missing = [segment for segment in REQUIRED_SEGMENTS if segment not in found]
         if missing:
             raise FileProblem(path, _what_is_missing(gltf, found, missing), _HOW_TO_NAME)
         return gltf, _rig(gltf, found, tuple(segment for segment in found if segment not in by_name))
@@ -77,7 +77,9 @@ def _guessed(gltf: Gltf, known: Mapping[str, int], by_name: dict[str, int]) -> d
     world = gltf.world_from_nodes()
     joints = sorted({node for _, skin in gltf.skinned() for node in gltf.document["skins"][skin]["joints"]})
     guess = place_joints({node: world[node, :3, 3] for node in joints}, gltf.parents(), by_name)
-    if not guess or any(guess.get(segment, node) != node for segment, node in by_name.items() if segment in NEEDED):
+    if not guess or any(
+        guess.get(segment, node) != node for segment, node in by_name.items() if segment in REQUIRED_SEGMENTS
+    ):
         return by_name
     taken = set(by_name.values())
     return named_joints(gltf, dict(known) | by_name | {s: n for s, n in guess.items() if n not in taken})

@@ -54,3 +54,31 @@ def write_parts(path: Path | str, parts: Mapping[str, Sequence[Subregion]]) -> N
             for part in found:
                 numbers = (part.area_mm2, part.volume_mm3, part.mean_mm, part.thickest_mm, 100 * part.covered)
                 writer.writerow([cartilage, part.name, *(f"{number:.3f}" for number in numbers)])
+
+
+def read_parts(path: Path | str) -> dict[str, list[Subregion]]:
+    """Read `cartilage.csv` as `write_parts` leaves it.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The parts by the cartilage's name.
+
+    Raises:
+        FileProblem: It is missing or damaged.
+    """
+    parts: dict[str, list[Subregion]] = {}
+    try:
+        with Path(path).open(newline="", encoding="utf-8") as file:
+            for row in csv.DictReader(file):
+                area, volume, mean, thickest, covered = (float(row[name]) for name in _HEAD[2:])
+                parts.setdefault(row["cartilage"], []).append(
+                    Subregion(
+                        name=row["part"], area_mm2=area, volume_mm3=volume, mean_mm=mean, thickest_mm=thickest,
+                        covered=covered / 100,
+                    )
+                )  # fmt: skip
+    except (OSError, KeyError, TypeError, ValueError) as error:
+        raise FileProblem(path, f"cannot be read ({error})", "Run `marey knee segment` again.") from error
+    return parts

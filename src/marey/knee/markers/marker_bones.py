@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 from marey.arrays import Floats
 from marey.knee.space.structures import BONES
 from marey.knee.space.surface import Surface
-from marey.markers.data.labels import segment_of
+from marey.markers.data.labels import segment_from_label
 
 BONE_OF_SEGMENT = {
     "thigh": "femur", "femur": "femur", "shank": "tibia", "leg": "tibia", "tibia": "tibia", "patella": "patella",
@@ -39,7 +39,7 @@ def bone_of_label(label: str, segments: Mapping[str, str], *, left: bool | None 
         segments: Label to segment, where it is known.
         left: As `bone_of_segment`.
     """
-    named = segments.get(label) or segment_of(label)
+    named = segments.get(label) or segment_from_label(label)
     return None if named is None else bone_of_segment(named, left=left)
 
 

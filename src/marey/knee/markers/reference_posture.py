@@ -12,7 +12,8 @@ from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
 from marey.knee.markers.marker_bones import BONE_OF_SEGMENT, bone_of_segment
 from marey.markers.data.bone_motion import BoneMotion
-from marey.markers.data.rigid_fit import FEWEST, RigidFit, fit_rigid
+from marey.markers.data.clusters import MINIMUM_MARKERS
+from marey.markers.data.rigid_fit import RigidFit, fit_rigid
 from marey.markers.data.trajectories import MarkerTrajectories
 
 NOISE_MM = 0.5
@@ -150,9 +151,10 @@ def _standing_bone(
     """Lay one bone's cluster over itself in the standing trial."""
     riding = [label for label, name in activity.segment_of_label.items() if name == segment]
     shared = tuple(label for label in riding if label in standing.labels)
-    if len(shared) < FEWEST:
+    if len(shared) < MINIMUM_MARKERS:
         raise MareyError(
-            f"the standing trial has {len(shared)} of the activity's markers ({', '.join(riding)}), and needs {FEWEST}."
+            f"the standing trial has {len(shared)} of the activity's markers ({', '.join(riding)}), "
+            f"and needs {MINIMUM_MARKERS}."
         )
     shape = activity.places(segment, shared)
     fit = fit_rigid(shape, standing.select(shared).points, noise_mm / _MM)

@@ -1,1 +1,1 @@
-"""Trajectories, clusters and calibrations: what every marker method works on."""
+"""Trajectories, clusters and calibrations: the input and output of every marker method."""

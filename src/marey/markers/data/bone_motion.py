@@ -1,4 +1,4 @@
-"""The motion of bones: a pose a segment and frame, with its covariance."""
+"""The motion of bones: one pose per segment and frame, with its covariance."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from marey.errors import MareyError
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class BoneMotion:
-    """The poses of S bones over F frames; NaN where there is no answer."""
+    """The poses of S bones over F frames; NaN where a pose could not be estimated."""
 
     segments: tuple[str, ...]
     """S names."""
@@ -20,10 +20,10 @@ class BoneMotion:
     origin: Floats
     """(F, S, 3) the bone's origin in the laboratory [m]."""
     covariance: Floats
-    """(F, S, 6, 6) of the turn about the bone's axes, exp(turn) to the right of the rotation [rad], and of the origin
-    in the laboratory [m]; NaN where it is not known."""
+    """(F, S, 6, 6) covariance of the rotation error about the bone's axes (exp(error) multiplies the rotation from the
+    right) [rad] and of the origin in the laboratory [m]; NaN where unknown."""
     notes: tuple[str, ...] = ()
-    """What the method has to say about its answer, a sentence each: what it passed over, what it cannot see."""
+    """Remarks of the method on its result, one sentence each: what was skipped, what cannot be observed."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "segments", tuple(self.segments))
@@ -32,28 +32,28 @@ class BoneMotion:
         shape = (len(self.rotation), len(self.segments))
         right = ((*shape, 3, 3), (*shape, 3), (*shape, 6, 6))
         if (self.rotation.shape, self.origin.shape, self.covariance.shape) != right:
-            raise MareyError(f"The motion of {shape[1]} bones over {shape[0]} frames does not fit together.")
+            raise MareyError(f"The array shapes of a motion of {shape[1]} bones over {shape[0]} frames do not agree.")
 
     def __len__(self) -> int:
         return len(self.rotation)
 
     @property
     def answered(self) -> Mask:
-        """(F, S) true where a bone has a pose."""
+        """(F, S) True where a bone has a pose."""
         return np.asarray(np.isfinite(self.rotation).all((-1, -2)) & np.isfinite(self.origin).all(-1))
 
     @property
     def rotation_sd(self) -> Floats:
-        """(F, S, 3) about the bone's axes [rad]."""
+        """(F, S, 3) standard deviation of the rotation about the bone's axes [rad]."""
         return np.asarray(np.sqrt(np.diagonal(self.covariance, axis1=-2, axis2=-1)[..., :3]))
 
     @property
     def origin_sd(self) -> Floats:
-        """(F, S, 3) along the laboratory's axes [m]."""
+        """(F, S, 3) standard deviation of the origin along the laboratory's axes [m]."""
         return np.asarray(np.sqrt(np.diagonal(self.covariance, axis1=-2, axis2=-1)[..., 3:]))
 
     def bone(self, segment: str) -> tuple[Floats, Floats]:
-        """Give one bone's rotation (F, 3, 3) and origin (F, 3).
+        """Return one bone's rotation (F, 3, 3) and origin (F, 3) [m].
 
         Raises:
             MareyError: There is no such segment.
@@ -64,8 +64,8 @@ class BoneMotion:
         return self.rotation[:, index], self.origin[:, index]
 
 
-def side_by_side(motions: Sequence[BoneMotion]) -> BoneMotion:
-    """Put the motions of different bones over the same frames beside each other."""
+def combine_bones(motions: Sequence[BoneMotion]) -> BoneMotion:
+    """Combine the motions of different bones over the same frames."""
     return BoneMotion(
         segments=tuple(name for motion in motions for name in motion.segments),
         rotation=np.concatenate([m.rotation for m in motions], 1),

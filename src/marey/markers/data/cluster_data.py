@@ -1,4 +1,4 @@
-"""One cluster's markers as the methods work on them: its paths, and its places on the bone in each known posture."""
+"""The data of one cluster: marker trajectories, and marker positions on the bone in each known posture."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ from marey.markers.data.problem import MarkerProblem
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ClusterData:
-    """The M markers of a cluster that are seen in a known posture at least once, over F frames and K postures."""
+    """The M markers of a cluster that are visible in at least one known posture, over F frames and K postures."""
 
     segment: str
     labels: tuple[str, ...]
@@ -20,36 +20,36 @@ class ClusterData:
     points: Floats
     """(F, M, 3) in the laboratory [m]; NaN where missing."""
     postures: Floats
-    """(K, M, 3) each marker's place in the bone's frame in each known posture [m]; NaN where missing."""
+    """(K, M, 3) each marker's position in the bone's frame in each known posture [m]; NaN where missing."""
     frames: Integers
-    """(K,) the frames of the known postures."""
+    """(K,) frame indices of the known postures."""
     rotation: Floats
     """(K, 3, 3) laboratory from bone in the known postures."""
     origin: Floats
     """(K, 3) the bone's origin in the known postures [m]."""
     notes: tuple[str, ...]
-    """What was passed over."""
+    """What was skipped, one sentence each."""
 
     @property
     def reference(self) -> Floats:
-        """(M, 3) each marker's place in the bone's frame: the mean over the postures that show it [m]."""
+        """(M, 3) each marker's position in the bone's frame: the mean over the postures that show it [m]."""
         known = np.isfinite(self.postures).all(-1, keepdims=True)
         total = np.where(known, self.postures, 0.0).sum(0)
         return np.asarray(total / known.sum(0))
 
     @property
     def present(self) -> Mask:
-        """(F, M) true where a marker has a place."""
+        """(F, M) True where a marker has a position."""
         return np.asarray(np.isfinite(self.points).all(-1))
 
 
 def cluster_data(problem: MarkerProblem, cluster: Cluster) -> ClusterData:
-    """Gather one cluster's paths and the places that its markers have on the bone in the known postures.
+    """Collect one cluster's trajectories and the positions of its markers on the bone in the known postures.
 
-    A marker that no known posture shows has no place on the bone; it is passed over, and said.
+    A marker that no known posture shows has no position on the bone; it is skipped and reported in the notes.
 
     Raises:
-        MareyError: The calibration does not know the segment, or a posture lies outside the trial.
+        MareyError: The calibration lacks the segment, or a posture lies outside the trial.
     """
     calibration = problem.calibration
     if cluster.segment not in calibration.segments:
@@ -57,14 +57,14 @@ def cluster_data(problem: MarkerProblem, cluster: Cluster) -> ClusterData:
         raise MareyError(f"The anatomical calibration has no segment {cluster.segment!r}. It has: {known}.")
     count = len(problem.trajectories)
     if calibration.frames.min() < 0 or calibration.frames.max() >= count:
-        raise MareyError(f"The calibration names frame {calibration.frames.max()}; the trial has {count} frames.")
+        raise MareyError(f"The calibration refers to frame {calibration.frames.max()}; the trial has {count} frames.")
     index = calibration.segments.index(cluster.segment)
     points = problem.trajectories.select(cluster.labels).points
     rotation, origin = calibration.rotation[:, index], calibration.origin[:, index]
     postures = np.einsum("kba,kmb->kma", rotation, points[calibration.frames] - origin[:, None])
     seen = np.isfinite(postures).all(-1).any(0)
     unseen = [label for label, there in zip(cluster.labels, seen, strict=True) if not there]
-    notes = (f"{cluster.segment}: passed over {', '.join(unseen)}, in no known posture.",) if unseen else ()
+    notes = (f"{cluster.segment}: skipped {', '.join(unseen)}, not visible in any known posture.",) if unseen else ()
     return ClusterData(
         segment=cluster.segment,
         labels=tuple(label for label, there in zip(cluster.labels, seen, strict=True) if there),
@@ -73,7 +73,7 @@ def cluster_data(problem: MarkerProblem, cluster: Cluster) -> ClusterData:
     )  # fmt: skip
 
 
-def counted(segment: str, where: Mask, why: str) -> tuple[str, ...]:
-    """Say for how many frames (F,) something holds; nothing where it holds for none."""
+def frame_count_note(segment: str, where: Mask, why: str) -> tuple[str, ...]:
+    """Report for how many frames of a mask (F,) something holds; empty where it holds for none."""
     number = int(where.sum())
     return (f"{segment}: {number} of {len(where)} frames {why}.",) if number else ()

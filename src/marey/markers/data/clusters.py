@@ -1,4 +1,4 @@
-"""Clusters of markers, one a segment, and the anatomical calibration that ties them to the bones."""
+"""Clusters of markers, one per segment, and the anatomical calibration that relates them to the bones."""
 
 from dataclasses import dataclass
 
@@ -7,25 +7,28 @@ import numpy as np
 from marey.arrays import Floats, Integers, freeze_fields, frozen
 from marey.errors import MareyError
 
+MINIMUM_MARKERS = 3
+"""Markers that determine the pose of a rigid segment: three points off one line."""
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Cluster:
-    """The markers that ride on one segment."""
+    """The markers attached to one segment."""
 
     segment: str
-    """The segment's name: `thigh`, `left_shank`, ..."""
+    """Name of the segment: `thigh`, `left_shank`, ..."""
     labels: tuple[str, ...]
-    """M labels."""
+    """M marker labels."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class AnatomicalCalibration:
-    """Where the bones were, seen from the laboratory, in K frames of the trial (one posture, or several)."""
+    """Known poses of the bones in the laboratory in K frames of the trial (one posture, or several)."""
 
     segments: tuple[str, ...]
     """S names."""
     frames: Integers
-    """(K,) frames of the trial, counted from 0."""
+    """(K,) frame indices of the trial, counted from 0."""
     rotation: Floats
     """(K, S, 3, 3) laboratory from bone."""
     origin: Floats
@@ -36,9 +39,11 @@ class AnatomicalCalibration:
         freeze_fields(self, "rotation", "origin")
         shape = (len(self.frames), len(self.segments))
         if self.rotation.shape != (*shape, 3, 3) or self.origin.shape != (*shape, 3):
-            raise MareyError(f"An anatomical calibration of {shape[1]} segments in {shape[0]} frames does not fit.")
+            raise MareyError(
+                f"The array shapes of a calibration of {shape[1]} segments in {shape[0]} frames do not agree."
+            )
 
     @property
     def postures(self) -> int:
-        """K, in how many postures the bones are known."""
+        """Number K of postures in which the bones are known."""
         return len(self.frames)

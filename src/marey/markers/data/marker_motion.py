@@ -1,4 +1,4 @@
-"""How markers move on the bone beneath them, as an estimated motion of the bone shows it."""
+"""Motion of markers relative to the bones beneath them, derived from an estimated motion of the bones."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,35 +13,35 @@ from marey.markers.data.trajectories import MarkerTrajectories
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MarkerMotion:
-    """The places of M markers in the frames of their bones, over F frames."""
+    """The positions of M markers in the frames of their bones, over F frames."""
 
     labels: tuple[str, ...]
     """M labels."""
     segments: tuple[str, ...]
-    """(M,) the bone of each."""
+    """(M,) the bone of each marker."""
     places: Floats
-    """(F, M, 3) in the bone's frame [m]; NaN where marker or bone is missing."""
+    """(F, M, 3) position in the bone's frame [m]; NaN where the marker or the bone is missing."""
 
     def __post_init__(self) -> None:
         freeze_fields(self, "places")
 
     @property
     def moved(self) -> Floats:
-        """(F, M, 3) from each marker's mean place over the trial [m]."""
+        """(F, M, 3) displacement from each marker's mean position over the trial [m]."""
         known = np.isfinite(self.places)
         counts = np.maximum(known.sum(0), 1)
         return np.asarray(self.places - np.where(known, self.places, 0.0).sum(0) / counts)
 
     @property
     def rms(self) -> Floats:
-        """(M,) root mean square distance from the mean place [m]; NaN for a marker that is never there."""
+        """(M,) root mean square distance from the mean position [m]; NaN for a marker that is never visible."""
         squares = (self.moved**2).sum(-1)
         known = np.isfinite(squares)
         total = np.where(known, squares, 0.0).sum(0)
         return np.where(known.any(0), np.sqrt(total / np.maximum(known.sum(0), 1)), np.nan)
 
     def of(self, segment: str) -> Floats:
-        """Give the root mean square distance (F,) of one segment's markers from their mean places [m]."""
+        """Return the root mean square distance (F,) of one segment's markers from their mean positions [m]."""
         squares = (self.moved[:, [s == segment for s in self.segments]] ** 2).sum(-1)
         known = np.isfinite(squares)
         total = np.where(known, squares, 0.0).sum(1)
@@ -51,12 +51,12 @@ class MarkerMotion:
 def marker_motion(
     trajectories: MarkerTrajectories, clusters: Sequence[Cluster], motion: BoneMotion
 ) -> MarkerMotion:  # fmt: skip
-    """Carry markers into the frames of their bones.
+    """Express markers in the frames of their bones.
 
     Args:
-        trajectories: Of the trial.
-        clusters: Which markers ride on which bone; those on bones without a motion are left out.
-        motion: Of the bones.
+        trajectories: Marker trajectories of the trial.
+        clusters: The markers of each bone; clusters whose bone has no motion are left out.
+        motion: Motion of the bones.
     """
     labels: list[str] = []
     segments: list[str] = []

@@ -1,4 +1,4 @@
-"""The rigid fit: the rotation and translation that carry a cluster's shape nearest to its markers, frame by frame."""
+"""Rigid fit: the rotation and translation that best align a cluster's shape with its markers in each frame."""
 
 from dataclasses import dataclass
 
@@ -6,13 +6,19 @@ import numpy as np
 
 from marey.arrays import Floats, Mask
 from marey.geometry import rotations
-from marey.markers.data.bone_motion import BoneMotion, side_by_side
-from marey.markers.data.cluster_data import ClusterData, cluster_data, counted
+from marey.markers.data.bone_motion import BoneMotion, combine_bones
+from marey.markers.data.cluster_data import ClusterData, cluster_data, frame_count_note
+from marey.markers.data.clusters import MINIMUM_MARKERS
 from marey.markers.data.problem import MarkerProblem
 
-FEWEST = 3
-_OFF_LINE = 3.0  # standard deviations; markers nearer than this to one line do not tell the turn about it
-_OFF_LINE_SHARE = 1e-6  # of the cluster's length, for markers without noise
+EQUAL_SD_M = 1e-3
+"""Standard deviation of a coordinate [m] for fits in which all markers have equal weight; it only decides which
+clusters count as collinear. Chosen by hand."""
+_OFF_LINE_SD = 3.0
+"""Markers whose weighted spread across their main line is below this many standard deviations count as collinear: they
+do not determine the rotation about the line. The usual three-sigma limit."""
+_OFF_LINE_RATIO = 1e-6
+"""The same limit as a ratio to the spread along the line, for markers without noise; a numerical tolerance."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -20,49 +26,51 @@ class RigidFit:
     """F rigid motions of one cluster of M markers."""
 
     rotation: Floats
-    """(F, 3, 3) laboratory from the frame of the shape; NaN where the frame has no answer."""
+    """(F, 3, 3) laboratory from the frame of the shape; NaN where the frame does not determine it."""
     translation: Floats
     """(F, 3) the shape's origin in the laboratory [m]."""
     residuals: Floats
-    """(F, M, 3) measured less fitted along the laboratory's axes [m]; NaN for what was not used."""
+    """(F, M, 3) measured minus fitted position along the laboratory's axes [m]; NaN for unused markers."""
     noise_covariance: Floats
-    """(F, 6, 6) as `BoneMotion.covariance`, to first order, from the stated noise alone."""
+    """(F, 6, 6) as `BoneMotion.covariance`, to first order, from the given noise alone."""
     variance_ratio: Floats
-    """(F,) the residuals' variance as a multiple of the stated one; NaN without an answer."""
+    """(F,) the residuals' variance divided by the given variance; NaN without an estimate."""
     few: Mask
-    """(F,) true where fewer than three markers were there."""
+    """(F,) True where fewer than `MINIMUM_MARKERS` markers are visible."""
     collinear: Mask
-    """(F,) true where the markers lay in a line, as far as their noise lets one tell."""
+    """(F,) True where the markers are collinear within their noise."""
 
     @property
     def covariance(self) -> Floats:
-        """(F, 6, 6) with the residuals' own variance in the frames where it is larger than the stated one."""
+        """(F, 6, 6) covariance, scaled by the variance ratio in frames where that exceeds 1."""
         return np.asarray(self.noise_covariance * np.fmax(self.variance_ratio, 1.0)[:, None, None])
 
 
-def fit_rigid(shape: Floats, points: Floats, sd: Floats | float, *, own_form: bool = False) -> RigidFit:
-    """Fit a shape to its markers in every frame: weighted least squares over rotation and translation.
+def fit_rigid(shape: Floats, points: Floats, sd: Floats | float) -> RigidFit:
+    """Fit a shape to its markers in every frame by weighted least squares over rotation and translation.
 
-    Both forms give the same rotation; the singular values' form is the faster one here, the eigenvalues' form is the
-    paper's ([Spoor1980]). Unlike the paper, each marker counts by its standard deviation.
+    Unlike the paper ([Spoor1980]), which uses the eigenvalues of the squared cross-dispersion matrix, the rotation
+    comes from its singular values, and each marker is weighted by its standard deviation.
 
     Args:
-        shape: (M, 3) or (F, M, 3) the markers in the shape's frame [m]; NaN where not known.
+        shape: (M, 3) or (F, M, 3) the markers in the shape's frame [m]; NaN where unknown.
         points: (F, M, 3) in the laboratory [m]; NaN where missing.
         sd: () or (M,) or (F, M) standard deviation of a marker's coordinate [m], above 0.
-        own_form: Use the eigenvalues' form.
+
+    Returns:
+        The rotations and translations, with residuals and covariance.
     """
     shape = np.broadcast_to(shape, points.shape)
     used: Mask = np.asarray(np.isfinite(points).all(-1) & np.isfinite(shape).all(-1))
     sd = np.broadcast_to(np.asarray(sd, float), used.shape)
     weight = np.where(used, 1 / sd**2, 0.0)
     to, from_ = _centred(points, weight), _centred(shape, weight)
-    few = used.sum(1) < FEWEST
+    few = used.sum(1) < MINIMUM_MARKERS
     collinear = ~few & _in_line(from_[1], to[1], weight)
     answered = ~few & ~collinear
     cross = _dispersion(weight, to[1], from_[1])
     rotation = np.full((len(points), 3, 3), np.nan)
-    rotation[answered] = (by_eigenvalues if own_form else rotations.nearest)(cross[answered])
+    rotation[answered] = rotations.nearest(cross[answered])
     translation = to[0] - np.einsum("fij,fj->fi", rotation, from_[0])
     residuals = points - np.einsum("fij,fmj->fmi", rotation, shape) - translation[:, None]
     return RigidFit(
@@ -72,30 +80,8 @@ def fit_rigid(shape: Floats, points: Floats, sd: Floats | float, *, own_form: bo
     )  # fmt: skip
 
 
-def by_eigenvalues(cross: Floats) -> Floats:
-    """Find the rotations nearest to cross-dispersion matrices by the eigenvalues of M'M ([Spoor1980]).
-
-    The two larger eigenvalues and their vectors fix the rotation; the third axis is the cross product of the first
-    two, so that a plane cluster needs no special care and no reflection can come out.
-
-    Args:
-        cross: (..., 3, 3) sum of weight * point * shape' about the centroids.
-
-    Returns:
-        (..., 3, 3).
-    """
-    squared, vectors = np.linalg.eigh(np.swapaxes(cross, -1, -2) @ cross)
-    first, second = vectors[..., 2], vectors[..., 1]
-    length = np.sqrt(squared[..., None, :])
-    turned_first = (cross @ first[..., None])[..., 0] / length[..., 2]
-    turned_second = (cross @ second[..., None])[..., 0] / length[..., 1]
-    before = np.stack([first, second, np.cross(first, second)], -1)
-    after = np.stack([turned_first, turned_second, np.cross(turned_first, turned_second)], -1)
-    return np.asarray(after @ np.swapaxes(before, -1, -2))
-
-
 def _centred(points: Floats, weight: Floats) -> tuple[Floats, Floats]:
-    """Give the weighted centroids (F, 3) and the points about them (F, M, 3), 0 where there is no weight."""
+    """Return the weighted centroids (F, 3) and the points relative to them (F, M, 3), 0 where the weight is 0."""
     total = weight.sum(1)
     held = np.where(weight[..., None] > 0, points, 0.0)
     centroid = np.einsum("fm,fmi->fi", weight, held) / np.where(total > 0, total, np.nan)[:, None]
@@ -103,21 +89,21 @@ def _centred(points: Floats, weight: Floats) -> tuple[Floats, Floats]:
 
 
 def _dispersion(weight: Floats, first: Floats, second: Floats) -> Floats:
-    """Sum weight * first * second' over the markers: (F, 3, 3). A matrix product takes a tenth of an einsum's time."""
+    """Sum weight * first * second' over the markers: (F, 3, 3). A matrix product takes 10 % of an einsum's time."""
     return np.asarray(np.swapaxes(weight[..., None] * first, 1, 2) @ second)
 
 
 def _in_line(shape: Floats, points: Floats, weight: Floats) -> Mask:
-    """Tell the frames (F,) whose shape or markers lie in a line, as far as their noise lets one tell."""
+    """Find the frames (F,) whose shape or markers are collinear within their noise."""
     in_line = np.zeros(len(shape), bool)
     for centred in (shape, points):
-        spread = np.linalg.eigvalsh(_dispersion(weight, centred, centred))  # in variances of the noise
-        in_line |= spread[:, 1] < np.maximum(_OFF_LINE**2, _OFF_LINE_SHARE**2 * spread[:, 2])
+        spread = np.linalg.eigvalsh(_dispersion(weight, centred, centred))  # in units of the noise variance
+        in_line |= spread[:, 1] < np.maximum(_OFF_LINE_SD**2, _OFF_LINE_RATIO**2 * spread[:, 2])
     return in_line
 
 
 def _covariance(rotation: Floats, shape: Floats, weight: Floats) -> Floats:
-    """Invert the information (F, 6, 6) that the markers give of the turn about the shape's axes and of its origin."""
+    """Invert the markers' information (F, 6, 6) on the rotation about the shape's axes and on its origin."""
     held = np.where(weight[..., None] > 0, shape, 0.0)
     turn = -rotation[:, None] @ rotations.hat(held)
     jacobian = np.concatenate([turn, np.broadcast_to(np.eye(3), turn.shape)], -1)
@@ -130,22 +116,22 @@ def _covariance(rotation: Floats, shape: Floats, weight: Floats) -> Floats:
 
 
 def _ratio(residuals: Floats, weight: Floats, used: Mask) -> Floats:
-    """Give the sum of squared residuals in their standard deviations, over the number left free (F,)."""
+    """Return the weighted sum of squared residuals divided by the degrees of freedom (F,)."""
     squared = np.where(used[..., None], residuals**2, 0.0).sum(-1)
     return np.asarray((weight * squared).sum(1) / np.maximum(3 * used.sum(1) - 6, 1))
 
 
 def rigid(problem: MarkerProblem) -> BoneMotion:
-    """Move every bone as its cluster's shape, fitted rigidly ([Spoor1980]).
+    """Estimate every bone by a rigid fit of its cluster's shape ([Spoor1980]).
 
-    The shape is the cluster's in the known posture; with several, the mean of the markers' places over them, so that
-    the answer in a known posture is no longer the known pose itself.
+    The shape is the cluster's in the known posture; with several postures, the mean of the marker positions over them,
+    so that the estimate in a known posture differs from the known pose.
     """
-    return side_by_side([rigid_bone(cluster_data(problem, cluster), problem.noise_m) for cluster in problem.clusters])
+    return combine_bones([rigid_bone(cluster_data(problem, cluster), problem.noise_m) for cluster in problem.clusters])
 
 
 def rigid_bone(data: ClusterData, noise_m: float) -> BoneMotion:
-    """Fit one cluster's shape rigidly; its reference is as noisy as its markers, as many times as it was seen."""
+    """Fit one cluster's shape rigidly; the reference's noise decreases with the number of postures of a marker."""
     sd = noise_m * np.sqrt(1 + 1 / np.maximum(np.isfinite(data.postures).all(-1).sum(0), 1))
     fit = fit_rigid(data.reference, data.points, sd)
     notes = (*data.notes, *gap_notes(data.segment, fit))
@@ -153,17 +139,17 @@ def rigid_bone(data: ClusterData, noise_m: float) -> BoneMotion:
 
 
 def gap_notes(segment: str, fit: RigidFit) -> tuple[str, ...]:
-    """Say how many frames have no answer, and why."""
+    """Report how many frames have no estimate, and why."""
     return (
-        *counted(segment, fit.few, f"have fewer than {FEWEST} markers and no answer"),
-        *counted(segment, fit.collinear, "have their markers in a line and no answer"),
+        *frame_count_note(segment, fit.few, f"have fewer than {MINIMUM_MARKERS} markers and no estimate"),
+        *frame_count_note(segment, fit.collinear, "have collinear markers and no estimate"),
     )
 
 
 def one_bone(
     segment: str, rotation: Floats, origin: Floats, covariance: Floats, notes: tuple[str, ...] = ()
 ) -> BoneMotion:
-    """Make the motion of one bone from rotation (F, 3, 3), origin (F, 3) and covariance (F, 6, 6)."""
+    """Create the motion of one bone from rotation (F, 3, 3), origin (F, 3) and covariance (F, 6, 6)."""
     return BoneMotion(
         segments=(segment,), rotation=rotation[:, None], origin=origin[:, None], covariance=covariance[:, None],
         notes=notes,

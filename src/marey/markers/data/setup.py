@@ -1,4 +1,4 @@
-"""What a user says of the markers: which ride on which segment, where landmarks are, which joints there are."""
+"""User settings for markers: the markers of each segment, anatomical landmarks, joints, and skin motion."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -14,35 +14,35 @@ class MarkerJoint:
     parent: str
     child: str
     degrees_of_freedom: int | None = None
-    """1 a hinge, 3 a ball joint, 6 a joint that holds nothing; None: not said."""
+    """1 for a hinge, 3 for a ball joint, 6 for an unconstrained joint; None if not specified."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SkinChoice:
-    """How the markers of one segment move over the bone, as interval deformation should take it."""
+    """Form of the motion of one segment's markers over the bone, for interval deformation."""
 
     form: str
     """`constant`, `time`, `turn`, `sinusoid`, `spline`, or `file`."""
     period_s: float | None = None
-    """Of a sinusoid [s]; None: found from the joint's motion."""
+    """Period of a sinusoid [s]; None to derive it from the joint's motion."""
     pieces: int | None = None
-    """Of a spline."""
+    """Number of spline pieces; None for the default."""
     functions: Floats | None = None
-    """(F, Q) the user's own functions of time, for `file`."""
+    """(F, Q) user-defined functions of time, for `file`."""
     still: tuple[str, ...] = ()
     """Markers that do not move over the bone."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MarkerSetup:
-    """What the markers' TOML says; everything may be left out."""
+    """Contents of the marker settings file; every entry is optional."""
 
     segments: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    """Segment to the labels of its markers (or patterns such as `LF*`); empty: found from the labels."""
+    """Maps a segment to the labels of its markers (or patterns such as `LF*`); empty to derive clusters from labels."""
     landmarks: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    """Anatomical landmark (`left_LE`) to the marker that was put on it, or to several whose middle it is."""
+    """Maps an anatomical landmark (`left_LE`) to the marker placed on it, or to several whose midpoint it is."""
     joints: tuple[MarkerJoint, ...] = ()
     noise_m: float | None = None
-    """Standard deviation of a marker's measured coordinate [m]; None: not said."""
+    """Standard deviation of a marker's measured coordinate [m]; None if not specified."""
     skin: Mapping[str, SkinChoice] = field(default_factory=dict)
-    """Segment to how its markers move over the bone; a segment that is not here: chosen by a criterion."""
+    """Maps a segment to the form of its skin motion; for other segments an information criterion chooses the form."""

@@ -1,4 +1,4 @@
-"""Marker trajectories: the paths of labelled skin markers in the laboratory, gaps and fillings marked."""
+"""Marker trajectories: paths of labelled skin markers in the laboratory, with gaps and filled points marked."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -11,22 +11,22 @@ from marey.errors import MareyError
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MarkerTrajectories:
-    """The paths of M markers over F frames, in the laboratory's frame as the file has it."""
+    """The paths of M markers over F frames, in the laboratory frame of the file."""
 
     labels: tuple[str, ...]
-    """M labels, no two alike."""
+    """M distinct labels."""
     points: Floats
     """(F, M, 3) [m]; NaN where a marker is missing."""
     rate: float
-    """Frames a second [Hz]."""
+    """Frames per second [Hz]."""
     start_s: float = 0.0
     """Time of the first frame [s]."""
     filled: Mask
-    """(F, M) true where a point was not measured but filled."""
+    """(F, M) True where a point was filled rather than measured."""
     residuals: Floats
-    """(F, M) the measuring system's own residual [m]; NaN where it tells none."""
+    """(F, M) residual reported by the measuring system [m]; NaN where it reports none."""
     notes: tuple[str, ...] = ()
-    """What the reading passed over or had to decide, a plain sentence each."""
+    """What the reader skipped or decided, one sentence each."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "labels", tuple(str(label) for label in self.labels))
@@ -34,7 +34,7 @@ class MarkerTrajectories:
         freeze_fields(self, "filled", dtype=bool)
         shape = (len(self.points), len(self.labels))
         if self.points.shape != (*shape, 3) or self.filled.shape != shape or self.residuals.shape != shape:
-            raise MareyError(f"Marker trajectories of {shape[1]} labels do not fit together.")
+            raise MareyError(f"The array shapes of marker trajectories with {shape[1]} labels do not agree.")
         twice = sorted({label for label in self.labels if self.labels.count(label) > 1})
         if twice:
             raise MareyError(f"Two markers have the label {', '.join(twice)}.")
@@ -46,12 +46,12 @@ class MarkerTrajectories:
 
     @property
     def time(self) -> Floats:
-        """(F,) [s]."""
+        """(F,) time of each frame [s]."""
         return np.asarray(self.start_s + np.arange(len(self)) / self.rate)
 
     @property
     def present(self) -> Mask:
-        """(F, M) true where a marker has a place, measured or filled."""
+        """(F, M) True where a marker has a position, measured or filled."""
         return np.asarray(np.isfinite(self.points).all(-1))
 
     def only_in(self, frames: Mask) -> "MarkerTrajectories":
@@ -81,10 +81,10 @@ class MarkerTrajectories:
         return replace(self, points=points)
 
     def select(self, labels: Sequence[str]) -> "MarkerTrajectories":
-        """Give the trajectories of some markers, in the order asked for.
+        """Return the trajectories of some markers, in the given order.
 
         Raises:
-            MareyError: A label is not there.
+            MareyError: A label is missing from the trial.
         """
         unknown = [label for label in labels if label not in self.labels]
         if unknown:
@@ -97,12 +97,12 @@ class MarkerTrajectories:
 
 
 def trajectories(labels: Sequence[str], points: Floats, rate: float, *, start_s: float = 0.0) -> MarkerTrajectories:
-    """Make trajectories of which nothing was filled and no residual is known.
+    """Create trajectories without filled points and with unknown residuals.
 
     Args:
         labels: M labels.
         points: (F, M, 3) [m]; NaN where missing.
-        rate: [Hz].
+        rate: Frames per second [Hz].
         start_s: Time of the first frame [s].
     """
     shape = np.asarray(points).shape[:2]

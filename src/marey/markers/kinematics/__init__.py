@@ -1,1 +1,1 @@
-"""Joint angles, inverse kinematics, and the chain of named transforms."""
+"""Joint angles, inverse kinematics, and chains of named transforms."""

@@ -1,4 +1,4 @@
-"""Inverse kinematics: the postures of a jointed body that follow the markers best, with their uncertainty."""
+"""Inverse kinematics: the postures of a jointed body that best fit the markers, with their uncertainty."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,41 +11,56 @@ from marey.body.articulation.jointed_kinematics import marker_bodies
 from marey.errors import MareyError
 from marey.markers.data.bone_motion import BoneMotion
 from marey.markers.data.trajectories import MarkerTrajectories
-from marey.markers.kinematics.inverse_kinematics_covariance import Setup, marker_variance, posterior, solve_system
+from marey.markers.kinematics.inverse_kinematics_covariance import (
+    InverseKinematicsSetup,
+    marker_variance,
+    posterior,
+    solve_system,
+)
 from marey.markers.kinematics.inverse_kinematics_kernels import descend, linearised
 from marey.markers.kinematics.tasks import MarkerTask, TaskSet
 
-_STOP = 1e-8  # rad or m
-_STEPS = 200
-_LOST = 3.0  # times the usual residual: the posture before was no good start
-_FITS = 1e-3  # m; a frame that fits as well as this needs no other start
-_BETTER = 1 - 1e-6  # of the cost; another start that ends no lower may be the same posture in other angles
+_STEP_TOLERANCE = 1e-8
+"""A shorter step ends the iteration [rad or m]; numerical."""
+_MAXIMUM_STEPS = 200
+"""Most steps from the posture of the previous frame. Chosen by hand."""
+_SEARCH_STEPS = 20
+"""Most steps of the whole body from each initial orientation of a search. Chosen by hand."""
+_RESTART_RATIO = 3.0
+"""A frame whose RMS residual exceeds this multiple of the recent median starts a new search. Chosen by hand."""
+_RECENT_FRAMES = 50
+"""Frames in the recent median. Chosen by hand."""
+_GOOD_RMS_M = 1e-3
+"""A frame with a smaller RMS residual [m] needs no search. Chosen by hand."""
+_MINIMUM_COST_RATIO = 1 - 1e-6
+"""A search replaces the posture only if its cost is below this ratio; equal cost may be the same posture in other
+angles."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class InverseKinematics:
-    """The postures of a jointed body over F frames; NaN where the markers and tasks say nothing."""
+    """The postures of a jointed body over F frames; NaN where markers and tasks do not determine them."""
 
     coordinate_names: tuple[str, ...]
     """N names."""
     rotational: Mask
-    """(N,) true for angles."""
+    """(N,) True for angles."""
     coordinates: Floats
-    """(F, N) [rad or m]."""
+    """(F, N) coordinates [rad or m]."""
     coordinates_sd: Floats
-    """(F, N) [rad or m]; NaN where markers do not determine it, 0 where it is locked."""
+    """(F, N) standard deviations [rad or m]; NaN where the markers do not determine a coordinate, 0 if it is locked."""
     determined: Mask
-    """(F, N) true where the markers determine the coordinate: not where a task, a limit or a lock does."""
+    """(F, N) True where the markers determine the coordinate, rather than a task, a limit or a lock."""
     marker_labels: tuple[str, ...]
-    """M markers that were followed."""
+    """Labels of the M markers used."""
     marker_weights: Floats
-    """(M,) as the tasks give them."""
+    """(M,) weights from the tasks."""
     residuals: Floats
-    """(F, M, 3) measured less model [m]; NaN where the marker is missing."""
+    """(F, M, 3) measured minus modelled position [m]; NaN where the marker is missing."""
     bones: BoneMotion
-    """The bodies, in the ground of the model."""
-    passed_over: tuple[str, ...]
-    """Sentences: which markers of trial, model or tasks were not used."""
+    """The bodies, in the ground frame of the model."""
+    skipped: tuple[str, ...]
+    """Markers of trial, model or tasks that were not used, one sentence per reason."""
 
     def __post_init__(self) -> None:
         freeze_fields(self, "coordinates", "coordinates_sd", "marker_weights", "residuals")
@@ -53,7 +68,7 @@ class InverseKinematics:
 
     @property
     def rms(self) -> Floats:
-        """(F,) root mean square distance of the markers [m]; NaN in frames without an answer."""
+        """(F,) root mean square distance of the markers [m]; NaN in frames without an estimate."""
         squares = (self.residuals**2).sum(-1)
         seen = np.isfinite(squares)
         count = seen.sum(1)
@@ -68,40 +83,40 @@ def inverse_kinematics(
     *,
     targets: Mapping[str, Floats] | None = None,
 ) -> InverseKinematics:
-    """Follow markers with a jointed body, all segments at once ([Lu1999]), as OpenSim's inverse kinematics does.
+    """Fit a jointed body to markers, all segments at once ([Lu1999]), as OpenSim's inverse kinematics does.
 
-    Each frame's posture has the least sum of weighted squared distances of the markers, plus the tasks of coordinates.
-    As in OpenSim a coordinate's task is weighed against the markers' weighted mean, locked coordinates stay at their
-    defaults, clamped ones stay within their range, coupled ones follow. Markers are used that the trial, the model and
-    the tasks have.
+    Each frame's posture minimises the weighted sum of squared distances of the markers, plus the coordinate tasks. As
+    in OpenSim, a coordinate task is weighted relative to the markers' weighted mean, locked coordinates keep their
+    defaults, clamped ones stay within their range, and coupled ones are dependent. Only markers contained in the trial,
+    the model and the tasks are used.
 
-    Unlike the paper, and unlike OpenSim, the answer comes with its standard deviations: from the size that each
-    marker's residual has over the trial, whatever weight it was given. They know nothing of an error that the residuals
-    do not show, such as skin that moves with its whole segment.
+    Unlike the paper and OpenSim, the result has standard deviations, derived from the size of each marker's residuals
+    over the trial, whatever its weight. They do not include errors that the residuals do not show, such as skin motion
+    common to a whole segment.
 
     Args:
-        model: The body, as `marey.io.opensim.osim_model.read_osim_model` gives it.
-        tasks: Weights, as `marey.io.opensim.osim_tasks.read_tasks` gives them; None follows all markers alike.
+        model: The body, from `marey.io.opensim.osim_model.read_osim_model`.
+        tasks: Weights, from `marey.io.opensim.osim_tasks.read_tasks`; None uses all markers with equal weights.
         trajectories: The trial, in the axes of the model's ground (OpenSim's files: Y up).
-        targets: For tasks `from_file`: (F,) of each coordinate [rad or m].
+        targets: For tasks `from_file`: values (F,) of each coordinate [rad or m].
 
     Returns:
-        The postures. A coordinate that nothing fixes is NaN, and so are the bodies that hang on it.
+        The postures. An undetermined coordinate is NaN, and so are the bodies that depend on it.
 
     Raises:
-        MareyError: No marker is common to all, a task names no coordinate of the model, or a target is missing.
+        MareyError: No marker is common to all, a task refers to an unknown coordinate, or a target is missing.
     """
-    setup, passed_over = _set_up(model, tasks, trajectories, targets or {})
+    setup, skipped = _set_up(model, tasks, trajectories, targets or {})
     observed = np.ascontiguousarray(trajectories.select(setup.labels).points)
     observed = np.where(np.isfinite(observed).all(-1, keepdims=True), observed, np.nan)
     values = _solve_all(setup, observed)
-    return _with_uncertainty(setup, observed, values, passed_over)
+    return _with_uncertainty(setup, observed, values, skipped)
 
 
 def _set_up(
     model: JointedBody, tasks: TaskSet | None, trajectories: MarkerTrajectories, targets: Mapping[str, Floats]
-) -> tuple[Setup, tuple[str, ...]]:
-    """Bring the tasks, the model's markers and the trial's together."""
+) -> tuple[InverseKinematicsSetup, tuple[str, ...]]:
+    """Match the markers of tasks, model and trial."""
     in_model = {m.label for m in model.markers}
     if not in_model:
         raise MareyError(f"The model {model.name!r} has no markers.")
@@ -111,31 +126,34 @@ def _set_up(
     if not used:
         raise MareyError(
             "No marker is common to trial, model and tasks. "
-            f"The trial has {_some(trajectories.labels)}; the model {_some(sorted(in_model))}; "
-            f"the tasks {_some([t.label for t in tasks.markers])}."
+            f"The trial has {_first_names(trajectories.labels)}; the model {_first_names(sorted(in_model))}; "
+            f"the tasks {_first_names([t.label for t in tasks.markers])}."
         )
     labels = tuple(t.label for t in used)
     body, place = marker_bodies(model, labels)
     weight, target = _coordinate_tasks(model, tasks, len(trajectories), targets)
-    setup = Setup(
+    setup = InverseKinematicsSetup(
         model, labels, body, place, np.array([t.weight for t in used]), weight, target,
         np.array([c.lower for c in model.coordinates]), np.array([c.upper for c in model.coordinates]),
     )  # fmt: skip
-    return setup, _passed_over(tasks, in_model, trajectories.labels)
+    return setup, _unused_markers(tasks, in_model, trajectories.labels)
 
 
-def _some(names: list[str] | tuple[str, ...]) -> str:
+def _first_names(names: list[str] | tuple[str, ...]) -> str:
     return ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "") if names else "none"
 
 
-def _passed_over(tasks: TaskSet, in_model: set[str], in_trial: tuple[str, ...]) -> tuple[str, ...]:
-    """Say which markers are not used, and why."""
-    asked = [t.label for t in tasks.markers]
+def _unused_markers(tasks: TaskSet, in_model: set[str], in_trial: tuple[str, ...]) -> tuple[str, ...]:
+    """Report the markers that are not used, and why."""
+    in_tasks = [t.label for t in tasks.markers]
     reasons = (
-        ("tasks name markers that the model has not", [n for n in asked if n not in in_model]),
-        ("markers of the model are not in the trial", [n for n in asked if n in in_model and n not in in_trial]),
-        ("markers of the trial are not in the model", [n for n in in_trial if n not in in_model]),
-        ("markers have no task", sorted(n for n in in_model if n in in_trial and n not in asked)),
+        ("markers of the tasks are missing from the model", [n for n in in_tasks if n not in in_model]),
+        (
+            "markers of the model are missing from the trial",
+            [n for n in in_tasks if n in in_model and n not in in_trial],
+        ),
+        ("markers of the trial are missing from the model", [n for n in in_trial if n not in in_model]),
+        ("markers have no task", sorted(n for n in in_model if n in in_trial and n not in in_tasks)),
         ("markers have the weight 0", [t.label for t in tasks.markers if t.weight == 0]),
     )
     return tuple(f"{len(names)} {reason}: {', '.join(names)}" for reason, names in reasons if names)
@@ -144,7 +162,7 @@ def _passed_over(tasks: TaskSet, in_model: set[str], in_trial: tuple[str, ...]) 
 def _coordinate_tasks(
     model: JointedBody, tasks: TaskSet, frames: int, targets: Mapping[str, Floats]
 ) -> tuple[Floats, Floats]:
-    """Give weight (N,) and value (F, N) of the coordinates' tasks."""
+    """Return the weights (N,) and target values (F, N) of the coordinate tasks."""
     weight, target = np.zeros(len(model.coordinates)), np.zeros((frames, len(model.coordinates)))
     for task in tasks.coordinates:
         index = model.coordinate(task.coordinate)
@@ -155,15 +173,15 @@ def _coordinate_tasks(
         given = np.asarray(targets.get(task.coordinate, np.zeros(0)), float)
         if given.shape != (frames,) or not np.isfinite(given).all():
             raise MareyError(
-                f"The task of {task.coordinate!r} takes its values from a file, and there is no number for each of the "
-                f"{frames} frames."
+                f"The task of {task.coordinate!r} takes its values from a file, which must contain one number for each "
+                f"of the {frames} frames."
             )
         target[:, index] = given
     return weight, target
 
 
-def _solve_all(setup: Setup, observed: Floats) -> Floats:
-    """Find the posture (F, N) of every frame, each from the one before it; NaN where no marker is seen."""
+def _solve_all(setup: InverseKinematicsSetup, observed: Floats) -> Floats:
+    """Estimate the posture (F, N) of every frame, starting from the previous one; NaN where no marker is visible."""
     model = setup.model
     values = np.full((len(observed), len(model.coordinates)), np.nan)
     near, lost = model.defaults, True
@@ -173,33 +191,38 @@ def _solve_all(setup: Setup, observed: Floats) -> Floats:
         if weight == 0:
             lost = True
             continue
-        near, cost = _descend(setup, points, setup.target[f], near)
-        limit = max(_FITS, _LOST * float(np.median(usual[-50:]))) if usual else 0.0
-        if (lost and cost / weight > _FITS**2) or cost / weight > limit**2:
+        near, cost = _descend_from(setup, points, setup.target[f], near)
+        limit = max(_GOOD_RMS_M, _RESTART_RATIO * float(np.median(usual[-_RECENT_FRAMES:]))) if usual else 0.0
+        if (lost and cost / weight > _GOOD_RMS_M**2) or cost / weight > limit**2:
             fresh, fresh_cost = _search(setup, points, setup.target[f])
-            if fresh_cost < _BETTER * cost:
+            if fresh_cost < _MINIMUM_COST_RATIO * cost:
                 near, cost = fresh, fresh_cost
         usual.append(float(np.sqrt(cost / weight)))
         values[f], lost = near, False
     return values
 
 
-def _descend(
-    setup: Setup, points: Floats, target: Floats, start: Floats, free: Mask | None = None, most: int = _STEPS
+def _descend_from(
+    setup: InverseKinematicsSetup,
+    points: Floats,
+    target: Floats,
+    start: Floats,
+    free: Mask | None = None,
+    most: int = _MAXIMUM_STEPS,
 ) -> tuple[Floats, float]:
     values = np.array(start)
     cost, _ = descend(
         setup.model.packed, (setup.body, setup.place, setup.weight, points), (setup.task_weight, target),
-        setup.model.free if free is None else free, setup.lower, setup.upper, values, most, _STOP,
+        setup.model.free if free is None else free, setup.lower, setup.upper, values, most, _STEP_TOLERANCE,
     )  # fmt: skip
     return values, cost
 
 
-def _search(setup: Setup, points: Floats, target: Floats) -> tuple[Floats, float]:
-    """Look for the posture without one to begin with: the whole body is turned every way first.
+def _search(setup: InverseKinematicsSetup, points: Floats, target: Floats) -> tuple[Floats, float]:
+    """Search for the posture without an initial one, from all orientations of the whole body.
 
-    The joints on the ground turn by quarters; the two starts of least cost go on with all coordinates. Of postures that
-    are one and the same, written in different angles, the one nearest to the model's default is taken.
+    The joints to the ground are rotated by quarter turns; the two results of smallest cost are refined with all
+    coordinates. Of identical postures expressed in different angles, the one closest to the model's default is used.
     """
     model = setup.model
     based = [(m.coordinate, m.turns) for b in model.bodies if b.parent is None for m in b.motions]
@@ -210,14 +233,14 @@ def _search(setup: Setup, points: Floats, target: Floats) -> tuple[Floats, float
     for quarters in np.ndindex(*[4] * len(turning)):
         start = np.array(model.defaults)
         start[turning] += (np.array(quarters, float) + 1) % 4 * np.pi / 2 - np.pi / 2
-        found, cost = _descend(setup, points, target, start, moving, 20)
+        found, cost = _descend_from(setup, points, target, start, moving, _SEARCH_STEPS)
         starts.append((_unwound(setup, found, turning), cost))
-    ends = [_descend(setup, points, target, start) for start, _ in _best_first(setup, starts, turning)[:2]]
+    ends = [_descend_from(setup, points, target, start) for start, _ in _best_first(setup, starts, turning)[:2]]
     return _best_first(setup, ends, turning)[0]
 
 
-def _unwound(setup: Setup, values: Floats, turning: Integers) -> Floats:
-    """Take whole turns out of the coordinates that turn a body by as much as themselves."""
+def _unwound(setup: InverseKinematicsSetup, values: Floats, turning: Integers) -> Floats:
+    """Remove full rotations from the coordinates that are themselves rotation angles of a body."""
     model = setup.model
     plain = {
         m.coordinate
@@ -231,8 +254,10 @@ def _unwound(setup: Setup, values: Floats, turning: Integers) -> Floats:
     return values
 
 
-def _best_first(setup: Setup, found: list[tuple[Floats, float]], turning: Integers) -> list[tuple[Floats, float]]:
-    """Order postures by cost; those as good as the best by their distance from the default."""
+def _best_first(
+    setup: InverseKinematicsSetup, found: list[tuple[Floats, float]], turning: Integers
+) -> list[tuple[Floats, float]]:
+    """Sort postures by cost; those equal to the best by their distance from the default."""
     least = min(cost for _, cost in found)
     same = least * (1 + 1e-6) + 1e-12 * setup.weight.sum()
 
@@ -244,9 +269,9 @@ def _best_first(setup: Setup, found: list[tuple[Floats, float]], turning: Intege
 
 
 def _with_uncertainty(
-    setup: Setup, observed: Floats, values: Floats, passed_over: tuple[str, ...]
+    setup: InverseKinematicsSetup, observed: Floats, values: Floats, skipped: tuple[str, ...]
 ) -> InverseKinematics:
-    """Add residuals, the bodies, and what the markers determine of each posture."""
+    """Add residuals, bodies, and the uncertainty of each posture."""
     model = setup.model
     frames, bodies, count = len(observed), len(model.bodies), len(model.coordinates)
     residuals, leverage = np.full(observed.shape, np.nan), np.zeros(observed.shape[:2])
@@ -265,12 +290,12 @@ def _with_uncertainty(
     for f in answered:
         _, jacobian, _, _, moved = linearised(model.packed, setup.body, setup.place, values[f])
         known = posterior(setup, systems[f], variance, jacobian, moved, values[f])
-        coordinates[f, known.open] = np.nan
+        coordinates[f, known.undetermined] = np.nan
         sd[f], determined[f], covariance[f] = known.sd, known.determined, known.bodies
         rotation[f, known.lost], origin[f, known.lost] = np.nan, np.nan
     bones = BoneMotion(segments=model.body_names, rotation=rotation, origin=origin, covariance=covariance)
     return InverseKinematics(
         coordinate_names=model.coordinate_names, rotational=model.rotational, coordinates=coordinates,
         coordinates_sd=sd, determined=determined, marker_labels=setup.labels, marker_weights=setup.weight,
-        residuals=residuals, bones=bones, passed_over=passed_over,
+        residuals=residuals, bones=bones, skipped=skipped,
     )  # fmt: skip

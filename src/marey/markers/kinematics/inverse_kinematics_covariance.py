@@ -1,4 +1,4 @@
-"""What markers determine of a jointed body's posture: its covariance, and what stays open."""
+"""Uncertainty of a jointed body's posture: its covariance, and the undetermined coordinates."""
 
 from typing import NamedTuple
 
@@ -8,65 +8,70 @@ from marey.arrays import Floats, Integers, Mask
 from marey.body.articulation.jointed_body import JointedBody
 from marey.body.articulation.jointed_kinematics import coordinate_slopes
 
-_OPEN = 0.5  # rad or m; a coordinate that is not known better than this is open
-_SEEN = 0.5  # of what fixes a coordinate must come from markers, else a task holds it
-_NOTHING = 1e-9  # of the greatest information: none at all
+_LARGEST_SD = 0.5
+"""A coordinate with a larger standard deviation is undetermined [rad or m]. Chosen by hand."""
+_MARKER_SHARE = 0.5
+"""Smallest share of a coordinate's information that must come from markers; otherwise a task determines it. Chosen by
+hand."""
+_RANK_TOLERANCE = 1e-9
+"""Information below this ratio to the largest one counts as zero; numerical."""
 
 
-class Setup(NamedTuple):
-    """What stays the same from frame to frame."""
+class InverseKinematicsSetup(NamedTuple):
+    """Data of inverse kinematics that are the same in all frames."""
 
     model: JointedBody
     labels: tuple[str, ...]
     body: Integers
-    """(M,) the body of each marker, -1 for the ground."""
+    """(M,) index of each marker's body, -1 for the ground."""
     place: Floats
-    """(M, 3) [m]."""
+    """(M, 3) position of each marker on its body [m]."""
     weight: Floats
-    """(M,)."""
+    """(M,) weights of the markers."""
     task_weight: Floats
-    """(N,) against the markers' weighted mean."""
+    """(N,) weights of the coordinate tasks, relative to the markers' weighted mean."""
     target: Floats
-    """(F, N) [rad or m]; 0 where there is no task."""
+    """(F, N) target values of the tasks [rad or m]; 0 without a task."""
     lower: Floats
+    """(N,) lower limits [rad or m]."""
     upper: Floats
-    """(N,) limits [rad or m]."""
+    """(N,) upper limits [rad or m]."""
 
 
-class System(NamedTuple):
+class PostureEquations(NamedTuple):
     """The normal equations of one posture, solved."""
 
     moving: Integers
-    """(n,) the coordinates that were free to move: not locked, not following, not at a limit."""
+    """(n,) indices of the free coordinates: not locked, not dependent, not at a limit."""
     gain: Floats
-    """(n, n) inverse of the information; the part that there is where it has no inverse."""
-    open: Mask
-    """(n,) true where there is no information."""
+    """(n, n) pseudoinverse of the information."""
+    undetermined: Mask
+    """(n,) True where there is no information."""
     held: Mask
-    """(n,) true where tasks and not markers say most of the coordinate."""
+    """(n,) True where tasks rather than markers determine the coordinate."""
     weight: Floats
-    """(M,) 0 where the marker is missing."""
+    """(M,) weights; 0 where the marker is missing."""
     leverage: Floats
-    """(M,) how far each marker's own place draws the model's: 0 not at all, 1 all the way."""
+    """(M,) leverage of each marker: derivative of its modelled by its measured position, 0 to 1."""
 
 
-class Known(NamedTuple):
-    """What is known of one posture."""
+class PostureUncertainty(NamedTuple):
+    """The uncertainty of one posture."""
 
     sd: Floats
-    """(N,) [rad or m]."""
+    """(N,) standard deviations [rad or m]."""
     determined: Mask
-    """(N,)."""
-    open: Mask
-    """(N,) true where nothing fixes the coordinate."""
+    """(N,) True where the markers determine the coordinate."""
+    undetermined: Mask
+    """(N,) True where nothing determines the coordinate."""
     bodies: Floats
-    """(B, 6, 6)."""
+    """(B, 6, 6) covariance of the bodies, as `BoneMotion.covariance`."""
     lost: Mask
-    """(B,) true where a body hangs on a coordinate that is open."""
+    """(B,) True where a body depends on an undetermined coordinate."""
 
 
-def solve_system(setup: Setup, observed: Floats, values: Floats, jacobian: Floats) -> System:
-    """Invert the information that markers and tasks have of a posture.
+def solve_system(setup: InverseKinematicsSetup, observed: Floats, values: Floats, jacobian: Floats) -> PostureEquations:
+    """Invert the information of markers and tasks on a posture.
 
     Args:
         setup: The body, its markers and their weights.
@@ -82,24 +87,27 @@ def solve_system(setup: Setup, observed: Floats, values: Floats, jacobian: Float
     rows = (np.sqrt(weight)[:, None, None] * jacobian[:, :, moving]).reshape(-1, len(moving))
     tasks = (slopes[:, moving].T * task) @ slopes[:, moving]
     size, direction = np.linalg.eigh(rows.T @ rows + tasks)
-    there = size > _NOTHING * max(size[-1], 0.0) if len(size) else np.zeros(0, bool)
+    there = size > _RANK_TOLERANCE * max(size[-1], 0.0) if len(size) else np.zeros(0, bool)
     gain = (direction[:, there] / size[there]) @ direction[:, there].T
-    open_ = (direction[:, ~there] ** 2).sum(1) > 1e-6
-    held = (gain * tasks.T).sum(1) > 1 - _SEEN
+    undetermined = (direction[:, ~there] ** 2).sum(1) > 1e-6
+    held = (gain * tasks.T).sum(1) > 1 - _MARKER_SHARE
     own = ((rows @ gain) * rows).sum(1).reshape(-1, 3).sum(1) / 3
-    return System(moving, gain, open_, held, weight, own)
+    return PostureEquations(moving, gain, undetermined, held, weight, own)
 
 
 def marker_variance(weight: Floats, residuals: Floats, leverage: Floats) -> Floats:
-    """Give each marker's variance (M,) [m2] along one axis, from what its residuals leave.
+    """Estimate each marker's variance (M,) [m2] of a coordinate from its residuals.
 
-    A residual is smaller than the marker's error by as much as the marker drew the model (its leverage). A marker's
-    variance is drawn towards what its weight says, as much as one frame counts.
+    Residuals are smaller than the marker's error according to its leverage. A marker's variance is shrunk towards the
+    one implied by its weight, with the weight of one frame.
 
     Args:
-        weight: (M,) of the markers.
+        weight: (M,) weights of the markers.
         residuals: (F, M, 3) [m]; NaN where missing.
-        leverage: (F, M).
+        leverage: (F, M) leverage of the markers.
+
+    Returns:
+        (M,) variances [m2].
     """
     squares = (residuals**2).sum(-1)
     seen = np.isfinite(squares)
@@ -108,16 +116,26 @@ def marker_variance(weight: Floats, residuals: Floats, leverage: Floats) -> Floa
     return np.asarray((total + 3 * unit / weight) / (spare + 3))
 
 
-def posterior(setup: Setup, system: System, variance: Floats, jacobian: Floats, moved: Floats, values: Floats) -> Known:
-    """Tell what the markers determine of a posture, and how well.
+def posterior(
+    setup: InverseKinematicsSetup,
+    system: PostureEquations,
+    variance: Floats,
+    jacobian: Floats,
+    moved: Floats,
+    values: Floats,
+) -> PostureUncertainty:
+    """Compute the uncertainty of a posture.
 
     Args:
         setup: The body.
         system: Its solved equations.
-        variance: (M,) of the markers [m2].
-        jacobian: (M, 3, N) of the markers.
-        moved: (B, 6, N) how the bodies move with the coordinates.
+        variance: (M,) variances of the markers [m2].
+        jacobian: (M, 3, N) derivatives of the markers.
+        moved: (B, 6, N) derivatives of the bodies' poses by the coordinates.
         values: (N,) the posture.
+
+    Returns:
+        Standard deviations and covariances.
     """
     count, moving = len(values), system.moving
     rows = ((system.weight * np.sqrt(variance))[:, None, None] * jacobian[:, :, moving]).reshape(-1, len(moving))
@@ -125,16 +143,16 @@ def posterior(setup: Setup, system: System, variance: Floats, jacobian: Floats, 
     covariance = np.zeros((count, count))
     covariance[np.ix_(moving, moving)] = drawn.T @ drawn
     own_sd = np.sqrt(np.diagonal(covariance)[moving])
-    vague = system.open | (~system.held & (own_sd > _OPEN))
+    vague = system.undetermined | (~system.held & (own_sd > _LARGEST_SD))
     unknown, held = np.zeros(count, bool), setup.model.free & ~np.isin(np.arange(count), moving)
     unknown[moving], held[moving] = vague, system.held & ~vague
     slopes = coordinate_slopes(setup.model, values)
     hangs = slopes != 0
-    open_, not_seen = hangs @ unknown, hangs @ (unknown | held)
+    undetermined, not_seen = hangs @ unknown, hangs @ (unknown | held)
     locked = np.array([c.locked for c in setup.model.coordinates])
     sd = np.sqrt(np.diagonal(slopes @ covariance @ slopes.T))
     sd[not_seen] = np.nan
     bodies = moved @ covariance @ moved.transpose(0, 2, 1)
     moves = np.abs(moved).max(1, initial=0.0) > 1e-12
     bodies[moves @ (unknown | held)] = np.nan
-    return Known(sd, ~not_seen & ~locked, open_, bodies, moves @ unknown)
+    return PostureUncertainty(sd, ~not_seen & ~locked, undetermined, bodies, moves @ unknown)

@@ -5,24 +5,30 @@ import numpy as np
 from marey.body.articulation.jointed_kinematics import follow, place_bodies
 from marey.kernels import kernel
 
-_LONGEST = 0.6  # rad or m; a longer step is shortened
-_FLOOR = 1e-10  # of the markers' weight; keeps coordinates in place that nothing sees
+_LONGEST = 0.6
+"""Longest step of a coordinate [rad or m]; longer ones are scaled down. Chosen by hand."""
+_FLOOR = 1e-10
+"""Information added to every coordinate as a ratio to the markers' weight, which keeps unobserved coordinates in place;
+numerical."""
 
 
 @kernel
 def evaluate(packed, markers, tasks, values, variable, slope, state, hessian, gradient):
-    """Give the cost of a posture and, where hessian is not empty, its derivatives.
+    """Compute the cost of a posture and, unless hessian is empty, its derivatives.
 
     Args:
-        packed: the body.
-        markers: body (M,), place (M, 3), weight (M,), observed (M, 3) with NaN where missing.
-        tasks: weight (N,) against the markers' mean, value (N,).
-        values: (N,) the posture; what follows others is set.
-        variable: (N,) which coordinate each hangs on, set.
-        slope: (N,) how it follows that, set.
-        state: rotation, origin, axes, points, slopes; as `place_bodies` fills them.
-        hessian: (N, N) or (0, 0).
-        gradient: (N,).
+        packed: The body.
+        markers: Body (M,), position (M, 3), weight (M,), measured position (M, 3) with NaN where missing.
+        tasks: Weight (N,) relative to the markers' mean, target value (N,).
+        values: (N,) the posture; dependent coordinates are overwritten.
+        variable: (N,) output: the coordinate on which each one depends.
+        slope: (N,) output: its derivative by that coordinate.
+        state: Rotation, origin, axes, points, slopes, as `place_bodies` fills them.
+        hessian: (N, N) or (0, 0), output.
+        gradient: (N,) output.
+
+    Returns:
+        The cost, and the sum of the weights of the visible markers.
     """
     body, place, weight, observed = markers
     task_weight, target = tasks
@@ -82,7 +88,7 @@ def _posed(rotation, origin, body, place):
 
 @kernel
 def marker_rows(packed, body, p, axes, points, motion_slope, variable, slope, rows, used):
-    """Write how a point on a body moves with the coordinates into rows (N, 3); list those in used, give the number."""
+    """Write a point's derivatives by the coordinates into rows (N, 3), list them in used, and return their number."""
     number = 0
     k = body
     while k >= 0:
@@ -115,7 +121,7 @@ def marker_rows(packed, body, p, axes, points, motion_slope, variable, slope, ro
 
 @kernel
 def new_state(packed):
-    """Make room for what `place_bodies` fills."""
+    """Allocate the arrays that `place_bodies` fills."""
     bodies, motions = packed.parents.shape[0], packed.turns.shape[0]
     return (
         np.empty((bodies, 3, 3)), np.empty((bodies, 3)), np.empty((motions, 3)), np.empty((motions, 3)),
@@ -125,12 +131,12 @@ def new_state(packed):
 
 @kernel
 def descend(packed, markers, tasks, free, lower, upper, values, most, stop):
-    """Find the posture of least cost near values (N,), which it changes, by damped Gauss-Newton within the limits.
+    """Minimise the cost from values (N,), which are overwritten, by damped Gauss-Newton within the limits.
 
-    A coordinate that stands at its limit and is pulled beyond it is left there for the step.
+    A coordinate at a limit with a gradient that points beyond it is fixed for the step.
 
     Returns:
-        cost, whether a step shorter than stop ended the search.
+        The cost, and whether a step shorter than stop ended the iteration.
     """
     count = values.shape[0]
     state = new_state(packed)
@@ -169,7 +175,7 @@ def descend(packed, markers, tasks, free, lower, upper, values, most, stop):
 
 @kernel
 def _step(hessian, gradient, free, lower, upper, values, damping, floor):
-    """Solve for a damped step (N,) of the coordinates that may move."""
+    """Solve for a damped step (N,) of the free coordinates."""
     count = values.shape[0]
     index = np.empty(count, np.int64)
     n = 0
@@ -210,11 +216,11 @@ def _step(hessian, gradient, free, lower, upper, values, damping, floor):
 
 @kernel
 def linearised(packed, body, place, values):
-    """Give how a posture's markers and bodies move: what the covariance needs.
+    """Linearise the markers and bodies of a posture for the covariance.
 
     Returns:
-        points (M, 3), jacobian (M, 3, N) of the markers; rotation (B, 3, 3), origin (B, 3) of the bodies and how they
-        move (B, 6, N): the turn about the body's own axes, then the origin in the ground.
+        Points (M, 3) and jacobian (M, 3, N) of the markers; rotation (B, 3, 3) and origin (B, 3) of the bodies and
+        their derivatives (B, 6, N): the rotation about the body's own axes, then the origin in the ground.
     """
     count = values.shape[0]
     state = new_state(packed)

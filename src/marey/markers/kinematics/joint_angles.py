@@ -1,4 +1,4 @@
-"""Joint angles and translations between two bones, after Grood and Suntay, with standard deviations."""
+"""Joint angles and translations between two bones after Grood and Suntay, with standard deviations."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -9,30 +9,32 @@ import numpy as np
 from marey.arrays import Floats, freeze_fields
 from marey.geometry import rotations
 from marey.markers.data.bone_motion import BoneMotion
-from marey.motion.anatomical import JOINTS, euler_angles
+from marey.motion.anatomical import JOINTS, LARGEST_ANGLE_SD, euler_angles
 
 TRANSLATIONS = ("lateral", "anterior", "distraction")
+"""Names of the three translations, in the order of the joint's axes ([Grood1983])."""
 _SEQUENCE = "ZXY"
-_PLAIN = (("flexion", 1.0), ("adduction", 1.0), ("rotation", 1.0))
+"""Sequence of the Cardan angles that equal the angles of [Grood1983]."""
+_DEFAULT_ANGLES = (("flexion", 1.0), ("adduction", 1.0), ("rotation", 1.0))
+"""Names and signs of the angles of joints without names of their own."""
 _STEP = 1e-6
-"""Of the differences that stand for derivatives [rad or m]."""
-_SAYS_NOTHING = np.pi
-"""A larger standard deviation, as beside a singularity, means no more than this [rad]."""
+"""Step of central differences [rad or m]; numerical."""
 _SIDES = ("left_", "right_")
+"""Prefixes of the segments of a side."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class BoneJoint:
-    """Two bones that meet, and what their angles are called."""
+    """A joint between two bones, with the names of its angles."""
 
     parent: str
     child: str
     name: str
-    """`left_knee`, or `child_on_parent` where the joint has no name of its own."""
+    """`left_knee`, or `child_on_parent` if the joint has no name of its own."""
     angles: tuple[tuple[str, float], ...]
-    """Name and sign of the turn about the parent's Z, the floating X, the child's Y."""
+    """Names and signs of the rotations about the parent's Z, the floating X and the child's Y."""
     left: bool = False
-    """Whether it is mirrored, so that the signs mean the same on both sides."""
+    """Whether the joint is mirrored, so that the signs have the same meaning on both sides."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -42,27 +44,30 @@ class JointKinematics:
     angle_names: tuple[str, ...]
     """A names."""
     angles: Floats
-    """(F, A) [rad]."""
+    """(F, A) angles [rad]."""
     angles_sd: Floats
-    """(F, A) [rad]; NaN where not known."""
+    """(F, A) standard deviations [rad]; NaN where unknown."""
     translation_names: tuple[str, ...] = ()
     """T names."""
     translations: Floats = field(default_factory=lambda: np.zeros((0, 0)))
-    """(F, T) [m]."""
+    """(F, T) translations [m]."""
     translations_sd: Floats = field(default_factory=lambda: np.zeros((0, 0)))
-    """(F, T) [m]; NaN where not known."""
+    """(F, T) standard deviations [m]; NaN where unknown."""
 
     def __post_init__(self) -> None:
         freeze_fields(self, "angles", "angles_sd", "translations", "translations_sd")
 
 
 def joint_of(parent: str, child: str, side: str | None = None) -> BoneJoint:
-    """Name the joint between two bones.
+    """Create the joint between two bones, with the usual names.
 
     Args:
-        parent: The bone in whose frame the angles are read, such as `left_thigh`, `thigh`, `pelvis`.
-        child: The bone that moves, such as `left_shank`.
-        side: `left` or `right` where the names do not tell; without either the signs are a right side's.
+        parent: The proximal bone, the reference of the angles, such as `left_thigh`, `thigh`, `pelvis`.
+        child: The distal bone, such as `left_shank`.
+        side: `left` or `right` if the names do not contain it; without either the signs are those of a right side.
+
+    Returns:
+        The joint.
     """
     own = next((s for s in _SIDES if child.startswith(s)), "")
     at_left = own == "left_" or (not own and side == "left")
@@ -72,15 +77,16 @@ def joint_of(parent: str, child: str, side: str | None = None) -> BoneJoint:
             if parent in wanted:
                 joint = row.angles[0][1].partition("_")[0]
                 named = {place: (f"{own}{name}", sign) for place, name, sign in row.angles}
-                angles = tuple(named.get(k, (f"{own}{joint}_{word}", sign)) for k, (word, sign) in enumerate(_PLAIN))
+                words = enumerate(_DEFAULT_ANGLES)
+                angles = tuple(named.get(k, (f"{own}{joint}_{word}", sign)) for k, (word, sign) in words)
                 return BoneJoint(parent=parent, child=child, name=f"{own}{joint}", left=at_left, angles=angles)
     name = f"{child}_on_{parent}"
-    angles = tuple((f"{name}_{word}", sign) for word, sign in _PLAIN)
+    angles = tuple((f"{name}_{word}", sign) for word, sign in _DEFAULT_ANGLES)
     return BoneJoint(parent=parent, child=child, name=name, left=at_left, angles=angles)
 
 
 def usual_joints(segments: Sequence[str]) -> tuple[tuple[str, str], ...]:
-    """List the pairs (parent, child) of bones that meet in a person's joints, by their names."""
+    """List the pairs (parent, child) of bones that form a joint of the human body, by their names."""
     found = []
     for child in segments:
         side = next((s for s in _SIDES if child.startswith(s)), "")
@@ -93,20 +99,20 @@ def usual_joints(segments: Sequence[str]) -> tuple[tuple[str, str], ...]:
 
 
 def joint_kinematics(motion: BoneMotion, joints: Sequence[BoneJoint]) -> JointKinematics:
-    """Give the angles and translations of joints, with standard deviations to first order.
+    """Compute the angles and translations of joints, with standard deviations to first order.
 
     The joint coordinate system of [Grood1983]: flexion about the parent's Z (to the right), rotation about the child's
-    Y (upwards), adduction about the floating axis across both; equal to the Cardan angles Z-X-Y of the child in the
-    parent ([Wu2002]). The vector from the parent's to the child's origin is seen along the same three axes: lateral,
-    anterior, and distraction (the parts of it along them, not its skew components). The two bones' errors count as
-    independent, also where one estimate made both.
+    Y (upward), adduction about the floating axis perpendicular to both. The angles equal the Cardan angles Z-X-Y of the
+    child in the parent ([Wu2002]). The vector from the parent's to the child's origin is projected on the same three
+    axes: lateral, anterior, and distraction (orthogonal projections, not skew components). The two bones' errors count
+    as independent, even if they come from one estimate.
 
     Args:
         motion: Bones whose frames are anatomical: X anterior, Y proximal, Z to the right.
-        joints: Between bones of this motion.
+        joints: Joints between bones of this motion.
 
     Returns:
-        Angles that run on through half turns, and translations.
+        Angles that are continuous beyond 180 degrees, and translations.
     """
     values, spreads = [], []
     for joint in joints:
@@ -120,7 +126,7 @@ def joint_kinematics(motion: BoneMotion, joints: Sequence[BoneJoint]) -> JointKi
     angles = _continuous(all_values[..., :3].reshape(len(motion), -1))
     return JointKinematics(
         angle_names=tuple(names), angles=angles,
-        angles_sd=np.minimum(all_sd[..., :3].reshape(len(motion), -1), _SAYS_NOTHING),
+        angles_sd=np.minimum(all_sd[..., :3].reshape(len(motion), -1), LARGEST_ANGLE_SD),
         translation_names=tuple(f"{j.name}_{name}" for j in joints for name in TRANSLATIONS),
         translations=all_values[..., 3:].reshape(len(motion), -1),
         translations_sd=all_sd[..., 3:].reshape(len(motion), -1),
@@ -130,17 +136,17 @@ def joint_kinematics(motion: BoneMotion, joints: Sequence[BoneJoint]) -> JointKi
 def clinical(
     joint: BoneJoint, parent_rotation: Floats, parent_origin: Floats, child_rotation: Floats, child_origin: Floats
 ) -> Floats:
-    """Give a joint's three angles [rad] and three translations [m] ([Grood1983]).
+    """Compute a joint's three angles [rad] and three translations [m] ([Grood1983]).
 
     Args:
-        joint: Signs and side.
+        joint: Signs of the angles and side.
         parent_rotation: (..., 3, 3) laboratory from parent.
         parent_origin: (..., 3) [m].
         child_rotation: (..., 3, 3) laboratory from child.
         child_origin: (..., 3) [m].
 
     Returns:
-        (..., 6).
+        (..., 6) angles and translations.
     """
     inverse = np.swapaxes(parent_rotation, -1, -2)
     relative = inverse @ child_rotation
@@ -150,7 +156,7 @@ def clinical(
         relative = mirror[:, None] * relative * mirror
         reach = reach * mirror
     angles = euler_angles(relative, _SEQUENCE) * np.array([sign for _, sign in joint.angles])
-    # The floating axis is the parent's X turned by the flexion: across the parent's Z and the child's Y.
+    # The floating axis is the parent's X rotated by the flexion: perpendicular to the parent's Z and the child's Y.
     long_axis = relative[..., :, 1]
     floating = np.stack([long_axis[..., 1], -long_axis[..., 0], np.zeros_like(long_axis[..., 0])], -1)
     floating = floating / np.linalg.norm(floating, axis=-1, keepdims=True)
@@ -159,15 +165,15 @@ def clinical(
 
 
 def turns_since(motion: BoneMotion, pairs: Sequence[tuple[str, str]], frame: int) -> JointKinematics:
-    """Give by how much each child has turned in its parent since a frame: what needs no anatomical axes.
+    """Compute the angle by which each child has rotated in its parent since a frame, without anatomical axes.
 
     Args:
-        motion: Bones with any frames.
-        pairs: (parent, child).
-        frame: In which the turn is zero.
+        motion: Bones with arbitrary frames.
+        pairs: Pairs (parent, child).
+        frame: Index of the reference frame.
 
     Returns:
-        One angle a joint, `knee_turn`, from 0 to pi, without translations.
+        One angle per joint, `knee_turn`, from 0 to pi, without translations.
     """
     columns, spreads = [], []
     for parent, child in pairs:
@@ -180,7 +186,7 @@ def turns_since(motion: BoneMotion, pairs: Sequence[tuple[str, str]], frame: int
 
         value, sd = _with_sd(motion, joint, turned)
         columns.append(value[:, 0])
-        spreads.append(np.minimum(sd[:, 0], _SAYS_NOTHING))
+        spreads.append(np.minimum(sd[:, 0], LARGEST_ANGLE_SD))
     empty = np.zeros((len(motion), 0))
     return JointKinematics(
         angle_names=tuple(f"{joint_of(*pair).name}_turn" for pair in pairs),
@@ -191,7 +197,7 @@ def turns_since(motion: BoneMotion, pairs: Sequence[tuple[str, str]], frame: int
 
 
 def _with_sd(motion: BoneMotion, joint: BoneJoint, function: Callable[..., Floats]) -> tuple[Floats, Floats]:
-    """Give a function (F, n) of two bones' poses and its standard deviation (F, n), by differences of their errors."""
+    """Evaluate a function (F, n) of two bones' poses, with its standard deviation (F, n) by central differences."""
     p, c = motion.segments.index(joint.parent), motion.segments.index(joint.child)
     bones = [motion.rotation[:, p], motion.origin[:, p], motion.rotation[:, c], motion.origin[:, c]]
     value = function(*bones)
@@ -203,7 +209,7 @@ def _with_sd(motion: BoneMotion, joint: BoneJoint, function: Callable[..., Float
 
 
 def _difference(function: Callable[..., Floats], bones: list[Floats], place: int, axis: int) -> Floats:
-    """Differentiate by one of six errors of a bone: its turn about its own axes, its place in the laboratory."""
+    """Differentiate by one of a bone's six errors: rotation about its own axes, then origin in the laboratory."""
     ends = []
     for sign in (1.0, -1.0):
         moved = list(bones)
@@ -213,13 +219,13 @@ def _difference(function: Callable[..., Floats], bones: list[Floats], place: int
             moved[place + 1] = bones[place + 1] + sign * _STEP * np.eye(3)[axis - 3]
         ends.append(function(*moved))
     change = ends[0] - ends[1]
-    # An angle may jump by a whole turn between the two.
+    # An angle may jump by 360 degrees between the two.
     change = np.where(np.abs(change) > np.pi, change - np.sign(change) * 2 * np.pi, change)
     return change / (2 * _STEP)
 
 
 def _continuous(angles: Floats) -> Floats:
-    """Undo jumps by whole turns over the known frames, and put each angle's middle within half a turn of zero."""
+    """Unwrap angles over the known frames, and shift each one's median into -180 to 180 degrees."""
     result = np.array(angles)
     for column in range(result.shape[1]):
         known = np.isfinite(result[:, column])

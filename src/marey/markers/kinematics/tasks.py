@@ -1,4 +1,4 @@
-"""What inverse kinematics is asked to follow: markers and coordinates, each with its weight, as OpenSim has them."""
+"""Tasks of inverse kinematics as in OpenSim: markers and coordinates to follow, each with its weight."""
 
 from dataclasses import dataclass
 
@@ -11,26 +11,26 @@ class MarkerTask:
 
     label: str
     weight: float
-    """Weight of the squared distance, relative to the other markers: the inverse square of a standard deviation of any
-    common unit. The trial's residuals tell the unit."""
+    """Weight of the squared distance relative to the other markers: an inverse variance in an arbitrary common unit,
+    which is estimated from the trial's residuals."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CoordinateTask:
-    """A coordinate to keep near a value."""
+    """A coordinate with a target value."""
 
     coordinate: str
     weight: float
     """Weight of the squared difference [1/rad^2 or 1/m^2] against the markers' weighted mean squared distance [m^2]."""
     value: float | None = None
-    """The value [rad or m]; None is the model's default."""
+    """Target value [rad or m]; None for the model's default."""
     from_file: bool = False
-    """Whether the value of each frame comes from a table."""
+    """Whether the target value of each frame comes from a table."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class TaskSet:
-    """All tasks that are to be used."""
+    """All tasks of a trial."""
 
     markers: tuple[MarkerTask, ...]
     coordinates: tuple[CoordinateTask, ...] = ()

@@ -10,30 +10,36 @@ from marey.geometry import rotations
 from marey.markers.data.bone_motion import BoneMotion
 
 MR_GLOBAL = "MR global"
+"""Name of the scanner's frame."""
 MR_ANATOMIC = "MR anatomic"
+"""Name of the bone's frame in the scanner."""
 CAPTURE_ANATOMIC = "capture anatomic"
+"""Name of the bone's frame in the reference posture."""
 CAPTURE_DEFORMED = "capture deformed"
+"""Name of the cluster's frame before the correction of the skin's motion."""
 CAPTURE_BONE = "capture bone"
+"""Name of the bone's frame in each frame of the trial."""
 CAPTURE_GLOBAL = "capture global"
+"""Name of the laboratory's frame."""
 CHAIN = (MR_GLOBAL, MR_ANATOMIC, CAPTURE_ANATOMIC, CAPTURE_DEFORMED, CAPTURE_BONE, CAPTURE_GLOBAL)
-"""The frames in the order of [Alexander2003] table 1; those after `capture anatomic` move with time."""
+"""The frames in the order of [Alexander2003] table 1; those after `capture anatomic` are time-dependent."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class NamedTransform:
-    """A rigid transform between two named frames, constant or one a frame of the trial: p_to = R p_from + t."""
+    """A rigid transform between two named frames, constant or one per frame of the trial: p_to = R p_from + t."""
 
     to: str
-    """The frame it leads to."""
+    """Name of the target frame."""
     from_: str
-    """The frame it comes from."""
+    """Name of the source frame."""
     rotation: Floats
-    """(3, 3) or (F, 3, 3); NaN where the trial has no answer."""
+    """(3, 3) or (F, 3, 3); NaN where the trial has no estimate."""
     translation: Floats
     """(3,) or (F, 3), in the unit of the points [m]."""
     covariance: Floats | None = None
-    """(6, 6) or (F, 6, 6) of the turn exp(turn) to the right of the rotation [rad] and of the translation; None for a
-    transform known exactly."""
+    """(6, 6) or (F, 6, 6) covariance of the rotation error (exp(error) multiplies the rotation from the right) [rad]
+    and of the translation [m]; None for an exact transform."""
 
     def __post_init__(self) -> None:
         freeze_fields(self, "rotation", "translation")
@@ -43,18 +49,18 @@ class NamedTransform:
             freeze_fields(self, "covariance")
             fits = fits and self.covariance.shape == (*batch, 6, 6)
         if not fits:
-            raise MareyError(f"The transform to {self.to!r} from {self.from_!r} does not fit together.")
+            raise MareyError(f"The array shapes of the transform to {self.to!r} from {self.from_!r} do not agree.")
 
     @property
     def moves(self) -> bool:
-        """True for a transform a frame of the trial, false for a constant one."""
+        """True for one transform per frame of the trial, False for a constant one."""
         return self.rotation.ndim == 3
 
     def __matmul__(self, other: "NamedTransform") -> "NamedTransform":
-        """Compose: c_from_a = c_from_b @ b_from_a; what is uncertain in either adds up, to first order.
+        """Compose c_from_a = c_from_b @ b_from_a, with the covariance of both to first order.
 
         Raises:
-            MareyError: The inner frames are not the same, or two motions have different numbers of frames.
+            MareyError: The inner frames differ, or two motions have different numbers of frames.
         """
         if self.from_ != other.to:
             raise MareyError(
@@ -68,31 +74,31 @@ class NamedTransform:
             )
         return NamedTransform(
             to=self.to, from_=other.from_, rotation=self.rotation @ other.rotation,
-            translation=_carried(self.rotation, other.translation) + self.translation,
+            translation=_rotated(self.rotation, other.translation) + self.translation,
             covariance=_composed(self, other),
         )  # fmt: skip
 
     def inverse(self) -> "NamedTransform":
-        """Turn b_from_a into a_from_b, with its covariance."""
+        """Return a_from_b for b_from_a, with its covariance."""
         turned = np.swapaxes(self.rotation, -1, -2)
         covariance = None
         if self.covariance is not None:
             # R' = exp(-w) R^T = R^T exp(-R w);  t' = -exp(-w) R^T (t + dt)
             jacobian = np.zeros((*self.rotation.shape[:-2], 6, 6))
             jacobian[..., :3, :3] = -self.rotation
-            jacobian[..., 3:, :3] = rotations.hat(_carried(turned, self.translation)) * -1.0
+            jacobian[..., 3:, :3] = rotations.hat(_rotated(turned, self.translation)) * -1.0
             jacobian[..., 3:, 3:] = -turned
-            covariance = _through(jacobian, self.covariance)
+            covariance = _propagated(jacobian, self.covariance)
         return NamedTransform(
-            to=self.from_, from_=self.to, rotation=turned, translation=-_carried(turned, self.translation),
+            to=self.from_, from_=self.to, rotation=turned, translation=-_rotated(turned, self.translation),
             covariance=covariance,
         )  # fmt: skip
 
     def apply(self, points: Floats) -> Floats:
-        """Carry points.
+        """Transform points.
 
         Args:
-            points: (..., N, 3) in the frame `from_`; for a moving transform (N, 3), which it carries in every frame,
+            points: (..., N, 3) in the frame `from_`; for a moving transform (N, 3), which it transforms in every frame,
                 or (F, N, 3).
 
         Returns:
@@ -102,7 +108,7 @@ class NamedTransform:
         return np.asarray(points @ np.swapaxes(self.rotation, -1, -2) + self.translation[..., None, :])
 
     def at(self, frame: int) -> "NamedTransform":
-        """Give the constant transform of one frame of the trial."""
+        """Return the constant transform of one frame of the trial."""
         if not self.moves:
             return self
         covariance = None if self.covariance is None else self.covariance[frame]
@@ -112,22 +118,22 @@ class NamedTransform:
         )  # fmt: skip
 
     def matrix(self) -> Floats:
-        """Give the homogeneous matrix (4, 4) or (F, 4, 4)."""
+        """Return the homogeneous matrix (4, 4) or (F, 4, 4)."""
         matrix = np.zeros((*self.rotation.shape[:-2], 4, 4))
         matrix[..., :3, :3], matrix[..., :3, 3], matrix[..., 3, 3] = self.rotation, self.translation, 1.0
         return matrix
 
 
 def identity(to: str, from_: str) -> NamedTransform:
-    """Say that two frames with different names lie in the same place."""
+    """Create the identity between two frames with different names."""
     return NamedTransform(to=to, from_=from_, rotation=np.eye(3), translation=np.zeros(3))
 
 
 def compose(*transforms: NamedTransform) -> NamedTransform:
-    """Compose transforms written in the order in which products are read: the last one acts first.
+    """Compose transforms in the order of a product: the last one acts first.
 
     Raises:
-        MareyError: Two neighbours do not share a frame, or there is nothing to compose.
+        MareyError: Two neighbours do not share a frame, or there are no transforms.
     """
     if not transforms:
         raise MareyError("There is no transform to compose.")
@@ -139,18 +145,18 @@ def compose(*transforms: NamedTransform) -> NamedTransform:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class TransformChain:
-    """The five steps of [Alexander2003] table 1 of one bone, each by its own name."""
+    """The five steps of [Alexander2003] table 1 for one bone, each by its own name."""
 
     mr_anatomic_from_mr_global: NamedTransform
-    """Direct: the anatomical element in the bone's own frame in the scanner."""
+    """Measured: the anatomical element in the bone's own frame in the scanner."""
     capture_anatomic_from_mr_anatomic: NamedTransform
-    """Optimised: internal to external, from the markers that both the scanner and the laboratory see."""
+    """Optimised: internal to external, from the markers visible in both the scanner and the laboratory."""
     deformed_from_capture_anatomic: NamedTransform
-    """Direct, a frame: the cluster as it is, from the bone as it was in the reference posture."""
+    """Measured in each frame: the deformed cluster from the bone in the reference posture."""
     bone_from_deformed: NamedTransform
-    """Optimised, a frame: the correction of the skin's motion."""
+    """Optimised in each frame: the correction of the skin's motion."""
     capture_global_from_bone: NamedTransform
-    """Direct, a frame: the motion of the bone in the laboratory."""
+    """Measured in each frame: the motion of the bone in the laboratory."""
 
     def __post_init__(self) -> None:
         for number, step in enumerate(self.steps):
@@ -162,7 +168,7 @@ class TransformChain:
 
     @property
     def steps(self) -> tuple[NamedTransform, ...]:
-        """The five steps in the order in which a point takes them."""
+        """The five steps in the order in which they are applied to a point."""
         return (
             self.mr_anatomic_from_mr_global, self.capture_anatomic_from_mr_anatomic,
             self.deformed_from_capture_anatomic, self.bone_from_deformed, self.capture_global_from_bone,
@@ -188,16 +194,16 @@ class TransformChain:
 def bone_steps(
     cluster: BoneMotion, corrected: BoneMotion, segment: str
 ) -> tuple[NamedTransform, NamedTransform, NamedTransform]:
-    """Make the three last steps of the chain from the motion of a bone before and after the skin's is taken away.
+    """Create the last three steps of the chain from the motion of a bone before and after the skin correction.
 
-    The cluster's frame lies on the bone's in the reference posture, so that the third step is the identity; the
-    fourth puts the bone where the correction says it is beneath the cluster; the fifth moves the cluster. What is
-    uncertain in the corrected motion is carried by the fourth step.
+    The cluster's frame coincides with the bone's in the reference posture, so that the third step is the identity; the
+    fourth is the correction of the bone relative to the cluster; the fifth is the motion of the cluster. The fourth
+    step has the covariance of the corrected motion.
 
     Args:
-        cluster: The bone as the cluster moves it (the rigid fit, or the point cluster technique).
-        corrected: The bone as the method estimates it; give the same motion twice for one without a correction.
-        segment: The bone.
+        cluster: The motion of the bone by the cluster alone (the rigid fit, or the point cluster technique).
+        corrected: The estimate of the method; pass the same motion twice for a method without a correction.
+        segment: Name of the bone.
 
     Returns:
         The steps `deformed_from_capture_anatomic`, `bone_from_deformed` and `capture_global_from_bone`.
@@ -213,16 +219,16 @@ def bone_steps(
     return identity(CAPTURE_DEFORMED, CAPTURE_ANATOMIC), moved.inverse() @ bone, moved
 
 
-def _carried(rotation: Floats, vector: Floats) -> Floats:
+def _rotated(rotation: Floats, vector: Floats) -> Floats:
     return np.asarray((rotation @ vector[..., None])[..., 0])
 
 
-def _through(jacobian: Floats, covariance: Floats) -> Floats:
+def _propagated(jacobian: Floats, covariance: Floats) -> Floats:
     return np.asarray(jacobian @ covariance @ np.swapaxes(jacobian, -1, -2))
 
 
 def _composed(first: NamedTransform, second: NamedTransform) -> Floats | None:
-    """Give the covariance of first @ second: R1 exp(w1) R2 exp(w2), and R1 exp(w1) (t2 + dt2) + t1 + dt1."""
+    """Return the covariance of first @ second: R1 exp(w1) R2 exp(w2), and R1 exp(w1) (t2 + dt2) + t1 + dt1."""
     if first.covariance is None and second.covariance is None:
         return None
     batch = np.broadcast_shapes(first.rotation.shape[:-2], second.rotation.shape[:-2])
@@ -232,10 +238,10 @@ def _composed(first: NamedTransform, second: NamedTransform) -> Floats | None:
         jacobian[..., :3, :3] = np.swapaxes(second.rotation, -1, -2)
         jacobian[..., 3:, :3] = -first.rotation @ rotations.hat(second.translation)
         jacobian[..., 3:, 3:] = np.eye(3)
-        total = total + _through(jacobian, first.covariance)
+        total = total + _propagated(jacobian, first.covariance)
     if second.covariance is not None:
         jacobian = np.zeros((*batch, 6, 6))
         jacobian[..., :3, :3] = np.eye(3)
         jacobian[..., 3:, 3:] = first.rotation
-        total = total + _through(jacobian, second.covariance)
+        total = total + _propagated(jacobian, second.covariance)
     return total

@@ -1,4 +1,4 @@
-"""Artefact assessment: skin motion learned from an exercise against a joint's turn, taken away in the activity."""
+"""Artefact assessment: skin motion learned from an exercise as a function of a joint's rotation, then removed."""
 
 from dataclasses import dataclass, replace
 
@@ -6,34 +6,39 @@ import numpy as np
 
 from marey.arrays import Floats
 from marey.errors import MareyError
-from marey.markers.data.bone_motion import BoneMotion, side_by_side
+from marey.markers.data.bone_motion import BoneMotion, combine_bones
 from marey.markers.data.cluster_data import ClusterData, cluster_data
 from marey.markers.data.problem import MarkerProblem
 from marey.markers.data.rigid_fit import fit_rigid, one_bone, rigid_bone
 from marey.markers.methods.joint_turn import JointAxis, joint_axis, segment_axis, turn_about
-from marey.markers.preprocessing.preparation import prepared
+from marey.markers.preprocessing.preparation import prepare_problem
 
-_LOCKED_BELOW = np.radians(15)  # a joint that turns less than this in the exercise was held still
+_LOCKED_BELOW = np.radians(15)
+"""A joint that rotates less than this in the exercise [rad] counts as held still. Chosen by hand."""
 _FEWEST_POSTURES = 4
+"""Fewest known postures that determine a polynomial of the third degree."""
 _DEGREE = 3
-_ROUNDS = 50
-_STILL = 1e-10  # m
+"""Degree of the polynomial of a marker's position in the joint's rotation. Chosen by hand."""
+_MAXIMUM_ROUNDS = 50
+"""Most rounds of fit and removal. Chosen by hand."""
+_CONVERGED = 1e-10
+"""The iteration ends when no origin changes by more than this [m]; numerical."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Artefact:
-    """What the markers of one segment do on the bone as a joint turns."""
+    """The motion of one segment's markers over the bone as a function of a joint's rotation."""
 
     segment: str
     axis: JointAxis
-    """The joint's turn, counted as in the exercise."""
+    """The joint's axis, with the zero of the exercise."""
     range: tuple[float, float]
-    """The turns that the exercise went through [rad]; beyond them the nearest one holds."""
+    """Range of the rotation in the exercise [rad]; beyond it the nearest end is used."""
     coefficients: dict[str, Floats]
-    """For each label (D + 1, 3): the marker's place as a polynomial in the turn over the range, -1 to 1 [m]."""
+    """For each label (D + 1, 3) Legendre coefficients of the marker's position over the range, mapped to -1..1 [m]."""
 
     def places(self, label: str, turn: Floats) -> Floats:
-        """(F, 3) where the exercise has the marker at turns (F,) [m]."""
+        """Return the marker's positions (F, 3) [m] in the exercise at rotations (F,) [rad]."""
         low, high = self.range
         along = 2 * (np.clip(turn, low, high) - low) / (high - low) - 1
         coefficients = self.coefficients[label]
@@ -41,50 +46,51 @@ class Artefact:
 
 
 def artefact_assessment(problem: MarkerProblem) -> BoneMotion:
-    """Take away in every frame the skin motion that an exercise shows at the same turn of the joint ([Lucchetti1998]).
+    """Remove in every frame the skin motion that an exercise shows at the same rotation of the joint ([Lucchetti1998]).
 
-    The turn comes first from the rigid fit, then from the bones just found, until it settles. A segment of which the
-    exercise tells nothing is fitted rigidly, and it is said.
+    The rotation comes first from the rigid fit, then from the current bones, until convergence. A segment without
+    information in the exercise is fitted rigidly, with a note.
 
     Raises:
-        MareyError: There is no exercise, or it tells of no segment how its markers move over the bone.
+        MareyError: There is no exercise, or it does not determine the skin motion of any segment.
     """
     if problem.exercise is None:
         raise MareyError("Artefact assessment needs a trial of an exercise with the same markers.")
     learned, notes = assess(problem.exercise)
     if not learned:
-        raise MareyError("The exercise does not tell how markers move over any bone. " + " ".join(notes))
+        raise MareyError("The exercise does not determine the skin motion of any segment. " + " ".join(notes))
     clusters = [cluster_data(problem, cluster) for cluster in problem.clusters]
-    motion = side_by_side([rigid_bone(data, problem.noise_m) for data in clusters])
+    motion = combine_bones([rigid_bone(data, problem.noise_m) for data in clusters])
     before = np.zeros_like(motion.origin)
-    for _ in range(_ROUNDS):
-        motion = side_by_side([_bone(data, learned.get(data.segment), problem, motion) for data in clusters])
-        if np.nan_to_num(np.abs(motion.origin - before)).max(initial=0.0) < _STILL:
+    for _ in range(_MAXIMUM_ROUNDS):
+        motion = combine_bones([_bone(data, learned.get(data.segment), problem, motion) for data in clusters])
+        if np.nan_to_num(np.abs(motion.origin - before)).max(initial=0.0) < _CONVERGED:
             break
         before = motion.origin
     return replace(motion, notes=(*motion.notes, *notes))
 
 
 def assess(exercise: MarkerProblem) -> tuple[dict[str, Artefact], tuple[str, ...]]:
-    """Learn from an exercise how each segment's markers move over the bone as its joint turns.
+    """Learn from an exercise how each segment's markers move over the bone as its joint rotates.
 
-    The bones of the exercise are known in four postures or more; or, as in the paper, a joint was held still while its
-    neighbour moved: then the segment above it goes where the one below it goes, whose skin moves less.
+    Either the bones of the exercise are known in four postures or more; or, as in the paper, a joint was held still
+    while its neighbour moved: then the segment above it is assumed to move rigidly with the segment below it, whose
+    skin moves less.
 
     Returns:
-        The artefacts of the segments that the exercise tells of, and a sentence about each other segment.
+        The artefacts of the segments that the exercise determines, and one sentence about each other segment.
     """
-    ready = prepared(exercise)
+    ready = prepare_problem(exercise)
     if ready.problem is None:
         return {}, ready.notes
     exercise = ready.problem
     clusters = [cluster_data(exercise, cluster) for cluster in exercise.clusters]
-    plain = side_by_side([rigid_bone(data, exercise.noise_m) for data in clusters])
+    plain = combine_bones([rigid_bone(data, exercise.noise_m) for data in clusters])
     many = exercise.calibration.postures >= _FEWEST_POSTURES
     locked = () if many else _locked(exercise, plain)
     learned, notes = {}, list(ready.notes)
     for data in clusters:
-        bones = _known(exercise, plain) if many else _carried(exercise, plain, locked, data.segment)
+        bones = _known(exercise, plain) if many else _moved_by_segment_below(exercise, plain, locked, data.segment)
         axis = None if bones is None else segment_axis(exercise, bones, data.segment, locked=locked)
         if bones is None or axis is None:
             notes.append(f"{data.segment}: the exercise does not show its bone; fitted as a rigid cluster.")
@@ -94,7 +100,7 @@ def assess(exercise: MarkerProblem) -> tuple[dict[str, Artefact], tuple[str, ...
 
 
 def _locked(exercise: MarkerProblem, plain: BoneMotion) -> tuple[tuple[str, str], ...]:
-    """Find the joints that hardly turn in the exercise."""
+    """Find the joints that hardly rotate in the exercise."""
     turns = [
         (pair, turn_about(joint_axis(exercise, plain, *pair), exercise, plain))
         for pair in exercise.joints
@@ -104,7 +110,7 @@ def _locked(exercise: MarkerProblem, plain: BoneMotion) -> tuple[tuple[str, str]
 
 
 def _known(exercise: MarkerProblem, plain: BoneMotion) -> BoneMotion:
-    """Give the bones in the known postures only, NaN elsewhere."""
+    """Return the bones in the known postures, NaN elsewhere."""
     rotation, origin = np.full_like(plain.rotation, np.nan), np.full_like(plain.origin, np.nan)
     calibration = exercise.calibration
     index = [calibration.segments.index(segment) for segment in plain.segments]
@@ -113,10 +119,10 @@ def _known(exercise: MarkerProblem, plain: BoneMotion) -> BoneMotion:
     return replace(plain, rotation=rotation, origin=origin)
 
 
-def _carried(
+def _moved_by_segment_below(
     exercise: MarkerProblem, plain: BoneMotion, locked: tuple[tuple[str, str], ...], segment: str
 ) -> BoneMotion | None:
-    """Give the bones with the segment carried by the one below it; None where no joint below it was held still."""
+    """Return the bones with the segment moved by the one below it; None if no joint below it was held still."""
     below = [child for parent, child in locked if parent == segment]
     if not below:
         return None
@@ -133,7 +139,7 @@ def _carried(
 
 
 def _artefact(data: ClusterData, bones: BoneMotion, axis: JointAxis) -> Artefact:
-    """Fit each marker's place on the bone as a polynomial in the turn."""
+    """Fit each marker's position on the bone as a polynomial in the rotation."""
     turn = axis.turn(bones.rotation, bones.segments)
     rotation, origin = bones.bone(data.segment)
     places = np.einsum("fji,fmj->fmi", rotation, data.points - origin[:, None])
@@ -152,8 +158,8 @@ def _artefact(data: ClusterData, bones: BoneMotion, axis: JointAxis) -> Artefact
 
 
 def _bone(data: ClusterData, learned: Artefact | None, problem: MarkerProblem, motion: BoneMotion) -> BoneMotion:
-    """Fit one cluster to its shape at each frame's turn; only what the turn changes is taken from the exercise."""
-    if learned is None or not _known_to(motion, learned.axis):
+    """Fit one cluster to its shape at each frame's rotation; only the change of shape comes from the exercise."""
+    if learned is None or not _has_bones_of(motion, learned.axis):
         return rigid_bone(data, problem.noise_m)
     turn = learned.axis.turn(motion.rotation, motion.segments)
     calibration = problem.calibration
@@ -168,9 +174,9 @@ def _bone(data: ClusterData, learned: Artefact | None, problem: MarkerProblem, m
     notes = [*data.notes]
     beyond = np.isfinite(turn) & ((turn < learned.range[0]) | (turn > learned.range[1]))
     if beyond.any():
-        notes.append(f"{data.segment}: {beyond.sum()} of {len(turn)} frames turn farther than the exercise did.")
+        notes.append(f"{data.segment}: {beyond.sum()} of {len(turn)} frames rotate beyond the range of the exercise.")
     return one_bone(data.segment, fit.rotation, fit.translation, fit.covariance, tuple(notes))
 
 
-def _known_to(motion: BoneMotion, axis: JointAxis) -> bool:
+def _has_bones_of(motion: BoneMotion, axis: JointAxis) -> bool:
     return axis.child in motion.segments and (axis.parent is None or axis.parent in motion.segments)

@@ -1,4 +1,4 @@
-"""Least squares over a chain of bones: a pose of every bone in every frame, and what all frames share of the joints."""
+"""Least squares over a chain of bones: one pose per bone and frame, and joint parameters shared by all frames."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -7,26 +7,27 @@ import numpy as np
 
 from marey.arrays import Floats, Mask
 from marey.geometry import rotations
-from marey.markers.methods.chain import PARAMETERS, ChainJoint, JointPlace, gap
+from marey.markers.methods.chain import PARAMETERS, ChainJoint, JointPlace, joint_gap
 
-_HARDLY = 1e-3  # 1/rad2 or 1/m2: keeps in place what nothing sees
+_MINIMUM_INFORMATION = 1e-3
+"""Information added to every coordinate [1/rad2 or 1/m2], which keeps unobserved coordinates in place; numerical."""
 
 
-class Shape(NamedTuple):
-    """One bone's markers: where they are on it, where they were seen, how far a coordinate is off."""
+class MarkerObservations(NamedTuple):
+    """One bone's markers: positions on the bone, measured positions, and standard deviations."""
 
     places: Floats
-    """(F, M, 3) in the bone [m]; 0 where not known."""
+    """(F, M, 3) in the bone's frame [m]; 0 where unknown."""
     points: Floats
     """(F, M, 3) in the laboratory [m]; 0 where missing."""
     used: Mask
-    """(F, M)."""
+    """(F, M) True where a marker is used."""
     sd: Floats
-    """(M,) [m]."""
+    """(M,) standard deviation of a coordinate [m]."""
 
 
-class State(NamedTuple):
-    """Poses and joints."""
+class ChainState(NamedTuple):
+    """The unknowns: poses and joints."""
 
     rotation: Floats
     """(F, S, 3, 3) laboratory from bone."""
@@ -34,9 +35,9 @@ class State(NamedTuple):
     """(F, S, 3) [m]."""
     joints: tuple[JointPlace, ...]
 
-    def moved(self, step: Floats, shared: Floats) -> "State":
-        """Give the state after a step: (F, S, 6) turns about the bones' own axes and origins, (J, 10)."""
-        return State(
+    def moved(self, step: Floats, shared: Floats) -> "ChainState":
+        """Return the state after a step: (F, S, 6) rotations about the bones' own axes and origins, (J, 10) joints."""
+        return ChainState(
             self.rotation @ rotations.exp(step[..., :3]), self.origin + step[..., 3:],
             tuple(place.moved(s) for place, s in zip(self.joints, shared, strict=True)),
         )  # fmt: skip
@@ -44,28 +45,29 @@ class State(NamedTuple):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Chain:
-    """What is observed, and what is believed of the joints."""
+    """The observations, and the prior knowledge of the joints."""
 
-    shapes: tuple[Shape, ...]
-    """One a segment."""
+    shapes: tuple[MarkerObservations, ...]
+    """One per segment."""
     joints: tuple[ChainJoint, ...]
     ends: tuple[tuple[int, int], ...]
     """(parent, child) of each joint, as indices of segments."""
     known: tuple[Floats, Floats]
     """Rotation (K, S, 3, 3) and origin (K, S, 3) of the bones in the known postures."""
     estimated: Mask
-    """(J, 10) the joints' parameters that are estimated."""
+    """(J, 10) True for the joints' parameters that are estimated."""
     start: tuple[JointPlace, ...]
+    """Prior means of the joints."""
     prior_sd: Floats
-    """(J, 10) how far the parameters may be from their start."""
+    """(J, 10) standard deviation of the parameters about their prior means [m or rad]."""
     known_sd: float
-    """The standard deviation of a gap in a known posture [m], where a joint is held fast."""
-    fast_m: float
-    """The same over the trial."""
+    """Standard deviation of a rigid constraint's gap in a known posture [m]."""
+    rigid_sd_m: float
+    """The same over the trial [m]."""
 
 
-class System(NamedTuple):
-    """The normal equations: frames (F, n, n), frames by shared (F, n, P), shared (P, P)."""
+class ChainNormalEquations(NamedTuple):
+    """The normal equations: frames (F, n, n), frames by shared parameters (F, n, P), shared parameters (P, P)."""
 
     frames: Floats
     gradient: Floats
@@ -75,21 +77,21 @@ class System(NamedTuple):
     cost: float
 
 
-def marker_residuals(shape: Shape, rotation: Floats, origin: Floats) -> Floats:
-    """Give model less seen (F, M, 3) [m]; 0 where a marker is not used."""
+def marker_residuals(shape: MarkerObservations, rotation: Floats, origin: Floats) -> Floats:
+    """Return modelled minus measured positions (F, M, 3) [m]; 0 where a marker is not used."""
     model = np.einsum("fij,fmj->fmi", rotation, shape.places) + origin[:, None]
     return np.where(shape.used[..., None], model - shape.points, 0.0)
 
 
-def marker_rows(shape: Shape, rotation: Floats) -> Floats:
-    """Give how the markers move with the bone's turn and origin: (F, M, 3, 6)."""
+def marker_rows(shape: MarkerObservations, rotation: Floats) -> Floats:
+    """Return the derivatives of the markers by the bone's rotation and origin: (F, M, 3, 6)."""
     turn = -rotation[:, None] @ rotations.hat(shape.places)
     rows = np.concatenate([turn, np.broadcast_to(np.eye(3), turn.shape)], -1)
     return np.where(shape.used[..., None, None], rows, 0.0)
 
 
-def build(chain: Chain, state: State) -> System:
-    """Linearise all observations about a state."""
+def linearise(chain: Chain, state: ChainState) -> ChainNormalEquations:
+    """Linearise all observations at a state."""
     count, segments = state.rotation.shape[:2]
     size, shared = 6 * segments, PARAMETERS * len(chain.joints)
     frames, gradient = np.zeros((count, size, size)), np.zeros((count, size))
@@ -105,7 +107,7 @@ def build(chain: Chain, state: State) -> System:
         gradient[:, at] += (np.swapaxes(flat, 1, 2) @ residual.reshape(count, -1, 1))[..., 0]
         cost += float((residual**2).sum())
     for j, place in enumerate(state.joints):
-        gaps, wrt_bones, by_joint = _gap_at(chain, j, state.rotation, state.origin, place, chain.fast_m)
+        gaps, wrt_bones, by_joint = _gap_at(chain, j, state.rotation, state.origin, place, chain.rigid_sd_m)
         index = np.concatenate([6 * end + np.arange(6) for end in chain.ends[j]])
         at = slice(PARAMETERS * j, PARAMETERS * (j + 1))
         frames[:, index[:, None], index] += np.swapaxes(wrt_bones, 1, 2) @ wrt_bones
@@ -121,55 +123,59 @@ def build(chain: Chain, state: State) -> System:
         own_gradient[at][:6] += off / chain.prior_sd[j, :6] ** 2
         cost += float(((off / chain.prior_sd[j, :6]) ** 2).sum())
     keep = chain.estimated.ravel()
-    return System(frames, gradient, mixed[..., keep], own[np.ix_(keep, keep)], own_gradient[keep], cost)
+    return ChainNormalEquations(frames, gradient, mixed[..., keep], own[np.ix_(keep, keep)], own_gradient[keep], cost)
 
 
 def _gap_at(
-    chain: Chain, j: int, rotation: Floats, origin: Floats, place: JointPlace, fast_m: float
+    chain: Chain, j: int, rotation: Floats, origin: Floats, place: JointPlace, rigid_sd_m: float
 ) -> tuple[Floats, Floats, Floats]:
-    """Give the gap of one joint over frames or known postures; only estimated parameters count."""
+    """Return the residuals of one joint over frames or known postures; only estimated parameters have derivatives."""
     parent, child = chain.ends[j]
-    residual, rows, shared = gap(
-        chain.joints[j], place, (rotation[:, parent], origin[:, parent]), (rotation[:, child], origin[:, child]), fast_m
+    residual, rows, shared = joint_gap(
+        chain.joints[j],
+        place,
+        (rotation[:, parent], origin[:, parent]),
+        (rotation[:, child], origin[:, child]),
+        rigid_sd_m,
     )
     return residual, rows, shared * chain.estimated[j]
 
 
-class Step(NamedTuple):
+class ChainStep(NamedTuple):
     """A solved step."""
 
     frames: Floats
-    """(F, S, 6)."""
+    """(F, S, 6) step of the poses [rad, m]."""
     shared: Floats
-    """(J, 10)."""
+    """(J, 10) step of the joints' parameters."""
     covariance: Floats
-    """(F, 6 S, 6 S) of the poses, what is shared being estimated with them."""
-    promised: float
-    """By how much the cost would fall if all were linear."""
+    """(F, 6 S, 6 S) covariance of the poses, including the uncertainty of the shared parameters."""
+    predicted: float
+    """Decrease of the cost predicted by the linearisation."""
 
 
 def descend(
-    chain: Chain, state: State, *, most: int = 60, stop: float = 1e-7, enough: float = 1e-7
-) -> tuple[State, Step]:
-    """Find the state of least cost by damped Gauss-Newton.
+    chain: Chain, state: ChainState, *, maximum_steps: int = 60, stop: float = 1e-7, cost_tolerance: float = 1e-7
+) -> tuple[ChainState, ChainStep]:
+    """Find the state of minimum cost by damped Gauss-Newton.
 
     Args:
-        chain: What is observed.
-        state: Where to start.
-        most: At most this many steps.
-        stop: A shorter step [rad, m] ends the search,
-        enough: and so does a step that lessens the cost by less than this share.
+        chain: The observations.
+        state: Initial state.
+        maximum_steps: Most steps.
+        stop: A step shorter than this [rad, m] ends the iteration.
+        cost_tolerance: A step that decreases the cost by less than this fraction ends the iteration.
 
     Returns:
-        The state, and an undamped step there for its covariance.
+        The state, and an undamped step at it, for its covariance.
     """
     damping = 1e-9
-    system = build(chain, state)
-    for _ in range(most):
+    system = linearise(chain, state)
+    for _ in range(maximum_steps):
         step = solve(chain, system, damping)
         tried, there = _tried(chain, state, step, 1.0)
-        if there.cost > system.cost - 0.5 * step.promised:
-            # What the joints pull at bends as the bones turn: the plain step then goes about twice too far.
+        if there.cost > system.cost - 0.5 * step.predicted:
+            # The constraints are nonlinear in the rotations: the plain step is then about twice too long.
             half, there_half = _tried(chain, state, step, 0.5)
             if there_half.cost < there.cost:
                 tried, there = half, there_half
@@ -179,22 +185,22 @@ def descend(
         else:
             damping *= 10
         longest = max(np.abs(step.frames).max(), np.abs(step.shared).max(initial=0.0))
-        if longest < stop or 0 <= gained < enough * system.cost or damping > 1e6:
+        if longest < stop or 0 <= gained < cost_tolerance * system.cost or damping > 1e6:
             break
     return state, solve(chain, system, 0.0)
 
 
-def _tried(chain: Chain, state: State, step: Step, share: float) -> tuple[State, System]:
-    """Go a share of a step."""
+def _tried(chain: Chain, state: ChainState, step: ChainStep, share: float) -> tuple[ChainState, ChainNormalEquations]:
+    """Take a fraction of a step."""
     moved = state.moved(share * step.frames, share * step.shared)
-    return moved, build(chain, moved)
+    return moved, linearise(chain, moved)
 
 
-def solve(chain: Chain, system: System, damping: float) -> Step:
-    """Solve for a damped step by elimination of the frames (the Schur complement of what they share)."""
+def solve(chain: Chain, system: ChainNormalEquations, damping: float) -> ChainStep:
+    """Solve for a damped step by elimination of the frames (Schur complement of the shared parameters)."""
     count, size = system.gradient.shape
     diagonal = np.einsum("fii->fi", system.frames)
-    damped = system.frames + np.eye(size) * (damping * diagonal + _HARDLY)[:, None]
+    damped = system.frames + np.eye(size) * (damping * diagonal + _MINIMUM_INFORMATION)[:, None]
     inverse = np.linalg.inv(damped)
     inverse = 0.5 * (inverse + np.swapaxes(inverse, 1, 2))
     eliminated = inverse @ system.mixed
@@ -207,5 +213,5 @@ def solve(chain: Chain, system: System, damping: float) -> Step:
     shared = np.zeros(chain.estimated.size)
     shared[chain.estimated.ravel()] = moved
     covariance = inverse + eliminated @ own @ np.swapaxes(eliminated, 1, 2)
-    promised = -float((system.gradient * step).sum() + system.shared_gradient @ moved)
-    return Step(step.reshape(count, -1, 6), shared.reshape(-1, PARAMETERS), covariance, promised)
+    predicted = -float((system.gradient * step).sum() + system.shared_gradient @ moved)
+    return ChainStep(step.reshape(count, -1, 6), shared.reshape(-1, PARAMETERS), covariance, predicted)

@@ -1,67 +1,105 @@
-"""The method of choice: rigid clusters, soft joints and a statistical model of the skin's motion, together."""
+"""The default method: rigid clusters, soft joint constraints and a statistical model of the skin's motion."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from marey.arrays import Floats, Mask
 from marey.geometry import rotations
-from marey.markers.data.bone_motion import BoneMotion, side_by_side
-from marey.markers.data.cluster_data import ClusterData, cluster_data, counted
+from marey.markers.data.bone_motion import BoneMotion, combine_bones
+from marey.markers.data.cluster_data import ClusterData, cluster_data, frame_count_note
+from marey.markers.data.clusters import MINIMUM_MARKERS
 from marey.markers.data.problem import MarkerProblem
-from marey.markers.data.rigid_fit import FEWEST, RigidFit, fit_rigid, one_bone, rigid_bone
+from marey.markers.data.rigid_fit import RigidFit, fit_rigid, one_bone, rigid_bone
 from marey.markers.methods.joint_constraints import (
-    Bed,
+    ClusterPose,
+    ConstraintRows,
     KnownJoint,
-    Rows,
-    better_centres,
-    first_centres,
+    initial_centres,
     is_anatomical,
     joint_rows,
     krige,
     laxity,
+    refined_centres,
 )
 from marey.markers.methods.joint_turn import JointTurn, joint_turn, segment_turn
-from marey.markers.methods.skin_motion import SkinMotion, filled_postures, learn_skin, settle_sizes, without_gaps
+from marey.markers.methods.skin_motion import (
+    SkinMotion,
+    SkinMotionSettings,
+    filled_postures,
+    learn_skin,
+    shrink_sizes,
+    without_gaps,
+)
 
-_ROUNDS = 4
-_STEPS = 4
 _CHUNK = 256
-_COMMON_TURN = 0.75  # what all markers do together, as a multiple of what they do against each other;
-_COMMON_SHIFT = 1.5  # from three trials with known bones, rounded (docs/marker-methods.md)
-_SURPRISING = 5.0  # times the variance expected of a frame's visible motion
-_SLENDEREST = 1e-6  # of a cluster's spread, so that markers in a line have some
-_FLOOR = 1e-12  # variance that keeps a row finite where both joint and skin are known exactly
+"""Frames whose equations are solved at once; it limits memory."""
+_MINIMUM_INERTIA_RATIO = 1e-6
+"""Inertia added to a cluster as a ratio to its spread, so that collinear markers have a finite rotation; numerical."""
+_MINIMUM_VARIANCE = 1e-12
+"""Variance [rad2 or m2] added to every equation, for joints and skin that are both known exactly; numerical."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SkinAndJointsSettings:
+    """Settings of the default method."""
+
+    rounds: int = 4
+    """Rounds in which the joints' rotations are updated. Chosen by hand."""
+    steps: int = 4
+    """Gauss-Newton steps of the common motions. Chosen by hand."""
+    common_rotation_ratio: float = 0.75
+    """Displacement by the rotation common to all markers as a multiple of their relative motion. From three trials with
+    known bones, rounded (docs/explanation/markers.md); factors of 0.7 and 1.4 are measured in
+    docs/accuracy/markers.md."""
+    common_translation_ratio: float = 1.5
+    """The same for the translation common to all markers, from the same trials."""
+    outlier_variance_ratio: float = 5.0
+    """A frame is an outlier when its visible motion has more than this multiple of the expected variance. Chosen by
+    hand."""
+    skin: SkinMotionSettings = field(default_factory=SkinMotionSettings)
+    """Settings of the statistical model of the skin's motion."""
+
+
+_SETTINGS = SkinAndJointsSettings()
+"""Default settings of the method."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class _Leg:
-    """One segment's cluster with what was learned of its skin, and its pose as fitted last."""
+class _FittedCluster:
+    """One segment's cluster with the model of its skin's motion, and its current pose."""
 
     data: ClusterData
     skin: SkinMotion
     fit: RigidFit
-    bed: Bed
+    pose: ClusterPose
 
 
-def skin_and_joints(problem: MarkerProblem) -> BoneMotion:
-    """Estimate the bones as the most probable ones under what is believed of skin, joints and noise, with covariance.
+def skin_and_joints(problem: MarkerProblem, settings: SkinAndJointsSettings = _SETTINGS) -> BoneMotion:
+    """Estimate the most probable bones under statistical models of skin, joints and noise, with covariance.
 
-    Ours: a cluster shows how far its skin moves unlike a rigid body ([Alexander2003] section 2.6 takes that part to be
-    of low rank); the part that is common to all its markers looks like a motion of the bone and cannot be seen. Its
-    standard deviation is taken from the visible part. Each cluster's places on the bone are interpolated between the
-    known postures by kriging in the joint's turn, the modes' courses and time; what remains unknown is shared between
-    the bones of a joint by what the joint is known to give.
+    Ours: a cluster shows the non-rigid part of its skin's motion ([Alexander2003] section 2.6 assumes it to be of low
+    rank); the part common to all its markers is indistinguishable from a motion of the bone. Its standard deviation is
+    derived from the visible part. Each cluster's positions on the bone are interpolated between the known postures by
+    kriging in the joint's rotation, the modes' time courses and time; the remaining error is distributed between the
+    bones of a joint according to the joint's laxity.
+
+    Args:
+        problem: The trial.
+        settings: Settings of the method.
+
+    Returns:
+        The bones with their covariance.
 
     Raises:
-        MareyError: The calibration does not fit the trial.
+        MareyError: The calibration does not match the trial.
     """
-    every = [_placed(cluster_data(problem, cluster)) for cluster in problem.clusters]
-    able = [data for data in every if len(data.labels) >= FEWEST]
-    rest = [rigid_bone(data, problem.noise_m) for data in every if len(data.labels) < FEWEST]
+    every = [_with_known_postures(cluster_data(problem, cluster)) for cluster in problem.clusters]
+    able = [data for data in every if len(data.labels) >= MINIMUM_MARKERS]
+    rest = [rigid_bone(data, problem.noise_m) for data in every if len(data.labels) < MINIMUM_MARKERS]
     if not able:
-        return side_by_side(rest)
-    found = side_by_side([_together(_narrowed(problem, able), able), *rest])
+        return combine_bones(rest)
+    found = combine_bones([_estimate_jointly(_restricted(problem, able), able, settings), *rest])
     order = [found.segments.index(cluster.segment) for cluster in problem.clusters]
     return replace(
         found, segments=tuple(found.segments[k] for k in order), rotation=found.rotation[:, order],
@@ -69,9 +107,9 @@ def skin_and_joints(problem: MarkerProblem) -> BoneMotion:
     )  # fmt: skip
 
 
-def _placed(data: ClusterData) -> ClusterData:
-    """Keep the postures in which the bone is known under enough of the cluster's markers; of none, no marker."""
-    known = np.isfinite(data.postures).all(-1).sum(1) >= FEWEST
+def _with_known_postures(data: ClusterData) -> ClusterData:
+    """Keep the postures with a known bone and enough visible markers; without any such posture, keep no marker."""
+    known = np.isfinite(data.postures).all(-1).sum(1) >= MINIMUM_MARKERS
     kept = data.postures[known]
     seen = np.isfinite(kept).all(-1).any(0) & bool(known.any())
     return replace(
@@ -81,89 +119,97 @@ def _placed(data: ClusterData) -> ClusterData:
     )  # fmt: skip
 
 
-def _narrowed(problem: MarkerProblem, able: list[ClusterData]) -> MarkerProblem:
-    """Keep the clusters that can answer, and the joints between them whose bones are known together in some posture."""
+def _restricted(problem: MarkerProblem, able: list[ClusterData]) -> MarkerProblem:
+    """Keep the usable clusters, and the joints between them whose bones are both known in some posture."""
     names = {data.segment: set(data.frames.tolist()) for data in able}
     joints = tuple(pair for pair in problem.joints if set(pair) <= set(names) and names[pair[0]] & names[pair[1]])
     clusters = tuple(cluster for cluster in problem.clusters if cluster.segment in names)
     return replace(problem, clusters=clusters, joints=joints, degrees_of_freedom=())
 
 
-def _together(problem: MarkerProblem, clusters: list[ClusterData]) -> BoneMotion:
-    """Estimate the bones of clusters that can answer, in rounds: each knows the joints' turns better than the last."""
-    motion = side_by_side([rigid_bone(data, problem.noise_m) for data in clusters])
+def _estimate_jointly(
+    problem: MarkerProblem, clusters: list[ClusterData], settings: SkinAndJointsSettings
+) -> BoneMotion:  # fmt: skip
+    """Estimate the bones of usable clusters in rounds, each with the joints' rotations of the previous one."""
+    motion = combine_bones([rigid_bone(data, problem.noise_m) for data in clusters])
     skins: tuple[SkinMotion, ...] = ()
-    for _ in range(_ROUNDS):
-        skins = _skins(problem, clusters, motion, skins)
-        legs = [_leg(data, skin, problem.noise_m) for data, skin in zip(clusters, skins, strict=True)]
+    for _ in range(settings.rounds):
+        skins = _skin_models(problem, clusters, motion, skins, settings)
+        pairs = zip(clusters, skins, strict=True)
+        fitted = [_fitted_cluster(data, skin, problem.noise_m, settings) for data, skin in pairs]
         joints = [_joint(problem, motion, pair) for pair in problem.joints]
-        steps, covariance = _settle([leg.bed for leg in legs], joints)
-        motion = _motion(legs, steps, covariance)
-    return replace(motion, notes=(*motion.notes, *_notes(skins), *_doubts(problem, joints)))
+        steps, covariance = _common_motions([cluster.pose for cluster in fitted], joints, settings.steps)
+        motion = _motion(fitted, steps, covariance)
+    return replace(motion, notes=(*motion.notes, *_skin_notes(skins), *_joint_notes(problem, joints)))
 
 
-def _skins(
-    problem: MarkerProblem, clusters: list[ClusterData], motion: BoneMotion, before: tuple[SkinMotion, ...]
-) -> tuple[SkinMotion, ...]:
-    """Learn the skins' motions once, and let them follow the joints' turns as these become known better."""
+def _skin_models(
+    problem: MarkerProblem, clusters: list[ClusterData], motion: BoneMotion, before: tuple[SkinMotion, ...],
+    settings: SkinAndJointsSettings,
+) -> tuple[SkinMotion, ...]:  # fmt: skip
+    """Estimate the models of the skins' motions once, and update the joints' rotations in them afterwards."""
     turns = []
     for data in clusters:
         found = segment_turn(problem, motion, data.segment)
-        turns.append(np.zeros(len(motion)) if found is None else _anchored(found, problem))
+        turns.append(np.zeros(len(motion)) if found is None else _continuous_turn(found, problem))
     if before:
         return tuple(replace(skin, turn=turn) for skin, turn in zip(before, turns, strict=True))
     time = problem.trajectories.time
     pairs = zip(clusters, turns, strict=True)
-    return settle_sizes([learn_skin(data, turn, time, problem.noise_m) for data, turn in pairs])
+    learned = [learn_skin(data, turn, time, problem.noise_m, settings.skin) for data, turn in pairs]
+
+    return shrink_sizes(learned, settings.skin)
 
 
-def _anchored(found: JointTurn, problem: MarkerProblem) -> Floats:
-    """Give a turn (F,) without gaps, in the known postures as it truly is."""
+def _continuous_turn(found: JointTurn, problem: MarkerProblem) -> Floats:
+    """Return a rotation (F,) [rad] without gaps, with the known values in the known postures."""
     turn = np.array(found.turn)
     known = np.isfinite(found.at_postures)
     turn[problem.calibration.frames[known]] = found.at_postures[known]
     return without_gaps(turn)
 
 
-def _leg(data: ClusterData, skin: SkinMotion, noise_m: float) -> _Leg:
-    """Fit a cluster's shape, interpolated between the known postures, and say how far it may lie off the bone."""
+def _fitted_cluster(
+    data: ClusterData, skin: SkinMotion, noise_m: float, settings: SkinAndJointsSettings
+) -> _FittedCluster:  # fmt: skip
+    """Fit a cluster's shape, interpolated between the known postures, with the prior of its motion over the bone."""
     frames = np.arange(len(data.points))
     weights, variance = krige(skin.semivariance(frames, data.frames), skin.semivariance(data.frames, data.frames))
     places = np.einsum("fk,kmi->fmi", weights, filled_postures(data))
-    fit = fit_rigid(places, data.points, noise_m * np.sqrt(2) * skin.looseness)
+    fit = fit_rigid(places, data.points, noise_m * np.sqrt(2) * skin.relative_sd)
     reference = places[data.frames[0]]
-    variance = variance * _excess(fit, skin, variance, noise_m)
-    return _Leg(data=data, skin=skin, fit=fit, bed=Bed(
-        rotation=fit.rotation, origin=fit.translation, centre=_centre(reference, skin.looseness),
-        prior=_common_motion(reference, skin.size) * variance[:, None, None],
+    variance = variance * _outlier_factor(fit, skin, variance, noise_m, settings.outlier_variance_ratio)
+    return _FittedCluster(data=data, skin=skin, fit=fit, pose=ClusterPose(
+        rotation=fit.rotation, origin=fit.translation, centre=_centre(reference, skin.relative_sd),
+        prior=_common_motion_prior(reference, skin.size, settings) * variance[:, None, None],
     ))  # fmt: skip
 
 
-def _excess(fit: RigidFit, skin: SkinMotion, variance: Floats, noise_m: float) -> Floats:
-    """Give (F,) by what factor a frame shows more motion than is expected there, as where a marker has gone wild."""
+def _outlier_factor(fit: RigidFit, skin: SkinMotion, variance: Floats, noise_m: float, largest_ratio: float) -> Floats:
+    """Return the factor (F,) by which a frame's motion exceeds the expected one, at least 1."""
     used: Mask = np.asarray(np.isfinite(fit.residuals).all(-1))
     free = np.maximum(3 * used.sum(1) - 6, 1)
     seen = np.where(used[..., None], np.nan_to_num(fit.residuals) ** 2, 0.0).sum((1, 2)) / free
     expected = skin.size**2 / 3 * variance + 2 * noise_m**2
-    return np.asarray(np.maximum(seen / (_SURPRISING * expected), 1.0))
+    return np.asarray(np.maximum(seen / (largest_ratio * expected), 1.0))
 
 
-def _centre(places: Floats, looseness: Floats) -> Floats:
-    weight = 1 / looseness**2
+def _centre(places: Floats, relative_sd: Floats) -> Floats:
+    weight = 1 / relative_sd**2
     return np.asarray(weight @ places / weight.sum())
 
 
-def _common_motion(places: Floats, size: float) -> Floats:
-    """Give the covariance (6, 6) of the skin's common turn [rad] and shift [m] over a bone.
+def _common_motion_prior(places: Floats, size: float, settings: SkinAndJointsSettings) -> Floats:
+    """Return the covariance (6, 6) of the skin's common rotation [rad] and translation [m] over a bone.
 
-    A common shift is as large as the visible motion by a factor; a common turn moves the markers so far, about each
-    axis by their distance from it, so that a thin cluster turns farther.
+    A common translation is proportional to the visible motion. So is the displacement of the markers by a common
+    rotation, which therefore has a larger angle about the long axis of a slender cluster.
     """
     about = places - places.mean(0)
-    inertia = ((about**2).sum() * (1 + _SLENDEREST) * np.eye(3) - about.T @ about) / len(places)
+    inertia = ((about**2).sum() * (1 + _MINIMUM_INERTIA_RATIO) * np.eye(3) - about.T @ about) / len(places)
     covariance = np.zeros((6, 6))
-    covariance[:3, :3] = (_COMMON_TURN * size) ** 2 * np.linalg.inv(inertia)
-    covariance[3:, 3:] = (_COMMON_SHIFT * size) ** 2 / 3 * np.eye(3)
+    covariance[:3, :3] = (settings.common_rotation_ratio * size) ** 2 * np.linalg.inv(inertia)
+    covariance[3:, 3:] = (settings.common_translation_ratio * size) ** 2 / 3 * np.eye(3)
     return covariance
 
 
@@ -175,7 +221,7 @@ def _joint(problem: MarkerProblem, motion: BoneMotion, pair: tuple[str, str]) ->
         poses.append((calibration.rotation[:, index], calibration.origin[:, index]))
     known = np.isfinite(poses[0][0]).all((1, 2)) & np.isfinite(poses[1][0]).all((1, 2))
     poses = [(rotation[known], origin[known]) for rotation, origin in poses]
-    turn = _anchored(joint_turn(problem, motion, *pair), problem)
+    turn = _continuous_turn(joint_turn(problem, motion, *pair), problem)
     parent, child = motion.bone(pair[0])[0], motion.bone(pair[1])[0]
     return KnownJoint(
         parent=names.index(pair[0]), child=names.index(pair[1]), laxity=laxity(*pair), frames=calibration.frames[known],
@@ -184,28 +230,30 @@ def _joint(problem: MarkerProblem, motion: BoneMotion, pair: tuple[str, str]) ->
     )  # fmt: skip
 
 
-def _settle(beds: list[Bed], joints: list[KnownJoint]) -> tuple[Floats, Floats]:
-    """Find the clusters' common motions (F, S, 6) by Gauss-Newton, and their covariance (F, S, 6, 6)."""
-    frames = len(beds[0].origin)
-    steps = np.zeros((frames, len(beds), 6))
-    covariance = np.stack([bed.prior for bed in beds], 1)
-    guesses = [first_centres(joint, beds) for joint in joints]
+def _common_motions(poses: list[ClusterPose], joints: list[KnownJoint], steps_count: int) -> tuple[Floats, Floats]:
+    """Estimate the clusters' common motions (F, S, 6) by Gauss-Newton, with their covariance (F, S, 6, 6)."""
+    frames = len(poses[0].origin)
+    steps = np.zeros((frames, len(poses), 6))
+    covariance = np.stack([pose.prior for pose in poses], 1)
+    guesses = [initial_centres(joint, poses) for joint in joints]
     centres = list(guesses)
-    for _ in range(_STEPS if joints else 0):
+    for _ in range(steps_count if joints else 0):
         rows = []
         for k, joint in enumerate(joints):
-            centres[k] = better_centres(joint, beds, steps, centres[k], guesses[k][0])
-            rows.append(joint_rows(joint, beds, steps, centres[k]))
-        wrt, value, variance = _stacked(joints, rows, steps)
+            centres[k] = refined_centres(joint, poses, steps, centres[k], guesses[k][0])
+            rows.append(joint_rows(joint, poses, steps, centres[k]))
+        wrt, value, variance = _stacked_equations(joints, rows, steps)
         for start in range(0, frames, _CHUNK):
             part = slice(start, start + _CHUNK)
-            prior = np.stack([bed.prior[part] for bed in beds], 1)
+            prior = np.stack([pose.prior[part] for pose in poses], 1)
             steps[part], covariance[part] = _update(prior, wrt[part], value[part], variance[part])
     return steps, covariance
 
 
-def _stacked(joints: list[KnownJoint], rows: list[Rows], steps: Floats) -> tuple[Floats, Floats, Floats]:
-    """Put all joints' rows (F, R, S, 6), values (F, R) at the motions' zero and variances (F, R) together."""
+def _stacked_equations(
+    joints: list[KnownJoint], rows: list[ConstraintRows], steps: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Stack all joints' derivatives (F, R, S, 6), values (F, R) at zero motion and variances (F, R)."""
     frames, count = steps.shape[:2]
     wrts, values = [], []
     for joint, row in zip(joints, rows, strict=True):
@@ -213,12 +261,12 @@ def _stacked(joints: list[KnownJoint], rows: list[Rows], steps: Floats) -> tuple
         wrt[:, :, joint.parent], wrt[:, :, joint.child] = row.wrt[..., :6], row.wrt[..., 6:]
         wrts.append(wrt)
         values.append(row.residual + np.einsum("frsk,fsk->fr", wrt, steps))
-    variance = np.concatenate([row.sd**2 for row in rows], 1) + _FLOOR
+    variance = np.concatenate([row.sd**2 for row in rows], 1) + _MINIMUM_VARIANCE
     return np.concatenate(wrts, 1), np.concatenate(values, 1), variance
 
 
 def _update(prior: Floats, wrt: Floats, value: Floats, variance: Floats) -> tuple[Floats, Floats]:
-    """Take rows (n, R, S, 6) into account of independent priors (n, S, 6, 6): means and marginal covariances."""
+    """Update independent priors (n, S, 6, 6) with equations (n, R, S, 6): return means and marginal covariances."""
     count, rows, segments = wrt.shape[:3]
     gathered = np.einsum("nskl,nrsl->nskr", prior, wrt)
     scatter = np.einsum("nrsk,nskq->nrq", wrt, gathered)
@@ -228,45 +276,49 @@ def _update(prior: Floats, wrt: Floats, value: Floats, variance: Floats) -> tupl
     return np.einsum("nskr,nr->nsk", gain, value), prior - np.einsum("nskr,nslr->nskl", gain, gathered)
 
 
-def _motion(legs: list[_Leg], steps: Floats, covariance: Floats) -> BoneMotion:
-    """Take the common motions away, and state what is not known of them beside the noise."""
+def _motion(fitted: list[_FittedCluster], steps: Floats, covariance: Floats) -> BoneMotion:
+    """Remove the common motions, and add their uncertainty to that of the noise."""
     bones = []
-    for index, leg in enumerate(legs):
-        rotation, origin = leg.bed.moved(steps[:, index])
+    for index, cluster in enumerate(fitted):
+        rotation, origin = cluster.pose.moved(steps[:, index])
         wrt = np.zeros((len(rotation), 6, 6))
         wrt[:, :3, :3] = np.eye(3)
-        wrt[:, 3:, :3] = rotation @ rotations.hat(leg.bed.centre)
+        wrt[:, 3:, :3] = rotation @ rotations.hat(cluster.pose.centre)
         wrt[:, 3:, 3:] = rotation
         skin = wrt @ covariance[:, index] @ np.swapaxes(wrt, 1, 2)
         notes = (
-            *leg.data.notes,
-            *counted(leg.data.segment, leg.fit.few, f"have fewer than {FEWEST} markers and no answer"),
-            *counted(leg.data.segment, leg.fit.collinear, "have their markers in a line and no answer"),
+            *cluster.data.notes,
+            *frame_count_note(
+                cluster.data.segment, cluster.fit.few, f"have fewer than {MINIMUM_MARKERS} markers and no estimate"
+            ),
+            *frame_count_note(cluster.data.segment, cluster.fit.collinear, "have collinear markers and no estimate"),
         )
-        bones.append(one_bone(leg.data.segment, rotation, origin, skin + leg.fit.noise_covariance, notes))
-    return side_by_side(bones)
+        bones.append(one_bone(cluster.data.segment, rotation, origin, skin + cluster.fit.noise_covariance, notes))
+    return combine_bones(bones)
 
 
-def _notes(skins: tuple[SkinMotion, ...]) -> tuple[str, ...]:
-    """Say of each cluster how far its skin was taken to move, and what it was found to follow."""
+def _skin_notes(skins: tuple[SkinMotion, ...]) -> tuple[str, ...]:
+    """Report for each cluster the size of its skin's motion, and what it follows."""
     notes = []
     for skin in skins:
         if skin.size == 0:
-            notes.append(f"{skin.segment}: the cluster stays rigid within its noise; no skin motion is assumed.")
+            notes.append(f"{skin.segment}: the cluster is rigid within its noise; no skin motion is assumed.")
             continue
         form = skin.form
         shares = (
-            f"{form.turn:.0%} with the joint's turn, {form.modes:.0%} with {form.rank} modes, {form.wobble:.0%} neither"
+            f"{form.turn:.0%} with the joint's rotation, {form.modes:.0%} with {form.rank} modes, "
+            f"{form.wobble:.0%} with neither"
         )
-        notes.append(f"{skin.segment}: the skin moves by about {1000 * skin.size:.1f} mm; it goes {shares}.")
+        notes.append(f"{skin.segment}: the skin moves by about {1000 * skin.size:.1f} mm: {shares}.")
     return tuple(notes)
 
 
-def _doubts(problem: MarkerProblem, joints: list[KnownJoint]) -> tuple[str, ...]:
+def _joint_notes(problem: MarkerProblem, joints: list[KnownJoint]) -> tuple[str, ...]:
+    """Report the joints whose angles are not constrained."""
     names = [cluster.segment for cluster in problem.clusters]
     return tuple(
-        f"{names[joint.parent]} and {names[joint.child]}: the joint does not turn about the bones' Z axes; "
-        "its angles are left free."
+        f"{names[joint.parent]} and {names[joint.child]}: the joint does not rotate about the bones' Z axes; "
+        "its angles are not constrained."
         for joint in joints
         if not joint.anatomical and (joint.laxity.adduction or joint.laxity.rotation)
     )

@@ -1,4 +1,4 @@
-"""Global optimisation: all bones of a chain at once, their joints as constraints, without a model from elsewhere."""
+"""Global optimisation: all bones of a chain at once, with joints as constraints, without an external model."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -12,14 +12,14 @@ from marey.markers.data.bone_motion import BoneMotion
 from marey.markers.data.cluster_data import ClusterData, cluster_data
 from marey.markers.data.problem import MarkerProblem
 from marey.markers.data.rigid_fit import rigid
-from marey.markers.methods.chain import FAST_M, ChainJoint, JointPlace
+from marey.markers.methods.chain import RIGID_SD_M, ChainJoint, JointPlace
 from marey.markers.methods.chain_equations import (
     Chain,
-    Shape,
-    State,
-    Step,
-    build,
+    ChainState,
+    ChainStep,
+    MarkerObservations,
     descend,
+    linearise,
     marker_residuals,
     marker_rows,
     solve,
@@ -27,44 +27,70 @@ from marey.markers.methods.chain_equations import (
 from marey.markers.methods.joint_turn import segment_turn
 from marey.markers.methods.multiple_calibration import multiple_calibration, places_at
 
-_ROUNDS = 1  # of weights from residuals; weights that feed on themselves come to favour a few markers
-_REACH = 0.1  # m; how far a joint's centre lies from the middle between two clusters
-_TRIAL_FRAMES = 5  # skin errs alike in neighbouring frames: a trial says no more of a joint than so many frames do
-_HINGE_SIGHTINGS = 10  # the same for a hinge, in sightings of markers: its centre lies anywhere along the axis
-_KNOWN_SD = 1e-3  # m; how well a joint held fast fits bones that were measured
-_SLACK = 10.0  # by which a joint held fast is wider at first
-_OPEN = 0.5  # rad or m; a bone that is not known better has no answer
-_LEAST_SD = 1e-6  # m
 _HINGED = ("shank", "forearm")
-_SOFT = 5e-3  # m
+"""Distal segments of the joints that `global_hinge` models as hinges: knees and elbows."""
+_MINIMUM_SD_M = 1e-6
+"""Smallest standard deviation of a marker [m]; numerical."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GlobalOptimisationSettings:
+    """Settings of the global optimisation.
+
+    The defaults were chosen by hand unless a field says otherwise; results were not measured against other values.
+    """
+
+    weighting_rounds: int = 1
+    """Rounds in which markers are weighted by their residuals; further rounds come to favour a few markers."""
+    centre_prior_sd_m: float = 0.1
+    """Standard deviation of a joint's centre about the midpoint between two clusters [m]."""
+    independent_frames: float = 5.0
+    """A trial carries as much information on a joint as this number of frames, because the errors of skin markers are
+    correlated between neighbouring frames."""
+    independent_hinge_sightings: float = 10.0
+    """The same for a hinge, in sightings of markers: its centre is not determined along the axis."""
+    known_posture_sd_m: float = 1e-3
+    """Standard deviation of a rigid constraint's gap for measured bones in a known posture [m]."""
+    initial_slack: float = 10.0
+    """Factor of the standard deviation of a rigid constraint in the first rounds."""
+    rigid_ratio: float = 0.1
+    """Standard deviation of a rigid constraint as a ratio to that of the best marker, at most `RIGID_SD_M`."""
+    largest_sd: float = 0.5
+    """A bone with a larger standard deviation has no estimate [rad or m]."""
+    soft_sd_m: float = 5e-3
+    """Standard deviation of the gap of joint centres in `global_soft` [m]."""
+
+
+_SETTINGS = GlobalOptimisationSettings()
+"""Default settings of the method."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class GlobalOptimisation:
-    """The bones of a chain, and what was learned with them."""
+    """The bones of a chain, with the estimated joints and marker errors."""
 
     bones: BoneMotion
     joints: tuple[ChainJoint, ...]
     centres_in_parent: Floats
-    """(J, 3) [m]."""
+    """(J, 3) joint centres in the parents' frames [m]."""
     centres_in_child: Floats
-    """(J, 3) [m]."""
+    """(J, 3) joint centres in the children's frames [m]."""
     axes: Floats
-    """(J, 3) of the first turn, in the parent; it says something with one or two degrees of freedom only."""
+    """(J, 3) axes of the first rotation, in the parent; meaningful for one or two degrees of freedom only."""
     marker_sd: tuple[Floats, ...]
-    """For each segment (M,) the size of its markers' residuals [m]."""
+    """For each segment (M,) standard deviation of its markers' residuals [m]."""
 
     def __post_init__(self) -> None:
         freeze_fields(self, "centres_in_parent", "centres_in_child", "axes")
 
 
 def global_ball(problem: MarkerProblem) -> BoneMotion:
-    """Move all bones together, each joint a ball joint unless the problem says its degrees of freedom ([Lu1999])."""
+    """Estimate all bones together, with ball joints unless the problem specifies degrees of freedom ([Lu1999])."""
     return optimise_chain(problem, _joints(problem)).bones
 
 
 def global_hinge(problem: MarkerProblem) -> BoneMotion:
-    """Move all bones together, knees and elbows as hinges, the other joints as `global_ball` does.
+    """Estimate all bones together, with hinges as knees and elbows and the other joints as in `global_ball`.
 
     Raises:
         MareyError: No joint is a knee or an elbow by the name of its distal segment.
@@ -78,64 +104,65 @@ def global_hinge(problem: MarkerProblem) -> BoneMotion:
 
 
 def global_soft(problem: MarkerProblem) -> BoneMotion:
-    """Move all bones together, each joint free in all six degrees, its centre held softly (5 mm)."""
-    soft = [ChainJoint(parent=p, child=c, degrees_of_freedom=6, sd_m=_SOFT) for p, c in problem.joints]
+    """Estimate all bones together, each joint with six degrees of freedom and its centre softly constrained (5 mm)."""
+    soft = [ChainJoint(parent=p, child=c, degrees_of_freedom=6, sd_m=_SETTINGS.soft_sd_m) for p, c in problem.joints]
     return optimise_chain(problem, soft).bones
 
 
 def _joints(problem: MarkerProblem) -> list[ChainJoint]:
-    """Give the problem's joints with their degrees of freedom, ball joints where it does not say."""
-    said = problem.degrees_of_freedom or (None,) * len(problem.joints)
-    ends = zip(problem.joints, said, strict=True)
+    """Return the problem's joints with their degrees of freedom; ball joints where none are specified."""
+    specified = problem.degrees_of_freedom or (None,) * len(problem.joints)
+    ends = zip(problem.joints, specified, strict=True)
     return [ChainJoint(parent=p, child=c, degrees_of_freedom=n or 3) for (p, c), n in ends]
 
 
 def optimise_chain(problem: MarkerProblem, joints: Sequence[ChainJoint]) -> GlobalOptimisation:
-    """Estimate the bones of a chain with their joints as one least squares over the whole trial ([Lu1999]).
+    """Estimate the bones of a chain and their joints by one least-squares problem over the whole trial ([Lu1999]).
 
-    Unlike the paper, joints may have one to six degrees of freedom and be held softly, their places are estimated with
-    the motion unless they are given, and each marker counts by the size that its residuals have over the trial. With
-    several known postures the markers' places follow the joint's turn between them ([Cappello1997]).
+    Unlike the paper, joints may have one to six degrees of freedom and soft constraints, their positions are estimated
+    with the motion unless given, and each marker is weighted by the size of its residuals over the trial. With several
+    known postures the markers' positions follow the joint's rotation between them ([Cappello1997]).
 
     Args:
-        problem: The trial. Frames in which a bone's markers and joints do not tell its pose are NaN.
-        joints: Between segments of the problem.
+        problem: The trial.
+        joints: Joints between segments of the problem.
 
     Returns:
-        The bones with their covariance. Skin that moves with its whole segment, which residuals show only as far as the
-        joints resist it, is taken to move as much as the markers move against each other.
+        The bones with their covariance; NaN in frames in which markers and joints do not determine a bone. Skin motion
+        common to a whole segment, which residuals show only as far as the joints resist it, is assumed to be as large
+        as the motion of the markers relative to each other.
 
     Raises:
-        MareyError: A joint ties segments that have no markers, or there is none.
+        MareyError: A joint connects segments without markers, or there is no joint.
     """
     segments = tuple(cluster.segment for cluster in problem.clusters)
     for joint in joints:
         for end in (joint.parent, joint.child):
             if end not in segments:
-                raise MareyError(f"A joint ties {end!r}, which has no markers. There are: {', '.join(segments)}.")
+                raise MareyError(f"A joint connects {end!r}, which has no markers. Segments: {', '.join(segments)}.")
     if not joints:
         raise MareyError("Global optimisation needs a joint between two segments.")
     data = [cluster_data(problem, cluster) for cluster in problem.clusters]
     motion = multiple_calibration(problem) if problem.calibration.postures > 1 else rigid(problem)
     chain, state = _start(problem, data, joints, motion)
-    for _ in range(_ROUNDS):
-        state, step = descend(_hold(chain, _SLACK), state)
-        chain = replace(chain, shapes=_weighed(chain, state, step))
-    # A joint held fast makes a narrow, bent valley; one that is wider at first is followed in long steps.
-    for slack in (_SLACK, 1.0):
-        chain = _hold(chain, slack)
+    for _ in range(_SETTINGS.weighting_rounds):
+        state, step = descend(_with_rigid_sd(chain, _SETTINGS.initial_slack), state)
+        chain = replace(chain, shapes=_weighted_by_residuals(chain, state, step))
+    # A rigid constraint makes a narrow, curved valley; a wider one at first allows long steps.
+    for slack in (_SETTINGS.initial_slack, 1.0):
+        chain = _with_rigid_sd(chain, slack)
         state, _ = descend(chain, state)
-    # No marker is better than its measurement, however well a cluster keeps its shape.
+    # No marker is more accurate than its measurement, however rigid its cluster.
     stated = replace(chain, shapes=tuple(s._replace(sd=np.maximum(s.sd, problem.noise_m)) for s in chain.shapes))
-    stated = _hold(stated, 1.0)
-    covariance = solve(stated, build(stated, state), 0.0).covariance
-    return _result(data, chain, state, covariance, _moving_together(stated, state, covariance, problem.noise_m))
+    stated = _with_rigid_sd(stated, 1.0)
+    covariance = solve(stated, linearise(stated, state), 0.0).covariance
+    return _result(data, chain, state, covariance, _common_skin_covariance(stated, state, covariance, problem.noise_m))
 
 
 def _start(
     problem: MarkerProblem, data: Sequence[ClusterData], joints: Sequence[ChainJoint], motion: BoneMotion
-) -> tuple[Chain, State]:
-    """Set the least squares up, and begin with the bones as their clusters alone give them."""
+) -> tuple[Chain, ChainState]:
+    """Set up the least-squares problem, starting from the bones estimated by their clusters alone."""
     segments = tuple(d.segment for d in data)
     known = _known(problem, segments)
     places = [_places(problem, d, motion) for d in data]
@@ -154,19 +181,19 @@ def _start(
         estimated=np.stack([_estimated(j) for j in joints]),
         start=tuple(place._replace(in_parent=p, in_child=c) for place, (p, c) in zip(begun, first, strict=True)),
         prior_sd=np.stack([_prior_sd(j, len(rotation), sightings) for j in joints]),
-        known_sd=_KNOWN_SD, fast_m=FAST_M,
+        known_sd=_SETTINGS.known_posture_sd_m, rigid_sd_m=RIGID_SD_M,
     )  # fmt: skip
-    return chain, State(rotation, origin, tuple(begun))
+    return chain, ChainState(rotation, origin, tuple(begun))
 
 
 def _known(problem: MarkerProblem, segments: Sequence[str]) -> tuple[Floats, Floats]:
-    """Give the known postures of the segments in their order: (K, S, 3, 3) and (K, S, 3)."""
+    """Return the known postures of the segments in their order: (K, S, 3, 3) and (K, S, 3) [m]."""
     index = [problem.calibration.segments.index(name) for name in segments]
     return problem.calibration.rotation[:, index], problem.calibration.origin[:, index]
 
 
 def _places(problem: MarkerProblem, data: ClusterData, motion: BoneMotion) -> Floats:
-    """Give the markers' places on the bone in every frame (F, M, 3): between known postures they follow the joint."""
+    """Return the markers' positions on the bone (F, M, 3) [m], following the joint's rotation between postures."""
     turn = segment_turn(problem, motion, data.segment) if problem.calibration.postures > 1 else None
     if turn is None or turn.between_postures == 0:
         return np.asarray(np.broadcast_to(data.reference, data.points.shape))
@@ -175,7 +202,7 @@ def _places(problem: MarkerProblem, data: ClusterData, motion: BoneMotion) -> Fl
 
 
 def _filled(motion: BoneMotion, data: ClusterData, rotation: Floats, origin: Floats) -> tuple[Floats, Floats]:
-    """Give a bone's pose in every frame, where its cluster has no answer that of the nearest frame which has one."""
+    """Return a bone's pose in every frame; where its cluster has no estimate, that of the nearest frame with one."""
     index = motion.segments.index(data.segment)
     turns, origins = np.array(motion.rotation[:, index]), np.array(motion.origin[:, index])
     if not motion.answered[data.frames[0], index]:
@@ -185,20 +212,20 @@ def _filled(motion: BoneMotion, data: ClusterData, rotation: Floats, origin: Flo
     return turns[nearest], origins[nearest]
 
 
-def _shape(data: ClusterData, places: Floats, rotation: Floats, origin: Floats, noise_m: float) -> Shape:
-    """Gather what is seen of one bone; all its markers count alike at first."""
+def _shape(data: ClusterData, places: Floats, rotation: Floats, origin: Floats, noise_m: float) -> MarkerObservations:
+    """Collect the observations of one bone, with equal weights of all its markers."""
     used: Mask = np.asarray(np.isfinite(data.points).all(-1) & np.isfinite(places).all(-1))
-    shape = Shape(
+    shape = MarkerObservations(
         np.where(used[..., None], places, 0.0), np.where(used[..., None], data.points, 0.0), used,
         np.ones(len(data.labels)),
     )  # fmt: skip
     off = marker_residuals(shape, rotation, origin)[used]
     size = np.sqrt((off**2).mean()) if len(off) else 0.0
-    return shape._replace(sd=np.full(len(data.labels), max(float(size), noise_m, _LEAST_SD)))
+    return shape._replace(sd=np.full(len(data.labels), max(float(size), noise_m, _MINIMUM_SD_M)))
 
 
 def _between(data: Sequence[ClusterData], known: tuple[Floats, Floats], ends: tuple[int, int]) -> tuple[Floats, Floats]:
-    """Give the middle between two clusters in the first known posture, in the parent and in the child."""
+    """Return the midpoint between two clusters in the first known posture, in the parent and in the child [m]."""
     rotation, origin = known[0][0], known[1][0]
     middles = [rotation[s] @ data[s].reference.mean(0) + origin[s] for s in ends]
     middle = 0.5 * (middles[0] + middles[1])
@@ -210,7 +237,7 @@ def _joint_start(
     joint: ChainJoint, ends: tuple[int, int], middle: tuple[Floats, Floats], known: tuple[Floats, Floats],
     rotation: Floats, origin: Floats,
 ) -> JointPlace:  # fmt: skip
-    """Find where a joint is from bones that move freely: the point that moves least in both, the axes of most turn."""
+    """Estimate a joint from freely moving bones: the point that moves least in both, and the axes of most rotation."""
     parent, child = ends
     neutral = known[0][0, parent].T @ known[0][0, child]
     inverse = np.swapaxes(rotation[:, parent], 1, 2)
@@ -232,42 +259,48 @@ def _joint_start(
     if joint.degrees_of_freedom in (4, 5):
         moves = between + relative @ at[3:]
         moves = moves - moves.mean(0)
-        held = np.linalg.eigh(moves.T @ moves)[1][:, : joint.held_shifts].T
-    return JointPlace(at[:3], at[3:], axis, second / np.linalg.norm(second), held[: joint.held_shifts], neutral)
+        held = np.linalg.eigh(moves.T @ moves)[1][:, : joint.constrained_translations].T
+    return JointPlace(
+        at[:3], at[3:], axis, second / np.linalg.norm(second), held[: joint.constrained_translations], neutral
+    )
 
 
 def _still_point(relative: Floats, between: Floats, near: Floats) -> Floats:
-    """Find the point (6,) of parent and child whose two places lie nearest to each other, not far from a guess."""
+    """Find the point (6,) of parent and child whose two positions are closest to each other, near a prior."""
     rows = np.concatenate([np.broadcast_to(-np.eye(3), relative.shape), relative], -1)
     system = np.einsum("fia,fib->ab", rows, rows)
-    # A hundredth of a frame's word keeps it in place along an axis about which everything turns.
+    # A hundredth of a frame's information keeps it in place along an axis about which everything rotates.
     hold = 1e-2 * np.eye(6)
     return np.linalg.solve(system + hold, hold @ near - np.einsum("fia,fi->a", rows, between))
 
 
 def _prior_sd(joint: ChainJoint, frames: int, sightings: int) -> Floats:
-    """Give how far a joint's parameters (10,) may be from their start, in a sum over all frames and markers."""
-    worth = sightings / _HINGE_SIGHTINGS if joint.held_turns == 2 else frames / _TRIAL_FRAMES
-    return np.array([_REACH] * 6 + [np.pi] * 4) / np.sqrt(max(1.0, worth))
+    """Return the prior standard deviations of a joint's parameters (10,), scaled for a sum over all frames."""
+    worth = (
+        sightings / _SETTINGS.independent_hinge_sightings
+        if joint.constrained_rotations == 2
+        else frames / _SETTINGS.independent_frames
+    )
+    return np.array([_SETTINGS.centre_prior_sd_m] * 6 + [np.pi] * 4) / np.sqrt(max(1.0, worth))
 
 
 def _estimated(joint: ChainJoint) -> Mask:
-    """Tell which of a joint's parameters (10,) are estimated."""
-    centre = joint.held_shifts > 0 and joint.centre is None
-    first, second = joint.held_turns in (1, 2) and joint.axis is None, joint.held_turns == 1
+    """Find the joint's parameters (10,) that are estimated."""
+    centre = joint.constrained_translations > 0 and joint.centre is None
+    first, second = joint.constrained_rotations in (1, 2) and joint.axis is None, joint.constrained_rotations == 1
     return np.array([centre] * 6 + [first] * 2 + [second] * 2, bool)
 
 
-def _hold(chain: Chain, slack: float) -> Chain:
-    """Hold fast joints a tenth as wide as the best marker is off, and no wider than fits real ones; or looser."""
+def _with_rigid_sd(chain: Chain, slack: float) -> Chain:
+    """Set the standard deviation of rigid constraints from that of the best marker, times a slack factor."""
     best = min(float(shape.sd.min()) for shape in chain.shapes)
-    return replace(chain, fast_m=slack * min(FAST_M, 0.1 * best))
+    return replace(chain, rigid_sd_m=slack * min(RIGID_SD_M, _SETTINGS.rigid_ratio * best))
 
 
-def _weighed(chain: Chain, state: State, step: Step) -> tuple[Shape, ...]:
-    """Give each marker the standard deviation that its residuals have, what it draws the bone itself allowed for.
+def _weighted_by_residuals(chain: Chain, state: ChainState, step: ChainStep) -> tuple[MarkerObservations, ...]:
+    """Set each marker's standard deviation from its residuals, corrected for the leverage of the marker.
 
-    It is drawn towards that of its cluster as much as one frame counts.
+    The variance is shrunk towards that of the cluster with the weight of one frame.
     """
     shapes = []
     for s, shape in enumerate(chain.shapes):
@@ -278,15 +311,15 @@ def _weighed(chain: Chain, state: State, step: Step) -> tuple[Shape, ...]:
         squares = (marker_residuals(shape, state.rotation[:, s], state.origin[:, s]) ** 2).sum((0, 2))
         pooled = squares.sum() / max(float(spare.sum()), 1e-9)
         sd = np.sqrt((squares + 3 * pooled) / (spare + 3))
-        shapes.append(shape._replace(sd=np.maximum(sd, _LEAST_SD)))
+        shapes.append(shape._replace(sd=np.maximum(sd, _MINIMUM_SD_M)))
     return tuple(shapes)
 
 
-def _moving_together(chain: Chain, state: State, covariance: Floats, noise_m: float) -> Floats:
-    """Give what skin that moves with its whole segment adds to the covariance (F, 6 S, 6 S) of the poses.
+def _common_skin_covariance(chain: Chain, state: ChainState, covariance: Floats, noise_m: float) -> Floats:
+    """Return the contribution of skin motion common to a segment to the covariance (F, 6 S, 6 S) of the poses.
 
-    Ours: residuals do not show it, so it is taken to be as large as what they show beyond the measurement's noise: all
-    markers of a segment together then say no more of the bone than one does.
+    Ours: residuals do not show it, so it is assumed to be as large as the residuals beyond the measurement noise: all
+    markers of a segment together then carry no more information on the bone than one of them.
     """
     information = np.zeros_like(covariance)
     for s, shape in enumerate(chain.shapes):
@@ -297,22 +330,24 @@ def _moving_together(chain: Chain, state: State, covariance: Floats, noise_m: fl
     return np.asarray(covariance @ information @ covariance)
 
 
-def _result(data: Sequence[ClusterData], chain: Chain, state: State, noise: Floats, skin: Floats) -> GlobalOptimisation:
-    """Give the bones with both parts of their covariance; those that nothing fixes are NaN."""
+def _result(
+    data: Sequence[ClusterData], chain: Chain, state: ChainState, noise: Floats, skin: Floats
+) -> GlobalOptimisation:
+    """Return the bones with both parts of their covariance; NaN for undetermined ones."""
     count, segments = state.rotation.shape[:2]
     blocks = [part.reshape(count, segments, 6, segments, 6) for part in (noise, noise + skin)]
     alone, covariance = (np.stack([b[:, s, :, s] for s in range(segments)], 1) for b in blocks)
     variance = np.diagonal(alone, axis1=-2, axis2=-1)
-    open_ = ~np.asarray(((variance >= 0) & (variance <= _OPEN**2)).all(-1))
+    undetermined = ~np.asarray(((variance >= 0) & (variance <= _SETTINGS.largest_sd**2)).all(-1))
     notes = [note for d in data for note in d.notes]
-    for d, lost in zip(data, open_.T, strict=True):
+    for d, lost in zip(data, undetermined.T, strict=True):
         if lost.any():
-            notes.append(f"{d.segment}: {int(lost.sum())} of {count} frames have no answer: too few markers.")
+            notes.append(f"{d.segment}: {int(lost.sum())} of {count} frames have no estimate: too few markers.")
     bones = BoneMotion(
         segments=tuple(d.segment for d in data),
-        rotation=np.where(open_[..., None, None], np.nan, state.rotation),
-        origin=np.where(open_[..., None], np.nan, state.origin),
-        covariance=np.where(open_[..., None, None], np.nan, covariance), notes=tuple(notes),
+        rotation=np.where(undetermined[..., None, None], np.nan, state.rotation),
+        origin=np.where(undetermined[..., None], np.nan, state.origin),
+        covariance=np.where(undetermined[..., None, None], np.nan, covariance), notes=tuple(notes),
     )  # fmt: skip
     return GlobalOptimisation(
         bones=bones, joints=chain.joints,

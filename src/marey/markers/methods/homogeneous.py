@@ -1,39 +1,41 @@
-"""Homogeneous factorisation: each cluster as a shape that deforms in a few ways while it moves with its bone."""
+"""Homogeneous factorisation: each cluster as a few basis shapes in rigid motion."""
 
 import numpy as np
 
 from marey.arrays import Floats
 from marey.geometry import rotations
-from marey.markers.data.bone_motion import BoneMotion, side_by_side
+from marey.markers.data.bone_motion import BoneMotion, combine_bones
 from marey.markers.data.cluster_data import ClusterData, cluster_data
 from marey.markers.data.problem import MarkerProblem
 from marey.markers.data.rigid_fit import fit_rigid, gap_notes, one_bone, rigid_bone
 from marey.nonrigid.in_space.factorisation import HomogeneousShapes, factorise_points
 
-_MOST_SHAPES = 3
+_MAXIMUM_SHAPES = 3
+"""Most basis shapes of a cluster. On made clusters after table 3 of [Alexander2003] the error falls up to three
+(docs/accuracy/markers.md)."""
 
 
 def homogeneous(problem: MarkerProblem) -> BoneMotion:
-    """Move every bone with the rigid part of its cluster's low-rank factorisation ([Alexander2003] eq. (15)-(21)).
+    """Estimate every bone by the rigid part of its cluster's low-rank factorisation ([Alexander2003] eq. (15)-(21)).
 
-    The cluster's shapes know nothing of the bone: the known posture ties the bone to them; with several, the mean of
-    what they say does. Three basis shapes, or as many as markers and frames allow. What all markers do together as a
-    rigid body would is taken for the bone's motion.
+    The pose of the bone relative to the shapes comes from the known posture, or from the mean over several postures.
+    There are three basis shapes, or as many as markers and frames allow. Rigid motion common to all markers counts as
+    motion of the bone.
     """
-    return side_by_side([bone_by_factorisation(cluster_data(problem, c), problem.noise_m) for c in problem.clusters])
+    return combine_bones([bone_by_factorisation(cluster_data(problem, c), problem.noise_m) for c in problem.clusters])
 
 
 def bone_by_factorisation(data: ClusterData, noise_m: float, rank: int | None = None) -> BoneMotion:
-    """Move one bone by a factorisation of its cluster into so many basis shapes; None chooses their number."""
+    """Estimate one bone by a factorisation of its cluster into `rank` basis shapes; None chooses their number."""
     enough = fit_rigid(data.reference, data.points, noise_m)
     answered = ~enough.few & ~enough.collinear
     notes = (*data.notes, *gap_notes(data.segment, enough))
     if answered.sum() < 2:
-        return rigid_bone(data, noise_m)  # one frame is one shape
+        return rigid_bone(data, noise_m)  # one frame has one shape
     if not answered[data.frames].any():
-        why = f"{data.segment}: too few markers in the known postures to place the bone; no answer."
+        why = f"{data.segment}: too few markers in the known postures to locate the bone; no estimate."
         return one_bone(data.segment, *_empty(len(data.points)), (*notes, why))
-    rank = rank or min(_MOST_SHAPES, int(answered.sum()) - 1, max(len(data.labels) - 3, 1))
+    rank = rank or min(_MAXIMUM_SHAPES, int(answered.sum()) - 1, max(len(data.labels) - 3, 1))
     points = np.where(answered[:, None, None], data.points, np.nan)
     shapes = factorise_points(points, max(rank, 1))
     turn, place = _bone_in_object(data, shapes)
@@ -46,7 +48,7 @@ def bone_by_factorisation(data: ClusterData, noise_m: float, rank: int | None = 
 
 
 def _bone_in_object(data: ClusterData, shapes: HomogeneousShapes) -> tuple[Floats, Floats]:
-    """Give the bone's rotation and origin in the object's frame: the mean over the known postures."""
+    """Return the bone's rotation (3, 3) and origin (3,) [m] in the object's frame: the mean over the known postures."""
     known = np.isfinite(shapes.rotation[data.frames]).all((1, 2))
     to_object = np.swapaxes(shapes.rotation[data.frames][known], 1, 2)
     turn = rotations.mean(to_object @ data.rotation[known])
@@ -55,7 +57,7 @@ def _bone_in_object(data: ClusterData, shapes: HomogeneousShapes) -> tuple[Float
 
 
 def _covariance(shapes: HomogeneousShapes, turn: Floats, place: Floats) -> Floats:
-    """Carry the covariance of the object's poses to the bone's, which are fixed to it."""
+    """Propagate the covariance of the object's poses to the bone, which is fixed to it."""
     jacobian = np.zeros((len(shapes.rotation), 6, 6))
     jacobian[:, :3, :3] = turn.T
     jacobian[:, 3:, :3] = -shapes.rotation @ rotations.hat(place)

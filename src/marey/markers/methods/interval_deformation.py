@@ -1,4 +1,4 @@
-"""Interval deformation: markers' paths on the bone of an assumed form, estimated together with the bone's motion."""
+"""Interval deformation: markers' paths on the bone in a functional form, estimated together with its motion."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -8,8 +8,8 @@ import numpy as np
 from marey.arrays import Floats, Mask
 from marey.errors import SettingProblem
 from marey.geometry import rotations
-from marey.markers.data.bone_motion import BoneMotion, side_by_side
-from marey.markers.data.cluster_data import ClusterData, cluster_data, counted
+from marey.markers.data.bone_motion import BoneMotion, combine_bones
+from marey.markers.data.cluster_data import ClusterData, cluster_data, frame_count_note
 from marey.markers.data.problem import MarkerProblem
 from marey.markers.data.rigid_fit import one_bone, rigid_bone
 from marey.markers.data.setup import SkinChoice
@@ -18,40 +18,51 @@ from marey.markers.methods.interval_solver import SkinFit, SkinProblem, pose_cov
 from marey.markers.methods.joint_turn import segment_turn
 from marey.markers.methods.skin_forms import SkinForm
 
-_SPREAD_M = 0.01  # of skin displacements, to start from
-_UNSEEN = 0.5  # of the spread; a common motion whose standard deviation stays above this is called unseen
+_INITIAL_SPREAD_M = 0.01
+"""Initial standard deviation of skin displacements [m]; it is estimated from the data afterwards."""
+_UNOBSERVED_RATIO = 0.5
+"""A common motion whose standard deviation stays above this ratio to its prior counts as unobserved. Chosen by hand."""
 _SPLINE_PIECES = 4
-_MOST_FRAMES = 300
-_SETTLED = 0.1  # of the noise
-_LINE = 1e-3  # still markers nearer to one line than this share of the cluster's size leave the turn about it open
-_AXES = ("shift along x", "shift along y", "shift along z", "turn about x", "turn about y", "turn about z")
+"""Pieces of a spline where the user specifies none. Chosen by hand."""
+_MAXIMUM_FRAMES = 300
+"""Frames from which the coefficients are estimated in a longer trial. Chosen by hand."""
+_CONVERGED_RATIO = 0.1
+"""A larger last change of a coefficient, as a ratio to the noise, is reported as not converged. Chosen by hand."""
+_COLLINEAR_RATIO = 1e-3
+"""Markers without skin motion whose distance from one line is below this ratio to the cluster's size do not determine
+the rotation about it; numerical."""
+_AXES = (
+    "translation along x", "translation along y", "translation along z", "rotation about x", "rotation about y",
+    "rotation about z",
+)  # fmt: skip
+"""Names of the rigid motions common to all markers, about the bone's axes."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Deformation:
+class IntervalDeformation:
     """One cluster's deformation and its bone's motion."""
 
     form: SkinForm
-    """All functions of time that the markers may follow."""
+    """The functions of time that the markers may follow."""
     problem: SkinProblem
-    """The cluster, the functions as they are used, and which marker follows which."""
+    """The cluster, the scaled functions, and the functions that each marker follows."""
     fit: SkinFit
     criterion: float
-    """Bayesian information criterion; the least one is the best form."""
+    """Bayesian information criterion; the smallest one indicates the best form."""
 
     @property
     def places(self) -> Floats:
-        """(F, M, 3) the markers' places on the bone, R(i, n) of [Alexander2003] eq. (3) [m]."""
+        """(F, M, 3) the markers' positions on the bone, R(i, n) of [Alexander2003] eq. (3) [m]."""
         return self.fit.places(self.problem.functions)
 
     @property
-    def unseen(self) -> tuple[str, ...]:
-        """The motions common to all markers that the data do not tell from the bone's, about the bone's axes."""
-        return tuple(name for name, share in self.unseen_share.items() if share > _UNSEEN)
+    def unobserved(self) -> tuple[str, ...]:
+        """The motions common to all markers that the data cannot distinguish from the bone's."""
+        return tuple(name for name, share in self.unobserved_ratios.items() if share > _UNOBSERVED_RATIO)
 
     @property
-    def unseen_share(self) -> dict[str, float]:
-        """What the data leave of each common motion's spread: 0 seen, 1 not seen at all; the most of any function."""
+    def unobserved_ratios(self) -> dict[str, float]:
+        """Ratio of posterior to prior standard deviation of each common motion, the largest of all functions."""
         shares: dict[str, float] = {}
         for q in range(self.problem.moving.shape[1]):
             for name, pattern in _common_motions(self.problem.data.reference, self.problem.moving[:, q]):
@@ -64,7 +75,7 @@ class Deformation:
 
 
 def _common_motions(places: Floats, moving: Mask) -> list[tuple[str, Floats]]:
-    """Give the motions of all markers as one rigid body that leave those in place which do not move: name, (M, 3)."""
+    """Return the rigid motions of all markers that do not move the static ones: name and displacements (M, 3)."""
     about = places - places.mean(0)
     six = np.concatenate([np.tile(np.eye(3), (len(places), 1, 1)), rotations.hat(about)], 1)
     if moving.all():
@@ -73,8 +84,8 @@ def _common_motions(places: Floats, moving: Mask) -> list[tuple[str, Floats]]:
         return []
     still = np.swapaxes(six[~moving], 1, 2).reshape(-1, 6)
     _, size, rows = np.linalg.svd(still / np.array([1, 1, 1, *[np.abs(about).max()] * 3]), full_matrices=True)
-    free = rows[(size > _LINE).sum() :] / np.array([1, 1, 1, *[np.abs(about).max()] * 3])
-    return [("turn about the markers that stand still", np.einsum("a,mai->mi", row, six)) for row in free]
+    free = rows[(size > _COLLINEAR_RATIO).sum() :] / np.array([1, 1, 1, *[np.abs(about).max()] * 3])
+    return [("rotation about the static markers", np.einsum("a,mai->mi", row, six)) for row in free]
 
 
 def deform(
@@ -83,30 +94,41 @@ def deform(
     noise_m: float,
     *,
     moving: Mask | None = None,
-    most_frames: int | None = _MOST_FRAMES,
-) -> Deformation:
-    """Estimate one cluster's deformation of one form together with its bone's motion.
+    most_frames: int | None = _MAXIMUM_FRAMES,
+) -> IntervalDeformation:
+    """Estimate one cluster's deformation in one form together with its bone's motion.
 
     Args:
         data: The cluster.
         form: Functions of time that its markers may follow.
         noise_m: Standard deviation of a measured coordinate [m].
-        moving: (M, Q) which marker follows which function; all by default.
-        most_frames: Of a longer trial so many frames, evenly taken, give the markers' paths; None takes all.
+        moving: (M, Q) True where a marker follows a function; all by default.
+        most_frames: In a longer trial, the paths are estimated from this number of evenly spaced frames; None for all.
+
+    Returns:
+        The deformation and the motion.
     """
     start = rigid_bone(data, noise_m)
     moving = np.ones((len(data.labels), form.count), bool) if moving is None else np.asarray(moving, bool)
     functions = np.concatenate([np.ones((len(data.points), 1)), form.functions - form.functions[data.frames[0]]], 1)
     problem = SkinProblem(data=data, answered=start.answered[:, 0], functions=functions, moving=moving, noise_m=noise_m)
-    fit = solve(problem, start.rotation[:, 0], start.origin[:, 0], _SPREAD_M, most_frames)
-    return Deformation(form=form, problem=problem, fit=fit, criterion=criterion(fit, moving, 1.0))
+    fit = solve(problem, start.rotation[:, 0], start.origin[:, 0], _INITIAL_SPREAD_M, most_frames)
+    return IntervalDeformation(form=form, problem=problem, fit=fit, criterion=criterion(fit, moving, 1.0))
 
 
 def criterion(fit: SkinFit, moving: Mask, memory: float) -> float:
-    """Give the Bayesian information criterion of a form, of frames that count once in so many.
+    """Compute the Bayesian information criterion of a form.
 
-    The variance about the form is unknown but at least that of the noise; of each function's displacements six
-    motions common to all markers count as the bone's. The known postures count in full.
+    The residual variance is unknown but at least that of the noise. Six motions common to all markers count as the
+    bone's and not as parameters of a function. The known postures have full weight.
+
+    Args:
+        fit: The fit of the form.
+        moving: (M, Q) True where a marker follows a function.
+        memory: Number of consecutive frames that carry the information of one.
+
+    Returns:
+        The criterion; smaller is better.
     """
     count = max(fit.free / memory, 2.0)
     variance = max(fit.squares / fit.free, 1e-12)
@@ -115,17 +137,22 @@ def criterion(fit: SkinFit, moving: Mask, memory: float) -> float:
     return float(misfit + fit.known_squares / max(variance, 1.0) + parameters * np.log(count))
 
 
-def choose(data: ClusterData, forms: Sequence[SkinForm], noise_m: float, *, still: Sequence[str] = ()) -> Deformation:
-    """Estimate every form and keep the one with the least information criterion.
+def choose_form(
+    data: ClusterData, forms: Sequence[SkinForm], noise_m: float, *, still: Sequence[str] = ()
+) -> IntervalDeformation:
+    """Estimate every form and return the one with the smallest information criterion.
 
-    All are judged with the memory of the residuals that the richest form leaves, so that slow misfit is not counted
-    once a frame.
+    All forms are compared with the correlation length of the richest form's residuals, so that slowly varying misfit
+    does not count once per frame.
 
     Args:
         data: The cluster.
-        forms: To choose from.
+        forms: Candidate forms.
         noise_m: Standard deviation of a measured coordinate [m].
-        still: Markers that do not move over the bone, whatever the form.
+        still: Labels of markers that do not move over the bone.
+
+    Returns:
+        The best deformation.
     """
     moves = np.array([label not in still for label in data.labels])
     tried = [deform(data, form, noise_m, moving=np.repeat(moves[:, None], form.count, 1)) for form in forms]
@@ -135,37 +162,39 @@ def choose(data: ClusterData, forms: Sequence[SkinForm], noise_m: float, *, stil
 
 
 def chosen_form(problem: MarkerProblem, choice: SkinChoice, segment: str, motion: BoneMotion) -> SkinForm:
-    """Make the form that was chosen for a segment.
+    """Create the form that the user specified for a segment.
 
     Raises:
-        SettingProblem: The trial does not have what the form needs.
+        SettingProblem: The trial does not meet the requirements of the form.
     """
     time = problem.trajectories.time
     turn = segment_turn(problem, motion, segment)
     turned = None if turn is None or not np.isfinite(turn.turn).any() else turn.turn
     if choice.functions is not None:
         values = choice.functions
-        return skin_forms.own("as the file says", lambda _: values, time)
+        return skin_forms.custom("as in the given file", lambda _: values, time)
     if choice.form == "turn":
         if turned is None:
-            raise SettingProblem(f"Skin of {segment} linear in the joint's turn: no joint of it turns in this trial.")
+            raise SettingProblem(
+                f"Skin of {segment} linear in the joint's rotation: none of its joints rotates in this trial."
+            )
         return skin_forms.linear_in_turn(turned)
     if choice.form == "sinusoid":
         rate = problem.trajectories.rate
         period = choice.period_s or (None if turned is None else skin_forms.period_of(turned[:, None], rate))
         if period is None:
-            raise SettingProblem(f"Skin of {segment} as a sinusoid: the motion does not repeat; give period_s.")
+            raise SettingProblem(f"Skin of {segment} as a sinusoid: the motion is not periodic. Specify period_s.")
         return skin_forms.sinusoid(time, period)
     if choice.form == "spline":
         return skin_forms.spline(time, choice.pieces or _SPLINE_PIECES)
     return skin_forms.linear_in_time(time) if choice.form == "time" else skin_forms.constant(len(time))
 
 
-def forms_of(problem: MarkerProblem, segment: str, motion: BoneMotion) -> tuple[SkinForm, ...]:
-    """Give the forms that a trial offers one segment: constant, linear in time or turn, sinusoid, spline.
+def candidate_forms(problem: MarkerProblem, segment: str, motion: BoneMotion) -> tuple[SkinForm, ...]:
+    """Return the candidate forms of a segment: constant, linear in time or rotation, sinusoid, spline.
 
-    What all markers do together is seen in the known postures alone. With several, only the forms that carry it from
-    there to the other frames are offered: constant, and linear in the joint's turn.
+    Motion common to all markers is observed in the known postures only. With several postures, only forms that transfer
+    it to the other frames are candidates: constant, and linear in the joint's rotation.
     """
     time = problem.trajectories.time
     forms = [skin_forms.constant(len(time))]
@@ -187,13 +216,13 @@ def forms_of(problem: MarkerProblem, segment: str, motion: BoneMotion) -> tuple[
 
 
 def interval(problem: MarkerProblem) -> BoneMotion:
-    """Move every bone by interval deformation ([Alexander2001]).
+    """Estimate every bone by interval deformation ([Alexander2001]).
 
-    The form is the one that the problem says for the segment; where it says none, the information criterion chooses.
+    The form is the one that the problem specifies for the segment; otherwise the information criterion chooses it.
     """
     clusters = [cluster_data(problem, cluster) for cluster in problem.clusters]
-    plain = side_by_side([rigid_bone(data, problem.noise_m) for data in clusters])
-    return side_by_side([_bone(problem, data, plain) for data in clusters])
+    plain = combine_bones([rigid_bone(data, problem.noise_m) for data in clusters])
+    return combine_bones([_bone(problem, data, plain) for data in clusters])
 
 
 def _bone(problem: MarkerProblem, data: ClusterData, plain: BoneMotion) -> BoneMotion:
@@ -201,29 +230,31 @@ def _bone(problem: MarkerProblem, data: ClusterData, plain: BoneMotion) -> BoneM
         return rigid_bone(data, problem.noise_m)
     choice = problem.skin.get(data.segment)
     if choice is None:
-        return motion_of(choose(data, forms_of(problem, data.segment, plain), problem.noise_m))
+        return bone_motion_of(choose_form(data, candidate_forms(problem, data.segment, plain), problem.noise_m))
     unknown = [label for label in choice.still if label not in data.labels]
     if unknown:
-        raise SettingProblem(f"Markers of {data.segment} said to stand still are not there: {', '.join(unknown)}.")
+        raise SettingProblem(
+            f"Markers of {data.segment} listed in `still` are missing from the trial: {', '.join(unknown)}."
+        )
     form = chosen_form(problem, choice, data.segment, plain)
-    return motion_of(choose(data, [form], problem.noise_m, still=choice.still))
+    return bone_motion_of(choose_form(data, [form], problem.noise_m, still=choice.still))
 
 
-def motion_of(deformation: Deformation) -> BoneMotion:
-    """Give the bone's motion of a deformation, with what has to be said of it."""
+def bone_motion_of(deformation: IntervalDeformation) -> BoneMotion:
+    """Return the bone's motion of a deformation, with notes."""
     fit, data = deformation.fit, deformation.problem.data
     empty, segment = ~deformation.problem.answered, data.segment
     covariance = pose_covariance(deformation.problem, fit)
     rotation, origin = fit.rotation.copy(), fit.origin.copy()
     rotation[empty], origin[empty], covariance[empty] = np.nan, np.nan, np.nan
-    notes = [*data.notes, f"{segment}: markers move {deformation.form.name}."]
-    notes += counted(segment, empty, "have too few markers, or markers in a line, and no answer")
-    if fit.last_change > _SETTLED * deformation.problem.noise_m:
+    notes = [*data.notes, f"{segment}: form of the skin motion: {deformation.form.name}."]
+    notes += frame_count_note(segment, empty, "have too few markers, or collinear ones, and no estimate")
+    if fit.last_change > _CONVERGED_RATIO * deformation.problem.noise_m:
         change = 1000 * fit.last_change
-        notes.append(f"{segment}: markers' paths had not settled; the last round changed them by {change:.2f} mm.")
-    if deformation.unseen:
+        notes.append(f"{segment}: markers' paths have not converged; the last step changed them by {change:.2f} mm.")
+    if deformation.unobserved:
         notes.append(
-            f"{segment}: not seen, and taken for the bone's, is what all markers do together: "
-            f"{', '.join(deformation.unseen)}."
+            f"{segment}: motions common to all markers that are not observed and count as the bone's: "
+            f"{', '.join(deformation.unobserved)}."
         )
     return one_bone(segment, rotation, origin, covariance, tuple(notes))

@@ -10,17 +10,17 @@ from marey.motion.anatomical import euler_angles
 
 
 def krige(to_known: Floats, among_known: Floats) -> tuple[Floats, Floats]:
-    """Give the weights with which known values are averaged, and the variance of the result ([Matheron1963]).
+    """Compute the weights of known values in an interpolation, and its variance, by ordinary kriging ([Matheron1963]).
 
-    Ordinary kriging: the field's mean is unknown, the weights of a frame sum to one, and a known frame gets itself
-    back. Frames known twice share their weight.
+    The mean of the field is unknown, the weights of a frame sum to one, and a known frame is reproduced exactly. Frames
+    known twice share their weight.
 
     Args:
-        to_known: (F, K) semivariance between each frame and each known one: half the variance of what differs.
-        among_known: (K, K) the same among the known ones.
+        to_known: (F, K) semivariance between each frame and each known one: half the variance of the difference.
+        among_known: (K, K) the same between the known frames.
 
     Returns:
-        Weights (F, K) and variance (F,) in the semivariance's unit.
+        Weights (F, K) and variance (F,) in the unit of the semivariance.
     """
     known = len(among_known)
     system = np.ones((known + 1, known + 1))
@@ -31,106 +31,126 @@ def krige(to_known: Floats, among_known: Floats) -> tuple[Floats, Floats]:
     return solved[:, :known], np.maximum((solved * right).sum(1), 0.0)
 
 
-_SAME_POSTURE_S = 0.15
-_SAME_POSTURE_TURN = np.radians(20)
-_FAR_TURN = np.radians(45)
+_CORRELATION_TIME_S = 0.15
+"""Time over which the small motions of a joint are correlated [s]; as for the skin's motion. Chosen by hand."""
+_CORRELATION_ANGLE = np.radians(20)
+"""Main rotation over which the small motions of a joint are correlated [rad]. Chosen by hand."""
+_REFERENCE_ANGLE = np.radians(45)
+"""Main rotation to which `JointVariation.rotation_sd` refers [rad]; a convention."""
 _SIDES = ("left_", "right_")
-_ALSO_CALLED = {"femur": "thigh", "tibia": "shank", "humerus": "upperarm", "ulna": "forearm", "calcaneus": "foot"}
+"""Prefixes of the segments of a side."""
+_SYNONYMS = {"femur": "thigh", "tibia": "shank", "humerus": "upperarm", "ulna": "forearm", "calcaneus": "foot"}
+"""Maps the name of a bone to that of its segment."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Give:
-    """How far a small motion of a joint lies apart at two instants."""
+class JointVariation:
+    """Standard deviations of a small motion of a joint between two instants."""
 
-    anyway: float
+    baseline_sd: float
     """Standard deviation between two instants of one posture, more than about 0.15 s apart [rad or m]."""
-    turned: float
-    """Further standard deviation between two postures that the joint's main turn sets 45 degrees apart."""
+    rotation_sd: float
+    """Further standard deviation between two postures 45 degrees of the joint's main rotation apart [rad or m]."""
 
     def semivariance(self, turn: Floats, time: Floats) -> Floats:
-        """Give half the variance of the difference between instants so far apart.
+        """Return half the variance of the difference between two instants.
 
         Args:
-            turn: (...) by how much the joint's main turn differs [rad].
-            time: (...) by how much the time differs [s].
+            turn: (...) difference of the joint's main rotation [rad].
+            time: (...) difference of time [s].
+
+        Returns:
+            (...) semivariance [rad2 or m2].
         """
-        apart = 1 - np.exp(-np.abs(time) / _SAME_POSTURE_S - np.abs(turn) / _SAME_POSTURE_TURN)
-        return np.asarray((self.anyway**2 * apart + self.turned**2 * np.abs(turn) / _FAR_TURN) / 2)
+        apart = 1 - np.exp(-np.abs(time) / _CORRELATION_TIME_S - np.abs(turn) / _CORRELATION_ANGLE)
+        return np.asarray((self.baseline_sd**2 * apart + self.rotation_sd**2 * np.abs(turn) / _REFERENCE_ANGLE) / 2)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Laxity:
+class JointLaxity:
     """The small motions of a joint whose bones have anatomical frames: X forward, Y up, Z to the right ([Wu2002])."""
 
-    translation: Give
-    """Of the joint's centre, along each axis [m]."""
-    adduction: Give | None = None
-    """The turn about the floating axis, X [rad]; None where it is free."""
-    rotation: Give | None = None
-    """The turn about the child's long axis, Y [rad]; None where it is free."""
+    translation: JointVariation
+    """Translation of the joint's centre along each axis [m]."""
+    adduction: JointVariation | None = None
+    """Rotation about the floating axis, X [rad]; None if it is free."""
+    rotation: JointVariation | None = None
+    """Rotation about the child's long axis, Y [rad]; None if it is free."""
 
 
-def _degrees(anyway: float, turned: float) -> Give:
-    return Give(anyway=np.radians(anyway), turned=np.radians(turned))
+def _degrees(baseline_sd: float, rotation_sd: float) -> JointVariation:
+    return JointVariation(baseline_sd=np.radians(baseline_sd), rotation_sd=np.radians(rotation_sd))
 
 
-def _millimetres(anyway: float, turned: float) -> Give:
-    return Give(anyway=anyway / 1000, turned=turned / 1000)
+def _millimetres(baseline_sd: float, rotation_sd: float) -> JointVariation:
+    return JointVariation(baseline_sd=baseline_sd / 1000, rotation_sd=rotation_sd / 1000)
 
 
 _LAXITY = {
-    # Knees with known bones: over a trial adduction ranges over 4 to 11, rotation over 5 to 24 degrees, the centre
-    # keeps its place within 1 to 3 mm ([Cereatti2017]). These and all below allow for about twice as much, so that a
-    # joint that moves more than most is not drawn to the others.
-    ("thigh", "shank"): Laxity(
+    ("thigh", "shank"): JointLaxity(
         adduction=_degrees(3.5, 3.5), rotation=_degrees(5.0, 6.5), translation=_millimetres(4.0, 5.0)
     ),
-    ("pelvis", "thigh"): Laxity(translation=_millimetres(2.0, 2.0)),
-    ("shank", "foot"): Laxity(translation=_millimetres(6.0, 6.0)),
-    ("upperarm", "forearm"): Laxity(adduction=_degrees(3.5, 3.5), translation=_millimetres(4.0, 5.0)),
-    ("scapula", "upperarm"): Laxity(translation=_millimetres(5.0, 5.0)),
-    ("thorax", "upperarm"): Laxity(translation=_millimetres(10.0, 20.0)),
+    ("pelvis", "thigh"): JointLaxity(translation=_millimetres(2.0, 2.0)),
+    ("shank", "foot"): JointLaxity(translation=_millimetres(6.0, 6.0)),
+    ("upperarm", "forearm"): JointLaxity(adduction=_degrees(3.5, 3.5), translation=_millimetres(4.0, 5.0)),
+    ("scapula", "upperarm"): JointLaxity(translation=_millimetres(5.0, 5.0)),
+    ("thorax", "upperarm"): JointLaxity(translation=_millimetres(10.0, 20.0)),
 }
-_ANY_OTHER = Laxity(translation=_millimetres(10.0, 10.0))
+"""Laxity by parent and child segment. Knees with known bones ([Cereatti2017]): over a trial adduction ranges over 4 to
+11 degrees, rotation over 5 to 24 degrees, and the centre stays within 1 to 3 mm. The values for the knee allow for
+about twice as much, because a tighter knee made 12 % of 60 made trials more than 5 % worse than the rigid fit
+(docs/accuracy/markers.md). The values of the other joints are judgement in the same manner, without measurement."""
+_OTHER_JOINTS = JointLaxity(translation=_millimetres(10.0, 10.0))
+"""Laxity of all other pairs of segments. Chosen by hand."""
 
 
-def laxity(parent: str, child: str) -> Laxity:
-    """Give what is known beforehand of the joint between two segments, by their names; of others, next to nothing."""
-    return _LAXITY.get((_plain(parent), _plain(child)), _ANY_OTHER)
+def laxity(parent: str, child: str) -> JointLaxity:
+    """Return the prior laxity of the joint between two segments, by their names; a weak one for unknown joints."""
+    return _LAXITY.get((_segment_kind(parent), _segment_kind(child)), _OTHER_JOINTS)
 
 
-def _plain(segment: str) -> str:
+def _segment_kind(segment: str) -> str:
+    """Return a segment's name without its side, and for a bone the name of its segment."""
     for side in _SIDES:
         segment = segment.removeprefix(side)
-    return _ALSO_CALLED.get(segment, segment)
+    return _SYNONYMS.get(segment, segment)
 
 
-_BETWEEN_CLUSTERS = 0.53  # of the way from the child's cluster to the parent's, where a joint's centre is looked for
-_CENTRE_SD = 0.08
-_CLOSED_SD = 0.0015  # m; how near the two bones' centres lie in a known posture
-_INDEPENDENT_FRAMES = 5  # as many frames' worth of centre a whole trial gives: skin errs alike in all its frames
-_TILT = np.radians(45)
-_TURN_WITH_AXIS = np.radians(20)
+_CENTRE_FRACTION = 0.53
+"""Initial position of a joint's centre on the way from the child's cluster (0) to the parent's (1). Chosen by hand."""
+_CENTRE_SD_M = 0.08
+"""Prior standard deviation of a joint's centre about its initial position [m]. Chosen by hand."""
+_KNOWN_GAP_SD_M = 0.0015
+"""Standard deviation of the gap between the two bones' joint centres in a known posture [m]. Chosen by hand."""
+_INDEPENDENT_FRAMES = 5
+"""A trial carries as much information on a joint's centre as this number of frames, because skin errors are correlated
+between frames. Chosen by hand."""
+_LARGEST_TILT = np.radians(45)
+"""A joint whose main axis deviates from Z by more than this [rad] in both bones has no anatomical axes. Chosen by
+hand."""
+_ROTATION_WITH_AXIS = np.radians(20)
+"""A joint must rotate at least this much [rad] for its main axis to be evaluated. Chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Bed:
-    """One bone's pose as its cluster gives it, and what is believed of the cluster's common motion over the bone.
+class ClusterPose:
+    """One bone's pose estimated from its cluster, with the prior of the cluster's common motion over the bone.
 
-    The motion is six numbers a frame: a turn about the cluster's centre and a shift, both along the bone's axes.
+    The common motion has six parameters per frame: a rotation about the cluster's centre and a translation, both along
+    the bone's axes.
     """
 
     rotation: Floats
-    """(F, 3, 3) laboratory from bone; NaN without an answer."""
+    """(F, 3, 3) laboratory from bone; NaN without an estimate."""
     origin: Floats
-    """(F, 3) [m]."""
+    """(F, 3) the bone's origin in the laboratory [m]."""
     centre: Floats
     """(3,) the cluster's centre in the bone's frame [m]."""
     prior: Floats
-    """(F, 6, 6) covariance of turn [rad] and shift [m]."""
+    """(F, 6, 6) covariance of the common rotation [rad] and translation [m]."""
 
     def moved(self, step: Floats) -> tuple[Floats, Floats]:
-        """Give rotation (F, 3, 3) and origin (F, 3) of the bone, its cluster's motion (F, 6) taken away."""
+        """Return rotation (F, 3, 3) and origin (F, 3) [m] of the bone after removal of a common motion (F, 6)."""
         rotation = self.rotation @ rotations.exp(step[:, :3])
         middle = self.origin + np.einsum("fij,fj->fi", self.rotation, self.centre + step[:, 3:])
         return rotation, middle - rotation @ self.centre
@@ -138,134 +158,154 @@ class Bed:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class KnownJoint:
-    """A joint between two beds, and what is known of it beforehand."""
+    """A joint between two clusters, with its prior knowledge."""
 
     parent: int
-    """Index among the beds."""
+    """Index of the parent among the clusters."""
     child: int
-    laxity: Laxity
+    """Index of the child among the clusters."""
+    laxity: JointLaxity
     frames: Integers
-    """(K,) of the known postures."""
+    """(K,) frame indices of the known postures."""
     parent_pose: tuple[Floats, Floats]
-    """Rotation (K, 3, 3) and origin (K, 3) of the parent in the known postures."""
+    """Rotation (K, 3, 3) and origin (K, 3) [m] of the parent in the known postures."""
     child_pose: tuple[Floats, Floats]
+    """The same of the child."""
     turn: Floats
-    """(F,) the joint's main turn [rad], finite."""
+    """(F,) the joint's main rotation [rad], finite."""
     time: Floats
-    """(F,) [s]."""
+    """(F,) time of each frame [s]."""
     anatomical: bool
-    """True where the bones' axes are those that the angles are meant about."""
+    """True if the bones' axes are anatomical, so that the angles have their usual meaning."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Rows:
-    """Linear rows on the motions of the two clusters: residual - wrt @ (change of both) has the covariance sd^2."""
+class ConstraintRows:
+    """Linear equations of two clusters' motions: residual - wrt @ (change of both) has standard deviation sd."""
 
     wrt: Floats
-    """(F, R, 12) by the parent's six and the child's six."""
+    """(F, R, 12) derivatives by the parent's six and the child's six parameters."""
     residual: Floats
-    """(F, R)."""
+    """(F, R) [rad or m]."""
     sd: Floats
-    """(F, R)."""
+    """(F, R) [rad or m]."""
 
 
-def joint_rows(joint: KnownJoint, beds: list[Bed], steps: Floats, centres: tuple[Floats, Floats]) -> Rows:
-    """Gather what a joint says of turn and shift of its two clusters.
+def joint_rows(
+    joint: KnownJoint, clusters: list[ClusterPose], steps: Floats, centres: tuple[Floats, Floats]
+) -> ConstraintRows:
+    """Linearise a joint's constraints on the common motions of its two clusters.
 
     Args:
         joint: The joint.
-        beds: S beds.
-        steps: (F, S, 6) where the rows are linearised.
+        clusters: S clusters.
+        steps: (F, S, 6) common motions at which the constraints are linearised.
         centres: The joint's centre (3,) in the parent and in the child [m].
+
+    Returns:
+        The linear equations.
     """
-    parent, child = beds[joint.parent].moved(steps[:, joint.parent]), beds[joint.child].moved(steps[:, joint.child])
-    parts = [_centre_rows(joint, beds, parent, child, centres)]
+    parent, child = (
+        clusters[joint.parent].moved(steps[:, joint.parent]),
+        clusters[joint.child].moved(steps[:, joint.child]),
+    )
+    parts = [_centre_rows(joint, clusters, parent, child, centres)]
     if joint.anatomical:
         parts += _angle_rows(joint, parent[0], child[0])
     known: Mask = np.asarray(np.isfinite(parent[0]).all((1, 2)) & np.isfinite(child[0]).all((1, 2)))
-    return Rows(
+    return ConstraintRows(
         wrt=np.where(known[:, None, None], np.concatenate([part.wrt for part in parts], 1), 0.0),
         residual=np.where(known[:, None], np.concatenate([part.residual for part in parts], 1), 0.0),
         sd=np.concatenate([part.sd for part in parts], 1),
     )
 
 
-def first_centres(joint: KnownJoint, beds: list[Bed]) -> tuple[Floats, Floats]:
-    """Guess a joint's centre (3,) in the parent and in the child: between the clusters in the first known posture."""
+def initial_centres(joint: KnownJoint, clusters: list[ClusterPose]) -> tuple[Floats, Floats]:
+    """Return a joint's initial centre (3,) in parent and child [m]: between the clusters in the first known posture."""
     parent, child = _known(joint, 0)
-    ends = [pose[1] + pose[0] @ beds[k].centre for pose, k in ((parent, joint.parent), (child, joint.child))]
-    middle = _BETWEEN_CLUSTERS * ends[0] + (1 - _BETWEEN_CLUSTERS) * ends[1]
+    ends = [pose[1] + pose[0] @ clusters[k].centre for pose, k in ((parent, joint.parent), (child, joint.child))]
+    middle = _CENTRE_FRACTION * ends[0] + (1 - _CENTRE_FRACTION) * ends[1]
     return parent[0].T @ (middle - parent[1]), child[0].T @ (middle - child[1])
 
 
-def better_centres(
-    joint: KnownJoint, beds: list[Bed], steps: Floats, centres: tuple[Floats, Floats], guess: Floats
+def refined_centres(
+    joint: KnownJoint, clusters: list[ClusterPose], steps: Floats, centres: tuple[Floats, Floats], guess: Floats
 ) -> tuple[Floats, Floats]:
-    """Find a joint's centre by one step of weighted least squares, the clusters' own motions taken out of it.
+    """Estimate a joint's centre by one step of weighted least squares, with the clusters' common motions marginalised.
 
     Args:
         joint: The joint.
-        beds: S beds.
-        steps: (F, S, 6) the clusters' motions as known so far.
-        centres: In the parent and in the child (3,) as known so far [m].
-        guess: (3,) where it is expected in the parent [m].
+        clusters: S clusters.
+        steps: (F, S, 6) current common motions of the clusters.
+        centres: Current centre (3,) in the parent and in the child [m].
+        guess: (3,) prior mean in the parent [m].
+
+    Returns:
+        The centre (3,) in the parent and in the child [m].
     """
-    parent, child = beds[joint.parent].moved(steps[:, joint.parent]), beds[joint.child].moved(steps[:, joint.child])
-    base = np.swapaxes(beds[joint.parent].rotation, 1, 2)
+    parent, child = (
+        clusters[joint.parent].moved(steps[:, joint.parent]),
+        clusters[joint.child].moved(steps[:, joint.child]),
+    )
+    base = np.swapaxes(clusters[joint.parent].rotation, 1, 2)
     gap = _gap(base, parent, child, centres)
-    wrt = _gap_wrt(joint, beds, base, parent, child, centres)
+    wrt = _gap_wrt(joint, clusters, base, parent, child, centres)
     step = np.concatenate([steps[:, joint.parent], steps[:, joint.child]], 1)
     at_rest = gap - np.einsum("frk,fk->fr", wrt, step)
-    scatter = wrt @ _both_priors(joint, beds) @ np.swapaxes(wrt, 1, 2) + _centre_variance(joint) * np.eye(3)
+    scatter = wrt @ _both_priors(joint, clusters) @ np.swapaxes(wrt, 1, 2) + _centre_variance(joint) * np.eye(3)
     by_centres = np.concatenate([-base @ parent[0], base @ child[0]], 2)
     normal, right = _normal(by_centres, scatter, at_rest, np.asarray(np.isfinite(gap).all(1)))
-    normal[:3, :3] += np.eye(3) / _CENTRE_SD**2
-    right[:3] += (guess - centres[0]) / _CENTRE_SD**2
+    normal[:3, :3] += np.eye(3) / _CENTRE_SD_M**2
+    right[:3] += (guess - centres[0]) / _CENTRE_SD_M**2
     for posture in range(len(joint.frames)):
         p, c = _known(joint, posture)
         closed = np.concatenate([-p[0], c[0]], 1)
         apart = c[0] @ centres[1] + c[1] - p[0] @ centres[0] - p[1]
-        normal += closed.T @ closed / _CLOSED_SD**2
-        right -= closed.T @ apart / _CLOSED_SD**2
+        normal += closed.T @ closed / _KNOWN_GAP_SD_M**2
+        right -= closed.T @ apart / _KNOWN_GAP_SD_M**2
     change = np.linalg.solve(normal, right)
     return centres[0] + change[:3], centres[1] + change[3:]
 
 
 def is_anatomical(relative: Floats) -> bool:
-    """Tell whether a joint turns mainly about Z in both of its bones; one that hardly turns is believed to.
+    """Test whether a joint rotates mainly about the Z axes of its bones.
 
     Args:
         relative: (F, 3, 3) parent from child; NaN where unknown.
+
+    Returns:
+        True if it does, or if it hardly rotates, so that the axis cannot be evaluated.
     """
     known = relative[np.isfinite(relative).all((1, 2))]
     if len(known) < 2:
         return True
     in_child = rotations.log(known[0].T @ known)
-    if np.linalg.norm(in_child, axis=-1).max() < _TURN_WITH_AXIS:
+    if np.linalg.norm(in_child, axis=-1).max() < _ROTATION_WITH_AXIS:
         return True
     axis = np.linalg.eigh(in_child.T @ in_child)[1][:, 2]
-    return bool(min(abs(axis[2]), abs((known[0] @ axis)[2])) > np.cos(_TILT))
+    return bool(min(abs(axis[2]), abs((known[0] @ axis)[2])) > np.cos(_LARGEST_TILT))
 
 
 def _known(joint: KnownJoint, posture: int) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
+    """Return the poses of parent and child in one known posture."""
     parent, child = joint.parent_pose, joint.child_pose
     return (parent[0][posture], parent[1][posture]), (child[0][posture], child[1][posture])
 
 
 def _centre_rows(
-    joint: KnownJoint, beds: list[Bed], parent: tuple[Floats, Floats], child: tuple[Floats, Floats],
+    joint: KnownJoint, clusters: list[ClusterPose], parent: tuple[Floats, Floats], child: tuple[Floats, Floats],
     centres: tuple[Floats, Floats],
-) -> Rows:  # fmt: skip
-    base = np.swapaxes(beds[joint.parent].rotation, 1, 2)
+) -> ConstraintRows:  # fmt: skip
+    base = np.swapaxes(clusters[joint.parent].rotation, 1, 2)
     gap = _gap(base, parent, child, centres)
     known = _gap(np.swapaxes(joint.parent_pose[0], 1, 2), joint.parent_pose, joint.child_pose, centres)
     weights, variance = _krige(joint, "translation")
-    wrt = _gap_wrt(joint, beds, base, parent, child, centres)
+    wrt = _gap_wrt(joint, clusters, base, parent, child, centres)
     sd = np.repeat(np.sqrt(variance)[:, None], 3, 1)
-    return Rows(wrt=wrt, residual=weights @ known - gap, sd=sd)
+    return ConstraintRows(wrt=wrt, residual=weights @ known - gap, sd=sd)
 
 
-def _angle_rows(joint: KnownJoint, parent: Floats, child: Floats) -> list[Rows]:
+def _angle_rows(joint: KnownJoint, parent: Floats, child: Floats) -> list[ConstraintRows]:
     relative = np.swapaxes(parent, 1, 2) @ child
     angles = euler_angles(relative, "ZXY")
     at_known = euler_angles(np.swapaxes(joint.parent_pose[0], 1, 2) @ joint.child_pose[0], "ZXY")
@@ -279,12 +319,12 @@ def _angle_rows(joint: KnownJoint, parent: Floats, child: Floats) -> list[Rows]:
         row = np.zeros((len(angles), 1, 12))
         row[:, 0, 0:3], row[:, 0, 6:9] = wrt[:, place, :3], wrt[:, place, 3:]
         residual = (away + np.pi) % (2 * np.pi) - np.pi
-        rows.append(Rows(wrt=row, residual=residual[:, None], sd=np.sqrt(variance)[:, None]))
+        rows.append(ConstraintRows(wrt=row, residual=residual[:, None], sd=np.sqrt(variance)[:, None]))
     return rows
 
 
 def angles_wrt_turns(relative: Floats, angles: Floats) -> Floats:
-    """Differentiate the three angles Z-X-Y by small turns of parent and child about their own axes.
+    """Differentiate the three angles Z-X-Y by small rotations of parent and child about their own axes.
 
     Args:
         relative: (F, 3, 3) parent from child.
@@ -295,7 +335,7 @@ def angles_wrt_turns(relative: Floats, angles: Floats) -> Floats:
     """
     cos, sin = np.cos(angles[:, 2]), np.sin(angles[:, 2])
     axes = np.zeros_like(relative)
-    # The three axes as the child sees them: the parent's Z, the floating X, its own Y.
+    # The three axes in the child's frame: the parent's Z, the floating X, its own Y.
     axes[:, :, 0] = relative[:, 2]
     axes[:, 0, 1], axes[:, 2, 1] = cos, sin
     axes[:, 1, 2] = 1.0
@@ -306,47 +346,47 @@ def angles_wrt_turns(relative: Floats, angles: Floats) -> Floats:
 
 
 def _krige(joint: KnownJoint, name: str) -> tuple[Floats, Floats]:
-    """Give weights (F, K) of the known postures for one small motion, and its variance (F,)."""
-    give = getattr(joint.laxity, name)
+    """Return the weights (F, K) of the known postures for one small motion, and its variance (F,)."""
+    variation = getattr(joint.laxity, name)
     turn, time = joint.turn, joint.time
-    half = give.semivariance(turn[:, None] - turn[joint.frames], time[:, None] - time[joint.frames])
+    half = variation.semivariance(turn[:, None] - turn[joint.frames], time[:, None] - time[joint.frames])
     return krige(half, half[joint.frames])
 
 
 def _centre_variance(joint: KnownJoint) -> float:
-    give = joint.laxity.translation
-    return give.anyway**2 + give.turned**2
+    variation = joint.laxity.translation
+    return variation.baseline_sd**2 + variation.rotation_sd**2
 
 
 def _gap(
     base: Floats, parent: tuple[Floats, Floats], child: tuple[Floats, Floats], centres: tuple[Floats, Floats]
 ) -> Floats:
-    """Give (F, 3) from the parent's centre to the child's, along the parent's axes as its cluster gives them [m]."""
+    """Return the vector (F, 3) from the parent's centre to the child's, along the parent's axes of its cluster [m]."""
     apart = child[0] @ centres[1] + child[1] - parent[0] @ centres[0] - parent[1]
     return np.asarray((base @ apart[..., None])[..., 0])
 
 
 def _gap_wrt(
-    joint: KnownJoint, beds: list[Bed], base: Floats, parent: tuple[Floats, Floats], child: tuple[Floats, Floats],
-    centres: tuple[Floats, Floats],
+    joint: KnownJoint, clusters: list[ClusterPose], base: Floats, parent: tuple[Floats, Floats], child: tuple[Floats,
+    Floats], centres: tuple[Floats, Floats],
 ) -> Floats:  # fmt: skip
-    """Differentiate the gap by the clusters' motions (F, 3, 12)."""
+    """Differentiate the gap by the clusters' common motions (F, 3, 12)."""
     wrt = np.zeros((len(base), 3, 12))
-    wrt[:, :, 0:3] = base @ parent[0] @ rotations.hat(centres[0] - beds[joint.parent].centre)
+    wrt[:, :, 0:3] = base @ parent[0] @ rotations.hat(centres[0] - clusters[joint.parent].centre)
     wrt[:, :, 3:6] = -np.eye(3)
-    wrt[:, :, 6:9] = -base @ child[0] @ rotations.hat(centres[1] - beds[joint.child].centre)
-    wrt[:, :, 9:12] = base @ beds[joint.child].rotation
+    wrt[:, :, 6:9] = -base @ child[0] @ rotations.hat(centres[1] - clusters[joint.child].centre)
+    wrt[:, :, 9:12] = base @ clusters[joint.child].rotation
     return wrt
 
 
-def _both_priors(joint: KnownJoint, beds: list[Bed]) -> Floats:
+def _both_priors(joint: KnownJoint, clusters: list[ClusterPose]) -> Floats:
     both = np.zeros((len(joint.time), 12, 12))
-    both[:, :6, :6], both[:, 6:, 6:] = beds[joint.parent].prior, beds[joint.child].prior
+    both[:, :6, :6], both[:, 6:, 6:] = clusters[joint.parent].prior, clusters[joint.child].prior
     return both
 
 
 def _normal(wrt: Floats, scatter: Floats, value: Floats, known: Mask) -> tuple[Floats, Floats]:
-    """Sum the normal equations (6, 6) and (6,) of frames that count together as a few independent ones."""
+    """Sum the normal equations (6, 6) and (6,) over frames, weighted as a few independent ones."""
     share = min(1.0, _INDEPENDENT_FRAMES / max(int(known.sum()), 1))
     weight = np.linalg.inv(scatter[known])
     normal = share * np.einsum("fij,fik,fkl->jl", wrt[known], weight, wrt[known])

@@ -1,4 +1,4 @@
-"""How far a joint is turned between its known postures: one number a frame, whatever axes the bones' frames have."""
+"""Rotation of a joint about one axis: one angle per frame, independent of the axes of the bones' frames."""
 
 from dataclasses import dataclass
 
@@ -9,50 +9,51 @@ from marey.geometry import rotations
 from marey.markers.data.bone_motion import BoneMotion
 from marey.markers.data.problem import MarkerProblem
 
-_LEAST_TURN = np.radians(2)  # postures less than this apart do not name an axis
+_LEAST_TURN = np.radians(2)
+"""Postures less than this rotation apart [rad] do not determine an axis. Chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class JointTurn:
-    """The turn of one joint about one axis, out of the first known posture."""
+    """The rotation of one joint about one axis, relative to the first known posture."""
 
     turn: Floats
-    """(F,) [rad]; NaN where a bone has no answer."""
+    """(F,) [rad]; NaN where a bone has no pose."""
     at_postures: Floats
     """(K,) in the known postures [rad]; the first is 0."""
 
     @property
     def between_postures(self) -> float:
-        """How far the known postures lie apart [rad]."""
+        """Largest rotation between known postures [rad]."""
         return float(np.ptp(self.at_postures))
 
     @property
     def range(self) -> float:
-        """How far the joint turns over the trial [rad]; 0 without an answer."""
+        """Range of the rotation over the trial [rad]; 0 without a pose."""
         answered = self.turn[np.isfinite(self.turn)]
         return float(np.ptp(answered)) if len(answered) else 0.0
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class JointAxis:
-    """The axis about which a joint's turn is counted, and where the turn is 0."""
+    """The axis about which a joint's rotation is measured, and its zero."""
 
     parent: str | None
-    """None is the laboratory."""
+    """Parent segment; None for the laboratory."""
     child: str
     base: Floats
-    """(3, 3) parent from child where the turn is 0: in the first known posture."""
+    """(3, 3) parent from child at zero rotation: in the first known posture."""
     axis: Floats
-    """(3,) of length 1, in the child."""
+    """(3,) unit vector in the child's frame."""
 
     def turn(self, rotation: Floats, segments: tuple[str, ...]) -> Floats:
-        """Give the turn (N,) [rad] in N poses (N, S, 3, 3) of these segments."""
+        """Return the rotation angle (N,) [rad] in N poses (N, S, 3, 3) of these segments."""
         relative = _relative(rotation, segments, self.parent, self.child)
         return np.asarray(rotations.log(self.base.T @ relative) @ self.axis)
 
 
 def segment_turn(problem: MarkerProblem, motion: BoneMotion, segment: str) -> JointTurn | None:
-    """Give the turn of a segment's joint about its axis, as `segment_axis` chooses it; None where nothing turns."""
+    """Return the rotation of a segment's joint about the axis of `segment_axis`; None if no joint rotates."""
     axis = segment_axis(problem, motion, segment)
     return None if axis is None else turn_about(axis, problem, motion)
 
@@ -60,19 +61,20 @@ def segment_turn(problem: MarkerProblem, motion: BoneMotion, segment: str) -> Jo
 def segment_axis(
     problem: MarkerProblem, motion: BoneMotion, segment: str, *, locked: tuple[tuple[str, str], ...] = ()
 ) -> JointAxis | None:
-    """Choose that joint of a segment whose known postures lie farthest apart, or that turns most.
+    """Choose the joint of a segment whose known postures are farthest apart, or that rotates most.
 
-    Its axis leads from the first posture to the posture farthest from it; with one posture, or postures alike, it is
-    the axis about which the joint turns most over the trial. A segment without a joint turns in the laboratory.
+    Its axis is that of the rotation from the first posture to the posture farthest from it; with one posture, or equal
+    postures, it is the axis about which the joint rotates most over the trial. For a segment without a joint, the
+    rotation in the laboratory is used.
 
     Args:
         problem: The trial.
-        motion: The bones as known so far.
-        segment: The segment whose markers are looked at.
-        locked: Joints that do not come into question.
+        motion: Current estimate of the bones.
+        segment: The segment.
+        locked: Joints that are excluded.
 
     Returns:
-        The axis; None where nothing turns.
+        The axis; None if no joint rotates.
     """
     joints: list[tuple[str | None, str]] = [
         pair for pair in problem.joints if segment in pair and pair not in locked and set(pair) <= set(motion.segments)
@@ -85,12 +87,12 @@ def segment_axis(
 
 
 def joint_turn(problem: MarkerProblem, motion: BoneMotion, parent: str | None, child: str) -> JointTurn:
-    """Give the turn of one joint about its axis, as `joint_axis` chooses it."""
+    """Return the rotation of one joint about the axis of `joint_axis`."""
     return turn_about(joint_axis(problem, motion, parent, child), problem, motion)
 
 
 def joint_axis(problem: MarkerProblem, motion: BoneMotion, parent: str | None, child: str) -> JointAxis:
-    """Give the axis of one joint as `segment_axis` describes it; the parent None is the laboratory."""
+    """Return the axis of one joint as `segment_axis` describes it; a parent of None is the laboratory."""
     at_postures = _relative(problem.calibration.rotation, problem.calibration.segments, parent, child)
     out_of_first = rotations.log(at_postures[0].T @ at_postures)
     length = np.linalg.norm(out_of_first, axis=-1)
@@ -102,7 +104,7 @@ def joint_axis(problem: MarkerProblem, motion: BoneMotion, parent: str | None, c
 
 
 def turn_about(axis: JointAxis, problem: MarkerProblem, motion: BoneMotion) -> JointTurn:
-    """Count a joint's turn over the trial and in its known postures."""
+    """Measure a joint's rotation over the trial and in its known postures."""
     return JointTurn(
         turn=axis.turn(motion.rotation, motion.segments),
         at_postures=axis.turn(problem.calibration.rotation, problem.calibration.segments),
@@ -117,7 +119,7 @@ def _relative(rotation: Floats, segments: tuple[str, ...], parent: str | None, c
 
 
 def _main_axis(vectors: Floats) -> Floats:
-    """Find the direction along which rotation vectors (F, 3) are longest, pointing to the longest one."""
+    """Return the main direction (3,) of rotation vectors (F, 3), with the sign of the longest component along it."""
     answered = vectors[np.isfinite(vectors).all(-1)]
     if not len(answered):
         return np.array([1.0, 0.0, 0.0])

@@ -1,4 +1,4 @@
-"""The methods from markers to bones by name: what each does in a line, and what it needs."""
+"""Registry of the methods from markers to bones: names, one-line summaries, and requirements."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -8,25 +8,25 @@ from typing import cast
 from marey.errors import MareyError, SettingProblem
 from marey.markers.data.bone_motion import BoneMotion
 from marey.markers.data.problem import MarkerProblem, Method
-from marey.markers.preprocessing.preparation import prepared
+from marey.markers.preprocessing.preparation import prepare_problem
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MethodEntry:
-    """One method, loaded when it is asked for."""
+    """One method, imported on first use."""
 
     name: str
-    """As `--method` takes it."""
+    """Value of `--method`."""
     function: str
     """`room.module:function` within `marey.markers`."""
     summary: str
-    """What it does, in a line."""
+    """One-line summary."""
     postures: int = 1
-    """In how many postures the anatomical calibration must be known."""
+    """Number of postures that the anatomical calibration must contain."""
     joints: bool = False
-    """True for one that needs a joint between two segments."""
+    """True if the method needs a joint between two segments."""
     exercise: bool = False
-    """True for one that needs a second trial to learn from."""
+    """True if the method needs a second trial from which it learns the skin motion."""
 
     def load(self) -> Method:
         """Import the method."""
@@ -34,21 +34,24 @@ class MethodEntry:
         return cast(Method, getattr(import_module(f"marey.markers.{module}"), function))
 
     def run(self, problem: MarkerProblem) -> BoneMotion:
-        """Run the method on what it can use of a problem; NaN, and said, for segments that no method could answer.
+        """Run the method on the usable part of a problem.
+
+        Returns:
+            The motion of all segments; NaN, with a note, for segments that no method could estimate.
 
         Raises:
-            MareyError: The problem, or what is left of it, lacks something that the method needs.
+            MareyError: The usable part of the problem missing_requirement something that the method requires.
         """
-        ready = prepared(problem)
+        ready = prepare_problem(problem)
         if ready.problem is None:
-            return ready.whole(None)
-        lacks = self.lacks(ready.problem)
-        if lacks:
-            raise MareyError(" ".join([f"The method {self.name} {lacks}.", *ready.notes]))
-        return ready.whole(self.load()(ready.problem))
+            return ready.with_all_segments(None)
+        missing = self.missing_requirement(ready.problem)
+        if missing:
+            raise MareyError(" ".join([f"The method {self.name} {missing}.", *ready.notes]))
+        return ready.with_all_segments(self.load()(ready.problem))
 
-    def lacks(self, problem: MarkerProblem) -> str:
-        """Say what this method needs and the problem does not have; nothing where it has all."""
+    def missing_requirement(self, problem: MarkerProblem) -> str:
+        """Return the requirement of the method that a problem does not meet; empty if it meets all."""
         if problem.calibration.postures < self.postures:
             return f"needs an anatomical calibration in {self.postures} postures"
         if self.joints and not problem.joints:
@@ -75,7 +78,7 @@ METHODS: dict[str, MethodEntry] = {
         ),
         MethodEntry(
             name="interval", function="methods.interval_deformation:interval",
-            summary="markers' paths on the bone of a chosen form, with the bone's motion (Alexander 2001)",
+            summary="markers' paths on the bone in a chosen functional form, with the bone's motion (Alexander 2001)",
         ),
         MethodEntry(
             name="homogeneous", function="methods.homogeneous:homogeneous",
@@ -83,19 +86,19 @@ METHODS: dict[str, MethodEntry] = {
         ),
         MethodEntry(
             name="calibration", function="methods.multiple_calibration:multiple_calibration", postures=2,
-            summary="markers' places interpolated between known postures by the joint's turn (Cappello 1997)",
+            summary="markers' positions interpolated between known postures by the joint's rotation (Cappello 1997)",
         ),
         MethodEntry(
             name="artefact", function="methods.artefact_assessment:artefact_assessment", exercise=True,
-            summary="skin motion learned from an exercise against a joint's turn, taken away (Lucchetti 1998)",
+            summary="skin motion learned from an exercise by a joint's rotation, then removed (Lucchetti 1998)",
         ),
         MethodEntry(
             name="skin", function="methods.estimator:skin_and_joints",
-            summary="rigid clusters, joints that give a little and a statistical model of the skin's motion, together",
+            summary="rigid clusters, soft joint constraints and a statistical model of the skin's motion, combined",
         ),
         MethodEntry(
             name="global", function="methods.global_optimisation:global_ball", joints=True,
-            summary="all bones at once, joints as balls or as said, their places estimated (Lu and O'Connor 1999)",
+            summary="all bones at once, ball joints or as specified, joint positions estimated (Lu and O'Connor 1999)",
         ),
         MethodEntry(
             name="global_hinge", function="methods.global_optimisation:global_hinge", joints=True,
@@ -103,17 +106,18 @@ METHODS: dict[str, MethodEntry] = {
         ),
         MethodEntry(
             name="global_soft", function="methods.global_optimisation:global_soft", joints=True,
-            summary="the same with six degrees in every joint, its centre held to 5 mm",
+            summary="the same with six degrees of freedom in every joint, its centre constrained to 5 mm",
         ),
     )
 }  # fmt: skip
+"""All methods by name."""
 
-DEFAULT = "skin"
-"""The method that is taken where nobody asks for another one: it measures best (docs/accuracy.md)."""
+DEFAULT_METHOD = "skin"
+"""The default method, which has the smallest errors of all on trials with known bones (docs/accuracy/markers.md)."""
 
 
 def choose_methods(names: Iterable[str]) -> tuple[MethodEntry, ...]:
-    """Give the methods of these names, `all` being every one.
+    """Return the methods with these names; `all` selects every method.
 
     Raises:
         SettingProblem: A name is unknown.
@@ -121,6 +125,6 @@ def choose_methods(names: Iterable[str]) -> tuple[MethodEntry, ...]:
     names = list(names)
     unknown = [name for name in names if name not in METHODS and name != "all"]
     if unknown:
-        raise SettingProblem(f"There is no method {', '.join(unknown)}. There are: {', '.join(METHODS)}, all.")
+        raise SettingProblem(f"There is no method {', '.join(unknown)}. Available methods: {', '.join(METHODS)}, all.")
     chosen = METHODS if "all" in names else dict.fromkeys(names)
     return tuple(METHODS[name] for name in chosen)

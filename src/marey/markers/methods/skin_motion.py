@@ -1,9 +1,8 @@
-"""The skin's motion over a bone as a random field over the frames: its size, and what it follows.
+"""The skin's motion over a bone as a random field over the frames: its size, and the shares of its variance.
 
-What a cluster shows of it is how far it does not stay rigid. Its size is learned from that, and so is its form: what
-part follows the joint's turn, what part the time courses of a few modes that the other markers share, and what part is
-a wobble that has forgotten itself after a moment. The form is the one under which markers that were left out are
-likeliest.
+The visible part is the deviation of a cluster from a rigid body. It determines the size of the motion, and the shares
+of its variance: one follows the joint's rotation, one the time courses of a few modes that the other markers share, and
+the rest is wobble with a short correlation time. The shares are those with the largest likelihood of left-out markers.
 """
 
 from collections.abc import Sequence
@@ -16,146 +15,200 @@ from marey.markers.data.cluster_data import ClusterData
 from marey.markers.data.rigid_fit import RigidFit, fit_rigid
 
 _WOBBLE_S = 0.15
-_FRAMES_JUDGED = 40
-_MARKERS_LEFT_OUT = 6
-_MOST_MODES = 4
-_MARKERS_TO_WEIGH = 5
-_LOOSEST = 3.0
-_WILD = 10.0  # times the median frame's variance; what is more counts as no more
-_LEAST_TURN = 1e-6  # rad; below these on the mean neither turn nor courses say anything
-_LEAST_COURSE = 1e-9  # m
-_THIGH = np.log(1.5)  # the thigh's skin moves about twice as far as the shank's ([Cereatti2017])
-_LEVELS = {"thigh": _THIGH, "shank": -_THIGH, "femur": _THIGH, "tibia": -_THIGH}
-_LEVEL_COUNTS = 12.0  # as many free coordinates as say as much of a cluster's size as its neighbours' sizes do
+"""Correlation time of the wobble [s]. Chosen by hand; results were not measured against other values."""
+_LEAST_TURN = 1e-6
+"""Mean rotation [rad] below which the joint's rotation carries no information; numerical."""
+_LEAST_COURSE = 1e-9
+"""RMS time course [m] below which the modes carry no information; numerical."""
+_THIGH = np.log(1.5)
+"""Logarithm of the size of the thigh's skin motion relative to an average segment; the thigh's skin moves about twice
+as far as the shank's ([Cereatti2017])."""
+_LOG_RELATIVE_SIZE = {"thigh": _THIGH, "shank": -_THIGH, "femur": _THIGH, "tibia": -_THIGH}
+"""Logarithm of a segment's skin motion relative to an average segment; 0 for other segments."""
+_MAXIMUM_MODES = 4
+"""Most modes of a candidate model. Chosen by hand."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class SkinForm:
-    """What shares of the skin's variance follow what; the rest is wobble."""
+class SkinVarianceShares:
+    """Shares of the variance of the skin's motion; the remaining share is wobble."""
 
     turn: float = 0.4
-    """Follows the joint's turn, each step of which adds an independent displacement."""
+    """Share that follows the joint's rotation, as a random walk with independent increments."""
     modes: float = 0.0
-    """Follows the time courses of the modes."""
+    """Share that follows the time courses of the modes."""
     rank: int = 0
-    """How many modes."""
+    """Number of modes."""
 
     @property
     def wobble(self) -> float:
-        """The share that differs from moment to moment."""
+        """Share with a short correlation time."""
         return 1 - self.turn - self.modes
 
 
-FORMS = (
-    SkinForm(turn=0.4),
-    SkinForm(turn=0.8),
-    *(SkinForm(turn=0.4, modes=modes, rank=rank) for rank in range(1, _MOST_MODES + 1) for modes in (0.2, 0.4)),
+CANDIDATE_SHARES = (
+    SkinVarianceShares(turn=0.4),
+    SkinVarianceShares(turn=0.8),
+    *(
+        SkinVarianceShares(turn=0.4, modes=modes, rank=rank)
+        for rank in range(1, _MAXIMUM_MODES + 1)
+        for modes in (0.2, 0.4)
+    ),
 )
-"""The forms that are tried, simplest first."""
+"""The candidate shares, simplest first. Chosen by hand."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SkinMotionSettings:
+    """Settings of the estimation of the skin's motion.
+
+    The defaults were chosen by hand; results were not measured against other values.
+    """
+
+    candidates: tuple[SkinVarianceShares, ...] = CANDIDATE_SHARES
+    """Candidate shares of the variance, simplest first."""
+    scored_frames: int = 40
+    """Frames in which left-out markers are scored."""
+    left_out_markers: int = 6
+    """Most markers that are left out, one at a time."""
+    markers_to_weight: int = 5
+    """Fewest markers of a cluster whose markers are weighted individually."""
+    largest_relative_sd: float = 3.0
+    """Largest standard deviation of a marker relative to that of its cluster."""
+    outlier_variance_ratio: float = 10.0
+    """Variances of a frame are limited to this multiple of the median frame's."""
+    shrinkage_freedom: float = 12.0
+    """Degrees of freedom per frame with which a cluster's size has the same weight as the common size of all
+    clusters."""
+
+
+_SETTINGS = SkinMotionSettings()
+"""Default settings of the estimation."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SkinMotion:
-    """What is believed of the skin's motion over one bone, in a trial of F frames."""
+    """Statistical model of the skin's motion over one bone, in a trial of F frames."""
 
     segment: str
     size: float
-    """Root mean square displacement of a marker since the first known posture, as far as the cluster shows it [m]."""
+    """Visible root mean square displacement of a marker from the first known posture [m]."""
     freedom: int
-    """How many coordinates a frame told it."""
-    looseness: Floats
-    """(M,) each marker's own standard deviation as a multiple of the cluster's."""
-    form: SkinForm
+    """Degrees of freedom per frame from which the size was estimated."""
+    relative_sd: Floats
+    """(M,) standard deviation of each marker relative to that of the cluster."""
+    form: SkinVarianceShares
+    """Shares of the variance."""
     log_likelihood: tuple[float, ...] = ()
-    """Of each of FORMS on markers left out, a coordinate; empty where too few markers are there to leave one out."""
+    """Mean log likelihood per coordinate of left-out markers for each candidate; empty if there are too few markers."""
     first: int
-    """The frame of the first known posture."""
+    """Frame index of the first known posture."""
     time: Floats
-    """(F,) [s]."""
+    """(F,) time of each frame [s]."""
     turn: Floats
-    """(F,) the turn that it follows [rad]."""
+    """(F,) rotation of the joint [rad]."""
     courses: Floats
-    """(F, R) the time courses of the modes, largest first [m]."""
+    """(F, R) time courses of the modes, largest first [m]."""
 
     def semivariance(self, frames: Integers, others: Integers) -> Floats:
-        """Give (n, m) half the variance of the motion between frames (n,) and others (m,), in squares of the size.
+        """Return half the variance (n, m) of the motion between frames (n,) and others (m,), relative to size squared.
 
-        Between the first known posture and the other frames it is 1/2 on the mean.
+        Its mean between the first known posture and all other frames is 1/2.
         """
         every = np.arange(len(self.time))
-        mean = self._raw(every[every != self.first], np.array([self.first])).mean() if len(every) > 1 else 1.0
-        return np.asarray(self._raw(frames, others) / (2 * mean))
+        mean = (
+            self._unscaled_semivariance(every[every != self.first], np.array([self.first])).mean()
+            if len(every) > 1
+            else 1.0
+        )
+        return np.asarray(self._unscaled_semivariance(frames, others) / (2 * mean))
 
-    def _raw(self, frames: Integers, others: Integers) -> Floats:
+    def _unscaled_semivariance(self, frames: Integers, others: Integers) -> Floats:
         courses = self.courses[:, : self.form.rank]
-        return mixed(
+        return mixed_semivariance(
             self.form, self.time[frames], self.turn[frames], courses[frames], self.time[others], self.turn[others],
             courses[others], _scales(self.turn, courses, self.first),
         )  # fmt: skip
 
 
-def mixed(
-    form: SkinForm, time: Floats, turn: Floats, courses: Floats, other_time: Floats, other_turn: Floats,
+def mixed_semivariance(
+    form: SkinVarianceShares, time: Floats, turn: Floats, courses: Floats, other_time: Floats, other_turn: Floats,
     other_courses: Floats, scales: tuple[float, float],
 ) -> Floats:  # fmt: skip
-    """Give the semivariance (n, m) of a form between n instants and m others; each part is 1 where its scale says."""
+    """Return the semivariance (n, m) of a model between n instants and m others; each part is 1 at its scale."""
     wobble = 1 - np.exp(-np.abs(time[:, None] - other_time) / _WOBBLE_S)
     turned = np.abs(turn[:, None] - other_turn) / scales[0]
     moved = ((courses[:, None] - other_courses) ** 2).sum(-1) / scales[1]
     return np.asarray(form.wobble * wobble + form.turn * turned + form.modes * moved)
 
 
-def learn_skin(data: ClusterData, turn: Floats, time: Floats, noise_m: float) -> SkinMotion:
-    """Learn the skin's motion over one bone from how far its cluster does not stay rigid.
+def learn_skin(
+    data: ClusterData, turn: Floats, time: Floats, noise_m: float, settings: SkinMotionSettings = _SETTINGS
+) -> SkinMotion:
+    """Estimate a model of the skin's motion over one bone from the deviation of its cluster from a rigid body.
 
     Args:
-        data: The cluster; its first posture is the one from which displacements count.
-        turn: (F,) the turn of its joint [rad], finite.
-        time: (F,) [s].
-        noise_m: Standard deviation of a measured coordinate [m]; what it explains is not skin motion.
+        data: The cluster; displacements are relative to its first posture.
+        turn: (F,) rotation of its joint [rad], finite.
+        time: (F,) time of each frame [s].
+        noise_m: Standard deviation of a measured coordinate [m], which is not attributed to the skin.
+        settings: Settings of the estimation.
+
+    Returns:
+        The model.
     """
-    looseness = _looseness(data, noise_m)
-    fit = fit_rigid(shape_of(data), data.points, noise_m * looseness)
+    relative_sd = _relative_sds(data, noise_m, settings)
+    fit = fit_rigid(first_posture_shape(data), data.points, noise_m * relative_sd)
     moved = _displacements(fit)
     first = int(data.frames[0])
-    size, freedom = _size(moved, first, noise_m)
-    judged = _judged_frames(fit, first)
+    size, freedom = _size(moved, first, noise_m, settings.outlier_variance_ratio)
+    scored = _scored_frames(fit, first, settings.scored_frames)
     skin = SkinMotion(
-        segment=data.segment, size=size, freedom=freedom, looseness=looseness, form=SkinForm(), first=first, time=time,
-        turn=turn, courses=_courses(moved, _MOST_MODES),
+        segment=data.segment, size=size, freedom=freedom, relative_sd=relative_sd, form=SkinVarianceShares(),
+        first=first, time=time, turn=turn, courses=_courses(moved, _MAXIMUM_MODES),
     )  # fmt: skip
-    if size == 0 or data.points.shape[1] <= 3 or len(judged) < 3:
+    if size == 0 or data.points.shape[1] <= 3 or len(scored) < 3:
         return skin
-    likelihood = _judge(data, looseness * noise_m, skin, judged)
+    likelihood = _score_candidates(data, relative_sd * noise_m, skin, scored, settings)
     if not np.isfinite(likelihood).all():
         return skin
-    return replace(skin, form=FORMS[int(np.argmax(likelihood))], log_likelihood=tuple(likelihood.tolist()))
+    return replace(
+        skin, form=settings.candidates[int(np.argmax(likelihood))], log_likelihood=tuple(likelihood.tolist())
+    )
 
 
-def settle_sizes(skins: Sequence[SkinMotion]) -> tuple[SkinMotion, ...]:
-    """Draw the sizes of a trial's clusters towards each other, the more the fewer markers a cluster has.
+def shrink_sizes(skins: Sequence[SkinMotion], settings: SkinMotionSettings = _SETTINGS) -> tuple[SkinMotion, ...]:
+    """Shrink the sizes of a trial's clusters towards a common size, more strongly for clusters with few markers.
 
-    A cluster of four shows little of its skin's motion. Sizes are compared by their logarithms, and the thigh's is
-    taken to be about twice the shank's. A cluster that stays rigid stays so.
+    A cluster of four markers shows little of its skin's motion. The logarithms of the sizes are averaged, with the
+    prior that the thigh's size is about twice the shank's. The size of a rigid cluster stays 0.
+
+    Args:
+        skins: Models of all clusters of a trial.
+        settings: Settings of the estimation.
+
+    Returns:
+        The models with their new sizes.
     """
     shown = [skin for skin in skins if skin.size > 0]
     if len(shown) < 2:
         return tuple(skins)
-    own = np.array([np.log(skin.size) - _level(skin.segment) for skin in shown])
+    own = np.array([np.log(skin.size) - _log_relative_size(skin.segment) for skin in shown])
     counts = np.array([skin.freedom for skin in shown], float)
     common = float(own @ counts / counts.sum())
-    settled = (counts * own + _LEVEL_COUNTS * common) / (counts + _LEVEL_COUNTS)
-    by_name = {s.segment: float(np.exp(v + _level(s.segment))) for s, v in zip(shown, settled, strict=True)}
+    weight = settings.shrinkage_freedom
+    settled = (counts * own + weight * common) / (counts + weight)
+    by_name = {s.segment: float(np.exp(v + _log_relative_size(s.segment))) for s, v in zip(shown, settled, strict=True)}
     return tuple(replace(skin, size=by_name.get(skin.segment, skin.size)) for skin in skins)
 
 
-def shape_of(data: ClusterData) -> Floats:
-    """Give (M, 3) the cluster's shape in the first known posture; a marker it lacks has its place in the next."""
+def first_posture_shape(data: ClusterData) -> Floats:
+    """Return the cluster's shape (M, 3) [m] in the first known posture, with missing markers from the nearest one."""
     return filled_postures(data)[0]
 
 
 def filled_postures(data: ClusterData) -> Floats:
-    """Give (K, M, 3) the markers' places in the known postures; one missing in one has its place of the nearest."""
+    """Return the markers' positions (K, M, 3) [m] in the known postures; missing ones from the nearest posture."""
     postures = np.array(data.postures)
     count = len(postures)
     for marker in range(postures.shape[1]):
@@ -165,49 +218,50 @@ def filled_postures(data: ClusterData) -> Floats:
     return postures
 
 
-def _level(segment: str) -> float:
-    """Give the logarithm of how far a segment's skin moves, beside that of any segment."""
-    return _LEVELS.get(segment.removeprefix("left_").removeprefix("right_"), 0.0)
+def _log_relative_size(segment: str) -> float:
+    """Return the logarithm of a segment's skin motion relative to an average segment."""
+    return _LOG_RELATIVE_SIZE.get(segment.removeprefix("left_").removeprefix("right_"), 0.0)
 
 
 def _displacements(fit: RigidFit) -> Floats:
-    """Give (F, M, 3) the residuals of a rigid fit along the bone's axes; NaN for what was not used."""
+    """Return the residuals (F, M, 3) of a rigid fit along the bone's axes [m]; NaN for unused markers."""
     return np.einsum("fji,fmj->fmi", fit.rotation, fit.residuals)
 
 
-def _looseness(data: ClusterData, noise_m: float) -> Floats:
-    """Weigh markers by how much they move: half by their own variance, half by the cluster's."""
+def _relative_sds(data: ClusterData, noise_m: float, settings: SkinMotionSettings) -> Floats:
+    """Estimate the relative standard deviations (M,) of markers: the mean of their own and the cluster's variance."""
     count = data.points.shape[1]
-    looseness = np.ones(count)
-    if count < _MARKERS_TO_WEIGH:
-        return looseness
+    relative_sd = np.ones(count)
+    if count < settings.markers_to_weight:
+        return relative_sd
     for _ in range(3):
-        moved = _displacements(fit_rigid(shape_of(data), data.points, noise_m * looseness))
+        moved = _displacements(fit_rigid(first_posture_shape(data), data.points, noise_m * relative_sd))
         present = np.isfinite(moved).all(-1)
         variance = np.where(present, (np.nan_to_num(moved) ** 2).sum(-1), 0.0).sum(0) / np.maximum(present.sum(0), 1)
         if variance.mean() <= noise_m**2 * 1e-6:
             return np.ones(count)
-        looseness = np.minimum(np.sqrt((variance / variance.mean() + 1) / 2), _LOOSEST)
-    return looseness
+        ratio = np.sqrt((variance / variance.mean() + 1) / 2)
+        relative_sd = np.minimum(ratio, settings.largest_relative_sd)
+    return relative_sd
 
 
-def _size(moved: Floats, first: int, noise_m: float) -> tuple[float, int]:
-    """Give the root mean square displacement that is no noise [m], and in how many coordinates a frame it is seen."""
+def _size(moved: Floats, first: int, noise_m: float, outlier_ratio: float) -> tuple[float, int]:
+    """Return the root mean square displacement without noise [m], and its degrees of freedom per frame."""
     present: Mask = np.array(np.isfinite(moved).all(-1))
     present[first] = False
     free = 3 * present.sum(1) - 6
-    told = free > 0
-    if not told.any():
+    usable = free > 0
+    if not usable.any():
         return 0.0, 0
-    squared = (np.nan_to_num(moved[told]) ** 2 * present[told][..., None]).sum((1, 2))
-    most = _WILD * np.median(squared / free[told])
-    # The reference is as noisy as the frame compared with it.
-    skin = 3 * (np.minimum(squared, most * free[told]).sum() / free[told].sum() - 2 * noise_m**2)
-    return float(np.sqrt(max(skin, 0.0))), int(np.median(free[told]))
+    squared = (np.nan_to_num(moved[usable]) ** 2 * present[usable][..., None]).sum((1, 2))
+    most = outlier_ratio * np.median(squared / free[usable])
+    # The reference has the same noise as the frame compared with it.
+    skin = 3 * (np.minimum(squared, most * free[usable]).sum() / free[usable].sum() - 2 * noise_m**2)
+    return float(np.sqrt(max(skin, 0.0))), int(np.median(free[usable]))
 
 
 def _courses(moved: Floats, rank: int) -> Floats:
-    """Give (F, rank) the courses of the largest modes [m]; a marker that is missing counts as at rest."""
+    """Return the time courses (F, rank) of the largest modes [m]; a missing marker counts as at rest."""
     flat = np.nan_to_num(moved).reshape(len(moved), -1)
     left, value, _ = np.linalg.svd(flat, full_matrices=False)
     courses = np.zeros((len(moved), rank))
@@ -219,7 +273,7 @@ def _courses(moved: Floats, rank: int) -> Floats:
 
 
 def without_gaps(values: Floats) -> Floats:
-    """Fill what is missing of series (F, ...) from the frames beside; all of it missing, with zeros."""
+    """Interpolate missing values of series (F, ...) over the frames; an entirely missing series becomes zero."""
     flat = np.array(values, float).reshape(len(values), -1)
     frames = np.arange(len(flat))
     for column in flat.T:
@@ -228,20 +282,23 @@ def without_gaps(values: Floats) -> Floats:
     return flat.reshape(np.shape(values))
 
 
-def _judged_frames(fit: RigidFit, first: int) -> Integers:
-    """Choose frames (n,) with an answer, spread evenly, without the first known posture."""
+def _scored_frames(fit: RigidFit, first: int, most: int) -> Integers:
+    """Choose evenly spaced frames (n,) with an estimate, without the first known posture."""
     answered = np.flatnonzero(np.isfinite(fit.rotation).all((1, 2)) & (np.arange(len(fit.rotation)) != first))
-    if len(answered) <= _FRAMES_JUDGED:
+    if len(answered) <= most:
         return answered
-    return answered[np.linspace(0, len(answered) - 1, _FRAMES_JUDGED).round().astype(int)]
+    return answered[np.linspace(0, len(answered) - 1, most).round().astype(int)]
 
 
-def _judge(data: ClusterData, sd: Floats, skin: SkinMotion, judged: Integers) -> Floats:
-    """Give the mean log likelihood, a coordinate, of markers left out under each of the forms."""
-    shape, count = shape_of(data), data.points.shape[1]
-    left_out = np.unique(np.linspace(0, count - 1, min(count, _MARKERS_LEFT_OUT)).round().astype(int))
-    frames = np.concatenate([[skin.first], judged])
-    total, coordinates = np.zeros(len(FORMS)), 0
+def _score_candidates(
+    data: ClusterData, sd: Floats, skin: SkinMotion, scored: Integers, settings: SkinMotionSettings
+) -> Floats:
+    """Return the mean log likelihood per coordinate of left-out markers for each candidate."""
+    candidates = settings.candidates
+    shape, count = first_posture_shape(data), data.points.shape[1]
+    left_out = np.unique(np.linspace(0, count - 1, min(count, settings.left_out_markers)).round().astype(int))
+    frames = np.concatenate([[skin.first], scored])
+    total, coordinates = np.zeros(len(candidates)), 0
     for marker in left_out:
         rest = np.delete(np.arange(count), marker)
         fit = fit_rigid(shape[rest], data.points[frames][:, rest], sd[rest])
@@ -251,18 +308,18 @@ def _judge(data: ClusterData, sd: Floats, skin: SkinMotion, judged: Integers) ->
         if known.sum() < 4 or not known[0]:
             continue
         part = replace(skin, courses=np.zeros((0, 0)), time=skin.time[frames][known], turn=skin.turn[frames][known])
-        courses = _courses(_displacements(fit)[known], _MOST_MODES)
-        total += [_left_out_likelihood(form, part, courses, moved[known]) for form in FORMS]
+        courses = _courses(_displacements(fit)[known], _MAXIMUM_MODES)
+        total += [_left_out_likelihood(form, part, courses, moved[known]) for form in candidates]
         coordinates += 3 * (int(known.sum()) - 1)
-    return total / coordinates if coordinates else np.full(len(FORMS), np.nan)
+    return total / coordinates if coordinates else np.full(len(candidates), np.nan)
 
 
-def _left_out_likelihood(form: SkinForm, part: SkinMotion, courses: Floats, moved: Floats) -> float:
-    """Give the log likelihood of a marker's displacements (n, 3) since the first of n frames, its own size profiled."""
+def _left_out_likelihood(form: SkinVarianceShares, part: SkinMotion, courses: Floats, moved: Floats) -> float:
+    """Return the log likelihood of a marker's displacements (n, 3) from the first of n frames, with profiled size."""
     courses = courses[:, : form.rank]
     scales = _scales(part.turn, courses, 0)
-    half = mixed(form, part.time, part.turn, courses, part.time, part.turn, courses, scales)
-    covariance = half[1:, :1] + half[:1, 1:] - half[1:, 1:]
+    semivariances = mixed_semivariance(form, part.time, part.turn, courses, part.time, part.turn, courses, scales)
+    covariance = semivariances[1:, :1] + semivariances[:1, 1:] - semivariances[1:, 1:]
     covariance[np.diag_indices(len(covariance))] += 1e-6 * np.trace(covariance) / len(covariance)
     lower = np.linalg.cholesky(covariance)
     whitened = np.linalg.solve(lower, moved[1:] - moved[0])
@@ -271,7 +328,7 @@ def _left_out_likelihood(form: SkinForm, part: SkinMotion, courses: Floats, move
 
 
 def _scales(turn: Floats, courses: Floats, first: int) -> tuple[float, float]:
-    """Give the means of |turn| and of squared courses since the first posture, by which their shares are measured."""
+    """Return the mean |rotation| and mean squared courses relative to the first posture, the scales of the shares."""
     turned = float(np.abs(turn - turn[first]).mean())
     moved = float(((courses - courses[first]) ** 2).sum(-1).mean())
     return max(turned, _LEAST_TURN), max(moved, _LEAST_COURSE**2)

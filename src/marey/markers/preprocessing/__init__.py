@@ -1,1 +1,1 @@
-"""From raw trajectories to a problem that can be solved: gaps, exchanges, landmarks, events."""
+"""Preparation of raw trajectories: gaps, exchanged labels, landmarks, joint centres, gait events."""

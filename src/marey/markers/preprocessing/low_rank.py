@@ -1,40 +1,42 @@
-"""Completing a cluster's shape over time: what a missing marker does follows from what the others do."""
+"""Low-rank completion of a cluster's shape over time: missing markers are predicted from the others."""
 
 import numpy as np
 
 from marey.arrays import Floats
 from marey.geometry import rotations
-from marey.markers.data.rigid_fit import fit_rigid
+from marey.markers.data.rigid_fit import EQUAL_SD_M, fit_rigid
 
-_SD = 1e-3  # m; all markers count alike, so it only says what is too near to a line to tell a turn
 _ALIGNMENTS = 4
+"""Rounds of alignment of all frames with the mean shape. Chosen by hand."""
 _ALTERNATIONS = 12
+"""Alternations between the modes and their coefficients. Chosen by hand."""
 _REALIGNMENTS = 2
+"""Rounds of alignment and completion in the prediction of markers. Chosen by hand."""
 
 
-def in_cluster(points: Floats, shape: Floats | None = None) -> tuple[Floats, Floats, Floats]:
-    """Take the rigid motion away from a cluster's markers.
+def in_cluster_frame(points: Floats, shape: Floats | None = None) -> tuple[Floats, Floats, Floats]:
+    """Remove the rigid motion from a cluster's markers.
 
-    Each frame is fitted to the markers' mean shape, which is the mean of the frames so fitted.
+    Each frame is aligned with the mean shape, which is the mean of the aligned frames.
 
     Args:
         points: (F, M, 3) in the laboratory [m]; NaN where missing.
-        shape: (M, 3) the mean shape where it is nearly known.
+        shape: (M, 3) an approximate mean shape; None to start from the frame with the most markers.
 
     Returns:
         The markers in the cluster's frame (F, M, 3), and laboratory from cluster: rotation (F, 3, 3) and translation
-        (F, 3). NaN in frames with fewer than three markers, or markers in a line.
+        (F, 3). NaN in frames with fewer than three markers, or with collinear markers.
     """
     rounds = _ALIGNMENTS if shape is None else 1
     shape = points[np.argmax(np.isfinite(points).all(-1).sum(1))] if shape is None else shape
     for _ in range(rounds):
-        fit = fit_rigid(shape, points, _SD)
+        fit = fit_rigid(shape, points, EQUAL_SD_M)
         local = np.einsum("fji,fmj->fmi", fit.rotation, points - fit.translation[:, None])
-        shape = _mean(local)
+        shape = mean_shape(local)
     return local, fit.rotation, fit.translation
 
 
-def _mean(local: Floats) -> Floats:
+def mean_shape(local: Floats) -> Floats:
     """Average over the frames that are known; NaN for what never is."""
     known = np.isfinite(local)
     count = known.sum(0)
@@ -42,18 +44,18 @@ def _mean(local: Floats) -> Floats:
 
 
 def complete(values: Floats, rank: int, free: Floats | None = None) -> Floats:
-    """Describe rows with gaps by their mean and a few modes, found from what is known.
+    """Approximate rows with missing entries by their mean and a few modes, estimated from the known entries.
 
-    Alternating least squares over the modes and each row's part of them; a part is held to the spread that the parts
-    have, in the measure of what the modes leave, as in probabilistic principal components.
+    Alternating least squares over the modes and each row's coefficients. The coefficients are regularised with unit
+    variance relative to the residual variance, as in probabilistic principal component analysis.
 
     Args:
         values: (F, C); NaN where missing. A column that is never known stays NaN.
-        rank: How many modes; 0 leaves the mean.
-        free: (C, G) further directions of which every row may have as much as it likes.
+        rank: Number of modes; 0 for the mean only.
+        free: (C, G) further directions with coefficients that are not regularised.
 
     Returns:
-        (F, C) the description, of every entry.
+        (F, C) the approximation of every entry.
     """
     known = np.isfinite(values)
     held = np.where(known, values, 0.0)
@@ -65,17 +67,17 @@ def complete(values: Floats, rank: int, free: Floats | None = None) -> Floats:
     noise = float(((start**2).sum() - (size[:rank] ** 2).sum()) / max(known.sum(), 1))
     centre = np.nan_to_num(mean)
     for _ in range(_ALTERNATIONS if rank else 1):
-        parts = _parts(held - centre, known, np.column_stack([modes, free]), rank, max(noise, 1e-14))
+        parts = _mode_coefficients(held - centre, known, np.column_stack([modes, free]), rank, max(noise, 1e-14))
         freed = parts[:, rank:] @ free.T
         if rank:
-            modes, centre = _modes(np.where(known, held - freed, 0.0), known, parts[:, :rank])
+            modes, centre = _fitted_modes(np.where(known, held - freed, 0.0), known, parts[:, :rank])
         described = parts[:, :rank] @ modes.T + centre + freed
         noise = float(((held - described)[known] ** 2).mean()) if known.any() else 0.0
     return np.where(known.any(0), described, np.nan)
 
 
-def _parts(off: Floats, known: np.ndarray, directions: Floats, rank: int, noise: float) -> Floats:
-    """Find each row's part (F, K + G) of the modes, which are held to variance one, and of the free directions."""
+def _mode_coefficients(off: Floats, known: np.ndarray, directions: Floats, rank: int, noise: float) -> Floats:
+    """Estimate each row's coefficients (F, K + G): of the modes with unit variance, and of the free directions."""
     width = directions.shape[1]
     if not width:
         return np.zeros((len(off), 0))
@@ -86,8 +88,8 @@ def _parts(off: Floats, known: np.ndarray, directions: Floats, rank: int, noise:
     return np.asarray(np.linalg.solve(normal, (np.where(known, off, 0.0) @ directions)[..., None])[..., 0])
 
 
-def _modes(held: Floats, known: np.ndarray, parts: Floats) -> tuple[Floats, Floats]:
-    """Find the modes (C, K), scaled so that their parts have variance one, and the mean (C,), from the rows' parts."""
+def _fitted_modes(held: Floats, known: np.ndarray, parts: Floats) -> tuple[Floats, Floats]:
+    """Estimate the modes (C, K), scaled for coefficients of unit variance, and the mean (C,), from the coefficients."""
     parts = np.column_stack([parts, np.ones(len(held))])
     width = parts.shape[1]
     normal = (known.T @ (parts[:, :, None] * parts[:, None]).reshape(len(parts), -1)).reshape(-1, width, width)
@@ -96,25 +98,25 @@ def _modes(held: Floats, known: np.ndarray, parts: Floats) -> tuple[Floats, Floa
     return modes[:, :-1] * np.sqrt((parts[:, :-1] ** 2).mean(0)), modes[:, -1]
 
 
-def predict(points: Floats, rank: int) -> Floats:
-    """Say where the markers of a cluster should be, by its mean shape, a few modes of its change, and its pose.
+def predict_markers(points: Floats, rank: int) -> Floats:
+    """Predict the markers of a cluster from its mean shape, a few modes of its change, and its pose.
 
-    The pose of a frame is estimated together with its parts of the modes, from the markers that it has: a pose fitted
-    to fewer markers would lie elsewhere, and the missing marker with it.
+    The pose of a frame is estimated together with its mode coefficients from the visible markers, because a pose fitted
+    to fewer markers alone would be biased, and the predicted marker with it.
 
     Args:
         points: (F, M, 3) in the laboratory [m]; NaN where missing.
-        rank: Modes.
+        rank: Number of modes.
 
     Returns:
-        (F, M, 3) in the laboratory [m], for the markers that are there, too; NaN in frames without a pose.
+        (F, M, 3) in the laboratory [m], for the visible markers as well; NaN in frames without a pose.
     """
     frames, count = points.shape[:2]
     whole, shape = points, None
     for _ in range(_REALIGNMENTS):
-        local, rotation, translation = in_cluster(whole, shape)
+        local, rotation, translation = in_cluster_frame(whole, shape)
         local = np.where(np.isfinite(points), local, np.nan)
-        shape = _mean(local)
+        shape = mean_shape(local)
         moved = np.concatenate([-rotations.hat(shape), np.broadcast_to(np.eye(3), (count, 3, 3))], -1).reshape(-1, 6)
         described = complete(local.reshape(frames, -1), rank, moved).reshape(frames, count, 3)
         predicted = np.einsum("fij,fmj->fmi", rotation, described) + translation[:, None]

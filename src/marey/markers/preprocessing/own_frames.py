@@ -1,4 +1,4 @@
-"""Where nothing tells how the bones lie beneath their markers: the cluster's own frame, or a static trial's."""
+"""Anatomical calibrations from the cluster's own axes, or transferred from another trial."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,33 +7,34 @@ import numpy as np
 
 from marey.arrays import Floats
 from marey.errors import MareyError
-from marey.markers.data.clusters import AnatomicalCalibration, Cluster
-from marey.markers.data.labels import NEEDED
-from marey.markers.data.rigid_fit import fit_rigid
+from marey.markers.data.clusters import MINIMUM_MARKERS, AnatomicalCalibration, Cluster
+from marey.markers.data.rigid_fit import EQUAL_SD_M, fit_rigid
 from marey.markers.data.trajectories import MarkerTrajectories
 
-_SD_M = 1e-3
-"""Of a marker's coordinate, against which a cluster counts as a line [m]."""
 
+def calibration_from_cluster_axes(
+    trajectories: MarkerTrajectories, clusters: Sequence[Cluster]
+) -> AnatomicalCalibration:
+    """Use each cluster's principal axes in one frame of the trial as the bone's axes.
 
-def own_calibration(trajectories: MarkerTrajectories, clusters: Sequence[Cluster]) -> AnatomicalCalibration:
-    """Take each cluster's own axes in one frame of the trial for the bone's.
-
-    The frame is the first one with the most markers of all clusters. The origin is the markers' mean; the axes are
-    the principal ones, longest first, each pointing where its largest component is positive. Turns since that frame
-    mean something in such axes, anatomical angles do not.
+    The frame is the first one with the most markers of all clusters. The origin is the markers' mean; the axes are the
+    principal ones, longest first, with the sign that makes the largest component positive. Rotations since that frame
+    are meaningful in such axes, anatomical angles are not.
 
     Args:
-        trajectories: Of the trial.
-        clusters: One a segment.
+        trajectories: Marker trajectories of the trial.
+        clusters: One cluster per segment.
+
+    Returns:
+        The calibration in that frame.
 
     Raises:
         MareyError: No frame shows three markers of each cluster.
     """
     counts = np.stack([trajectories.select(cluster.labels).present.sum(1) for cluster in clusters], 1)
-    enough = (counts >= NEEDED).all(1)
+    enough = (counts >= MINIMUM_MARKERS).all(1)
     if not enough.any():
-        raise MareyError(f"No frame shows {NEEDED} markers of every segment, so none can be the reference.")
+        raise MareyError(f"No frame shows {MINIMUM_MARKERS} markers of every segment: there is no reference frame.")
     frame = int(np.argmax(np.where(enough, counts.sum(1), -1)))
     poses = [_principal(trajectories.select(cluster.labels).points[frame]) for cluster in clusters]
     return AnatomicalCalibration(
@@ -45,7 +46,7 @@ def own_calibration(trajectories: MarkerTrajectories, clusters: Sequence[Cluster
 
 
 def _principal(points: Floats) -> tuple[Floats, Floats]:
-    """Give the principal axes (3, 3) and the mean (3,) of the points (M, 3) that are there."""
+    """Return the principal axes (3, 3) and the mean (3,) of the visible points (M, 3)."""
     there = points[np.isfinite(points).all(-1)]
     origin = there.mean(0)
     axes = np.linalg.svd(there - origin, full_matrices=True)[2].T
@@ -57,7 +58,7 @@ def _principal(points: Floats) -> tuple[Floats, Floats]:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class BonesAndMarkers:
-    """Bones and the places of their markers in one posture of another trial."""
+    """Bones and the positions of their markers in one posture of another trial."""
 
     segments: tuple[str, ...]
     """S names."""
@@ -66,50 +67,55 @@ class BonesAndMarkers:
     origin: Floats
     """(S, 3) [m]."""
     labels: tuple[str, ...]
-    """M markers."""
+    """M marker labels."""
     points: Floats
-    """(M, 3) where they were in that posture [m]; NaN where missing."""
+    """(M, 3) positions of the markers in that posture [m]; NaN where missing."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class CarriedCalibration:
-    """A calibration that was carried from one trial into another."""
+class TransferredCalibration:
+    """A calibration transferred from one trial into another."""
 
     calibration: AnatomicalCalibration
     clusters: tuple[Cluster, ...]
-    """Those whose bones the other trial knows."""
+    """Clusters whose bones are known in the other trial."""
     residual_m: Floats
-    """(S,) how far the markers of that posture lie from the frame's (RMS)."""
+    """(S,) RMS distance of the markers in that posture from those of the chosen frame [m]."""
     notes: tuple[str, ...]
+    """What was skipped, one sentence each."""
 
 
-def carried_calibration(
+def transfer_calibration(
     known: BonesAndMarkers, trajectories: MarkerTrajectories, clusters: Sequence[Cluster]
-) -> CarriedCalibration:
-    """Carry bones that are known in a posture of another trial into this one.
+) -> TransferredCalibration:
+    """Transfer bones that are known in a posture of another trial into this one.
 
-    In the frame in which the clusters look most as they did there, each is laid over itself as a rigid body, and the
-    bone goes along. What the skin has moved since then is the error of that frame's bone.
+    In the frame in which the clusters are most similar to those of the posture, each cluster is aligned with its
+    counterpart as a rigid body, and the bone moves with it. Skin motion between the two is the error of the transferred
+    bone.
 
     Args:
         known: Bones and markers of the posture.
-        trajectories: Of this trial.
-        clusters: Of this trial.
+        trajectories: Marker trajectories of this trial.
+        clusters: Clusters of this trial.
+
+    Returns:
+        The calibration in the chosen frame, with its residuals.
 
     Raises:
         MareyError: No bone has three markers in common, or no frame shows them.
     """
     shared = {cluster.segment: _common(cluster, known) for cluster in clusters}
-    notes = [f"{name} is not known there, or has less than {NEEDED} markers in common; passed over."
-             for name, labels in shared.items() if len(labels) < NEEDED]  # fmt: skip
-    kept = [cluster for cluster in clusters if len(shared[cluster.segment]) >= NEEDED]
+    notes = [f"{name} is unknown in the other trial, or has fewer than {MINIMUM_MARKERS} common markers; skipped."
+             for name, labels in shared.items() if len(labels) < MINIMUM_MARKERS]  # fmt: skip
+    kept = [cluster for cluster in clusters if len(shared[cluster.segment]) >= MINIMUM_MARKERS]
     if not kept:
         raise MareyError("No segment has three markers in common with the posture in which the bones are known.")
     fits = []
     for cluster in kept:
         labels = shared[cluster.segment]
         shape = known.points[[known.labels.index(label) for label in labels]]
-        fits.append(fit_rigid(shape, trajectories.select(labels).points, _SD_M))
+        fits.append(fit_rigid(shape, trajectories.select(labels).points, EQUAL_SD_M))
     squares = np.stack([_mean_square(fit.residuals) for fit in fits], 1)
     missing = np.stack([np.isnan(fit.residuals).any((-1, -2)) for fit in fits], 1)
     answered = np.isfinite(squares).all(1)
@@ -122,7 +128,7 @@ def carried_calibration(
     origin = np.stack(
         [fit.rotation[frame] @ known.origin[i] + fit.translation[frame] for fit, i in zip(fits, index, strict=True)]
     )
-    return CarriedCalibration(
+    return TransferredCalibration(
         calibration=AnatomicalCalibration(
             segments=tuple(cluster.segment for cluster in kept), frames=np.array([frame]), rotation=rotation[None],
             origin=origin[None],
@@ -140,7 +146,7 @@ def _common(cluster: Cluster, known: BonesAndMarkers) -> tuple[str, ...]:
 
 
 def _mean_square(residuals: Floats) -> Floats:
-    """Give the mean square distance (F,) of residuals (F, M, 3); NaN where there is none."""
+    """Return the mean squared distance (F,) of residuals (F, M, 3) [m2]; NaN without residuals."""
     squares = (residuals**2).sum(-1)
     known = np.isfinite(squares)
     total = np.where(known, squares, 0.0).sum(1)

@@ -1,4 +1,4 @@
-"""What a method can work with: postures that are known, segments that have markers; the rest set aside and said."""
+"""Reduction of a problem to the known postures and visible segments that a method can use."""
 
 from dataclasses import dataclass, replace
 
@@ -12,18 +12,19 @@ from marey.markers.data.problem import MarkerProblem
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PreparedProblem:
-    """A problem with what no method can use set aside."""
+    """A problem reduced to what a method can use."""
 
     problem: MarkerProblem | None
-    """What is left; None where no segment is."""
+    """The reduced problem; None if no segment is left."""
     segments: tuple[str, ...]
-    """All segments that were asked for."""
+    """All requested segments."""
     frames: int
+    """Number of frames of the trial."""
     notes: tuple[str, ...]
-    """What was set aside."""
+    """What was removed and why, one sentence each."""
 
-    def whole(self, motion: BoneMotion | None) -> BoneMotion:
-        """Give the motion of all segments that were asked for; NaN for those that were set aside."""
+    def with_all_segments(self, motion: BoneMotion | None) -> BoneMotion:
+        """Return the motion of all requested segments; NaN for those that were removed."""
         shape = (self.frames, len(self.segments))
         rotation, origin = np.full((*shape, 3, 3), np.nan), np.full((*shape, 3), np.nan)
         covariance, notes = np.full((*shape, 6, 6), np.nan), self.notes
@@ -34,31 +35,34 @@ class PreparedProblem:
         return BoneMotion(segments=self.segments, rotation=rotation, origin=origin, covariance=covariance, notes=notes)
 
 
-def prepared(problem: MarkerProblem) -> PreparedProblem:
-    """Set aside postures in which a bone is not known, and segments of which no posture shows a marker.
+def prepare_problem(problem: MarkerProblem) -> PreparedProblem:
+    """Remove postures in which a bone is unknown, and segments of which no known posture shows a marker.
 
-    A posture counts for all segments or for none; a segment known in no posture is set aside first.
+    A posture is used for all segments or for none; segments that are unknown in all postures are removed first.
     """
     segments = tuple(cluster.segment for cluster in problem.clusters)
     calibration, notes = problem.calibration, list[str]()
     known = _known(calibration)
     clusters = [c for c in problem.clusters if known[:, calibration.segments.index(c.segment)].any()]
     without = [cluster.segment for cluster in problem.clusters if cluster not in clusters]
-    notes += [f"{segment}: its bone is known in no posture; no answer." for segment in without]
+    notes += [f"{segment}: its bone is not known in any posture and cannot be estimated." for segment in without]
     index = [calibration.segments.index(cluster.segment) for cluster in clusters]
     postures = np.flatnonzero(known[:, index].all(1)) if clusters else np.zeros(0, np.int64)
     if clusters and len(postures) < calibration.postures:
         frames = ", ".join(str(f) for f in np.delete(calibration.frames, postures))
-        notes.append(f"The postures of frame {frames} are not used: a bone is not known there.")
+        notes.append(f"The postures of frame {frames} are not used, because a bone is unknown there.")
     seen = [cluster for cluster in clusters if _shown(problem, cluster, postures)]
     unseen = [cluster.segment for cluster in clusters if cluster not in seen]
-    notes += [f"{segment}: none of its markers is seen in a known posture; no answer." for segment in unseen]
+    notes += [
+        f"{segment}: none of its markers is visible in a known posture; the bone cannot be estimated."
+        for segment in unseen
+    ]
     left = _reduced(problem, tuple(seen), postures) if seen else None
     return PreparedProblem(problem=left, segments=segments, frames=len(problem.trajectories), notes=tuple(notes))
 
 
 def _known(calibration: AnatomicalCalibration) -> Mask:
-    """Tell the postures (K, S) in which a bone is known."""
+    """Find the postures (K, S) in which a bone is known."""
     return np.asarray(np.isfinite(calibration.rotation).all((2, 3)) & np.isfinite(calibration.origin).all(2))
 
 

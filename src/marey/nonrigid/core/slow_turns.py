@@ -24,8 +24,8 @@ class SlowTurnSettings:
     hand; results were not measured against other values."""
     correlation: float = 2.2
     """The cost of modes is divided by this times the number of points P. `basis_cost` takes the P points as
-    independent, but points of one object move alike, and all together count about as one. Chosen with the camera
-    paths of bench/nonrigid/camera_paths.py."""
+    independent, but points of one object move alike, and all together count about as one. Chosen by hand; results were
+    not measured against other values."""
     least_share: float = 1e-9
     """Singular vectors with a smaller share of the variance are ignored; a numerical threshold."""
 

@@ -74,9 +74,8 @@ class ViewAngleSettings:
     """Weight of the accelerations with which `smoothed_path` yields a rotation of constant rate."""
     steady_departure: float = 1.2
     """A rotation of constant rate is chosen where the object departs from its mean shape by at most this times as much
-    as
-    under the motion of least departure. Bodies before a camera that goes round them: 1.0 to 1.1; skin on walking legs:
-    3 to 9 (docs/explanation/nonrigid.md)."""
+    as under the motion of least departure. Bodies before a camera that goes round them: 1.0 to 1.1; skin on walking
+    legs: 3 to 9 (docs/explanation/nonrigid.md)."""
     frames_per_mode: int = 3
     """Least number of frames per mode."""
     model: DeformingModelSettings = field(default_factory=DeformingModelSettings)

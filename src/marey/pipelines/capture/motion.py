@@ -16,15 +16,16 @@ from marey.io.npz import read_arrays, read_motion, write_motion
 from marey.io.results.body import read_body
 from marey.io.results.netcdf import write_netcdf
 from marey.io.results.results import write_motion_tables, write_results
-from marey.motion.motion import FILLED, LOST, MEASURED, NOBODY, BodyMotion
+from marey.motion.motion import FILLED, LOST, MEASURED, NO_PERSON, BodyMotion
 from marey.pipelines.labelled import Curve, Curves, Described, Summary, count_of, find_name, plot_curves
 from marey.pipelines.result_files import ResultFiles
 
-STATE_FLAGS = {NOBODY: "no person", MEASURED: "", FILLED: "filled", LOST: "lost"}
+STATE_FLAGS = {NO_PERSON: "no person", MEASURED: "", FILLED: "filled", LOST: "lost"}
 """The flag of a frame by its state: nothing for a measured frame."""
 UNDETERMINED = "not determined"
 """The flag of a coordinate that the views do not determine: its value comes from what is usual in people."""
 _FILE = "motion.npz"
+"""The file from which a motion is read."""
 
 
 class Motion(Described):

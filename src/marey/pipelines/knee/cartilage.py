@@ -1,4 +1,4 @@
-"""Cartilage in `marey knee segment`: found by a template's, and written with its thickness."""
+"""Cartilage of a knee: found by that of a template, and written with its thickness."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -27,26 +27,27 @@ from marey.pipelines.progress import Progress
 from marey.view.pictures.flat_cartilage import flat_picture
 from marey.view.pictures.knee_maps import thickness_colours
 
-_LEFT_OUT = "The template was left out: its bone does not lie well on the only long bone in view."
+_LEFT_OUT = "The template was not used: it does not fit the only long bone in the image."
+"""Why cartilage is missing if the template could not be placed."""
 
 
 def cartilage_by_template(
     volumes: Sequence[Volume], bones: BoneSegmentation, surfaces: Mapping[str, Surface], template: Labels | None,
     progress: Progress,
 ) -> tuple[KneeCartilage | None, dict[str, str]]:  # fmt: skip
-    """Find the cartilage where the template has some; otherwise, or where it cannot be found, say so.
+    """Find the cartilages that the template has.
 
-    Bones that were found are not thrown away because cartilage was not: what is missing is said instead.
+    A cartilage that cannot be found is no error: the result names it with the reason, and the bones are kept.
 
     Args:
         volumes: The images.
-        bones: As they were found.
-        surfaces: Theirs.
-        template: Labels, of either side.
-        progress: Is told.
+        bones: The segmented bones.
+        surfaces: Surfaces of the bones by name.
+        template: Labels of another knee, of either side.
+        progress: Progress reporter.
 
     Returns:
-        The cartilage, and which of those that the template has are missing, with the reason.
+        The cartilage, and the names of missing cartilages with the reason.
     """
     fit = bones.template_fit
     if template is None:
@@ -79,44 +80,63 @@ def cartilage_by_template(
 
 
 def labels_with(bones: BoneSegmentation, cartilage: KneeCartilage | None) -> Labels:
-    """Give the labels of bones, and of cartilage where there is some."""
+    """Return the labels of the bones, and of the cartilage if there is any."""
     return bones.labels if cartilage is None else with_cartilage(bones.labels, cartilage.sheets)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CartilageMaps:
-    """What was measured and drawn of cartilages, by their names; empty where nobody knows the knee's side."""
+    """Parts of the cartilages, which require a known side of the knee."""
 
+    left: bool | None = None
+    """Whether it is a left knee; None if that is not known."""
     parts: Mapping[str, Sequence[Subregion]] = field(default_factory=dict)
-    pictures: Mapping[str, Image] = field(default_factory=dict)
+    """Measures of the parts of each cartilage, by its name; empty if the side is not known."""
 
 
 def known_side(surfaces: Mapping[str, Surface], side: str | None) -> bool | None:
-    """Say whether it is a left knee: as was told, or else by the patella's place; None where nobody knows."""
+    """Return whether it is a left knee: as given, or by the place of the patella; None if that is not known."""
     return is_left(surfaces) if side is None else side == "left"
 
 
-def write_cartilage(
-    folder: Path, cartilage: KneeCartilage, surfaces: Mapping[str, Surface], side: str | None, progress: Progress
+def cartilage_maps(
+    cartilage: KneeCartilage, surfaces: Mapping[str, Surface], side: str | None, progress: Progress
 ) -> CartilageMaps:
-    """Write each cartilage's surface, thickness and flat picture, and the table of their parts.
+    """Measure the parts of each cartilage.
 
     Args:
-        folder: Where to.
-        cartilage: What was found.
-        surfaces: Of the bones.
-        side: "left" or "right" where it was told; otherwise the patella's place tells.
-        progress: Is told.
-
-    Returns:
-        What the report shows of it.
+        cartilage: The cartilage that was found.
+        surfaces: Surfaces of the bones by name.
+        side: `left` or `right`; by default the place of the patella decides.
+        progress: Progress reporter.
     """
     left = known_side(surfaces, side)
     if left is None:
-        progress.warn("The knee's side is not known: give --side to have medial and lateral parts measured.")
+        progress.warn("The side of the knee is not known: medial and lateral parts are not measured. Add --side.")
     elif side is None:
-        progress.report(f"Taken for a {'left' if left else 'right'} knee, by its patella.")
-    parts: dict[str, list[Subregion]] = {}
+        progress.report(f"This is a {'left' if left else 'right'} knee, by the place of its patella.")
+    for bone, sheet in cartilage.sheets.items():
+        name = CARTILAGE_OF_BONE[bone]
+        progress.report(f"{name}: {sheet.outer.volume_mm3 / 1000:.1f} cm3, mean {whole(sheet).mean_mm:.2f} mm")
+    if left is None:
+        return CartilageMaps()
+    parts = {
+        CARTILAGE_OF_BONE[bone]: subregions(bone, sheet, left=left) for bone, sheet in cartilage.sheets.items()
+    }  # fmt: skip
+    return CartilageMaps(left=left, parts=parts)
+
+
+def write_cartilage(folder: Path, cartilage: KneeCartilage, maps: CartilageMaps) -> dict[str, Image]:
+    """Write the surface, the thickness and the flat picture of each cartilage, and the table of their parts.
+
+    Args:
+        folder: The folder.
+        cartilage: The cartilage that was found.
+        maps: Measures of its parts.
+
+    Returns:
+        The flat pictures by the name of the cartilage; none if the side of the knee is not known.
+    """
     pictures: dict[str, Image] = {}
     for bone, sheet in cartilage.sheets.items():
         name = CARTILAGE_OF_BONE[bone]
@@ -132,21 +152,19 @@ def write_cartilage(
             values={"thickness_mm": sheet.thickness_mm, "confidence": sheet.confidence},
         )  # fmt: skip
         write_mesh(folder / f"{bone}_thickness.glb", sheet.bone, colours=colours)
-        if left is not None:
-            arrays["subregion"] = np.array(subregion_names(bone, sheet, left=left))
-            flat = flat_map(bone, sheet, left=left)
+        if maps.left is not None:
+            arrays["subregion"] = np.array(subregion_names(bone, sheet, left=maps.left))
+            flat = flat_map(bone, sheet, left=maps.left)
             pictures[name] = flat_picture(flat.across, flat.along, sheet.thickness_mm)
             write_picture(folder / f"{name}_flat.png", pictures[name])
-            parts[name] = subregions(bone, sheet, left=left)
         write_arrays(folder / f"{bone}_thickness.npz", arrays)
-        progress.report(f"{name}: {sheet.outer.volume_mm3 / 1000:.1f} cm3, mean {whole(sheet).mean_mm:.2f} mm")
-    if parts:
-        write_parts(folder / "cartilage.csv", parts)
-    return CartilageMaps(parts=parts, pictures=pictures)
+    if maps.parts:
+        write_parts(folder / "cartilage.csv", maps.parts)
+    return pictures
 
 
 def _starts(bones: BoneSegmentation, model: Mapping[str, Surface]) -> dict[str, RigidTransform]:
-    """Give the rigid motions nearest to where the template was laid to find the bones."""
+    """Return the rigid motions nearest to the placements of the template that limited the bones."""
     starts = {}
     fit = bones.template_fit
     for bone, surface in model.items():

@@ -1,4 +1,4 @@
-"""Gadolinium markers in `marey knee segment`: found in each volume, joined, and told."""
+"""Gadolinium markers on the skin of a knee: found in each volume, and combined."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -14,10 +14,13 @@ from marey.pipelines.progress import Progress
 
 
 def earlier_markers(out: Path) -> MarkersInScanner | None:
-    """Read the markers of an earlier run, to which a person may have added names; None where there are none.
+    """Read the markers of an earlier run, to which names may have been added by hand; None if there are none.
+
+    Args:
+        out: The folder of the results.
 
     Raises:
-        FileProblem: The file is damaged: what was added by hand would be lost.
+        FileProblem: The file is damaged; names that were added by hand would be lost.
     """
     path = out / gadolinium.FILE
     return gadolinium.read_markers(path) if path.exists() else None
@@ -26,16 +29,16 @@ def earlier_markers(out: Path) -> MarkersInScanner | None:
 def markers_in(
     volumes: Sequence[Volume], surfaces: Mapping[str, Surface], earlier: MarkersInScanner | None, progress: Progress
 ) -> MarkersInScanner | None:
-    """Find the markers and say how many there are.
+    """Find the markers on the skin.
 
     Args:
         volumes: The images.
-        surfaces: The bones.
-        earlier: Of an earlier run: names and bones of markers in the same places are kept.
-        progress: Is told.
+        surfaces: Surfaces of the bones by name.
+        earlier: Markers of an earlier run; names and bones of markers in the same places are kept.
+        progress: Progress reporter.
 
     Returns:
-        The markers; None where there are none.
+        The markers; None if there are none.
     """
     with progress.stage("Markers", len(volumes)) as step:
         each = []
@@ -46,9 +49,9 @@ def markers_in(
     for note in found.notes:
         progress.warn(note)
     if not len(found):
-        progress.report("No gadolinium markers are on the skin.")
+        progress.report("No gadolinium markers were found on the skin.")
         return None
-    size = f"{np.median(found.diameter_mm):.1f} mm wide"
+    size = f"median diameter {np.median(found.diameter_mm):.1f} mm"
     progress.report(f"{len(found)} gadolinium marker{'s' if len(found) > 1 else ''} on the skin, {size}.")
     markers = MarkersInScanner.of(found)
     return markers if earlier is None else markers.named_as(earlier)

@@ -1,164 +1,165 @@
-"""`marey knee segment`: an MR volume's bones, and by a template their cartilage, as labels and surfaces."""
+"""From MR images of a knee to its bones, and by a template to their cartilage."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from marey.arrays import Floats
 from marey.errors import FileProblem, SettingProblem
-from marey.io.mr import gadolinium
 from marey.io.mr.gadolinium import MarkersInScanner
-from marey.io.mr.meshes import write_mesh
-from marey.io.mr.volumes import read_template, read_volume, write_labels
-from marey.io.stages import file_fingerprint
+from marey.io.mr.volumes import read_template, read_volume
 from marey.knee.bones.bones import BoneSegmentation, segment_bones
 from marey.knee.bones.template_fit import TemplateProblem
-from marey.knee.cartilage.knee_cartilage import KneeCartilage
 from marey.knee.space.structures import BONES
 from marey.knee.space.surface import Surface
 from marey.knee.space.surfacing import surface_of_field
 from marey.knee.space.volume import Labels, Volume
-from marey.pipelines.knee.cartilage import CartilageMaps, cartilage_by_template, labels_with, write_cartilage
+from marey.pipelines.knee.cartilage import CartilageMaps, cartilage_by_template, cartilage_maps
+from marey.pipelines.knee.found_knee import FoundKnee
+from marey.pipelines.knee.knee import COMMAND, Knee
 from marey.pipelines.knee.markers import earlier_markers, markers_in
-from marey.pipelines.knee.report import write_page
-from marey.pipelines.progress import Progress
-from marey.pipelines.run_record import StageCache, finished_together, write_record
+from marey.pipelines.progress import Progress, RecordingProgress
+from marey.pipelines.run_details import RunDetails, checkpoints
+from marey.pipelines.values import PathLike
 
-_SAYS_NOTHING = ("image", "images", "volume", "scan", "series", "dicom", "mr", "mri", "data", "input")
+_UNINFORMATIVE = ("image", "images", "volume", "scan", "series", "dicom", "mr", "mri", "data", "input")
+"""Names of files that do not identify a volume; the name of their folder is used instead."""
+_ENDINGS = (".nii.gz", ".nii", ".nrrd", ".nhdr", ".mha", ".mhd", ".dcm")
+"""Endings of the formats of volumes."""
+_NOT_FOUND = "It was not found in the image."
+"""Why a bone is missing, if nothing more is known."""
 
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class SegmentOptions:
-    """What `marey knee segment` is asked for."""
-
-    out: Path | None
-    template: Path | None
-    seeds: tuple[tuple[str, float, float, float], ...]
-    """Bone, and LPS [mm]."""
-    seed_voxels: tuple[tuple[str, float, float, float], ...]
-    """Bone, and the voxel i, j, k of the first volume."""
-    side: str | None = None
-    """"left" or "right"; None where the patella shall tell."""
+Places = Mapping[str, Sequence[float]] | Iterable[tuple[str, float, float, float]]
+"""A place of three numbers for each bone, by its name."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Segmented:
-    """What `marey knee segment` left."""
-
-    folder: Path
-    missing: Mapping[str, str]
-    """Structure that was asked for and not found, to the reason."""
-
-
-def segment(paths: Sequence[Path], options: SegmentOptions, progress: Progress) -> Segmented:
-    """Segment a knee and write what was found, all at once.
-
-    Args:
-        paths: One volume or two of the same knee.
-        options: What is asked for.
-        progress: Is told.
-
-    Returns:
-        The folder with the results, and what could not be found.
+class SegmentSettings:
+    """How a knee is segmented.
 
     Raises:
-        MareyError: A file, setting or seed cannot be used, the results cannot be written, or no knee is found.
+        SettingProblem: A value is impossible, a bone's name is unknown, or a bone has two seeds.
     """
-    if options.side not in (None, "left", "right"):
-        raise SettingProblem(f"--side is left or right, not '{options.side}'.")
-    out = options.out or paths[0].with_name(f"{stem(paths[0])}_marey")
+
+    seeds: tuple[tuple[str, float, float, float], ...] = ()
+    """Bone, and a place in its marrow, LPS [mm]."""
+    seed_voxels: tuple[tuple[str, float, float, float], ...] = ()
+    """Bone, and a voxel (i, j, k) of the first volume in its marrow."""
+    side: str | None = None
+    """`left` or `right`; None if the place of the patella decides."""
+
+    def __post_init__(self) -> None:
+        if self.side not in (None, "left", "right"):
+            raise SettingProblem(f"--side is '{self.side}'; it should be left or right.")
+        names = [name for name, *_ in (*self.seeds, *self.seed_voxels)]
+        for name in names:
+            if name not in BONES:
+                raise SettingProblem(f"A seed is for '{name}', which is not one of the bones {', '.join(BONES)}.")
+            if names.count(name) > 1:
+                raise SettingProblem(f"The {name} has two seeds: give one.")
+
+    def seeds_mm(self, volume: Volume) -> dict[str, Floats]:
+        """Return the seeds (3,) as LPS [mm], by bone.
+
+        Args:
+            volume: The first volume.
+        """
+        places = {name: np.array(place, dtype=float) for name, *place in self.seeds}
+        voxels = {name: np.array(voxel, dtype=float) for name, *voxel in self.seed_voxels}
+        return places | {name: volume.grid.lps(voxel) for name, voxel in voxels.items()}
+
+
+def segment_knee(
+    volumes: PathLike | Volume | Sequence[PathLike | Volume],
+    *,
+    template: PathLike | Labels | None = None,
+    seeds: Places = (),
+    seed_voxels: Places = (),
+    side: str | None = None,
+    out: PathLike | None = None,
+    progress: Progress | None = None,
+) -> Knee:
+    """Segment femur, tibia and patella in an MR volume, and with a template the cartilage on them.
+
+    Args:
+        volumes: One volume, or two of the same knee in the same place, with and without fat suppression; each is a
+            file, a folder with a DICOM series, or a `Volume`.
+        template: Labels of another knee, of either side: a folder, or `Labels`.
+        seeds: A place in the marrow of a bone, LPS [mm], by the bone's name; seeds that are not given are found.
+        seed_voxels: The same as the indices (i, j, k) of a voxel of the first volume.
+        side: `left` or `right`, for medial and lateral parts; by default the place of the patella decides.
+        out: Folder for the results. If it is given, the files of `marey knee segment` are written there; otherwise
+            nothing is written.
+        progress: Progress reporter.
+
+    Returns:
+        The knee; structures that were not found are in `missing`.
+
+    Raises:
+        FileProblem: A file cannot be used.
+        SettingProblem: A seed or another value is impossible.
+        MareyError: No knee is found.
+
+    Example:
+        >>> import marey
+        >>> knee = marey.segment_knee("dess.nii.gz", template="atlas")  # doctest: +SKIP
+        >>> knee.thickness["femur"].mean_mm  # doctest: +SKIP
+    """
+    settings = SegmentSettings(seeds=_places(seeds), seed_voxels=_places(seed_voxels), side=side)
+    progress = progress or RecordingProgress()
+    given = [volumes] if isinstance(volumes, str | Path | Volume) else list(volumes)
+    folder = None if out is None else Path(out)
     with progress.stage("Reading"):
-        volumes = [read_volume(path) for path in paths]
-        template = None if options.template is None else read_template(options.template)
-        earlier = earlier_markers(out)
-    seeds = given_seeds(options, volumes[0])
-    files = _files([*paths, *([options.template] if options.template else [])])
-    # Made before the work: a folder that cannot be written to is told at once.
-    cache = StageCache(out, [file_fingerprint(path) for path in files])
-    try:
-        with cache, threadpool_limits(1):
-            found = _found(volumes, template, seeds, earlier, progress)
-            with finished_together(out) as folder:
-                settings, title = _settings(options, found), " and ".join(title_of(path) for path in paths)
-                labels = labels_with(found.bones, found.cartilage)
-                maps = _write(folder, found, labels, options, progress)
-                write_page(
-                    folder, volumes[0], labels, found.bones, found.surfaces, progress, title=title, settings=settings,
-                    side=options.side, cartilage=found.cartilage, maps=maps, markers=found.markers,
-                    missing=found.missing,
-                )  # fmt: skip
-                write_record(
-                    folder, command="knee segment", settings=settings, inputs=files, root=paths[0].parent,
-                    progress=progress,
-                )  # fmt: skip
-    except KeyboardInterrupt:
-        cache.clear()
-        raise
-    except TemplateProblem as problem:
-        raise _of_template(options.template or out, problem) from problem
-    for name, surface in found.surfaces.items():
-        progress.report(f"{name}: {surface.volume_mm3 / 1000:.1f} cm3, {surface.area_mm2 / 100:.0f} cm2")
-    return Segmented(folder=out, missing=found.missing)
+        images = [each if isinstance(each, Volume) else read_volume(each) for each in given]
+        labels = template if isinstance(template, Labels) or template is None else read_template(template)
+        earlier = None if folder is None else earlier_markers(folder)
+    sources = [Path(each) for each in (*given, template) if isinstance(each, str | Path)]
+    title = " and ".join(title_of(Path(each)) for each in given if isinstance(each, str | Path)) or "knee"
+    files = _files(sources)
+    # Opened before the work, so that a folder that cannot be written to is an error at once.
+    with checkpoints(folder, files) as cache:
+        try:
+            found = _found(images, labels, settings, title, earlier, progress)
+            details = _details(settings, template, found, files, progress)
+            knee = Knee.of(found, details)
+            if folder is not None:
+                knee.save(folder, progress=progress)
+        except KeyboardInterrupt:
+            cache.clear()
+            raise
+        except TemplateProblem as problem:
+            raise _of_template(template, problem) from problem
+    return knee
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class _Found:
-    bones: BoneSegmentation
-    surfaces: Mapping[str, Surface]
-    cartilage: KneeCartilage | None
-    markers: MarkersInScanner | None
-    missing: Mapping[str, str]
+def _places(places: Places) -> tuple[tuple[str, float, float, float], ...]:
+    listed = [(name, *place) for name, place in places.items()] if isinstance(places, Mapping) else list(places)
+    return tuple((str(name), float(x), float(y), float(z)) for name, x, y, z in listed)
 
 
 def _found(
-    volumes: Sequence[Volume], template: Labels | None, seeds: Mapping[str, Floats],
+    volumes: Sequence[Volume], template: Labels | None, settings: SegmentSettings, title: str,
     earlier: MarkersInScanner | None, progress: Progress,
-) -> _Found:  # fmt: skip
-    bones = _segmented(volumes, template, seeds, progress)
+) -> FoundKnee:  # fmt: skip
+    bones = _segmented(volumes, template, settings.seeds_mm(volumes[0]), progress)
     for note in bones.notes:
         progress.warn(note)
     surfaces = _surfaces(bones, progress)
     cartilage, missing = cartilage_by_template(volumes, bones, surfaces, template, progress)
     if cartilage is not None:
-        # Where cartilage begins is seen better than where a bone alone ends.
+        # The edge between bone and cartilage is seen better than the edge of a bone alone.
         surfaces |= {bone: sheet.bone for bone, sheet in cartilage.sheets.items()}
-    unfound = "It was not found in the image."
-    lost = {bone: bones.missing.get(bone, unfound) for bone in BONES if bone not in bones.bones}
+    lost = {bone: bones.missing.get(bone, _NOT_FOUND) for bone in BONES if bone not in bones.bones}
     markers = markers_in(volumes, surfaces, earlier, progress)
-    return _Found(bones=bones, surfaces=surfaces, cartilage=cartilage, markers=markers, missing=lost | missing)
-
-
-def _write(folder: Path, found: _Found, labels: Labels, options: SegmentOptions, progress: Progress) -> CartilageMaps:
     maps = CartilageMaps()
-    write_labels(folder, labels, missing=found.missing)
-    for name, surface in found.surfaces.items():
-        write_mesh(folder / f"{name}.ply", surface)
-    if found.cartilage is not None:
-        maps = write_cartilage(folder, found.cartilage, found.surfaces, options.side, progress)
-    if found.markers is not None:
-        gadolinium.write_markers(folder / gadolinium.FILE, found.markers)
-    return maps
-
-
-def given_seeds(options: SegmentOptions, volume: Volume) -> dict[str, Floats]:
-    """Bone to (3,) LPS [mm] of the seeds that were typed.
-
-    Raises:
-        SettingProblem: A bone's name is unknown, or it has two seeds.
-    """
-    places = [(name, np.array(place, dtype=float)) for name, *place in options.seeds]
-    places += [(name, volume.grid.lps(np.array(voxel, dtype=float))) for name, *voxel in options.seed_voxels]
-    seeds: dict[str, Floats] = {}
-    for name, place in places:
-        if name not in BONES:
-            raise SettingProblem(f"'{name}' is no bone that can have a seed: they are {', '.join(BONES)}.")
-        if name in seeds:
-            raise SettingProblem(f"The {name} has two seeds: give one.")
-        seeds[name] = place
-    return seeds
+    if cartilage is not None:
+        maps = cartilage_maps(cartilage, surfaces, settings.side, progress)
+    return FoundKnee(
+        title=title, volume=volumes[0], bones=bones, surfaces=surfaces, cartilage=cartilage, maps=maps,
+        markers=markers, missing=lost | missing, side=settings.side,
+    )  # fmt: skip
 
 
 def _segmented(
@@ -168,8 +169,9 @@ def _segmented(
         return segment_bones(volumes, template=template, seeds_mm=seeds, report=begin)
 
 
-def _of_template(path: Path, problem: TemplateProblem) -> FileProblem:
-    """Say of which folder a problem with the template is."""
+def _of_template(template: PathLike | Labels | None, problem: TemplateProblem) -> FileProblem:
+    """Return the error of a template with the name of its folder."""
+    path = template if isinstance(template, str | Path) else "template"
     wrong, _, remedy = str(problem).removeprefix("The template ").partition(". ")
     return FileProblem(path, wrong.rstrip("."), remedy)
 
@@ -183,53 +185,50 @@ def _surfaces(bones: BoneSegmentation, progress: Progress) -> dict[str, Surface]
     return surfaces
 
 
-def _settings(options: SegmentOptions, found: _Found) -> dict[str, object]:
+def _details(
+    settings: SegmentSettings, template: PathLike | Labels | None, found: FoundKnee, files: Sequence[Path],
+    progress: Progress,
+) -> RunDetails:  # fmt: skip
     bones, fit = found.bones, found.bones.template_fit
-    return {
-        "template": None if options.template is None else str(options.template),
+    about: dict[str, object] = {
+        "template": None if template is None else str(template) if isinstance(template, str | Path) else "given",
         "template_mirrored": None if fit is None else fit.mirrored,
         "template_edges_on_edges": None if fit is None else round(fit.fit, 3),
         "marrow": list(bones.kinds),
         "seeds_lps_mm": {name: np.round(bone.seed_mm, 2).tolist() for name, bone in bones.bones.items()},
         "missing": dict(found.missing),
-        "seeds_given": [name for name, *_ in (*options.seeds, *options.seed_voxels)],
+        "seeds_given": [name for name, *_ in (*settings.seeds, *settings.seed_voxels)],
     }
+    if settings.side is not None:
+        about["side"] = settings.side
+    root = files[0].parent if files else Path()
+    return RunDetails.of(COMMAND, about, files, root, progress)
 
 
 def _files(paths: Sequence[Path]) -> list[Path]:
-    return [file for path in paths for file in (sorted(_within(path)) if path.is_dir() else [path])]
-
-
-def _within(folder: Path) -> list[Path]:
-    return [file for file in folder.iterdir() if file.is_file()]
+    """Return the files, and the files in the folders."""
+    within = [sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else [path] for path in paths]
+    return [file for files in within for file in files]
 
 
 def stem(path: Path) -> str:
-    """Give a volume's name without the endings of its format."""
+    """Return the name of a volume without the ending of its format.
+
+    Args:
+        path: A file, or a folder with a DICOM series.
+    """
     name = path.resolve().name
-    for ending in (".nii.gz", ".nii", ".nrrd", ".nhdr", ".mha", ".mhd", ".dcm"):
+    for ending in _ENDINGS:
         if name.lower().endswith(ending):
             return name[: -len(ending)]
     return name
 
 
 def title_of(path: Path) -> str:
-    """Give the name by which a user knows a volume: its folder's, where its own says nothing ("image.nii.gz")."""
-    name = stem(path)
-    return path.resolve().parent.name or name if name.lower() in _SAYS_NOTHING else name
+    """Return the name by which a user knows a volume: that of its folder, if its own is uninformative ("image.nii.gz").
 
-
-def parse_seed(text: str, option: str) -> tuple[str, float, float, float]:
-    """Read a bone and three numbers: "femur 10 -3.5 20".
-
-    Raises:
-        SettingProblem: It is something else.
+    Args:
+        path: A file, or a folder with a DICOM series.
     """
-    words = text.replace(",", " ").split()
-    try:
-        name, x, y, z = words
-        return name, float(x), float(y), float(z)
-    except ValueError as error:
-        raise SettingProblem(
-            f"{option} {text} is no bone and three numbers: {option} femur 10 -3.5 20, for one."
-        ) from error
+    name = stem(path)
+    return path.resolve().parent.name or name if name.lower() in _UNINFORMATIVE else name

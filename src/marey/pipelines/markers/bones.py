@@ -3,34 +3,41 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from marey.arrays import Mask
+from marey.arrays import Floats, Mask
 from marey.errors import FileProblem, SettingProblem
+from marey.extras import import_optional
 from marey.io.markers.bones import read_bones
 from marey.io.markers.reading_results import read_event_csv, read_joint_csv, read_marker_motion
+from marey.io.markers.results import joint_columns
 from marey.markers.data.bone_motion import BoneMotion
 from marey.markers.data.marker_motion import MarkerMotion
 from marey.markers.kinematics.joint_angles import JointKinematics
 from marey.markers.methods.methods import METHODS
 from marey.motion.gait import gait_cycles
+from marey.pipelines.labelled import Curve, Curves, Described, Summary, count_of, plot_curves
 from marey.pipelines.markers.estimated_bones import EstimatedBones, MethodRun
 from marey.pipelines.markers.events import Gait
 from marey.pipelines.markers.results import write_results
 from marey.pipelines.progress import Progress
-from marey.pipelines.run_details import RunDetails, copy_results
-
-if TYPE_CHECKING:
-    pass
+from marey.pipelines.result_files import ResultFiles
+from marey.pipelines.run_details import RunDetails
 
 COMMAND = "markers"
 """The command that leaves the same files."""
+_FILE = "bones.npz"
+"""The file by which a folder of results is recognised."""
+_MM = 1e3
+"""Millimetres in a metre."""
+_NOT_REQUESTED = "not requested"
+"""The flag of a frame that was not to be estimated."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class Bones(EstimatedBones):
+class Bones(EstimatedBones, Described):
     """The motion of the bones beneath the markers of a trial, by one method or several.
 
     Values of the first method are the result's own; `method` gives those of another one.
@@ -56,27 +63,113 @@ class Bones(EstimatedBones):
                 return replace(self, runs=(run, *(other for other in self.runs if other is not run)))
         raise SettingProblem(f"There are no bones of the method {name!r}. There are: {', '.join(self.methods)}.")
 
+    @property
+    def angles(self) -> Curves:
+        """Joint angles by name [deg], with standard deviations."""
+        joints = self.joints
+        values, spread = np.degrees(joints.angles), np.degrees(joints.angles_sd)
+        return self._curves("angle", joints.angle_names, values, spread, "deg")
+
+    @property
+    def translations(self) -> Curves:
+        """Joint translations by name [mm], with standard deviations."""
+        joints = self.joints
+        values, spread = _MM * joints.translations, _MM * joints.translations_sd
+        return self._curves("translation", joints.translation_names, values, spread, "mm")
+
+    @property
+    def origins(self) -> Curves:
+        """Origin of each bone by name, components x, y, z in the laboratory [m], with standard deviations."""
+        return self._curves("bone", self.segments, self.motion.origin, self.motion.origin_sd, "m", components="xyz")
+
+    def _curves(
+        self, kind: str, names: Sequence[str], values: Floats, spread: Floats, unit: str, *, components: str = ""
+    ) -> Curves:
+        flags = tuple("" if wanted else _NOT_REQUESTED for wanted in self.frames)
+
+        def curve(i: int) -> Curve:
+            return Curve(
+                name=names[i], time=self.time, values=values[:, i], sd=spread[:, i], unit=unit, flags=flags,
+                components=tuple(components),
+            )  # fmt: skip
+
+        return Curves(kind, names, curve)
+
     def __len__(self) -> int:
+        """Return the number of frames."""
         return len(self.time)
 
-    def __repr__(self) -> str:
-        head = f"Bones of {', '.join(self.segments)}: {len(self)} frames at {self.rate:g} Hz, method {self.methods[0]}"
-        return "\n".join([f"<{head}", *(f"  {line}" for line in self.summary())]) + ">"
-
-    def summary(self) -> list[str]:
+    def summary(self) -> Summary:
         """Return a line per bone: frames with a pose, and the motion of the skin over it."""
-        lines, run = [], self.runs[0]
-        if run.fit:
-            return [run.fit]
-        for s, name in enumerate(run.motion.segments):
-            known = int(run.motion.answered[:, s].sum())
+        lines, run, wanted = {}, self.runs[0], int(self.frames.sum())
+        for s, name in enumerate(self.segments):
             moved = run.markers.rms[[segment == name for segment in run.markers.segments]]
             moved = moved[np.isfinite(moved)]
-            skin = f"; its markers move {1e3 * np.sqrt(np.mean(moved**2)):.1f} mm over it (RMS)" if len(moved) else ""
-            lines.append(f"{name}: {known} of {int(self.frames.sum())} frames{skin}.")
+            skin = f"; its markers move {_MM * np.sqrt(np.mean(moved**2)):.1f} mm over it (RMS)" if len(moved) else ""
+            lines[name] = f"{int(run.motion.answered[:, s].sum())} of {wanted} frames{skin}"
+        if run.fit:
+            lines = {"model": run.fit}
         if len(self.runs) > 1:
-            lines.append(f"Methods: {', '.join(self.methods)}; the files have the result of {self.methods[0]}.")
-        return lines
+            lines["methods"] = f"{', '.join(self.methods)}; the values are those of {self.methods[0]}"
+        return Summary(f"Motion of bones, {count_of(len(self), 'frame')} at {self.rate:g} Hz, method {run.name}", lines)
+
+    def to_pandas(self) -> Any:
+        """Return angles [deg] and translations [mm] over time as a `pandas.DataFrame`, with the columns of angles.csv.
+
+        Raises:
+            MissingPackage: pandas is not installed.
+        """
+        pandas = import_optional("pandas", extra="pandas", purpose="Tables")
+        columns: dict[str, Floats] = {}
+        for name, value, (spread_name, spread) in joint_columns(self.joints, ("_deg", "_mm"), "_sd"):
+            columns |= {name: value, spread_name: spread}
+        return pandas.DataFrame(columns, index=pandas.Index(self.time, name="time_s"))
+
+    def to_xarray(self) -> Any:
+        """Return poses, angles and translations with their standard deviations as an `xarray.Dataset`.
+
+        Raises:
+            MissingPackage: xarray is not installed.
+        """
+        xarray = import_optional("xarray", extra="xarray", purpose="Labelled arrays")
+        motion, joints = self.motion, self.joints
+        place, angle = ("time", "segment", "axis"), ("time", "angle")
+        translation = ("time", "translation")
+        variables = {
+            "rotation": (("time", "segment", "row", "column"), motion.rotation, {"long_name": "laboratory from bone"}),
+            "rotation_sd": (place, motion.rotation_sd, {"units": "rad"}),
+            "origin": (place, motion.origin, {"units": "m"}),
+            "origin_sd": (place, motion.origin_sd, {"units": "m"}),
+            "angles": (angle, np.degrees(joints.angles), {"units": "deg"}),
+            "angles_sd": (angle, np.degrees(joints.angles_sd), {"units": "deg"}),
+            "translations": (translation, _MM * joints.translations, {"units": "mm"}),
+            "translations_sd": (translation, _MM * joints.translations_sd, {"units": "mm"}),
+            "requested": ("time", self.frames),
+        }
+        coordinates = {
+            "time": ("time", self.time, {"units": "s"}), "segment": list(self.segments), "axis": list("xyz"),
+            "angle": list(joints.angle_names), "translation": list(joints.translation_names),
+        }  # fmt: skip
+        about = {"method": self.methods[0], "rate_hz": self.rate, "anatomical": int(self.anatomical)}
+        return xarray.Dataset(variables, coords=coordinates, attrs=about)
+
+    def plot(self, names: str | Sequence[str] = "", *, level: float = 0.95, axes: Any = None) -> Any:
+        """Draw joint angles over time, each with the interval of its values as a band.
+
+        Args:
+            names: A part of the names, for example "knee", or a list of angles; all angles by default.
+            level: Probability of the interval.
+            axes: Matplotlib's axes to draw on; new ones by default.
+
+        Returns:
+            The axes.
+
+        Raises:
+            UnknownName: There is no such angle.
+            MissingPackage: Matplotlib is not installed.
+        """
+        chosen = self.angles.matching(names) if isinstance(names, str) else [self.angles[name] for name in names]
+        return plot_curves(chosen, level=level, axes=axes)
 
     def save(self, folder: Path | str, *, progress: Progress | None = None) -> Path:
         """Write the files of `marey markers`: tables, C3D, report and run.json.
@@ -92,7 +185,7 @@ class Bones(EstimatedBones):
         """
         folder = Path(folder)
         if self.folder is not None:
-            copy_results(self.folder, folder, COMMAND)
+            ResultFiles(self.folder).save(folder, file=_FILE)
         else:
             write_results(self, folder, progress or self.details.resumed_progress())
         return folder
@@ -116,10 +209,10 @@ def load_bones(folder: Path | str) -> Bones:
         >>> bones = marey.load_bones("walk_marey")  # doctest: +SKIP
     """
     folder = Path(folder)
-    if not (folder / "bones.npz").is_file():
+    if not (folder / _FILE).is_file():
         raise FileProblem(folder, "has no bones.npz", "Give a folder with the results of `marey markers`.")
-    held = read_bones(folder / "bones.npz")
-    details = RunDetails.read(folder, COMMAND)
+    held = read_bones(folder / _FILE)
+    details = RunDetails.read(folder, COMMAND, file=_FILE)
     listed = details.settings.get("methods", ())
     first, *others = [str(name) for name in listed] if isinstance(listed, Sequence) and listed else ["unknown"]
     tables = folder / "angles.csv", folder / "marker_motion.csv", folder / "events.csv"

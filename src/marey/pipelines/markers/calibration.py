@@ -8,12 +8,12 @@ from marey.io.markers.setup import read_reference
 from marey.io.markers.trial_file import MarkerFile
 from marey.io.npz import read_arrays
 from marey.markers.data.clusters import AnatomicalCalibration, Cluster
-from marey.markers.data.labels import NEEDED
+from marey.markers.data.labels import MINIMUM_MARKERS
 from marey.markers.data.setup import MarkerSetup
 from marey.markers.data.trajectories import MarkerTrajectories
 from marey.markers.kinematics.joint_angles import usual_joints
 from marey.markers.preprocessing.faults import find_faults
-from marey.markers.preprocessing.own_frames import own_calibration
+from marey.markers.preprocessing.own_frames import calibration_from_cluster_axes
 from marey.pipelines.markers.selection import SelectedTrajectories
 from marey.pipelines.markers.settings import SIDES, MarkerSettings
 from marey.pipelines.markers.static import from_static
@@ -59,7 +59,7 @@ def calibrated(
     """
     measured, used = file.trajectories, selection.used
     # A segment without a frame in which enough of its markers are seen has no pose anywhere.
-    seen = tuple(c for c in clusters if (used.select(c.labels).present.sum(1) >= NEEDED).any())
+    seen = tuple(c for c in clusters if (used.select(c.labels).present.sum(1) >= MINIMUM_MARKERS).any())
     segments = tuple(cluster.segment for cluster in seen)
     if not segments:
         wrong = "has no frame in which three markers of a segment are seen"
@@ -90,7 +90,7 @@ def _from_markers(
 ) -> tuple[AnatomicalCalibration, tuple[str, ...]]:
     """Use the principal axes of each cluster in the frame with the most markers."""
     try:
-        own = own_calibration(used, clusters)
+        own = calibration_from_cluster_axes(used, clusters)
     except MareyError as problem:
         remedy = "Add --reference, or name other segments."
         raise FileProblem(file.path, str(problem).rstrip("."), remedy) from problem

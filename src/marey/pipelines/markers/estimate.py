@@ -7,7 +7,7 @@ from pathlib import Path
 from marey.errors import SettingProblem
 from marey.io.markers.trial_file import read_marker_file
 from marey.markers.data.marker_motion import marker_motion
-from marey.markers.methods.methods import DEFAULT
+from marey.markers.methods.methods import DEFAULT_METHOD
 from marey.pipelines.markers.bones import COMMAND, Bones
 from marey.pipelines.markers.estimated_bones import MethodRun
 from marey.pipelines.markers.events import find_gait
@@ -120,7 +120,7 @@ def estimate_bones(
         if isinstance(trial, ModelTrial):
             bones = _by_model(trial, progress)
         elif isinstance(trial, ClusterTrial):
-            names = (method,) if isinstance(method, str) else tuple(method or (DEFAULT,))
+            names = (method,) if isinstance(method, str) else tuple(method or (DEFAULT_METHOD,))
             bones = _by_methods(trial, run_methods(trial, names, progress, cache), progress)
         else:
             raise TypeError(f"estimate_bones takes what open_markers returns, not a {type(trial).__name__}")

@@ -6,9 +6,9 @@ from marey.errors import FileProblem, MareyError
 from marey.io.markers.readers import read_markers
 from marey.io.markers.setup import read_reference
 from marey.markers.data.clusters import AnatomicalCalibration
-from marey.markers.data.labels import NEEDED
+from marey.markers.data.labels import MINIMUM_MARKERS
 from marey.markers.data.problem import MarkerProblem
-from marey.markers.preprocessing.own_frames import BonesAndMarkers, carried_calibration
+from marey.markers.preprocessing.own_frames import BonesAndMarkers, transfer_calibration
 from marey.pipelines.markers.settings import MarkerSettings
 
 
@@ -33,14 +33,14 @@ def read_exercise(problem: MarkerProblem, settings: MarkerSettings) -> tuple[Mar
         replace(cluster, labels=tuple(label for label in cluster.labels if label in trial.labels))
         for cluster in problem.clusters
     )
-    clusters = tuple(cluster for cluster in clusters if len(cluster.labels) >= NEEDED)
+    clusters = tuple(cluster for cluster in clusters if len(cluster.labels) >= MINIMUM_MARKERS)
     calibration: AnatomicalCalibration
     if settings.exercise_reference is not None:
         segments = tuple(cluster.segment for cluster in clusters)
         calibration, notes = read_reference(settings.exercise_reference, segments, frames=len(trial))
     else:
         try:
-            moved = carried_calibration(_posture(problem), trial, clusters)
+            moved = transfer_calibration(_posture(problem), trial, clusters)
         except MareyError as fault:
             raise FileProblem(settings.exercise, f"does not fit the trial: {fault}".rstrip(".")) from None
         calibration, notes = moved.calibration, moved.notes

@@ -13,7 +13,7 @@ from marey.markers.data.bone_motion import BoneMotion
 from marey.markers.data.marker_motion import marker_motion
 from marey.markers.data.problem import MarkerProblem
 from marey.markers.kinematics.joint_angles import joint_kinematics, joint_of, turns_since
-from marey.markers.methods.methods import DEFAULT, MethodEntry, choose_methods
+from marey.markers.methods.methods import DEFAULT_METHOD, MethodEntry, choose_methods
 from marey.pipelines.markers.estimated_bones import MethodRun
 from marey.pipelines.markers.trial import ClusterTrial
 from marey.pipelines.progress import Progress
@@ -38,12 +38,12 @@ def run_methods(
         MareyError: No method could be run.
     """
     entries, every = choose_methods(names), tuple(names) == ("all",)
-    lacking = {entry.name: entry.lacks(trial.problem) for entry in entries}
+    lacking = {entry.name: entry.missing_requirement(trial.problem) for entry in entries}
     for name, what in lacking.items():
         if what and not every:
             raise SettingProblem(f"--method {name} {what}. {_remedy(what)}")
     runs = []
-    for entry in sorted(entries, key=lambda e: every and e.name != DEFAULT):
+    for entry in sorted(entries, key=lambda e: every and e.name != DEFAULT_METHOD):
         if lacking[entry.name]:
             progress.warn(f"Method {entry.name} {lacking[entry.name]}: skipped.")
             continue

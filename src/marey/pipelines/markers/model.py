@@ -107,7 +107,7 @@ def follow_model(trial: ModelTrial) -> FollowedModel:
         raise FileProblem(trial.settings.model or trial.path, wrong, remedy) from None
     return FollowedModel(
         bones=_in_axes_of_file(found.bones, ground_from_file.T), coordinates=_coordinates(found),
-        table=_table(found, trial.time), notes=tuple(found.passed_over) + _undetermined(found, selection.frames),
+        table=_table(found, trial.time), notes=tuple(found.skipped) + _undetermined(found, selection.frames),
         summary=_summary(found, selection.frames),
     )  # fmt: skip
 

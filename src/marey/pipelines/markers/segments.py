@@ -2,7 +2,7 @@
 
 from marey.errors import FileProblem, MareyError
 from marey.io.markers.trial_file import MarkerFile
-from marey.markers.data.labels import FoundClusters, clusters_named, find_clusters
+from marey.markers.data.labels import FoundClusters, clusters_from_names, find_clusters
 from marey.markers.data.setup import MarkerSetup
 from marey.pipelines.markers.settings import MarkerSettings
 
@@ -24,7 +24,7 @@ def segments_of(file: MarkerFile, setup: MarkerSetup, settings: MarkerSettings) 
     labels = file.trajectories.labels
     if setup.segments:
         try:
-            return clusters_named(setup.segments, labels)
+            return clusters_from_names(setup.segments, labels)
         except MareyError as problem:
             wrong = f"does not fit {file.path.name} ({str(problem).rstrip('.')})"
             raise FileProblem(settings.clusters or file.path, wrong) from problem

@@ -9,15 +9,15 @@ from marey.arrays import Floats
 from marey.errors import FileProblem, MareyError
 from marey.io.markers.readers import read_markers
 from marey.markers.data.clusters import AnatomicalCalibration, Cluster
-from marey.markers.data.labels import clusters_named, find_clusters
+from marey.markers.data.labels import clusters_from_names, find_clusters
 from marey.markers.data.rigid_fit import fit_rigid
 from marey.markers.data.setup import MarkerSetup
 from marey.markers.data.trajectories import MarkerTrajectories
 from marey.markers.kinematics.joint_angles import usual_joints
-from marey.markers.preprocessing.exchanges import exchanged_since
-from marey.markers.preprocessing.functional import FunctionalCentre, carried, score
+from marey.markers.preprocessing.exchanges import exchanges_against_posture
+from marey.markers.preprocessing.functional import FunctionalCentre, score, transfer_point
 from marey.markers.preprocessing.landmarks import static_bones
-from marey.markers.preprocessing.own_frames import CarriedCalibration, carried_calibration
+from marey.markers.preprocessing.own_frames import TransferredCalibration, transfer_calibration
 from marey.pipelines.markers.settings import MarkerSettings
 
 LANDMARK_SD_M = 5e-3
@@ -76,13 +76,13 @@ def from_static(
         "of the standard deviations in the results."
     ]
     try:
-        moved = carried_calibration(bones, trajectories, clusters)
+        moved = transfer_calibration(bones, trajectories, clusters)
     except MareyError as problem:
         raise FileProblem(settings.static, f"does not fit the trial: {problem}".rstrip(".")) from None
     notes += [*found.notes, *moved.notes, _carried_text(moved)]
     notes += [
         f"Against {settings.static.name}, {exchange.note}"
-        for exchange in exchanged_since(trajectories, clusters, bones.labels, bones.points)
+        for exchange in exchanges_against_posture(trajectories, clusters, bones.labels, bones.points)
     ]
     return moved.calibration, tuple(notes)
 
@@ -125,7 +125,7 @@ def _mean_place(static: MarkerTrajectories, labels: Sequence[str]) -> Floats:
     return np.asarray(np.where(known.any(0), total / counts, np.nan).mean(0))
 
 
-def _carried_text(moved: CarriedCalibration) -> str:
+def _carried_text(moved: TransferredCalibration) -> str:
     frame = int(moved.calibration.frames[0])
     each = ", ".join(
         f"{name} {1e3 * off:.1f}" for name, off in zip(moved.calibration.segments, moved.residual_m, strict=True)
@@ -172,7 +172,7 @@ def functional_centres(
 def _moved_joint(path: Path, trial: MarkerTrajectories, setup: MarkerSetup) -> tuple[Cluster, Cluster]:
     """Find the joint of a functional trial: among those with a centre, the one that rotates most."""
     try:
-        named = clusters_named(setup.segments, trial.labels) if setup.segments else find_clusters(trial.labels)
+        named = clusters_from_names(setup.segments, trial.labels) if setup.segments else find_clusters(trial.labels)
     except MareyError as problem:
         raise FileProblem(path, f"does not fit the segments ({str(problem).rstrip('.')})") from None
     clusters = {cluster.segment: cluster for cluster in named.clusters}
@@ -214,7 +214,7 @@ def _in_static(found: FunctionalCentre, parent: Cluster, static: MarkerTrajector
     if not shared:
         raise FileProblem(path, f"shares no marker of {parent.segment} with the static trial")
     shape = found.parent_shape[[parent.labels.index(label) for label in shared]]
-    moved = carried(shape, found.in_parent, static.select(shared).points)
+    moved = transfer_point(shape, found.in_parent, static.select(shared).points)
     known = moved[np.isfinite(moved).all(1)]
     if not len(known):
         raise FileProblem(path, f"shares fewer than three markers of {parent.segment} with the static trial")

@@ -2,31 +2,33 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
 from marey.arrays import Floats, Mask
 from marey.errors import FileProblem
+from marey.extras import import_optional
 from marey.io.markers.c3d import read_c3d
 from marey.io.npz import read_arrays
 from marey.io.shapes.shapes import read_shapes
 from marey.nonrigid.recovered import RecoveredShapes
+from marey.pipelines.labelled import Curve, Curves, Described, Summary, count_of, plot_curves
 from marey.pipelines.nonrigid.input import NonRigidInput
 from marey.pipelines.nonrigid.measure import MeasuredPoints
 from marey.pipelines.nonrigid.results import write_results
 from marey.pipelines.progress import Progress
-from marey.pipelines.run_details import RunDetails, copy_results
-
-if TYPE_CHECKING:
-    pass
+from marey.pipelines.result_files import ResultFiles
+from marey.pipelines.run_details import RunDetails
 
 COMMAND = "nonrigid"
 """The command that leaves the same files."""
+_FILE = "shapes.npz"
+"""The file by which a folder of results is recognised."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class Shapes:
+class Shapes(Described):
     """The shapes of a surface in F frames, described by P points, with the object's motion.
 
     The shape of a frame is in the object's own axes; `rotation` and `translation` move it to where it is in that frame.
@@ -100,15 +102,25 @@ class Shapes:
         """Everything that the user should check, one sentence each."""
         return self.details.warnings
 
+    @property
+    def points(self) -> Curves:
+        """Place of each point in the object's axes by its label, components x, y, z; predicted places have a flag."""
+
+        def curve(i: int) -> Curve:
+            flags = tuple("predicted" if each else "" for each in self.predicted[:, i])
+            return Curve(
+                name=self.labels[i], time=self.time, values=self.shape[:, :, i], sd=self.shape_sd[:, :, i],
+                unit=self.unit, flags=flags, components=("x", "y", "z"),
+            )  # fmt: skip
+
+        return Curves("point", self.labels, curve)
+
     def __len__(self) -> int:
+        """Return the number of frames."""
         return len(self.found)
 
-    def __repr__(self) -> str:
-        head = f"Shapes of {len(self.labels)} points: {len(self)} frames at {self.rate:g} Hz, lengths in {self.unit}"
-        return "\n".join([f"<{head}", *(f"  {line}" for line in self.summary())]) + ">"
-
-    def summary(self) -> list[str]:
-        """Return lines with the number of points and basis shapes, the residual, the size, and its uncertainty."""
+    def summary(self) -> Summary:
+        """Return the number of points and basis shapes, the residual, the size, and its uncertainty."""
         found = self.found
         kept = int(np.isfinite(found.basis[0]).all(0).sum())
         many = f"{found.basis_shapes} basis shapes"
@@ -117,11 +129,53 @@ class Shapes:
         rms = float(np.sqrt(np.nanmean(found.residuals**2)))
         size = 2 * float(np.sqrt(np.nanmean((found.basis[0] ** 2).sum(0))))
         sd = float(np.nanmedian(np.sqrt((found.shape_sd**2).sum(1))))
-        return [
-            f"{kept} points in {int(found.answered.sum())} of {len(found)} frames, {found.kind}; {many}.",
-            f"Residual {found.residual_text(rms)} (RMS); size of the object {found.length_text(size)}, standard "
-            f"deviation of its points {found.length_text(sd)} (median).",
-        ]
+        lines = {
+            "points": f"{kept} of {len(self.labels)}, in {int(found.answered.sum())} frames, {found.kind}",
+            "shapes": many,
+            "residual": f"{found.residual_text(rms)} (RMS)",
+            "size": f"{found.length_text(size)}; standard deviation of a point {found.length_text(sd)} (median)",
+        }
+        return Summary(f"Shapes of a deforming surface, {count_of(len(self), 'frame')} at {self.rate:g} Hz", lines)
+
+    def to_xarray(self) -> Any:
+        """Return shapes, motion and residuals as an `xarray.Dataset`.
+
+        Raises:
+            MissingPackage: xarray is not installed.
+        """
+        xarray = import_optional("xarray", extra="xarray", purpose="Labelled arrays")
+        place, length = ("time", "axis", "point"), {"units": self.unit}
+        variables = {
+            "shape": (place, self.shape, length),
+            "shape_sd": (place, self.shape_sd, length),
+            "placed": (place, self.placed, length),
+            "rotation": (("time", "row", "column"), self.rotation, {"long_name": "laboratory from object"}),
+            "basis": (("basis_shape", "axis", "point"), self.found.basis, length),
+            "residual": (("camera", "time", "point"), self.found.residuals, {"units": self.found.residual_unit}),
+            "predicted": (("time", "point"), self.predicted),
+        }
+        coordinates = {
+            "time": ("time", self.time, {"units": "s"}), "axis": list("xyz"), "point": list(self.labels),
+        }  # fmt: skip
+        about = {"kind": self.kind, "metres_per_unit": self.found.metres_per_unit}
+        return xarray.Dataset(variables, coords=coordinates, attrs=about)
+
+    def plot(self, point: str, *, level: float = 0.95, axes: Any = None) -> Any:
+        """Draw the place of a point in the object's axes over time, with the interval of its values as a band.
+
+        Args:
+            point: Label of the point.
+            level: Probability of the interval.
+            axes: Matplotlib's axes to draw on; new ones by default.
+
+        Returns:
+            The axes.
+
+        Raises:
+            UnknownName: There is no such point.
+            MissingPackage: Matplotlib is not installed.
+        """
+        return plot_curves([self.points[point]], level=level, axes=axes)
 
     def save(self, folder: Path | str, *, progress: Progress | None = None) -> Path:
         """Write the files of `marey nonrigid`: shapes, residuals, point clouds, GLB, C3D, overlays, report, run.json.
@@ -137,7 +191,7 @@ class Shapes:
         """
         folder = Path(folder)
         if self.given is None or self.measured is None:
-            copy_results(self.folder or folder, folder, COMMAND)
+            ResultFiles(self.folder or folder).save(folder, file=_FILE)
         else:
             write_results(
                 self.given, self.measured, self.found, self.details, folder,
@@ -163,12 +217,14 @@ def load_shapes(folder: Path | str) -> Shapes:
         >>> shapes = marey.load_shapes("tracks_marey")  # doctest: +SKIP
     """
     folder = Path(folder)
-    path = folder / "shapes.npz"
+    path = folder / _FILE
     if not path.is_file():
         raise FileProblem(folder, "has no shapes.npz", "Give a folder with the results of `marey nonrigid`.")
     c3d = folder / "shapes.c3d"
     return Shapes(
-        found=read_shapes(path), labels=tuple(map(str, read_arrays(path, ("labels",))["labels"])),
-        rate=read_c3d(c3d).rate if c3d.is_file() else float("nan"), details=RunDetails.read(folder, COMMAND),
+        found=read_shapes(path),
+        labels=tuple(map(str, read_arrays(path, ("labels",))["labels"])),
+        rate=read_c3d(c3d).rate if c3d.is_file() else float("nan"),
+        details=RunDetails.read(folder, COMMAND, file=_FILE),
         folder=folder,
     )  # fmt: skip

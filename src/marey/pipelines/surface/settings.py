@@ -1,4 +1,4 @@
-"""What was typed for a surface."""
+"""Settings of a surface measurement."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +10,7 @@ from marey.surface.tracks.filters import FilterSettings
 
 @dataclass(frozen=True, kw_only=True)
 class SurfaceOptions:
-    """What the command line asks for; None leaves what trial.toml says, or what the program finds out itself.
+    """Settings of a surface measurement; None keeps the setting of trial.toml or the program's default.
 
     Raises:
         FileProblem: The file of seeds does not exist.
@@ -18,26 +18,26 @@ class SurfaceOptions:
     """
 
     out: Path | None = None
-    """Where the results go; `marey/` in the trial when None."""
+    """Folder for the results; by default `marey/` in the trial."""
     cameras: tuple[str, ...] | None = None
-    """Names of the cameras to keep."""
-    frames: tuple[int, int] | None = None
-    """First frame and the first one after the last."""
+    """Names of the cameras to use."""
+    frames: tuple[int, int | None] | None = None
+    """First frame and the one after the last (None for all that follow)."""
     seeds: Path | None = None
     """A table of clicked seeds."""
     spacing: int = 2
-    """Distance from point to point [px]."""
+    """Distance of neighbouring points in the image [px]."""
     patch: int = 13
     """Width and height of the smallest patches [px]."""
     refine_rig: bool | None = None
-    """Whether the cameras are corrected by the matches; None where they plainly need it."""
+    """Whether the camera poses are corrected by the matches; None corrects them if they clearly need it."""
 
     tracks: bool = True
-    """Whether points are followed from frame to frame, where there are several."""
+    """Whether points are followed from frame to frame."""
     max_speed: float | None = None
-    """No point of the surface moves faster [m/s]; None finds a limit from the data."""
+    """Largest speed of a point of the surface [m/s]; None estimates a limit from the data."""
     max_acceleration: float | None = None
-    """Likewise [m/s2]."""
+    """Largest acceleration of a point [m/s2]; None estimates a limit from the data."""
 
     def __post_init__(self) -> None:
         if self.seeds is not None and not self.seeds.exists():
@@ -49,18 +49,18 @@ class SurfaceOptions:
         """Return the settings of the matching.
 
         Raises:
-            SettingProblem: One is impossible.
+            SettingProblem: A setting is impossible.
         """
         return SurfaceSettings(spacing=self.spacing, patch=self.patch)
 
     def filters(self) -> FilterSettings:
-        """Give the thresholds of false tracks.
+        """Return the thresholds of false trajectories.
 
         Raises:
-            SettingProblem: One is impossible.
+            SettingProblem: A threshold is impossible.
         """
         return FilterSettings(speed=self.max_speed, acceleration=self.max_acceleration)
 
     def changes(self) -> dict[str, object]:
-        """Give what replaces the settings of trial.toml, as `marey.io.trial.trial.read_trial` takes it."""
+        """Return the settings that replace those of trial.toml, as `marey.io.trial.trial.read_trial` takes them."""
         return {"cameras": self.cameras, "frames": self.frames}

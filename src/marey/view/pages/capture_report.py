@@ -1,4 +1,4 @@
-"""The report: one HTML file with curves, replay, pictures and doubts, that opens anywhere without a network."""
+"""The capture report: one HTML file with curves, replay, images and problems, which needs no network."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -10,18 +10,20 @@ from marey.arrays import Floats, Mask
 from marey.body.articulation.surface import Body
 from marey.cameras.rig import Rig
 from marey.io.atomic import replacing
-from marey.motion.motion import FILLED, LOST, MEASURED, NOBODY, BodyMotion
+from marey.motion.motion import FILLED, LOST, MEASURED, NO_PERSON, BodyMotion
 from marey.view.pages.html import MOST_FRAMES, Still, packed, rendered
 from marey.view.pages.problems import Problem, readable
 from marey.view.pictures.palette import OTHER, SEGMENTS, bone_pairs, side_colour
 
 _GROUPS = ("pelvis", "thorax", "trunk", "head", "hip", "knee", "ankle", "toe", "clavicle", "shoulder", "elbow")
+"""Order of the groups of angle plots, from the trunk outward."""
 _GROUPS_AFTER = {"forearm": "elbow"}
+"""Segments whose angles are shown with those of another joint."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Size:
-    """One size of the person, such as the stature or a segment's length."""
+    """One body dimension, such as the stature or the length of a segment, with its standard deviation."""
 
     name: str
     value_m: float
@@ -30,24 +32,24 @@ class Size:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ReportContent:
-    """All that the report tells."""
+    """Content of the capture report."""
 
     title: str
     motion: BodyMotion
     body: Body
-    """Found or given; posed by the motion's segments in the replay."""
+    """The body; the replay poses it by the segments of the motion."""
     rig: Rig
     asked: Mask | None = None
-    """(F,) the frames that were to be captured; all when missing."""
+    """(F,) true for the selected frames; all by default."""
     sizes: Sequence[Size] = ()
-    """The stature first, then what else is known."""
+    """Body dimensions, the stature first."""
     problems: Sequence[Problem] = ()
     stills: Sequence[Still] = ()
     timings: Mapping[str, float] = field(default_factory=dict)
     """Seconds by stage."""
     settings: Mapping[str, object] = field(default_factory=dict)
     files: Mapping[str, str] = field(default_factory=dict)
-    """What the files beside the report hold."""
+    """Content of the files beside the report, by file name."""
 
 
 def write_report(path: Path, content: ReportContent) -> None:
@@ -55,14 +57,14 @@ def write_report(path: Path, content: ReportContent) -> None:
 
     Args:
         path: The HTML file.
-        content: What it tells.
+        content: The content of the report.
     """
     with replacing(path) as beside:
         beside.write_text(report_html(content), encoding="utf-8")
 
 
 def report_html(content: ReportContent) -> str:
-    """Give the report's text: one HTML document that loads nothing from elsewhere."""
+    """Return the report as one HTML document that loads nothing from elsewhere."""
     return rendered(
         "report.html",
         content,
@@ -74,16 +76,16 @@ def report_html(content: ReportContent) -> str:
 
 
 def _tiles(content: ReportContent) -> list[tuple[str, str, str]]:
-    """Give the key figures: label, value, and what stands below it."""
+    """Return the key figures: label, value, and the line below."""
     motion = content.motion
     asked = motion.state if content.asked is None else motion.state[content.asked]
-    counts = {state: int((asked == state).sum()) for state in (NOBODY, MEASURED, FILLED, LOST)}
+    counts = {state: int((asked == state).sum()) for state in (NO_PERSON, MEASURED, FILLED, LOST)}
     others = [f"{counts[FILLED]} filled, {counts[LOST]} lost"]
-    others += [f"{counts[NOBODY]} without a person"] if counts[NOBODY] else []
-    others += [f"{len(motion) - len(asked)} not asked for"] if len(asked) < len(motion) else []
+    others += [f"{counts[NO_PERSON]} without a person"] if counts[NO_PERSON] else []
+    others += [f"{len(motion) - len(asked)} not selected"] if len(asked) < len(motion) else []
     known = motion.agreement[np.isfinite(motion.agreement)]
     tiles = [
-        ("frames measured", f"{counts[MEASURED]} of {len(asked) - counts[NOBODY]}", ", ".join(others)),
+        ("frames measured", f"{counts[MEASURED]} of {len(asked) - counts[NO_PERSON]}", ", ".join(others)),
         ("duration", f"{len(asked) / motion.rate:.2f} s", f"{motion.rate:g} Hz, {len(asked)} frames"),
         ("cameras", f"{len(content.rig)}", ", ".join(content.rig.names)),
         ("agreement", f"{np.mean(known):.3f}" if known.size else "none", "surface and silhouettes, mean overlap"),
@@ -102,7 +104,7 @@ def _median_sd_mm(motion: BodyMotion) -> float | None:
 
 
 def _sizes(sizes: Sequence[Size]) -> list[tuple[str, tuple[Size | None, Size | None]]]:
-    """Put left and right of a size into one row: its name, the left or only one, and the right one."""
+    """Combine left and right of a dimension: name, the left or only value, and the right value."""
     rows: dict[str, list[Size | None]] = {}
     for size in sizes:
         side, _, rest = size.name.partition(" ")
@@ -129,7 +131,7 @@ def _data(content: ReportContent) -> dict[str, object]:
 
 
 def _angles(motion: BodyMotion) -> dict[str, object]:
-    """Give the angles, and the plots in which they stand: left and right of a joint share one."""
+    """Return the angles and their plots; left and right of a joint share a plot."""
     plots: dict[str, dict] = {}
     for i, name in enumerate(motion.angle_names):
         side, base = _split_side(name)
@@ -168,7 +170,7 @@ def _joints(motion: BodyMotion) -> dict[str, object]:
 
 
 def _replay(motion: BodyMotion, body: Body, rig: Rig) -> dict[str, object]:
-    """Give the body at rest and the segments' motion: the page itself blends the skin."""
+    """Return the body at rest and the motion of the segments; the page blends the skin."""
     colours = [SEGMENTS.get(name, OTHER) for name in body.skeleton.segment_names]
     owner = body.vertex_segments[np.arange(len(body.vertices)), np.argmax(body.vertex_weights, 1)]
     order = [motion.segment_names.index(name) for name in body.skeleton.segment_names]
@@ -198,7 +200,7 @@ def _replay(motion: BodyMotion, body: Body, rig: Rig) -> dict[str, object]:
 
 
 def _normals(body: Body) -> Floats:
-    """Give the skin's unit normals (V, 3) at rest."""
+    """Return the unit normals (V, 3) of the skin at rest."""
     corners = body.vertices[body.faces]
     area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals = np.zeros_like(body.vertices)

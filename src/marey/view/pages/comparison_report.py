@@ -1,4 +1,4 @@
-"""The report of a comparison: curves over each other, differences over means, and a table."""
+"""The report of a comparison: curves of both motions, differences over means, and a table."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -19,27 +19,29 @@ from marey.view.pages.curves import (
 )
 from marey.view.pages.problems import readable
 
-_FILES = {"compare.csv": "the table below, in numbers", "run.json": "version, settings, inputs, timings"}
+_FILES = {"compare.csv": "the table below as numbers", "run.json": "version, settings, inputs, timings"}
+"""Files beside the report and their content."""
 _MEANING = {
-    "Difference": "The first motion less the second, frame by frame, after the second was brought onto the first one's "
-    "clock and into its laboratory.",
-    "Time shift": "How much later the second clock shows the same instant, estimated from everything that both motions "
-    "have in common, finer than a frame. Its standard deviation allows for differences that last over frames, but not "
-    "for differences that look like a shift, such as the lag of a filter.",
-    "Laboratories": "The rotation and translation that carry the second system's points onto the first one's best. A "
-    "joint centre that one system sees elsewhere in the body shifts it a little.",
-    "RMS, bias": "Root mean square and mean of the differences. A constant bias of an angle is often a difference of "
-    "definitions: other axes in the segments, another zero.",
+    "Difference": "The first motion minus the second, frame by frame, after the second was transformed to the clock "
+    "and the laboratory frame of the first.",
+    "Time shift": "How much later the second clock shows the same instant, estimated with a resolution below one "
+    "frame from all quantities that both motions have. Its standard deviation includes differences that persist over "
+    "frames, but not differences that resemble a shift, such as the lag of a filter.",
+    "Laboratories": "The rotation and translation that best align the points of the second system with those of the "
+    "first. A joint centre that the two systems place differently in the body changes it slightly.",
+    "RMS, bias": "Root mean square and mean of the differences. A constant bias of an angle is often a difference in "
+    "definition: other segment axes or another zero.",
     "Limits of agreement": "Bias plus and minus 1.96 standard deviations of the differences (Bland and Altman 1986): "
-    "95 % of them lie between, if they are normal. Frames of one trial are not independent, so the limits speak of "
-    "this trial, not of other people.",
-    "Correlation": "Of Pearson, over the frames. It says whether the curves rise and fall together, not whether they "
-    "agree, and grows with the range of motion.",
-    "Within stated": "Share of the differences that 1.96 of the standard deviations stated by the motions hold; 95 % "
-    "where they are right and the definitions are equal.",
-    "Turn": "Angle between the two orientations of a segment; less constant: after the mean turn between their frames, "
-    "which is a matter of definition, was taken out.",
+    "95 % of normally distributed differences lie between them. Frames of one trial are not independent, so the limits "
+    "describe this trial and not other people.",
+    "Correlation": "Pearson correlation over the frames. It measures whether the curves rise and fall together, not "
+    "whether they agree, and it grows with the range of motion.",
+    "Within stated": "Share of the differences within 1.96 standard deviations as stated by the motions; 95 % if the "
+    "standard deviations are correct and the definitions are equal.",
+    "Turn": "Angle between the two orientations of a segment; `less constant`: after removal of the mean rotation "
+    "between their frames, which is a matter of definition.",
 }
+"""Explanations of the terms on the page."""
 
 
 def write_comparison_report(
@@ -50,19 +52,19 @@ def write_comparison_report(
 
     Args:
         path: The file.
-        result: What was found.
-        names: Of the two motions.
-        notes: What a reader should know.
-        settings: As run.json holds them.
+        result: The comparison.
+        names: Names of the two motions.
+        notes: Notes for the reader.
+        settings: Settings as in run.json.
     """
     keys = ((names[0], COLOURS[0]), (names[1], COLOURS[1]))
     groups = [
-        PlotGroup(title="Angles", plots=_angle_curves(result, keys), keys=keys, legend="Degrees over seconds."),
+        PlotGroup(title="Angles", plots=_angle_curves(result, keys), keys=keys, legend="Degrees over time [s]."),
         PlotGroup(
             title="Differences of angles", plots=_angle_scatters(result),
-            legend="Difference over the mean of both, degrees; the bias, and the limits of agreement dashed.",
+            legend="Difference over the mean of both [degrees]; solid line: bias; dashed lines: limits of agreement.",
         ),
-        PlotGroup(title="Points", plots=_point_curves(result), legend="Distance between both, millimetres."),
+        PlotGroup(title="Points", plots=_point_curves(result), legend="Distance between both [mm]."),
     ]  # fmt: skip
     content = CurvesContent(
         kind="Comparison of two motions", title=f"{names[0]} and {names[1]}", time=result.time, tiles=_tiles(result),
@@ -82,23 +84,29 @@ def _tiles(result: MotionComparison) -> list[tuple[str, str, str]]:
     if result.first.point_names or result.first.segment_names:
         turn = np.degrees(np.linalg.norm(alignment.first_from_second.rotation_vector))
         tiles.append(
-            ("laboratories turned by", f"{turn:.2f}°", _spread(float(np.degrees(np.max(alignment.turn_sd))), "°"))
+            (
+                "rotation between laboratories",
+                f"{turn:.2f}°",
+                _spread(float(np.degrees(np.max(alignment.turn_sd))), "°"),
+            )
         )
     if result.first.point_names:
         moved = 1e3 * np.linalg.norm(alignment.first_from_second.translation)
-        tiles.append(("moved by", f"{moved:.0f} mm", _spread(1e3 * float(np.max(alignment.translation_sd)), "mm")))
-        tiles.append(("points apart", f"{1e3 * alignment.residual_m:.1f} mm", "root mean square, after alignment"))
+        tiles.append(("translation", f"{moved:.0f} mm", _spread(1e3 * float(np.max(alignment.translation_sd)), "mm")))
+        tiles.append(
+            ("distance of points", f"{1e3 * alignment.residual_m:.1f} mm", "root mean square, after alignment")
+        )
     angles = [row for row in result.agreements if row.kind == "angle" and row.frames]
     if angles:
         mean = float(np.sqrt(np.mean([row.rms**2 for row in angles])))
-        last = worst(angles, "angle")
-        below = "" if last is None else f"worst: {readable(last.name)}, {np.degrees(last.rms):.1f}°"
+        largest = worst(angles, "angle")
+        below = "" if largest is None else f"largest: {readable(largest.name)}, {np.degrees(largest.rms):.1f}°"
         tiles.append(("angles differ by", f"{np.degrees(mean):.1f}°", f"RMS over {len(angles)} angles; {below}"))
     return tiles
 
 
 def _spread(sd: float, unit: str) -> str:
-    return f"standard deviation {sd:.2g} {unit}" if np.isfinite(sd) else "given, or not to be found"
+    return f"standard deviation {sd:.2g} {unit}" if np.isfinite(sd) else "given, or not determinable"
 
 
 def _table(result: MotionComparison) -> NumberTable:
@@ -106,7 +114,7 @@ def _table(result: MotionComparison) -> NumberTable:
         title="Agreement",
         head=("quantity", "frames", "RMS", "bias", "limits of agreement", "correlation", "within stated", "unit"),
         rows=[_row(row) for row in result.agreements if row.frames],
-        legend="Differences are the first less the second.",
+        legend="Differences are the first motion minus the second.",
     )
 
 

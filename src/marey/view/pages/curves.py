@@ -1,4 +1,4 @@
-"""A page of curves and tables in one HTML file: what the reports of markers and of comparisons are made of."""
+"""A page of curves and tables in one HTML file, used by the reports of markers, shapes and comparisons."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -13,12 +13,12 @@ from marey.view.pages.html import MOST_FRAMES, Still, packed, rendered
 COLOURS = (
     "#2f5d8a", "#c0453f", "#3b7d4f", "#b5651d", "#7a4fb0", "#2f8a86", "#8a3b6b", "#6b6b1f", "#4c4f57", "#d39a2f",
 )  # fmt: skip
-"""Of curves that lie over each other; as many as can be told apart."""
+"""Colours of curves in one plot, chosen by eye to be distinguishable."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Trace:
-    """One line, with standard deviations where there are any."""
+    """One curve with optional standard deviations."""
 
     label: str
     values: Floats
@@ -30,21 +30,21 @@ class Trace:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CurvePlot:
-    """Curves over the page's time, or over an axis of their own."""
+    """A plot of curves over the time of the page or over its own axis."""
 
     title: str
     curves: Sequence[Trace]
     unit: str = "°"
     least: float = 5.0
-    """The smallest range that is shown, so that noise does not look like motion."""
+    """Smallest range of the vertical axis, in `unit`, so that noise is not magnified."""
     digits: int = 1
     axis: Floats | None = None
-    """(N,) such as 0 to 100 % of a cycle; None: the page's time."""
+    """(N,) horizontal axis, for example 0 to 100 % of a cycle; None for the time of the page."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ScatterPlot:
-    """Differences over means, with bias and limits of agreement."""
+    """Differences over means with bias and limits of agreement."""
 
     title: str
     x: Floats
@@ -58,40 +58,40 @@ class ScatterPlot:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PlotGroup:
-    """One section of plots."""
+    """A section of plots."""
 
     title: str
     plots: Sequence[CurvePlot | ScatterPlot]
     legend: str = ""
     keys: Sequence[tuple[str, str]] = ()
-    """Labels and colours."""
+    """Labels and colours of the legend."""
     wide: bool = False
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class NumberTable:
-    """One section with a table."""
+    """A section with a table."""
 
     title: str
     head: Sequence[str]
     rows: Sequence[Sequence[str]]
     legend: str = ""
     marked: int = -1
-    """Row that stands out."""
+    """Index of the highlighted row; -1 for none."""
     text_columns: Sequence[int] = (0,)
-    """Columns of words."""
+    """Indices of the columns that contain text."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CurvesContent:
-    """All that the page tells."""
+    """Content of the page."""
 
     kind: str
     title: str
     time: Floats
     """(F,) [s]."""
     tiles: Sequence[tuple[str, str, str]] = ()
-    """Label, value, and what stands below it."""
+    """Key figures: label, value, and the line below."""
     notes: Sequence[str] = ()
     tables: Sequence[NumberTable] = ()
     groups: Sequence[PlotGroup] = ()
@@ -107,24 +107,24 @@ def write_curves_page(path: Path, content: CurvesContent) -> None:
 
     Args:
         path: The HTML file.
-        content: What it tells.
+        content: The content of the page.
     """
     with replacing(path) as beside:
         beside.write_text(curves_html(content), encoding="utf-8")
 
 
 def curves_html(content: CurvesContent) -> str:
-    """Give the page's text: one HTML document that loads nothing from elsewhere."""
+    """Return the page as one HTML document that loads nothing from elsewhere."""
     return rendered("curves.html", content, data=curves_data(content, stride_of(len(content.time))))
 
 
 def stride_of(frames: int) -> int:
-    """Say every which frame a page shows."""
+    """Return the step between the frames that a page contains."""
     return max(1, -(-frames // MOST_FRAMES))
 
 
 def curves_data(content: CurvesContent, stride: int) -> dict[str, object]:
-    """Give what the page's scripts read, of every `stride`-th frame."""
+    """Return the data for the scripts of the page, with every `stride`-th frame."""
     return {
         "time": packed(content.time[::stride], "f4"),
         "state": packed(np.ones(len(content.time[::stride])), "u1"),
@@ -159,3 +159,4 @@ def _scatter(plot: ScatterPlot, stride: int) -> dict[str, object]:
 
 
 _ENDS = ("bias", "low", "high")
+"""Values of a scatter plot that are drawn as horizontal lines."""

@@ -1,4 +1,4 @@
-"""What every page is made of: one template, numbers packed into it, pictures, and how the run went."""
+"""Parts common to all report pages: the template, packed numbers, images, and details of the run."""
 
 import base64
 import json
@@ -15,13 +15,14 @@ from marey.arrays import Image
 from marey.view.pages.problems import readable
 
 MOST_FRAMES = 3000
-"""Longer takes are shown by every second, third ... frame, so that the file stays small."""
+"""Number of frames that a page contains at most; longer takes are subsampled. Chosen by hand for small files."""
 STILL_WIDTH = 640
+"""Width [px] to which larger images are reduced; chosen by hand for small files."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Still:
-    """A picture that is worth a look."""
+    """An image of the page with its caption."""
 
     caption: str
     image: Image
@@ -29,29 +30,29 @@ class Still:
 
 
 class PageContent(Protocol):
-    """What every page tells of its run."""
+    """Content that every page has."""
 
     @property
     def stills(self) -> Sequence[Still]:
-        """Pictures, in their order."""
+        """Images in their order."""
 
     @property
     def timings(self) -> Mapping[str, float]:
-        """Seconds by stage."""
+        """Duration of each stage [s]."""
 
     @property
     def settings(self) -> Mapping[str, object]:
-        """What was set, by name."""
+        """Settings of the run by name."""
 
 
 def rendered(template: str, content: PageContent, *, data: Mapping[str, object], **more: object) -> str:
-    """Fill a template in: one HTML document that loads nothing from elsewhere.
+    """Render a template as one HTML document that loads nothing from elsewhere.
 
     Args:
-        template: Its name.
-        content: The template's `content`; its pictures, timings and settings are made ready for reading.
-        data: What the page's scripts read.
-        more: Further names of the template.
+        template: File name of the template.
+        content: The template's `content`; its images, timings and settings are formatted.
+        data: Data for the scripts of the page.
+        more: Further variables of the template.
     """
     loader = jinja2.PackageLoader("marey.view", "page")
     pages = jinja2.Environment(loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True)
@@ -67,20 +68,20 @@ def rendered(template: str, content: PageContent, *, data: Mapping[str, object],
 
 
 def _shares(timings: Mapping[str, float]) -> list[tuple[str, float, float]]:
-    """List stages with their seconds and their share of all."""
+    """List the stages with their duration [s] and their share of the total."""
     total = sum(timings.values())
     return [(name, seconds, seconds / total if total else 0.0) for name, seconds in timings.items()]
 
 
 def _setting_text(value: object) -> str:
-    """Write a setting as people read it."""
+    """Format the value of a setting."""
     if isinstance(value, list | tuple):
         return ", ".join(map(str, value))
     return {True: "yes", False: "no"}.get(value, str(value)) if isinstance(value, bool) else str(value)
 
 
 def jpeg_address(image: Image) -> str:
-    """Give a picture (height, width, 3), blue, green, red, as the address of an embedded JPEG."""
+    """Return an image (height, width, 3), blue, green, red, as the data URL of a JPEG."""
     height, width = image.shape[:2]
     if width > STILL_WIDTH:
         size = (STILL_WIDTH, round(height * STILL_WIDTH / width))
@@ -90,10 +91,10 @@ def jpeg_address(image: Image) -> str:
 
 
 def _embedded(data: Mapping[str, object]) -> str:
-    """Write data as JSON that may stand inside a script element."""
+    """Format data as JSON that is safe inside a script element."""
     return json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
 
 
 def packed(array: np.ndarray, dtype: str) -> str:
-    """Write an array as text that the page's scripts unpack."""
+    """Encode an array as text (base64, little endian) for the scripts of the page."""
     return base64.b64encode(np.ascontiguousarray(array, dtype=np.dtype(dtype).newbyteorder("<")).tobytes()).decode()

@@ -1,4 +1,4 @@
-"""knee.html: a knee in motion that turns under the pointer, how near its cartilages come, and the joint's angles."""
+"""knee.html: a knee in motion in 3-D, the proximity of its cartilages, and the angles of the joint."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -29,35 +29,38 @@ from marey.view.pictures.knee_picture import DrawnPart
 
 FILES = {
     "knee_motion.npz": "poses, distances, centres of proximity, angles, with standard deviations",
-    "proximity.csv": "gap, areas and centres frame by frame",
-    "correspondence.json": "how the scanner's bones were joined to the laboratory's",
+    "proximity.csv": "gap, areas and centres, one row per frame",
+    "correspondence.json": "transforms between the bones of the scanner and those of the laboratory",
     "knee.glb": "bones and cartilages in motion, for Blender and the web",
-    "knee.mp4": "the same as a video",
+    "knee.mp4": "the same motion as a video",
     "run.json": "version, settings, inputs, timings",
 }
+"""Files beside the page and their content."""
 _MEANING = {
-    "Gap": "The least distance between the surfaces of two cartilages in a compartment; below zero they overlap, as "
-    "deep as it says. Real cartilage gives way by some tenths of a millimetre; an overlap beyond that is an error of "
-    "the bones' poses, or of the surfaces.",
-    "95 % interval": "1.96 standard deviations of the bones' poses, from the markers in the scanner, the reference "
-    "posture and the activity, carried to the gap to first order; femur and tibia count as independent. The surfaces' "
-    "own errors are not in it.",
-    "Centre of proximity": "The mean of a cartilage's vertices, weighted by their areas and by how far their distances "
-    "lie below the limit, carried to the nearest place on the cartilage. It is no centre of pressure.",
-    "Area": "Of the cartilage whose distance from the other one is below a limit.",
-    "Medial, lateral": "The parts of the tibia's, or of the patella's, cartilage on either side of the bone's middle.",
-    "Held": "With the tibia held the other bones move as seen from it; in the room all turn as they did, and the eye "
-    "goes along with the knee.",
-    "Angles": "After Grood and Suntay, by the anatomical frames of the scanned bones themselves, which are not those "
-    "of `marey markers`: constants between the two are no error. Positive are flexion, adduction, inward rotation.",
+    "Gap": "The smallest distance between the surfaces of two cartilages in a compartment. A negative value is the "
+    "depth of an overlap. Real cartilage deforms by some tenths of a millimetre; a larger overlap is an error of the "
+    "poses of the bones or of the surfaces.",
+    "95 % interval": "1.96 standard deviations of the poses of the bones, from the markers in the scanner, the "
+    "reference posture and the activity, propagated to the gap to first order with independent errors of femur and "
+    "tibia. Errors of the surfaces are not included.",
+    "Centre of proximity": "The mean of the vertices of a cartilage, weighted by area and by the difference between "
+    "the limit and their distance, projected to the nearest point of the cartilage. It is not a centre of pressure.",
+    "Area": "Area of the part of a cartilage whose distance from the other cartilage is below a limit.",
+    "Medial, lateral": "The parts of the cartilage of the tibia or patella on either side of the middle of the bone.",
+    "Fixed": "With the tibia fixed, the other bones move relative to it. In the room, all bones move as measured, and "
+    "the view follows the knee.",
+    "Angles": "Defined after Grood and Suntay in the anatomical frames of the scanned bones. These differ from the "
+    "frames of `marey markers`, so constant differences are not errors. Positive are flexion, adduction, internal "
+    "rotation.",
 }
+"""Explanations of the terms on the page."""
 _MOST_NUMBERS = 6_000_000
-"""Vertices times frames whose colours the page shows; of longer activities every second, third ... frame."""
+"""Number of vertices times frames in the page at most; longer activities are subsampled. Chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class KneeReport:
-    """All that the page tells."""
+    """Content of the page of a moving knee."""
 
     title: str
     parts: Mapping[str, DrawnPart]
@@ -65,21 +68,21 @@ class KneeReport:
     found: KneeMotion
     compared: KneeMotion | None = None
     carried: Sequence[str] = ()
-    """Bones that were not measured, and are drawn with the femur where asked for."""
+    """Bones that were not measured; they can be drawn with the femur."""
     in_room: bool = False
-    """Whether the page begins with nothing held."""
+    """Whether the page starts with no bone fixed."""
     upright: Floats = field(default_factory=lambda: np.eye(3))
-    """(3, 3) turns the room's axes so that Z is up."""
+    """(3, 3) rotation of the axes of the room that makes Z the vertical."""
     notes: Sequence[str] = ()
     stills: Sequence[Still] = ()
     timings: Mapping[str, float] = field(default_factory=dict)
     settings: Mapping[str, object] = field(default_factory=dict)
     files: Sequence[str] = ()
-    """Names of what stands beside the page."""
+    """Names of the files beside the page."""
 
     @property
     def both(self) -> tuple[KneeMotion, ...]:
-        """What was found, and what it is compared with."""
+        """The motion and, if any, the motion it is compared with."""
         return (self.found,) if self.compared is None else (self.found, self.compared)
 
 
@@ -88,14 +91,14 @@ def write_knee_report(path: Path, report: KneeReport) -> None:
 
     Args:
         path: The HTML file.
-        report: What it tells.
+        report: The content of the page.
     """
     with replacing(path) as beside:
         beside.write_text(knee_html(report), encoding="utf-8")
 
 
 def knee_html(report: KneeReport) -> str:
-    """Give the page's text: one HTML document that loads nothing from elsewhere."""
+    """Return the page as one HTML document that loads nothing from elsewhere."""
     motion = report.found.motion
     keys = [(m.method, COLOURS[n]) for n, m in enumerate(report.both)] if report.compared else []
     content = CurvesContent(
@@ -118,7 +121,7 @@ def knee_html(report: KneeReport) -> str:
 
 
 def _scene(report: KneeReport, stride: int) -> dict[str, object]:
-    """Give meshes, poses and the codes of distances."""
+    """Return meshes, poses and coded distances."""
     motion, held = report.found.motion, BASE in report.found.motion.poses
     answered = motion.answered(BASE if held else motion.bones[0])[::stride]
     return {
@@ -131,7 +134,7 @@ def _scene(report: KneeReport, stride: int) -> dict[str, object]:
 
 
 def _scale(report: KneeReport) -> dict[str, object] | None:
-    """Give the legend of the cartilages' colours; None where no joint was measured."""
+    """Return the legend of the colours of cartilage, or None if no joint was measured."""
     if not report.found.joints:
         return None
     ends = "0 mm", f"{report.found.joints[0].limit_mm:g} mm."
@@ -139,7 +142,7 @@ def _scale(report: KneeReport) -> dict[str, object] | None:
 
 
 def _heading(report: KneeReport) -> float:
-    """Give the turn about the vertical [rad] that brings the eye before the knee in the room, as it mostly stands."""
+    """Return the rotation about the vertical [rad] that shows the knee from the front in its mean orientation."""
     motion = report.found.motion
     turns = motion.poses[BASE if BASE in motion.poses else motion.bones[0]].rotation
     known = turns[np.isfinite(turns).all((1, 2))]
@@ -162,11 +165,11 @@ def _part(name: str, part: DrawnPart, report: KneeReport, stride: int) -> dict[s
 
 
 def distances_of(structure: str, found: KneeMotion) -> tuple[Integers, Floats] | None:
-    """Give a structure's vertices (V,) that face a joint and their distances (F, V) [mm]; of two joints the nearer.
+    """Return the vertices (V,) of a structure that face a joint, and their distances (F, V) [mm], the smaller of two.
 
     Args:
-        structure: Its name.
-        found: What was measured.
+        structure: Name of the structure.
+        found: The measured motion.
     """
     maps = [
         (side.sources, distance)
@@ -201,7 +204,7 @@ def _tiles(report: KneeReport) -> list[tuple[str, str, str]]:
     tiles = [
         ("frames with all bones", f"{int(both.sum())} of {len(motion)}", ", ".join(motion.bones)),
         ("duration", f"{duration:.2f} s", side),
-        ("skin correction", report.found.method, f"beside {report.compared.method}" if report.compared else ""),
+        ("skin correction", report.found.method, f"compared with {report.compared.method}" if report.compared else ""),
     ]
     for joint in report.found.joints:
         for c, name in enumerate(joint.compartments):
@@ -234,12 +237,13 @@ def _gap_table(report: KneeReport) -> NumberTable:
     return NumberTable(
         title="Gaps",
         head=(
-            "correction", "compartment", "median mm", "least", "greatest", "its sd", "smaller than its sd", "overlap",
-            "near mm²", "centre moves mm",
+            "correction", "compartment", "median mm", "minimum mm", "maximum mm", "sd mm", "below its sd", "overlap",
+            "near mm²", "path of centre mm",
         ),
         rows=rows, text_columns=(0, 1),
-        legend="Over the frames with an answer. Near: area within the limit, the median. The centre of proximity moves "
-        "over the tibia: range to the front and back, and from side to side.",
+        legend="Over the frames with a result. Below its sd: share of frames whose gap is smaller than its standard "
+        "deviation. Near: median area within the limit. Path of centre: range of the centre of proximity, "
+        "anterior-posterior and medial-lateral.",
     )  # fmt: skip
 
 
@@ -263,8 +267,8 @@ def _difference_table(report: KneeReport) -> NumberTable:
                     text = f"{between.mean():+.2f}".replace("-", "−")
                     rows.append([f"{one.name}, {name}", text, f"{root:.2f}", f"{np.abs(between).max():.2f}"])
     return NumberTable(
-        title="What the skin correction does to the gap", head=("compartment", "mean mm", "RMS mm", "most mm"),
-        rows=rows, legend=f"{report.compared.method if report.compared else ''} less {report.found.method}.",
+        title="Effect of the skin correction on the gap", head=("compartment", "mean mm", "RMS mm", "largest mm"),
+        rows=rows, legend=f"{report.compared.method if report.compared else ''} minus {report.found.method}.",
     )  # fmt: skip
 
 
@@ -272,26 +276,27 @@ def _groups(report: KneeReport, keys: Sequence[tuple[str, str]]) -> list[PlotGro
     return [
         PlotGroup(
             title="Gap", keys=keys, wide=True, plots=[*_joint_plots(report, "gap_mm", "gap_sd_mm", "", " mm", 1.0)],
-            legend="Least distance of the two cartilages, millimetres over seconds; below zero they overlap. The band "
-            "is the 95 % interval of the poses.",
+            legend="Smallest distance between the two cartilages [mm] over time [s]; negative values are overlaps. "
+            "The band is the 95 % interval due to the poses.",
         ),
         PlotGroup(
             title="Area", keys=keys, plots=_joint_plots(report, "near_mm2", None, ", within the limit", " mm²", 50.0),
-            legend=f"Of the tibia's or patella's cartilage; proximity.csv has those below {NEAR_MM:g} mm and 0, too.",
+            legend="Area of the cartilage of tibia or patella; proximity.csv also contains the areas below "
+            f"{NEAR_MM:g} mm and 0.",
         ),
         PlotGroup(
             title="Centre of proximity", keys=keys, plots=_centre_plots(report),
-            legend="On the tibia's or patella's cartilage, in the scanner's axes: from the mean place to the back, and "
-            "to the left, millimetres.",
+            legend="On the cartilage of tibia or patella in the axes of the scanner: posterior and left "
+            "of the mean position [mm].",
         ),
         PlotGroup(
             title="Angles", keys=keys, plots=_angle_plots(report, "angles", "angle_names", 180 / np.pi, "°"),
-            legend="Degrees over seconds, by the scanned bones' own anatomical frames.",
+            legend="Degrees over time [s], in the anatomical frames of the scanned bones.",
         ),
         PlotGroup(
             title="Translations", keys=keys,
             plots=_angle_plots(report, "translations", "translation_names", 1e3, " mm"),
-            legend="Of the tibia's origin from the femur's along the joint's axes.",
+            legend="Position of the origin of the tibia relative to that of the femur along the axes of the joint.",
         ),
     ]  # fmt: skip
 
@@ -314,7 +319,7 @@ def _joint_plots(
 
 
 def _part_name(report: KneeReport, joint: Proximity, compartment: str) -> str:
-    """Name a compartment, and its joint where there are several."""
+    """Return the name of a compartment, with its joint if there are several."""
     return compartment if len(report.found.joints) == 1 else f"{joint.name}, {compartment}"
 
 
@@ -322,7 +327,7 @@ def _centre_plots(report: KneeReport) -> list[CurvePlot]:
     plots = []
     for j, joint in enumerate(report.found.joints):
         for c, name in enumerate(joint.compartments):
-            for axis, way in ((1, "to the back"), (0, "to the left")):
+            for axis, way in ((1, "posterior"), (0, "left")):
                 curves = [
                     _centre_curve(each.joints[j], each.method, c, axis, n)
                     for n, each in enumerate(report.both)

@@ -1,4 +1,4 @@
-"""What the pages' scene of a knee reads: meshes, and the colours of its scale as whole numbers."""
+"""Data of the 3-D view of a knee: meshes, and colours coded as integers."""
 
 from collections.abc import Mapping, Sequence
 
@@ -10,14 +10,15 @@ from marey.view.pictures.knee_maps import BONE, FAR, OVERLAP, STOPS
 from marey.view.pictures.knee_picture import DrawnPart
 
 _STEPS = 65535
+"""Largest coded coordinate: 16 bits."""
 
 
 def scene_data(parts: Mapping[str, DrawnPart], *, left: bool | None) -> dict[str, object]:
-    """Give what the scene needs beside meshes and poses.
+    """Return the data of the view besides meshes and poses.
 
     Args:
         parts: Structures by name.
-        left: Whether it is a left knee; None where nobody knows.
+        left: Whether it is a left knee; None if unknown.
     """
     places = np.concatenate([part.surface.vertices_mm for part in parts.values()])
     low, high = places.min(0), places.max(0)
@@ -28,13 +29,13 @@ def scene_data(parts: Mapping[str, DrawnPart], *, left: bool | None) -> dict[str
 
 
 def part_data(name: str, part: DrawnPart, *, switch: str, shown: bool) -> dict[str, object]:
-    """Give a structure's mesh.
+    """Return the mesh of a structure.
 
     Args:
-        name: The structure's.
-        part: What is drawn.
-        switch: The name of the switch with which it comes and goes.
-        shown: Whether the page begins with it.
+        name: Name of the structure.
+        part: The drawn part.
+        switch: Name of the switch that shows and hides it.
+        shown: Whether it is visible initially.
     """
     surface = part.surface
     low = surface.vertices_mm.min(0)
@@ -48,21 +49,21 @@ def part_data(name: str, part: DrawnPart, *, switch: str, shown: bool) -> dict[s
 
 
 def nearness_codes(distance: Floats, limit_mm: float) -> Floats:
-    """Write distances as whole numbers: 0 far or unknown, 1 overlap, 2 to 255 from 0 to the limit."""
+    """Code distances as integers: 0 far or unknown, 1 overlap, 2 to 255 from 0 to the limit."""
     near = np.nan_to_num(distance, nan=np.inf) < limit_mm
     return np.where(near, np.where(distance < 0, 1, 2 + np.round(253 * np.where(near, distance, 0) / limit_mm)), 0)
 
 
 def thickness_codes(thickness_mm: Floats, full_mm: float) -> Floats:
-    """Write thicknesses as the same numbers, thick in the colour of what is near; 0 where bare."""
+    """Code thicknesses in the same way, with thick cartilage in the colour of small distances; 0 where bare."""
     return nearness_codes(full_mm - np.clip(np.nan_to_num(thickness_mm), 0, full_mm), full_mm)
 
 
 def scale_colours() -> list[str]:
-    """Give the colours of the scale, from thin or far to thick or near, as #rrggbb."""
+    """Return the colours of the scale as #rrggbb, from thin or far to thick or near."""
     return [hex_colour(colour) for colour in STOPS]
 
 
 def hex_colour(colour: Sequence[float] | Floats) -> str:
-    """Write red, green and blue as #rrggbb."""
+    """Format red, green and blue as #rrggbb."""
     return "#" + "".join(f"{int(channel):02x}" for channel in colour)

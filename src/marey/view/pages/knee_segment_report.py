@@ -1,4 +1,4 @@
-"""report.html of a segmented knee: its sizes, slices with outlines, bones and cartilage that turn, thickness."""
+"""report.html of a segmented knee: sizes, slices with outlines, a 3-D view, thickness of cartilage."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -22,58 +22,62 @@ from marey.view.pictures.knee_maps import FULL_MM
 from marey.view.pictures.knee_picture import DrawnPart
 
 FILE = "report.html"
+"""File name of the page."""
 FILES = {
-    "labels.nii.gz": "what each voxel of the image belongs to, by the numbers in labels.json",
-    **{f"{bone}.ply": f"the {bone}'s closed surface, LPS in mm" for bone in BONES},
+    "labels.nii.gz": "structure of each voxel of the image, numbered as in labels.json",
+    **{f"{bone}.ply": f"the {bone}'s closed surface in LPS coordinates [mm]" for bone in BONES},
     **{f"{name}.ply": f"the {readable(name)}'s closed surface" for name in CARTILAGE_OF_BONE.values()},
     **{f"{bone}_thickness.npz": f"thickness at each vertex of {bone}.ply, with confidence" for bone in BONES},
-    **{f"{bone}_thickness.ply": f"the {bone} in the colours of thickness; beside it as GLB" for bone in BONES},
-    **{f"{name}_flat.png": f"thickness of the {readable(name)} in the plane" for name in CARTILAGE_OF_BONE.values()},
-    "cartilage.csv": "the parts of each cartilage as a table",
+    **{f"{bone}_thickness.ply": f"the {bone} coloured by thickness; also as GLB" for bone in BONES},
+    **{f"{name}_flat.png": f"thickness map of the {readable(name)} in a plane" for name in CARTILAGE_OF_BONE.values()},
+    "cartilage.csv": "table of the regions of each cartilage",
     "markers.json": "centres of the gadolinium markers",
     "run.json": "version, settings, inputs, timings",
 }
+"""Files beside the page and their content."""
 _MEANING = {
-    "Outlines": "Of the voxels in labels.nii.gz, where half of a voxel belongs to a structure. Look whether they run "
-    "on the bones' edges, and whether a bone lacks a part or holds one that is not its own.",
-    "Volume, area": "Of the closed surfaces. A bone ends where the image ends: its size is that of the part in view, "
-    "with the flat cut.",
-    "Thickness": "Along the outward normal of the bone. The mean weighs the covered bone by its area. In the table of "
-    "parts a volume is area times thickness, which on a round bone is a little less than that of the closed surface.",
-    "Marrow": "Dark where fat is suppressed, bright elsewhere; the program tells by the image.",
-    "Letters": "Of the patient: A front, P back, H head, F feet, R right, L left. L 12 mm is 12 mm to the left of the "
-    "scanner's origin.",
+    "Outlines": "Boundaries of the structures in labels.nii.gz. Check that they follow the edges of the bones, and "
+    "that no bone lacks a part or contains a part of something else.",
+    "Volume, area": "Of the closed surfaces. A bone ends where the image ends: its size is that of the imaged part, "
+    "including the flat cut.",
+    "Thickness": "Measured along the outward normal of the bone. The mean is weighted by the area of the covered "
+    "bone. In the table of regions the volume is area times thickness, which on a convex bone is slightly less than "
+    "that of the closed surface.",
+    "Marrow": "Dark in images with fat suppression, bright in others; determined from the image.",
+    "Letters": "Directions of the patient: A anterior, P posterior, H head, F feet, R right, L left. L 12 mm is 12 mm "
+    "to the left of the origin of the scanner.",
 }
+"""Explanations of the terms on the page."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SegmentReport:
-    """All that the page tells."""
+    """Content of the page of a segmented knee."""
 
     title: str
     volume: Volume
-    """On which the outlines are drawn."""
+    """The image on which the outlines are drawn."""
     labels: Labels
-    """On its grid."""
+    """Labels on the grid of `volume`."""
     bones: Mapping[str, Surface]
     kinds: Sequence[str]
-    """Marrow of each image, dark or bright."""
+    """Marrow of each image: dark or bright."""
     left: bool | None
-    """Whether it is a left knee; None where nobody knows."""
+    """Whether it is a left knee; None if unknown."""
     side_given: bool = False
     sheets: Mapping[str, CartilageSheet] = field(default_factory=dict)
-    """Cartilage by its bone, of those that have some."""
+    """Cartilage by bone, for the bones that have cartilage."""
     parts: Mapping[str, Sequence[Subregion]] = field(default_factory=dict)
-    """By the cartilage, the whole as the last."""
+    """Regions by cartilage; the last is the whole."""
     flat: Mapping[str, Image] = field(default_factory=dict)
-    """Flat picture of each cartilage."""
+    """Flat thickness map by cartilage."""
     marker_diameter_mm: Floats = field(default_factory=lambda: np.zeros(0))
-    """(M,) of the gadolinium markers."""
+    """(M,) diameters of the gadolinium markers [mm]."""
     notes: Sequence[str] = ()
     timings: Mapping[str, float] = field(default_factory=dict)
     settings: Mapping[str, object] = field(default_factory=dict)
     files: Sequence[str] = ()
-    """Names of what stands beside the page."""
+    """Names of the files beside the page."""
 
 
 def write_segment_report(path: Path, report: SegmentReport) -> None:
@@ -81,14 +85,14 @@ def write_segment_report(path: Path, report: SegmentReport) -> None:
 
     Args:
         path: The HTML file.
-        report: What it tells.
+        report: The content of the page.
     """
     with replacing(path) as beside:
         beside.write_text(segment_html(report), encoding="utf-8")
 
 
 def segment_html(report: SegmentReport) -> str:
-    """Give the page's text: one HTML document that loads nothing from elsewhere."""
+    """Return the page as one HTML document that loads nothing from elsewhere."""
     files = {name: what for name, what in FILES.items() if name in (*report.files, "run.json")}
     content = CurvesContent(
         kind="Bones and cartilage of a knee" if report.sheets else "Bones of a knee", title=report.title,
@@ -105,16 +109,17 @@ def segment_html(report: SegmentReport) -> str:
 
 
 def _slices_legend(report: SegmentReport) -> str:
-    which = " The first of the two images." if len(report.kinds) > 1 else ""
-    return f"Letters: A front, P back, H head, F feet, R and L the patient's right and left.{which}"
+    which = " Shown is the first of the two images." if len(report.kinds) > 1 else ""
+    return f"Letters: A anterior, P posterior, H head, F feet, R and L right and left of the patient.{which}"
 
 
 def _scene_legend(report: SegmentReport) -> str:
-    return "Thickness of cartilage." if report.sheets else "Bones only: no cartilage was looked for, or none found."
+    return "Colours: thickness of cartilage." if report.sheets else "Bones only: cartilage was not searched for or "
+    "not found."
 
 
 def _scene(report: SegmentReport) -> dict[str, object]:
-    """Give meshes that stand where the scanner saw them, cartilage in the colours of its thickness."""
+    """Return meshes in scanner coordinates, with cartilage coloured by thickness."""
     parts = {name: DrawnPart(bone=name, surface=bone, cartilage=False) for name, bone in report.bones.items()}
     thickness = {}
     for bone, sheet in report.sheets.items():
@@ -139,24 +144,25 @@ def _part(name: str, part: DrawnPart, thickness_mm: Floats | None) -> dict[str, 
 
 
 def _tiles(report: SegmentReport) -> list[tuple[str, str, str]]:
-    """Give the key figures: label, value, and what stands below it."""
+    """Return the key figures: label, value, and the line below."""
     side = {None: "unknown", True: "left", False: "right"}[report.left]
-    told = "" if report.left is None else "as it was given" if report.side_given else "by the patella's place"
-    tiles = [("side", side, told), ("marrow", ", ".join(report.kinds), f"in the image{'s' * (len(report.kinds) > 1)}")]
+    source = "" if report.left is None else "given" if report.side_given else "from the position of the patella"
+    images = "images" if len(report.kinds) > 1 else "image"
+    tiles = [("side", side, source), ("marrow", ", ".join(report.kinds), f"in the {images}")]
     tiles += [
-        (name, f"{bone.volume_mm3 / 1000:.1f} cm³", f"{bone.area_mm2 / 100:.0f} cm² of surface")
+        (name, f"{bone.volume_mm3 / 1000:.1f} cm³", f"{bone.area_mm2 / 100:.0f} cm² surface area")
         for name, bone in report.bones.items()
     ]
     for bone, sheet in report.sheets.items():
         volume = f"mean thickness; {sheet.outer.volume_mm3 / 1000:.1f} cm³"
         tiles.append((readable(CARTILAGE_OF_BONE[bone]), f"{whole(sheet).mean_mm:.2f} mm", volume))
     count = len(report.marker_diameter_mm)
-    wide = f"{np.median(report.marker_diameter_mm):.1f} mm wide" if count else "none on the skin"
+    wide = f"{np.median(report.marker_diameter_mm):.1f} mm diameter" if count else "none found on the skin"
     return [*tiles, ("gadolinium markers", str(count), wide)]
 
 
 def _flat(report: SegmentReport) -> list[Still]:
-    seen = {"femur": "unrolled about the axis of its condyles", "tibia": "from above", "patella": "from behind"}
+    seen = {"femur": "unrolled about the axis of the condyles", "tibia": "from above", "patella": "from behind"}
     return [
         Still(caption=f"Thickness of the {readable(CARTILAGE_OF_BONE[bone])}, {how}", image=report.flat[name])
         for bone, how in seen.items()
@@ -173,9 +179,9 @@ def _tables(report: SegmentReport) -> list[NumberTable]:
     ]  # fmt: skip
     if not rows:
         return []
-    head = ("cartilage", "part", "area mm²", "volume mm³", "mean mm", "thickest mm", "covered %")
-    legend = "As in cartilage.csv. Area is covered bone; 99 % of it has less than the thickest."
-    return [NumberTable(title="Parts of the cartilage", head=head, rows=rows, legend=legend, text_columns=(0, 1))]
+    head = ("cartilage", "region", "area mm²", "volume mm³", "mean mm", "thickest mm", "covered %")
+    legend = "As in cartilage.csv. Area: covered bone. Thickest: 99th percentile of the thickness."
+    return [NumberTable(title="Regions of the cartilage", head=head, rows=rows, legend=legend, text_columns=(0, 1))]
 
 
 def _number(value: float, digits: int) -> str:

@@ -1,4 +1,4 @@
-"""The report of bones from markers: all methods' curves over each other, the markers' motion, and the numbers."""
+"""The report of bones from skin markers: curves of all methods, motion of the markers, and tables."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -22,50 +22,55 @@ from marey.view.pages.curves import (
 from marey.view.pages.problems import readable
 
 FILES = {
-    "bones.npz": "where each bone was: rotation, origin in mm, and their standard deviations",
-    "bones_<method>.npz": "the same by the other methods",
+    "bones.npz": "pose of each bone: rotation, origin in mm, and standard deviations",
+    "bones_<method>.npz": "the same for the other methods",
     "angles.mot, angles.csv": "joint angles and translations with standard deviations",
-    "cycles.csv, events.csv": "angles over the gait cycle, and the foot's strikes and offs",
-    "marker_motion.csv": "where each marker lies in its bone's frame",
-    "filled.csv": "which gaps were filled, how, and how well",
-    "frames.json": "the force plates' frames in the laboratory",
-    "motion.c3d": "the trial as it was, and the bones as 4x4 ROTATION",
+    "cycles.csv, events.csv": "angles over the gait cycle; foot strikes and foot offs",
+    "marker_motion.csv": "position of each marker in the frame of its bone",
+    "filled.csv": "filled gaps with their method and standard deviation",
+    "frames.json": "frames of the force plates in the laboratory",
+    "motion.c3d": "the original trial, and the bones as 4x4 ROTATION",
     "orientations.sto": "orientations of the bones, for OpenSense",
     "run.json": "version, settings, inputs, timings",
 }
+"""Files beside the report and their content."""
 _MEANING = {
-    "Bone": "The frame of a segment as the anatomical calibration gives it in one posture or in several, carried on by "
-    "the markers. An error of the calibration stays in every frame as a constant.",
-    "95 % interval": "1.96 standard deviations that the method states, joints' from both bones as if these erred "
-    "independently. What all markers of a segment do together, such as skin sliding as a whole, no interval can hold "
-    "unless a model of skin says how large it usually is.",
-    "Joint angles": "After Grood and Suntay: flexion about the parent's Z axis, rotation about the child's Y axis, "
-    "adduction about the axis across both; positive are flexion, adduction, inward rotation, dorsiflexion, inversion. "
-    "They are as anatomical as the bones' frames: X forward, Y up, Z to the right are expected.",
-    "Translations": "Of the child's origin from the parent's: lateral along the parent's Z, anterior along the "
-    "floating axis, distraction along the child's Y.",
-    "Turn": "How far the child has turned in the parent since the reference frame, about whatever axis: where nobody "
-    "said how the bones lie, this is what markers tell.",
-    "Motion of the markers": "Root mean square distance of a segment's markers from their mean places on the estimated "
-    "bone. A method that lets skin slide shows more of it than one that follows all markers; less is not better.",
-    "Differences of methods": "Root mean square of the difference to the first method's angle, over the frames that "
-    "both answer. They tell what depends on the method, not which one is right.",
+    "Bone": "The frame of a segment, defined by the anatomical calibration in one or several postures and followed by "
+    "means of the markers. An error of the calibration is a constant error in every frame.",
+    "95 % interval": "1.96 standard deviations as stated by the method. The intervals of joints combine both bones as "
+    "if their errors were independent. A motion common to all markers of a segment, such as sliding of the whole "
+    "skin, is included only if the method has a model of the skin with its typical size.",
+    "Joint angles": "Defined after Grood and Suntay: flexion about the parent's Z axis, rotation about the child's Y "
+    "axis, adduction about the axis perpendicular to both; positive are flexion, adduction, internal rotation, "
+    "dorsiflexion, inversion. They are anatomical only if the frames of the bones are: X forward, Y up, Z to the "
+    "right.",
+    "Translations": "Position of the origin of the child relative to the origin of the parent: lateral along the "
+    "parent's Z, anterior along the floating axis, distraction along the child's Y.",
+    "Turn": "Rotation angle of the child relative to the parent since the reference frame, about any axis. Without an "
+    "anatomical calibration this is the quantity that markers determine.",
+    "Motion of the markers": "Root mean square distance of the markers of a segment from their mean positions on the "
+    "estimated bone. A method that models sliding skin shows larger values than one that follows all markers; smaller "
+    "is not better.",
+    "Differences of methods": "Root mean square difference from the angle of the first method over the frames in which "
+    "both have a result. They show how much depends on the method, not which method is correct.",
 }
 
+"""Explanations of the terms on the page."""
 _OF_A_MODEL = {
-    "Bone": "A body of the model. All bodies follow all markers at once, as the model's joints allow; how the model "
-    "was scaled, and where its markers sit, decides what the angles mean.",
-    "Joint angles": "The coordinates of the model, under its own names and signs. One that the markers do not "
-    "determine keeps the value that a task, a limit or the model's default gives it; the notes name it.",
-    "Translations": "The model's coordinates that are lengths.",
-    "95 % interval": "1.96 standard deviations, from the size of each marker's residual over the trial. It knows "
-    "nothing of an error that the residuals do not show, such as skin that moves with its whole segment.",
+    "Bone": "A body of the model. All bodies are fitted to all markers together, within the joints of the model. The "
+    "scaling of the model and the positions of its markers determine what the angles mean.",
+    "Joint angles": "The coordinates of the model with its names and signs. A coordinate that the markers do not "
+    "determine keeps the value of a task, a limit or the default of the model; the notes list it.",
+    "Translations": "The coordinates of the model that are lengths.",
+    "95 % interval": "1.96 standard deviations, from the residuals of each marker over the trial. It does not include "
+    "errors that the residuals do not show, such as skin that moves as a whole over its segment.",
 }
+"""Explanations that replace those of `_MEANING` for the coordinates of a model."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MethodView:
-    """What the page tells of one method."""
+    """Results of one method for the page."""
 
     name: str
     summary: str
@@ -84,18 +89,18 @@ def write_markers_report(
 
     Args:
         path: The file.
-        title: The trial's name.
+        title: Name of the trial.
         time: (F,) [s].
-        asked: (F,) the frames that were estimated.
-        methods: The first one's results are the run's.
-        anatomical: whether joint angles are anatomical, or turns since the reference.
-        notes: What a reader should know.
-        filled: How many points were filled.
+        asked: (F,) true for the estimated frames.
+        methods: Results by method; those of the first are the results of the run.
+        anatomical: Whether joint angles are anatomical; otherwise they are rotations since the reference.
+        notes: Notes for the reader.
+        filled: Number of filled points.
         timings: Seconds by stage.
-        settings: As run.json holds them.
+        settings: Settings as in run.json.
         more: Further plots.
-        files: What stands beside the report.
-        of_model: Whether the angles are a model's coordinates.
+        files: Files beside the report.
+        of_model: Whether the angles are coordinates of a model.
     """
     first = methods[0]
     keys = [(m.name, _colour(i)) for i, m in enumerate(methods)] if len(methods) > 1 else []
@@ -117,7 +122,7 @@ def write_markers_report(
 
 
 def _present(files: Mapping[str, str], folder: Path) -> dict[str, str]:
-    """Keep the files that are there, or will be: a name stands for several, or for one."""
+    """Return the files that exist or will be written; a name with `<...>` stands for several files."""
     there = {p.name for p in folder.iterdir()} | {"run.json"}
     return {
         names: what for names, what in files.items()
@@ -138,22 +143,23 @@ def _tiles(
 ) -> list[tuple[str, str, str]]:
     answered = first.motion.answered[asked]
     whole = int(answered.all(1).sum())
-    below = f"{int(answered.any(1).sum())} with at least one"
+    below = f"{int(answered.any(1).sum())} with at least one bone"
     rate = (len(time) - 1) / (time[-1] - time[0]) if len(time) > 1 else np.nan
     sd = np.degrees(np.nanmedian(first.motion.rotation_sd)) if np.isfinite(first.motion.rotation_sd).any() else np.nan
     tiles = [
         ("frames with all bones", f"{whole} of {int(asked.sum())}", below),
         ("duration", f"{time[-1] - time[0]:.2f} s", f"{rate:g} Hz, {len(time)} frames"),
         ("segments", f"{len(first.motion.segments)}", ", ".join(map(readable, first.motion.segments[:6]))),
-        ("method", first.name, f"and {len(methods) - 1} more beside it" if len(methods) > 1 else first.summary),
+        ("method", first.name, f"and {len(methods) - 1} other methods" if len(methods) > 1 else first.summary),
     ]
     if np.isfinite(sd):
-        tiles.append(("bone turns", f"± {1.96 * sd:.1f}°", "median 95 % interval about one axis"))
+        tiles.append(("orientation of bones", f"± {1.96 * sd:.1f}°", "median 95 % interval about one axis"))
     rms = first.markers.rms[np.isfinite(first.markers.rms)]
     if len(rms):
         last = int(np.nanargmax(first.markers.rms))
-        text = f"most: {first.markers.labels[last]}, {1e3 * first.markers.rms[last]:.1f} mm"
-        tiles.append(("markers move", f"{1e3 * np.sqrt(np.mean(rms**2)):.1f} mm", f"over their bones, RMS; {text}"))
+        text = f"largest: {first.markers.labels[last]}, {1e3 * first.markers.rms[last]:.1f} mm"
+        mean = f"{1e3 * np.sqrt(np.mean(rms**2)):.1f} mm"
+        tiles.append(("motion of markers", mean, f"relative to their bones, RMS; {text}"))
     if filled:
         tiles.append(("points filled", f"{filled}", "listed in filled.csv"))
     return tiles
@@ -170,9 +176,13 @@ def _methods_table(methods: Sequence[MethodView]) -> NumberTable:
     ]  # fmt: skip
     return NumberTable(
         title="Methods",
-        head=("method", "answered", "markers' motion mm", "sd of turn °", "sd of origin mm", "seconds", "what it does"),
+        head=(
+            "method", "frames with result", "motion of markers mm", "sd of rotation °", "sd of origin mm", "time s",
+            "description",
+        ),
         rows=rows, marked=0, text_columns=(0, 6),
-        legend="The first one's results are in the files. Standard deviations are medians, about or along one axis.",
+        legend="The files contain the results of the first method. Standard deviations are medians, about or along "
+        "one axis.",
     )  # fmt: skip
 
 
@@ -205,8 +215,10 @@ def _segments_table(first: MethodView) -> NumberTable:
         )  # fmt: skip
     return NumberTable(
         title="Segments",
-        head=("segment", "markers", "frames answered", "markers' motion mm", "most", "sd of turn °", "sd of origin mm"),
-        rows=rows, legend="Motion of the markers over the bone: root mean square distance from their mean places.",
+        head=("segment", "markers", "frames with result", "motion of markers mm", "largest", "sd of rotation °", "sd "
+        "of origin mm"),
+        rows=rows, legend="Motion of the markers relative to the bone: root mean square distance from their mean "
+        "positions.",
         text_columns=(0, 4),
     )  # fmt: skip
 
@@ -229,7 +241,7 @@ def _joint_group(methods: Sequence[MethodView], keys: Sequence[tuple[str, str]],
         CurvePlot(title=readable(name), curves=_curves(methods, "angles", k, 180 / np.pi))
         for k, name in enumerate(names)
     ]
-    what = "Degrees over seconds" if anatomical else "Degrees turned since the reference frame, over seconds"
+    what = "Degrees over time [s]" if anatomical else "Rotation since the reference frame [degrees] over time [s]"
     return PlotGroup(title="Joint angles", plots=plots, keys=keys, legend=f"{what}; the band is the 95 % interval.")
 
 
@@ -239,9 +251,9 @@ def cycle_plots(
     """Draw mean curves over the cycle.
 
     Args:
-        methods: Name, mean (101, N) and standard deviation between cycles (101, N) of each; the first one's is drawn.
+        methods: Name, mean (101, N) and standard deviation between cycles (101, N) of each; that of the first is drawn.
         names: N quantities with their units at the end.
-        counts: (N,) cycles of the first method.
+        counts: (N,) number of cycles of the first method.
     """
     axis = np.linspace(0, 100, 101)
     plots = []
@@ -260,8 +272,8 @@ def cycle_plots(
             )
         )  # fmt: skip
     keys = [(label, _colour(i)) for i, (label, _, _) in enumerate(methods)] if len(methods) > 1 else []
-    legend = "Mean over the cycles, from one foot strike to the next, in percent; the band is 1.96 standard deviations "
-    return PlotGroup(title="Over the cycle", plots=plots, keys=keys, legend=f"{legend}between cycles.")
+    legend = "Mean over the cycles from one foot strike to the next [%]; the band is 1.96 standard deviations "
+    return PlotGroup(title="Gait cycle", plots=plots, keys=keys, legend=f"{legend}between cycles.")
 
 
 def _translation_group(methods: Sequence[MethodView], keys: Sequence[tuple[str, str]]) -> PlotGroup:
@@ -269,11 +281,11 @@ def _translation_group(methods: Sequence[MethodView], keys: Sequence[tuple[str, 
         CurvePlot(title=readable(name), curves=_curves(methods, "translations", k, 1e3), unit=" mm")
         for k, name in enumerate(methods[0].joints.translation_names)
     ]
-    return PlotGroup(title="Joint translations", plots=plots, keys=keys, legend="Millimetres over seconds.")
+    return PlotGroup(title="Joint translations", plots=plots, keys=keys, legend="Millimetres over time [s].")
 
 
 def _curves(methods: Sequence[MethodView], what: str, k: int, scale: float) -> list[Trace]:
-    """Give one quantity by all methods; only the first one's band is drawn, so that it can be seen."""
+    """Return one quantity of all methods; only the band of the first method is drawn."""
     curves = []
     for i, m in enumerate(methods):
         sd = getattr(m.joints, f"{what}_sd")[:, k] * scale if i == 0 else None
@@ -293,20 +305,20 @@ def _marker_group(methods: Sequence[MethodView], keys: Sequence[tuple[str, str]]
         for name in methods[0].motion.segments
         if name in methods[0].markers.segments
     ]  # fmt: skip
-    legend = "Root mean square distance of a segment's markers from their mean places on the bone, millimetres."
+    legend = "Root mean square distance of the markers of a segment from their mean positions on the bone [mm]."
     return PlotGroup(title="Motion of the markers", plots=plots, keys=keys, legend=legend)
 
 
 def _interval_group(first: MethodView) -> PlotGroup:
-    """Show how sure each bone is over time."""
+    """Return plots of the standard deviations of each bone over time."""
     plots = []
     for s, name in enumerate(first.motion.segments):
         turn, place = first.motion.rotation_sd[:, s], first.motion.origin_sd[:, s]
         if np.isfinite(turn).any():
-            kinds = (("turn", "°", np.degrees(turn.max(-1))), ("origin", " mm", 1e3 * place.max(-1)))
+            kinds = (("rotation", "°", np.degrees(turn.max(-1))), ("origin", " mm", 1e3 * place.max(-1)))
             for k, (what, unit, values) in enumerate(kinds):
                 line = Trace(label="sd", colour=COLOURS[k], values=values)
                 title = f"{readable(name)}, {what}"
                 plots.append(CurvePlot(title=title, unit=unit, least=0.2, digits=2, curves=[line]))
-    legend = "The standard deviation about, or along, the axis that is known least."
+    legend = "Standard deviation about or along the least certain axis."
     return PlotGroup(title="Stated deviations of the bones", plots=plots, legend=legend)

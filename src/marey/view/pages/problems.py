@@ -1,4 +1,4 @@
-"""What went wrong where: every doubt that a motion carries, put into sentences."""
+"""Problems of a captured motion, listed as sentences: lost frames, poor agreement, undetermined coordinates."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,22 +7,24 @@ from typing import Literal
 import numpy as np
 
 from marey.arrays import Mask
-from marey.motion.motion import FILLED, LOST, MEASURED, NOBODY, BodyMotion
+from marey.motion.motion import FILLED, LOST, MEASURED, NO_PERSON, BodyMotion
 
-Severity = Literal["bad", "doubt", "note"]
+Severity = Literal["problem", "caution", "note"]
+"""How much a finding limits the use of a result, the gravest first."""
 LOW_AGREEMENT = 0.80
-"""Below it a picture of the overlay shows a limb beside itself."""
+"""Intersection over union below which the overlay shows a limb beside its image; judged by eye on overlays."""
 SHOWN_RUNS = 6
+"""Number of runs of frames that a sentence names; chosen by hand."""
 ALWAYS = 0.995
-"""Share of frames from which on a coordinate counts as never determined."""
+"""Share of frames above which a coordinate is reported as never determined; chosen by hand."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Problem:
-    """One thing that a reader of the results should know."""
+    """One finding that a reader of the results should know."""
 
     severity: Severity
-    """bad: an answer is missing or wrong; doubt: an answer to be used with care; note: good to know."""
+    """problem: a result is missing or wrong; caution: a result needs care in its use; note: background information."""
     where: str
     what: str
 
@@ -30,16 +32,16 @@ class Problem:
 def find_problems(
     motion: BodyMotion, *, cut: Mask | None = None, warnings: Sequence[str] = (), usable: Mask | None = None
 ) -> list[Problem]:
-    """List what went wrong where, the gravest first.
+    """List the problems of a motion, the gravest first.
 
     Args:
-        motion: What was measured.
-        cut: (F, C) true where the picture's border cuts the person.
-        warnings: What the run itself warned of.
-        usable: (F,) the frames that were asked for; all when missing.
+        motion: The captured motion.
+        cut: (F, C) true where the border of the image cuts the person.
+        warnings: Warnings of the run.
+        usable: (F,) the selected frames; all by default.
 
     Returns:
-        Nothing where all is well.
+        An empty list if there is no problem.
     """
     usable = np.ones(len(motion), bool) if usable is None else usable
     found = [
@@ -49,15 +51,19 @@ def find_problems(
         *_borders(motion, cut),
         *(Problem(severity="note", where="run", what=text) for text in warnings),
     ]
-    order = ("bad", "doubt", "note")
+    order = ("problem", "caution", "note")
     return sorted(found, key=lambda problem: order.index(problem.severity))
 
 
 def _states(motion: BodyMotion, usable: Mask) -> list[Problem]:
     texts: tuple[tuple[int, Severity, str], ...] = (
-        (LOST, "bad", "The person was lost here; the results have no answer."),
-        (FILLED, "doubt", "Not measured but filled from the neighbouring frames, and flagged as such."),
-        (NOBODY, "note", "Nobody is seen; the results have no answer."),
+        (LOST, "problem", "The person was lost in these frames; the results contain no pose here."),
+        (
+            FILLED,
+            "caution",
+            "These frames were not measured. They were interpolated between their neighbours and are flagged.",
+        ),
+        (NO_PERSON, "note", "No person detected; the results contain no pose here."),
     )
     found = []
     for state, severity, what in texts:
@@ -65,7 +71,7 @@ def _states(motion: BodyMotion, usable: Mask) -> list[Problem]:
         if where.any():
             found.append(Problem(severity=severity, where=frames_text(where), what=what))
     if not (motion.state == MEASURED).any():
-        found.append(Problem(severity="bad", where="whole take", what="No frame could be measured."))
+        found.append(Problem(severity="problem", where="whole take", what="No frame could be measured."))
     return found
 
 
@@ -75,17 +81,21 @@ def _agreements(motion: BodyMotion) -> list[Problem]:
         values = motion.agreement[:, c]
         known = np.isfinite(values)
         if not known.any():
-            found.append(Problem(severity="doubt", where=name, what="This camera never saw the person."))
+            found.append(
+                Problem(severity="caution", where=name, what="No person detected in this camera in any frame.")
+            )
             continue
         median = float(np.median(values[known]))
         if median < LOW_AGREEMENT:
-            what = f"Surface and silhouette agree poorly all along (median {median:.2f}); look at its overlay."
-            found.append(Problem(severity="bad", where=name, what=what))
+            what = (
+                f"Surface and silhouette agree poorly in the whole take (median {median:.2f}). Check the overlay video."
+            )
+            found.append(Problem(severity="problem", where=name, what=what))
             continue
         low = known & (values < LOW_AGREEMENT)
         if low.any():
             what = f"Surface and silhouette agree poorly (down to {values[low].min():.2f}): {frames_text(low)}."
-            found.append(Problem(severity="doubt", where=name, what=what))
+            found.append(Problem(severity="caution", where=name, what=what))
     return found
 
 
@@ -97,10 +107,10 @@ def _undetermined(motion: BodyMotion) -> list[Problem]:
     names = [readable(name) for name in motion.coordinate_names]
     always = [name for name, part in zip(names, share, strict=True) if part > ALWAYS]
     partly = [f"{name} ({100 * part:.0f} %)" for name, part in zip(names, share, strict=True) if 0 < part <= ALWAYS]
-    never = "Never fixed by the views, their values come from what is usual: "
-    sometimes = "Not fixed by the views in a part of the frames: "
+    never = "Not determined by the images in any frame; the values come from typical postures: "
+    sometimes = "Not determined by the images in some frames: "
     return [
-        Problem(severity="doubt", where=_coordinates(len(group)), what=f"{text}{', '.join(group)}.")
+        Problem(severity="caution", where=_coordinates(len(group)), what=f"{text}{', '.join(group)}.")
         for text, group in ((never, always), (sometimes, partly))
         if group
     ]
@@ -114,19 +124,19 @@ def _borders(motion: BodyMotion, cut: Mask | None) -> list[Problem]:
     if cut is None:
         return []
     return [
-        Problem(severity="note", where=name, what=f"The picture's border cuts the person: {frames_text(cut[:, c])}.")
+        Problem(severity="note", where=name, what=f"The border of the image cuts the person: {frames_text(cut[:, c])}.")
         for c, name in enumerate(motion.camera_names)
         if cut[:, c].any()
     ]
 
 
 def touches_border(mask: Mask) -> bool:
-    """Tell whether a silhouette (height, width) reaches the border of its picture."""
+    """Return whether a silhouette (height, width) reaches the border of its image."""
     return bool(mask[0].any() or mask[-1].any() or mask[:, 0].any() or mask[:, -1].any())
 
 
 def frames_text(chosen: Mask) -> str:
-    """Write frames (F,) as people do: `frames 3 to 9, 12` or, of many runs, only the first ones."""
+    """Format the selected frames (F,) as `frames 3 to 9, 12`; of many runs only the first ones are named."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], chosen.astype(np.int8), [0]])))
     runs = [(int(a), int(b) - 1) for a, b in edges.reshape(-1, 2)]
     texts = [f"{a}" if a == b else f"{a} to {b}" for a, b in runs[:SHOWN_RUNS]]
@@ -136,5 +146,5 @@ def frames_text(chosen: Mask) -> str:
 
 
 def readable(name: str) -> str:
-    """Write a name of the results as words: `left_hip_flexion` as `left hip flexion`."""
+    """Format a name of the results as words: `left_hip_flexion` as `left hip flexion`."""
     return name.replace("_", " ")

@@ -1,4 +1,4 @@
-"""The report of recovered shapes: a replay that turns, what was chosen and why, residuals, coefficients, the pose."""
+"""The report of recovered shapes: replay, choices and their reasons, residuals, coefficients, pose."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -25,61 +25,65 @@ from marey.view.pages.html import Still, packed, rendered
 FILES = {
     "shapes.npz": "shapes, poses, basis shapes, coefficients, standard deviations, residuals",
     "residuals.csv": "residuals point by point",
-    "tracks.npz": "the points as they were followed in the video",
-    "tracks_<video>.npz": "the points as they were followed in each video",
-    "overlay_<video>.mp4": "the recovered points over the video, and from the side",
+    "tracks.npz": "the points followed in the video",
+    "tracks_<video>.npz": "the points followed in each video",
+    "overlay_<video>.mp4": "the recovered points over the video and in a side view",
     "shapes.glb": "the moving points, for Blender and the web",
-    "shapes.c3d": "the moving points and the object's pose, for laboratories' programs",
-    "shapes/": "a point cloud (PLY) a frame, in the object's frame",
+    "shapes.c3d": "the moving points and the pose of the object, for laboratory software",
+    "shapes/": "one point cloud (PLY) per frame, in the frame of the object",
     "run.json": "version, settings, inputs, timings",
 }
+"""Files beside the report and their content."""
 _MEANING = {
-    "Shape and motion": "The tracks are explained as a rigid motion of a shape that changes: a mean shape, and basis "
-    "shapes that come and go with their coefficients. Nothing else is known of the object.",
-    "Basis shapes": "How many are needed, the mean among them. With one the object is rigid. The tracks, centred, then "
-    "have three times that rank.",
-    "Residual": "Distance of a measured point from the model, in the unit of the input. It shows noise and what the "
-    "basis shapes leave; an error of the depth it does not show.",
-    "95 % interval": "1.96 standard deviations of the recovered shape, from the noise, and where several camera paths "
-    "explain the tracks alike, from how far their answers differ.",
-    "Predicted": "A point that was not seen in a frame: the shape is given there all the same, from what the other "
-    "points and the neighbouring frames tell.",
+    "Shape and motion": "The tracks are modelled as the rigid motion of a shape that changes: a mean shape plus basis "
+    "shapes with coefficients that vary over time. No other model of the object is used.",
+    "Basis shapes": "Their number includes the mean shape; with one the object is rigid. The rank of the centred "
+    "tracks is three times this number.",
+    "Residual": "Distance of a measured point from the model, in the unit of the input. It contains noise and "
+    "deformation that the basis shapes do not describe; it does not contain errors in depth.",
+    "95 % interval": "1.96 standard deviations of the recovered shape, from the noise and, where several camera paths "
+    "explain the tracks equally well, from the difference between their solutions.",
+    "Predicted": "A point that was not visible in a frame. Its position is estimated from the other points and from "
+    "neighbouring frames.",
 }
+"""Explanations of the terms on the page."""
 _MOST_NUMBERS = 600_000
-"""Frames times points that the replay shows; of longer recordings every second, third ... frame."""
+"""Number of frames times points in the replay at most; longer recordings are subsampled. Chosen by hand."""
 _MOST_COEFFICIENTS = 8
+"""Number of coefficients that are plotted at most; chosen by hand."""
 _MOST_ROWS = 24
-"""Points in the table; residuals.csv has all."""
+"""Number of points in the table at most; residuals.csv contains all. Chosen by hand."""
 _LEGEND = (
-    "Blue points were seen in the frame, orange ones follow from the others. The three short lines are the object's "
-    "axes x (red), y (green), z (blue) at its origin. {lines} {axes}"
+    "Blue points were visible in the frame; orange points are predicted. The three short lines are the axes of the "
+    "object, x (red), y (green), z (blue), at its origin. {lines} {axes}"
 )
+"""Legend of the replay."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ShapeReport:
-    """All that the report tells."""
+    """Content of the report of recovered shapes."""
 
     title: str
     found: RecoveredShapes
     rate: float
     labels: Sequence[str]
     lines: Integers
-    """(E, 2) that join points."""
+    """(E, 2) pairs of points joined by lines."""
     own_lines: bool
-    """Whether the input gave them."""
+    """Whether the lines come from the input."""
     upright: Floats
-    """(3, 3) turns the axes of the camera or laboratory so that Z is up."""
+    """(3, 3) rotation of the axes of the camera or laboratory that makes Z the vertical."""
     views: Sequence[str] = ()
-    """Names of the cameras; empty from points in space."""
+    """Names of the cameras; empty for points in space."""
     notes: Sequence[str] = ()
     track_curves: Sequence[Floats] = ()
-    """Of each video (n, 2): ranks of its tracks that were tried, and their held-out error [px]."""
+    """For each video (n, 2): tested ranks of its tracks, and their held-out error [px]."""
     stills: Sequence[Still] = ()
     timings: Mapping[str, float] = field(default_factory=dict)
     settings: Mapping[str, object] = field(default_factory=dict)
     files: Sequence[str] = ()
-    """Names of what stands beside the report, folders with a slash."""
+    """Names of the files beside the report; folders end with a slash."""
 
 
 def write_shape_report(path: Path, report: ShapeReport) -> None:
@@ -87,14 +91,14 @@ def write_shape_report(path: Path, report: ShapeReport) -> None:
 
     Args:
         path: The file.
-        report: What it tells.
+        report: The content of the report.
     """
     with replacing(path) as beside:
         beside.write_text(shape_html(report), encoding="utf-8")
 
 
 def shape_html(report: ShapeReport) -> str:
-    """Give the page's text: one HTML document that loads nothing from elsewhere."""
+    """Return the page as one HTML document that loads nothing from elsewhere."""
     found = report.found
     content = CurvesContent(
         kind="Shape of a deforming surface", title=report.title, time=np.arange(len(found)) / report.rate,
@@ -107,16 +111,15 @@ def shape_html(report: ShapeReport) -> str:
     data = curves_data(content, stride) | {
         "rate": report.rate, "stride": stride, "frames": frames, "shapes": _replay(report, stride),
     }  # fmt: skip
-    drawn = (
-        "Lines join the points that the input joins." if report.own_lines else "Lines join near points, for the eye."
-    )
-    up = "Up is the laboratory's up." if found.kind in IN_LABORATORY else "Up is up in the picture."
+    drawn = "The lines come from the input." if report.own_lines else "Lines join neighbouring points as a visual aid."
+    up = "The vertical is that of the laboratory." if found.kind in IN_LABORATORY else "The vertical is that of the "
+    "image."
     legend = _LEGEND.format(lines=drawn, axes=up)
     return rendered("shapes.html", content, data=data, replay_legend=legend)
 
 
 def _present(names: Sequence[str]) -> dict[str, str]:
-    """Keep the files that are there."""
+    """Return the files that exist, with their content."""
     kept = {}
     for pattern, what in FILES.items():
         start, _, end = pattern.partition("<video>")
@@ -126,7 +129,7 @@ def _present(names: Sequence[str]) -> dict[str, str]:
 
 
 def _replay(report: ShapeReport, stride: int) -> dict[str, object]:
-    """Give the shapes in a size that fits the picture, upright, and the motion."""
+    """Return the shapes, upright and scaled to the view, and the motion."""
     found, turn = report.found, report.upright
     size = max(float(np.nanpercentile(np.linalg.norm(found.shape, axis=1), 98)), 1e-12)
     shape = np.einsum("ij,fjp->fpi", turn, found.shape[::stride]) / size
@@ -149,18 +152,18 @@ def _tiles(report: ShapeReport) -> list[tuple[str, str, str]]:
     sd = np.nanmedian(np.sqrt((found.shape_sd**2).sum(1)))
     seen = np.isfinite(found.residuals)
     rms = float(np.sqrt((np.where(seen, found.residuals, 0) ** 2).sum() / max(seen.sum(), 1)))
-    chosen = "rigid" if found.basis_shapes == 1 else f"the mean and {found.basis_shapes - 1} that come and go"
+    chosen = "rigid" if found.basis_shapes == 1 else f"the mean and {found.basis_shapes - 1} that vary"
     worst = int(np.nanargmax(found.point_rms))
     tiles = [
-        ("frames with an answer", f"{int(answered.sum())}", f"of {len(found)}, {report.rate:g} Hz"),
+        ("frames with a result", f"{int(answered.sum())}", f"of {len(found)}, {report.rate:g} Hz"),
         ("points", f"{points}", f"of {found.shape.shape[2]}; {int(found.predicted.sum())} places predicted"),
-        ("seen by", f"{len(report.views)}" if report.views else "space", ", ".join(report.views[:4]) or found.kind),
+        ("cameras", f"{len(report.views)}" if report.views else "none", ", ".join(report.views[:4]) or found.kind),
         ("basis shapes", f"{found.basis_shapes}", chosen),
-        ("residual", found.residual_text(rms), f"root mean square; most: point {report.labels[worst]}"),
+        ("residual", found.residual_text(rms), f"root mean square; largest: point {report.labels[worst]}"),
         ("shape", f"± {found.length_text(1.96 * float(sd))}", f"median 95 % interval; size {found.length_text(size)}"),
     ]  # fmt: skip
     if np.isfinite(found.metres_per_unit) and found.unit != "m":
-        tiles.append(("scale", f"{1e3 * found.metres_per_unit:.4g} mm", "a unit of the input"))
+        tiles.append(("scale", f"{1e3 * found.metres_per_unit:.4g} mm", "per unit of the input"))
     return tiles
 
 
@@ -168,8 +171,8 @@ def _gauge_table(found: RecoveredShapes) -> NumberTable:
     parts = [line.partition(": ") for line in found.gauge]
     rows = [(what, text[:1].upper() + text[1:]) for what, _, text in parts]
     return NumberTable(
-        title="What the data leave open", head=("what", "what was chosen"), rows=rows, text_columns=(0, 1),
-        legend=f"Method: {found.kind}. Comparisons with another result must allow for each of these.",
+        title="What the data do not determine", head=("quantity", "choice"), rows=rows, text_columns=(0, 1),
+        legend=f"Method: {found.kind}. A comparison with another result must take each of these into account.",
     )  # fmt: skip
 
 
@@ -190,7 +193,7 @@ def _point_table(report: ShapeReport) -> NumberTable:
     return NumberTable(
         title="Residuals by point", rows=rows,
         head=("point", "frames seen", "frames predicted", "residual RMS", "sd, median"),
-        legend="The largest residuals first; residuals.csv has all points.",
+        legend="Sorted by residual, the largest first; residuals.csv contains all points.",
     )  # fmt: skip
 
 
@@ -198,37 +201,37 @@ def _groups(report: ShapeReport) -> list[PlotGroup]:
     found = report.found
     return [
         PlotGroup(
-            title="How many basis shapes", plots=[*_rank_plots(found), *_track_rank_plots(report)],
+            title="Number of basis shapes", plots=[*_rank_plots(found), *_track_rank_plots(report)],
             legend=_rank_legend(report),
         ),
-        PlotGroup(title="Frame by frame", plots=_frame_plots(report), legend="Over seconds."),
+        PlotGroup(title="By frame", plots=_frame_plots(report), legend="Over time [s]."),
         PlotGroup(
             title="Coefficients", plots=_coefficient_plots(found),
-            legend="By how much each basis shape is there, in the unit of the shape; the largest first.",
+            legend="Coefficient of each basis shape in the unit of the shape, the largest first.",
         ),
         PlotGroup(
-            title="Turn of the object", plots=_turn_plots(found),
-            legend="Rotation vector since the first frame with an answer, degrees about the axes of the camera or "
+            title="Rotation of the object", plots=_turn_plots(found),
+            legend="Rotation vector since the first frame with a result, in degrees about the axes of the camera or "
             "laboratory, with 95 % intervals.",
         ),
     ]  # fmt: skip
 
 
 def _rank_legend(report: ShapeReport) -> str:
-    """Say what the curves of `_rank_plots` and `_track_rank_plots` are."""
-    said = []
+    """Return the legend of the curves of `_rank_plots` and `_track_rank_plots`."""
+    sentences = []
     if report.found.curve is not None:
-        said.append(f"Over the number K of basis shapes, the mean among them: {report.found.curve.measure}.")
+        sentences.append(f"Over the number K of basis shapes including the mean: {report.found.curve.measure}.")
     if any(len(curve) > 1 for curve in report.track_curves):
-        said.append("Over the rank of the tracks, beside the translation: distance of places held out, RMS [px].")
-    return " ".join(said)
+        sentences.append("Over the rank of the tracks without the translation: RMS error of held-out positions [px].")
+    return " ".join(sentences)
 
 
 def _rank_plots(found: RecoveredShapes) -> list[CurvePlot]:
     curve = found.curve
     if curve is None or len(curve.ranks) < 2:
         return []
-    title = f"basis shapes: {found.basis_shapes} were taken"
+    title = f"basis shapes: {found.basis_shapes} were chosen"
     return [_over_ranks(title, curve.ranks.astype(float), curve.errors, curve.errors_sd, "")]
 
 
@@ -241,7 +244,7 @@ def _track_rank_plots(report: ShapeReport) -> list[CurvePlot]:
 
 
 def _over_ranks(title: str, ranks: Floats, errors: Floats, sd: Floats, unit: str) -> CurvePlot:
-    """Draw errors over ranks; plots have even axes, so that what lies between ranks that were tried is a line."""
+    """Return a plot of errors over ranks, interpolated linearly between the tested ranks."""
     axis = np.arange(ranks.min(), ranks.max() + 1)
     line = Trace(label="error", values=np.interp(axis, ranks, errors), sd=np.interp(axis, ranks, sd), colour=COLOURS[0])
     spread = float(np.ptp(errors))
@@ -282,7 +285,7 @@ def _frame_plots(report: ShapeReport) -> list[CurvePlot]:
 
 
 def _coefficient_plots(found: RecoveredShapes) -> list[CurvePlot]:
-    """Draw the first coefficients; the mean's is 1 always."""
+    """Return plots of the first coefficients; that of the mean is always 1."""
     shown = found.coefficients[:, 1 : 1 + _MOST_COEFFICIENTS]
     return [
         CurvePlot(

@@ -1,4 +1,4 @@
-"""The report of a measured surface: points and residuals of every frame, what was followed, corrected cameras."""
+"""The report of a measured surface: points and residuals by frame, trajectories, corrected cameras."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -24,35 +24,40 @@ from marey.view.pages.html import Still
 
 FILES = {
     "surface.npz": "all points with covariance, pixels, correlations and residual",
-    "surface.ply": "the first frame's points in colour, for any viewer; all frames in surface/",
-    "surface_<camera>.png": "the points over the template",
+    "surface.ply": "coloured points of the first frame for any viewer; all frames are in surface/",
+    "surface_<camera>.png": "the points over the template image",
     "trajectories.npz": "points followed through the frames",
-    "cameras.toml": "the corrected cameras, where they were corrected",
+    "cameras.toml": "the corrected cameras, if they were corrected",
     "run.json": "version, settings, inputs, timings",
 }
+"""Files beside the report and their content."""
 _MEANING = {
-    "Points": "Patches of a template picture that were found in one other picture or more, and whose rays meet.",
-    "Residual": "Root mean square distance of a point's pixels from its projections. Three rays tell errors in every "
-    "direction; two tell those across the epipolar line alone, and depth errors not at all.",
-    "Standard deviation": "Of a point in space, the root of the covariance's trace: noise, what residuals show, and by "
-    "how much the surface's bend under the patch draws the point inward.",
-    "Trajectories": "Points of the skin or cloth that were followed from frame to frame, without false ones.",
+    "Points": "Patches of a template image that were matched in at least one other image and whose rays intersect.",
+    "Residual": "Root mean square distance between the pixels of a point and its projections. With three rays, errors "
+    "in every direction are visible; with two, only errors perpendicular to the epipolar line, and no depth errors.",
+    "Standard deviation": "Square root of the trace of the covariance of a point in space. It includes image noise, "
+    "the observed residuals, and the bias due to the curvature of the surface under the patch.",
+    "Trajectories": "Points of skin or cloth that were followed from frame to frame, after the rejection of false "
+    "ones.",
 }
+"""Explanations of the terms on the page."""
 _BINS = 60
+"""Number of bins of a histogram; chosen by hand."""
 _SHOWN = 0.99
-"""Share of the points that a histogram shows; the others lie farther out."""
+"""Share of the points within the range of a histogram; chosen by hand."""
 _MOST_ROWS = 24
+"""Number of rows of a table at most; chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SurfaceReport:
-    """All that the report tells."""
+    """Content of the report of a measured surface."""
 
     title: str
     parts: Sequence[MeasuredPoints]
-    """A part for each frame from the first one on."""
+    """Measured points of each frame, from the first frame on."""
     first: int
-    """The first frame."""
+    """Number of the first frame."""
     rate: float
     rig: Rig
     refined: RigRefinement | None = None
@@ -68,13 +73,13 @@ def write_surface_report(path: Path, report: SurfaceReport) -> None:
 
     Args:
         path: The file.
-        report: What it tells.
+        report: The content of the report.
     """
     gathered = _gathered(report.parts)
     frames, plots = gathered.frames, _histograms(report, gathered)
     groups = [PlotGroup(title="Residuals and standard deviations", plots=plots, legend=_HISTOGRAMS)]
     if len(report.parts) > 1:
-        groups.insert(0, PlotGroup(title="Frame by frame", plots=_curves(report, frames), legend="Over seconds."))
+        groups.insert(0, PlotGroup(title="Frame by frame", plots=_curves(report, frames), legend="Over time [s]."))
     tables = [_frame_table(report, frames)]
     if report.refined is not None:
         tables.insert(0, _camera_table(report.rig, report.refined))
@@ -86,7 +91,8 @@ def write_surface_report(path: Path, report: SurfaceReport) -> None:
     write_curves_page(path, content)
 
 
-_HISTOGRAMS = "Share of all points, in percent, over pixels and millimetres."
+_HISTOGRAMS = "Share of all points [%] over residual [px] and standard deviation [mm]."
+"""Legend of the histograms."""
 
 
 def _spread_mm(points: MeasuredPoints) -> Floats:
@@ -95,10 +101,11 @@ def _spread_mm(points: MeasuredPoints) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class _Gathered:
-    """What the frames hold, gone through once: a long take's points are many."""
+    """Statistics of all frames, collected in one pass."""
 
     frames: Floats
-    """(F, 4): points, share of three views and more [%], median residual [px], median sd [mm]; NaN without points."""
+    """(F, 4): number of points, share with three views or more [%], median residual [px], median sd [mm]; NaN without
+    points."""
     residual: Floats
     """(N,) of all points [px]."""
     spread: Floats
@@ -121,14 +128,14 @@ def _gathered(parts: Sequence[MeasuredPoints]) -> _Gathered:
 
 
 def _tiles(report: SurfaceReport, frames: Floats) -> list[tuple[str, str, str]]:
-    """Give the key figures: label, value, and what stands below it."""
+    """Return the key figures: label, value, and the line below."""
     filled = frames[frames[:, 0] > 0]
     middle = np.median(filled, axis=0)
     tiles = [
         ("points", f"{int(frames[:, 0].sum()):,}", f"in {len(filled)} of {len(frames)} frames"),
-        ("three views", f"{middle[1]:.0f} %", "of a frame's points, seen by three cameras or more"),
-        ("residual", f"{middle[2]:.2f} px", "median of the frames' medians"),
-        ("standard deviation", f"{middle[3]:.2f} mm", "of a point in space, likewise"),
+        ("three views", f"{middle[1]:.0f} %", "share of the points of a frame with three views or more"),
+        ("residual", f"{middle[2]:.2f} px", "median over the frames of the median"),
+        ("standard deviation", f"{middle[3]:.2f} mm", "of a point in space, same statistic"),
         (
             "cameras",
             str(len(report.rig)),
@@ -138,13 +145,13 @@ def _tiles(report: SurfaceReport, frames: Floats) -> list[tuple[str, str, str]]:
     if report.followed is not None:
         tracks = report.followed.trajectories
         long = tracks.measured[:, tracks.kept].sum(axis=0)
-        below = f"over {long.mean():.1f} frames on average" if len(long) else "nothing could be followed"
+        below = f"over {long.mean():.1f} frames on average" if len(long) else "no point could be followed"
         tiles.append(("trajectories", f"{len(tracks.kept):,}", below))
     return tiles
 
 
 def _curves(report: SurfaceReport, frames: Floats) -> list[CurvePlot]:
-    """Draw over time what the frames hold."""
+    """Return plots of the statistics over time."""
     what = (("points", "", 0, 10.0, 0), ("residual, median", " px", 2, 0.05, 2), ("sd, median", " mm", 3, 0.05, 2))
     plots = [
         CurvePlot(title=title, unit=unit, least=least, digits=digits,
@@ -160,7 +167,7 @@ def _curves(report: SurfaceReport, frames: Floats) -> list[CurvePlot]:
 
 
 def _histograms(report: SurfaceReport, gathered: _Gathered) -> list[CurvePlot]:
-    """Draw how residuals and standard deviations are spread, and how long trajectories are."""
+    """Return histograms of residuals, standard deviations and lengths of trajectories."""
     plots = [
         _histogram("residual", "px", gathered.residual), _histogram("standard deviation", "mm", gathered.spread)
     ]  # fmt: skip
@@ -179,7 +186,7 @@ def _histogram(title: str, unit: str, values: Floats) -> CurvePlot:
 
 
 def _frame_table(report: SurfaceReport, frames: Floats) -> NumberTable:
-    """List frames; of many, some from all over the take."""
+    """Return a table of frames, evenly selected from a long take."""
     shown = np.unique(np.linspace(0, len(frames) - 1, min(len(frames), _MOST_ROWS)).astype(int))
     rows = [
         (str(report.first + k), f"{int(frames[k, 0]):,}", *("" if v != v else f"{v:.{d}f}" for v, d in
@@ -187,18 +194,18 @@ def _frame_table(report: SurfaceReport, frames: Floats) -> NumberTable:
         for k in shown
     ]  # fmt: skip
     head = ("frame", "points", "three views %", "residual px", "sd mm")
-    return NumberTable(title="Frames", head=head, rows=rows, legend="Medians. Cells without points are empty.")
+    return NumberTable(title="Frames", head=head, rows=rows, legend="Medians; empty cells have no points.")
 
 
 def _camera_table(rig: Rig, refined: RigRefinement) -> NumberTable:
-    """Say how the cameras were corrected."""
+    """Return a table of the corrections of the cameras."""
     rows = [
         (name, f"{np.degrees(turn):.3f}", f"{1e3 * shift:.2f}", f"{px:.2f}")
         for name, turn, shift, px in zip(rig.names, refined.turn, refined.shift, refined.moved_px, strict=True)
     ]
     legend = (
-        f"By {refined.tuples} matches. The median residual of rays that should meet fell from "
+        f"Estimated from {refined.tuples} matches. The median residual of corresponding rays fell from "
         f"{refined.residual_before:.2f} to {refined.residual_after:.2f} px."
     )
-    head = ("camera", "turned by degrees", "moved by mm", "pixels moved by")
+    head = ("camera", "rotation °", "translation mm", "shift of pixels px")
     return NumberTable(title="Cameras corrected", head=head, rows=rows, legend=legend)

@@ -1,0 +1,112 @@
+"""The commands `marey capture`, `marey demo` and `marey shape`."""
+
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from marey.cli.options import (
+    RESULTS,
+    BodyFile,
+    Cameras,
+    FixedSizes,
+    Frames,
+    NoOverlay,
+    Out,
+    Preset,
+    Quiet,
+    Start,
+    Stature,
+    camera_names,
+    frame_range,
+    require_trial,
+)
+from marey.cli.work import working
+
+Trial = Annotated[
+    Path, typer.Argument(metavar="TRIAL", help="Folder with one video per camera and their calibration, cameras.toml.")
+]
+
+
+def capture(
+    trial: Trial,
+    out: Out = None,
+    cameras: Cameras = None,
+    frames: Frames = None,
+    preset: Preset = None,
+    stature: Stature = None,
+    start: Start = None,
+    body: BodyFile = None,
+    fixed_sizes: FixedSizes = False,
+    no_overlay: NoOverlay = False,
+    quiet: Quiet = False,
+) -> None:
+    """Capture the joint motion of the person in a trial.
+
+    TRIAL holds `cam01.mp4`, ... and `cameras.toml`. Images of the empty room, `background/cam01.png`, ..., make the
+    silhouettes more accurate; `trial.toml` may hold settings. After Ctrl-C, the same command resumes the run.
+
+    Examples:
+    * `marey capture walk01`
+    * `marey capture walk01 --stature 1.80 --frames 100:400 --out results/walk01`
+    * `marey capture walk01 --cameras cam01,cam02,cam04 --preset upper --no-overlay`
+    """
+    _capture(
+        trial, out=out, cameras=camera_names(cameras), frames=frame_range(frames), preset=preset, stature=stature,
+        start=start, body=body, fixed_sizes=fixed_sizes, overlay=not no_overlay, quiet=quiet,
+    )  # fmt: skip
+
+
+def demo(out: Out = None, quiet: Quiet = False) -> None:
+    """Capture the example that comes with the program, and print the path of its report."""
+    from marey.io.trial.example import example_folder
+
+    example = example_folder()
+    if out is None and Path(sys.prefix) in example.parents:
+        # Results do not belong in the folder of an installed program.
+        out = Path("marey-demo")
+    _capture(example, out=out, quiet=quiet)
+
+
+def shape(
+    trial: Trial,
+    out: Out = None,
+    cameras: Cameras = None,
+    frames: Frames = None,
+    preset: Preset = None,
+    stature: Stature = None,
+    start: Start = None,
+    body: BodyFile = None,
+    no_overlay: NoOverlay = False,
+    quiet: Quiet = False,
+) -> None:
+    """Fit the person's own body: skeleton, metaballs and skin.
+
+    The body is fitted to the surface that `marey surface` measured, which is read from the folder of the results or
+    measured first, and to the silhouettes. In addition to the files of `marey capture`, `segments.csv` holds lengths,
+    girths, volumes, masses and moments of inertia.
+
+    Examples:
+    * `marey shape arm --preset right_arm`
+    * `marey shape walk01 --stature 1.80 --out results/walk01`
+    """
+    from marey.pipelines.shape.tasks import fit_shape
+
+    require_trial(trial)
+    with working(quiet=quiet, parallel_cameras=True) as progress:
+        found = fit_shape(
+            trial, out=out or trial / RESULTS, cameras=camera_names(cameras), frames=frame_range(frames),
+            preset=preset, stature=stature, start=start, body=body, overlay=not no_overlay, progress=progress,
+        )  # fmt: skip
+    typer.echo(f"Report: {found.report}")
+
+
+def _capture(trial: Path, *, out: Path | None, quiet: bool, **settings: Any) -> None:
+    # The pipeline is imported here, so that help and errors in the arguments appear at once.
+    from marey.pipelines.capture.tasks import capture as capture_motion
+
+    require_trial(trial)
+    with working(quiet=quiet, parallel_cameras=True) as progress:
+        found = capture_motion(trial, out=out or trial / RESULTS, progress=progress, **settings)
+    typer.echo(f"Report: {found.report}")

@@ -1,0 +1,91 @@
+"""The commands `marey compare` and `marey retarget`, which read motions that were measured before."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from marey.cli.options import Quiet
+from marey.cli.work import working
+
+
+def retarget(
+    motion: Annotated[Path, typer.Argument(metavar="MOTION", help="A folder of results, or a motion.npz.")],
+    character: Annotated[Path, typer.Argument(metavar="CHARACTER", help="A GLB or glTF file with a skinned mesh.")],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", metavar="FILE", help="The file to write. [default: beside the motion]"),
+    ] = None,
+    named: Annotated[
+        Path | None,
+        typer.Option("--map", metavar="FILE", help='A TOML with \\[joints] and left_thigh = "name in the character".'),
+    ] = None,
+    no_ground: Annotated[
+        bool,
+        typer.Option("--no-ground", help="Do not adjust the character's height so that its feet reach the floor."),
+    ] = False,
+    plant_feet: Annotated[
+        bool, typer.Option("--plant-feet", help="Keep feet that stand still exactly in place, by bending the legs.")
+    ] = False,
+    quiet: Quiet = False,
+) -> None:
+    """Transfer a measured motion to another character.
+
+    The character may have its own names, sizes, rest posture and axes. The copy has the motion as an additional
+    animation and is otherwise unchanged.
+
+    Examples:
+    * `marey retarget walk01/marey knight.glb`
+    * `marey retarget walk01/marey knight.glb --map knight.toml --out knight_walks.glb`
+    """
+    from marey.pipelines.retarget import check_copy, copy_beside
+    from marey.pipelines.retarget import retarget as transfer
+
+    with working(quiet=quiet):
+        path = out or copy_beside(motion, character)
+        check_copy(path, character)
+        moved = transfer(motion, character, names=named, grounded=not no_ground, planted=plant_feet)
+        moved.save(path)
+    for note in moved.notes if not quiet else []:
+        typer.echo(note)
+    typer.echo(f"Written: {path}")
+
+
+def compare(
+    first: Annotated[Path, typer.Argument(metavar="A", help="A folder of results, or a MOT, TRC, STO, C3D or NPZ.")],
+    second: Annotated[Path, typer.Argument(metavar="B", help="Another motion; differences are A minus B.")],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", metavar="DIR", help="Folder for the results. [default: A_compared_with_B]"),
+    ] = None,
+    named: Annotated[
+        Path | None,
+        typer.Option("--map", metavar="FILE", help='A TOML with \\[angles] "name in A" = "name in B".'),
+    ] = None,
+    shift: Annotated[
+        float | None, typer.Option(metavar="S", help="The clock of B minus that of A in seconds, if it is known.")
+    ] = None,
+    same_laboratory: Annotated[
+        bool,
+        typer.Option("--same-laboratory", help="Both motions are in one laboratory: estimate no rigid offset."),
+    ] = False,
+    quiet: Quiet = False,
+) -> None:
+    """Compare two motions: RMS, bias, limits of agreement and correlation of every angle and point.
+
+    The shift of the clocks and the rigid offset of the laboratories are estimated first. Quantities of the same name
+    are compared. Names of OpenSim's models and of Plug-in Gait are known; for other names use `--map`.
+
+    Examples:
+    * `marey compare walk01/marey walk01_ik.mot`
+    * `marey compare walk01_marey walk02_marey --same-laboratory --shift 0`
+    """
+    from marey.pipelines.compare import CompareOptions, compare_files, comparison_text
+
+    options = CompareOptions(named=named, shift_s=shift, same_laboratory=same_laboratory)
+    with working(quiet=quiet) as progress:
+        found = compare_files(first, second, options, progress)
+        results = found.save(out or Path(f"{found.labels[0]}_compared_with_{found.labels[1]}"))
+        for line in comparison_text(found.data):
+            progress.report(line)
+    typer.echo(f"Report: {results / 'report.html'}")

@@ -1,0 +1,68 @@
+"""The command `marey surface`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from marey.cli.options import RESULTS, Cameras, Frames, Out, Quiet, camera_names, frame_range, require_trial
+from marey.cli.work import working
+
+
+def surface(
+    trial: Annotated[
+        Path, typer.Argument(metavar="TRIAL", help="Folder with cameras.toml and a video, or stills, of each camera.")
+    ],
+    out: Out = None,
+    cameras: Cameras = None,
+    frames: Frames = None,
+    seeds: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Clicked seeds: a CSV with one row per seed, x and y in each camera of cameras.toml."
+        ),
+    ] = None,
+    spacing: Annotated[int, typer.Option(metavar="PX", help="Distance of neighbouring points in the image.")] = 2,
+    patch: Annotated[int, typer.Option(metavar="PX", help="Width of the smallest patches, an odd number.")] = 13,
+    refine_rig: Annotated[
+        bool | None,
+        typer.Option(
+            "--refine-rig/--keep-rig",
+            help="Correct the camera poses by the matches, or keep them. [default: correct them if there are three "
+            "cameras or more and they clearly need it]",
+        ),
+    ] = None,
+    tracks: Annotated[
+        bool, typer.Option("--tracks/--no-tracks", help="Follow points from frame to frame, if there are several.")
+    ] = True,
+    max_speed: Annotated[
+        float | None,
+        typer.Option(metavar="M/S", help="Remove trajectories that are faster. [default: estimated]"),
+    ] = None,
+    max_acceleration: Annotated[
+        float | None,
+        typer.Option(metavar="M/S2", help="Remove trajectories with more acceleration. [default: estimated]"),
+    ] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Measure the visible surface of a body or an object as 3-D points, and follow it from frame to frame.
+
+    TRIAL holds `cameras.toml` and `cam01.mp4`, ..., or stills `cam01_1.jpg`, ..., or `images/cam01.jpg`, ... of one
+    instant. Images of the empty room in `background/`, or known `masks/`, exclude the room. The surface needs texture,
+    and cameras 10 to 25 degrees apart. After Ctrl-C, the same command resumes the run.
+
+    Examples:
+    * `marey surface face1`
+    * `marey surface arm3 --spacing 4 --frames 0:10`
+    * `marey surface face1 --seeds clicked.csv --keep-rig`
+    """
+    from marey.pipelines.surface.tasks import measure_surface
+
+    require_trial(trial)
+    with working(quiet=quiet, parallel_cameras=True) as progress:
+        found = measure_surface(
+            trial, out=out or trial / RESULTS, cameras=camera_names(cameras), frames=frame_range(frames), seeds=seeds,
+            spacing=spacing, patch=patch, refine_rig=refine_rig, tracks=tracks, max_speed=max_speed,
+            max_acceleration=max_acceleration, progress=progress,
+        )  # fmt: skip
+    typer.echo(f"Surface: {found.path}")

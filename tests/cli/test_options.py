@@ -1,0 +1,17 @@
+import pytest
+
+from marey.cli.options import parse_frames, parse_names
+from marey.errors import SettingProblem
+
+
+def test_frames_may_leave_the_first_away():
+    assert parse_frames(":12") == (0, 12)
+    for text in ("12:", "a:b", "1:2:3", "-3:4", "", "5:5"):
+        with pytest.raises(SettingProblem, match="--frames"):
+            parse_frames(text)
+
+
+def test_names_are_set_apart_by_commas():
+    assert parse_names("cam01, cam02,") == ("cam01", "cam02")
+    with pytest.raises(SettingProblem, match="--cameras"):
+        parse_names(" , ")
