@@ -409,7 +409,7 @@ def _hips(fit: _RestAlignment, known: Integers) -> Floats:
     middle = np.mean([motion.segment_origin[known, motion.segment_names.index(f"{s}_thigh")] for s in _SIDES], axis=0)
     ankles = _ankle_heights(fit)
     higher = ankles[0] - size * ankles[1] if ankles else 0.0
-    return (size * middle + np.array([0.0, 0.0, higher])) @ fit.rig.scene_from_world.T
+    return np.asarray((size * middle + np.array([0.0, 0.0, higher])) @ fit.rig.scene_from_world.T)
 
 
 def _ankle_heights(fit: _RestAlignment) -> tuple[float, float] | None:
