@@ -1,8 +1,9 @@
 """What MkDocs does beside its own work: pages made from the program, formulas, citations.
 
-Four markers in the pages are replaced: `<!-- commands -->` by the help of every command, `<!-- public names -->` by
+Markers in the pages are replaced: `<!-- commands -->` by the help of every command, `<!-- public names -->` by
 the documentation of everything that `marey` exports, `<!-- examples -->` by the scripts in examples/, and
-`<!-- bibliography -->` by docs/references.bib. A citation
+`<!-- bibliography -->` by docs/references.bib. `<!-- source FILE NAME -->` becomes the code of a class or function. A
+citation
 such as `[Rosenhahn2006]` becomes a link to the bibliography. Formulas between dollar signs become MathML, which
 browsers show without a script.
 """
@@ -23,6 +24,7 @@ BIBLIOGRAPHY = "reference/bibliography.md"
 
 _CITATION = re.compile(r"\[([A-Z][A-Za-z]+\d{4}[a-z]?)\](?![(\[:])")
 _CODE = re.compile(r"(^ *```.*?^ *```[^\n]*$|^(?: {4}|\t)[^\n]*$|`[^`\n]+`)", re.MULTILINE | re.DOTALL)
+_SOURCE = re.compile(r"<!-- source (\S+) (\w+) -->")
 _FORMULA = re.compile(r'<(span|div) class="arithmatex">(.*?)</\1>', re.DOTALL)
 
 
@@ -48,6 +50,7 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
         marker = f"<!-- {name} -->"
         if marker in markdown:
             markdown = markdown.replace(marker, make())
+    markdown = _SOURCE.sub(lambda found: source_of(found.group(1), found.group(2)), markdown)
     path = page.file.src_uri
     return markdown if path == BIBLIOGRAPHY else linked_citations(markdown, path)
 
@@ -179,6 +182,15 @@ def examples() -> str:
         name = f"`examples/{path.name}`"
         parts.append(f"### {title.rstrip('.')}\n\n{name}\n\n{text.strip()}\n\n```python\n{code.rstrip()}\n```")
     return "\n\n".join(parts)
+
+
+def source_of(file: str, name: str) -> str:
+    """Show a class or function of the package with its decorators, as code."""
+    text = (DOCS.parent / "src" / "marey" / file).read_text(encoding="utf-8")
+    node = next(node for node in ast.parse(text).body if getattr(node, "name", "") == name)
+    first = min([node.lineno, *(each.lineno for each in node.decorator_list)])  # type: ignore[attr-defined]
+    lines = text.splitlines()[first - 1 : node.end_lineno]
+    return "\n".join(["```python", *lines, "```"])
 
 
 def entries() -> dict[str, str]:
