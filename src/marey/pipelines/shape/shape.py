@@ -229,7 +229,7 @@ class Fitted:
     shaped: ShapeEstimate
 
 
-def fitted(run: Run, followed: FollowedPerson, begun: ShapeEstimate, given: OnSurface) -> Fitted:
+def fitted(run: Run, followed: FollowedPerson, begun: ShapeEstimate, given: SurfaceMeasurements) -> Fitted:
     """Fit the whole body, then single metaballs; refine the motion a last time."""
     settings = ShapeSettings()
     take = SilhouetteTake(
@@ -237,7 +237,7 @@ def fitted(run: Run, followed: FollowedPerson, begun: ShapeEstimate, given: OnSu
     )
     levels = take.levels(run.person.fine_height)
     # Simplified limbs are used only if the start has them: learned shapes are nearer (docs/accuracy/rejected.md).
-    for i, detail in enumerate(DETAILS_IN_TURN if simplified(begun.body) else DETAILS_IN_TURN[1:]):
+    for i, detail in enumerate(DETAILS_IN_TURN if has_simple_limbs(begun.body) else DETAILS_IN_TURN[1:]):
         now = replace(begun, body=more_detailed(begun.body, detail))
         scale = settings.begin_scale_m if i == 0 else np.inf
 
