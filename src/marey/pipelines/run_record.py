@@ -190,24 +190,6 @@ def _record_in(folder: Path) -> dict[str, Any]:
     return record if sound else {}
 
 
-def recorded_run(folder: Path, command: str) -> dict[str, Any]:
-    """Return what run.json holds about the last run of a command.
-
-    Args:
-        folder: A folder of results.
-        command: For example `markers`.
-
-    Returns:
-        The record; empty if the folder has none of this command.
-    """
-    record = _record_in(folder)
-    if record.get("command") == command:
-        return record
-    earlier = record.get("earlier", {})
-    found = earlier.get(command, {}) if isinstance(earlier, dict) else {}
-    return found if isinstance(found, dict) else {}
-
-
 def _write_json(path: Path, record: Mapping[str, object]) -> None:
     path.write_text(json.dumps(record, indent=2, ensure_ascii=False, default=str) + "\n", encoding="utf-8")
 

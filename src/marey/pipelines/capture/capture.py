@@ -13,18 +13,18 @@ from marey.body.articulation.surface import Body
 from marey.body.metaballs.metaball_person import reshaped
 from marey.errors import FileProblem
 from marey.fit.recipes.person import (
-    Memory,
-    Take,
-    bridged,
-    mend_person,
+    SilhouetteTake,
+    TrackCheckpoint,
+    interpolated_poses,
     refine_person,
+    repair_person,
     shape_frames,
     start_person,
     track_person,
-    unseen,
+    unsupported_frames,
     with_shape,
 )
-from marey.fit.recipes.sequence import RefineMemory
+from marey.fit.recipes.sequence import RefineCheckpoint
 from marey.fit.recipes.start_joints import start_from_joints
 from marey.fit.search.search import Candidate
 from marey.io.results.results import write_results
@@ -101,10 +101,10 @@ class FollowedPerson:
     frames: Sequence[int]
     """Frames that show a person."""
 
-    def take(self, run: "Run") -> Take:
+    def take(self, run: "Run") -> SilhouetteTake:
         """Return the take as the refinement needs it."""
         poses, store = self.tracked.poses, self.outlines
-        return Take(tuple(run.trial.rig), store, tuple(poses), run.trial.take.rate, store.edges)
+        return SilhouetteTake(tuple(run.trial.rig), store, tuple(poses), run.trial.take.rate, store.edges)
 
 
 def _capture(run: Run, bodies: Bodies, logs: Logs) -> None:
@@ -133,8 +133,8 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
         store = stages.common_silhouettes(store, small, MaskStore(logs.common, first, small), progress)
         frames = stages.frames_with_somebody(store)
         stages.require_somebody(trial, frames)
-    tracked = _tracked(run, Take(tuple(small), store, frames, trial.take.rate), bodies)
-    filled = bridged(tracked.poses, longest=run.person.bridge * trial.take.rate)
+    tracked = _tracked(run, SilhouetteTake(tuple(small), store, frames, trial.take.rate), bodies)
+    filled = interpolated_poses(tracked.poses, longest=run.person.bridge * trial.take.rate)
     known = dict(sorted({**tracked.poses, **filled}.items()))
     stages.warn_of_lost(progress, frames, known, count=trial.take.count)
     if not trial.masks:
@@ -144,7 +144,7 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
     return FollowedPerson(replace(tracked, poses=known), filled, outlines, frames)
 
 
-def _tracked(run: Run, take: Take, bodies: Bodies) -> Tracked:
+def _tracked(run: Run, take: SilhouetteTake, bodies: Bodies) -> Tracked:
     """Find the start, track the person, and estimate the shape."""
     person, progress, cache = run.person, run.progress, run.cache
     free = bodies.held() if run.settings.fixed_sizes else bodies
@@ -168,14 +168,14 @@ def _tracked(run: Run, take: Take, bodies: Bodies) -> Tracked:
             cache.frames("repaired_frames", depends=run.scope) as repaired,
             progress.stage("Tracking", len(take.frames)) as step,
         ):
-            memory = Memory(
+            memory = TrackCheckpoint(
                 KeptCandidates(tracked, begun.body),
                 KeptCandidates(picked, begun.body),
                 KeptCandidates(repaired, begun.body),
             )
             found = track_person(
                 take, begun.body, with_shape(begun.body, bodies.coarse), (frame, begun.poses[frame]), person,
-                done=lambda frame: step(), memory=memory,
+                progress=lambda frame: step(), checkpoint=memory,
             )  # fmt: skip
         return _packed(found, begun.body)
 
@@ -188,8 +188,8 @@ def _tracked(run: Run, take: Take, bodies: Bodies) -> Tracked:
         ):
             for fit in refine_person(
                 take, followed.body, followed.poses, frames_for_sizes(run, followed.scores), person,
-                height=person.track_height, rounds=SHAPE_ROUNDS, also=run.further, done=lambda frame: step(),
-                memory=memory,
+                height=person.track_height, rounds=SHAPE_ROUNDS, extra_terms=run.further,
+                progress=lambda frame: step(), checkpoint=memory,
             ):  # fmt: skip
                 poses |= fit.by_frame
             # This frees space on the disk; a round is soon repeated if the run ends at this point.
@@ -207,7 +207,7 @@ def frames_for_sizes(run: Run, scores: Mapping[int, float]) -> list[int]:
 
 
 def begin(
-    run: Run, take: Take, bodies: Bodies, kept: KeptCandidates, *, done: Callable[[int], None]
+    run: Run, take: SilhouetteTake, bodies: Bodies, kept: KeptCandidates, *, done: Callable[[int], None]
 ) -> tuple[int, Candidate]:
     """Find the start, from given joints or without any.
 
@@ -238,7 +238,7 @@ def begin(
         )
         done(joints.frame)
     else:
-        found = start_person(take, bodies.coarse, bodies.fine, run.person, done=done, memory=kept)
+        found = start_person(take, bodies.coarse, bodies.fine, run.person, progress=done, checkpoint=kept)
     if found is None:
         remedy = "Check that all cameras are calibrated in one world, and that the silhouettes show the person."
         raise FileProblem(trial.folder, "has silhouettes that have no point of space in common", remedy)
@@ -247,13 +247,13 @@ def begin(
 
 
 @contextmanager
-def rounds_of(run: Run, name: str) -> Iterator[RefineMemory]:
+def rounds_of(run: Run, name: str) -> Iterator[RefineCheckpoint]:
     """Open the checkpoints of a refinement: finished rounds, and finished windows of the present round."""
     with (
         run.cache.frames(f"{name}_rounds", depends=run.scope) as rounds,
         run.cache.frames(f"{name}_windows", depends=run.scope) as windows,
     ):
-        yield RefineMemory(KeptArrays(rounds), KeptArrays(windows))
+        yield RefineCheckpoint(KeptArrays(rounds), KeptArrays(windows))
 
 
 @dataclass(frozen=True, eq=False)
@@ -282,12 +282,12 @@ def refined_person(run: Run, followed: FollowedPerson, bodies: Bodies) -> Refine
     """
     person, take, tracked = run.person, followed.take(run), followed.tracked
     with run.cache.frames("mended_frames", depends=run.scope) as log, run.progress.stage("Mending"):
-        poses = mend_person(
+        poses = repair_person(
             take, tracked.body, with_shape(tracked.body, bodies.coarse), tracked.poses, person,
-            memory=KeptCandidates(log, tracked.body),
+            checkpoint=KeptCandidates(log, tracked.body),
         )  # fmt: skip
     usual = float(np.median(list(tracked.scores.values())))
-    blind = unseen(take, tracked.body, poses, followed.filled, person, usual=usual)
+    blind = unsupported_frames(take, tracked.body, poses, followed.filled, person, usual=usual)
     take.forget()
     found: dict[int, Pose] = {}
     pieces = []
@@ -297,8 +297,8 @@ def refined_person(run: Run, followed: FollowedPerson, bodies: Bodies) -> Refine
     ):
         for fit in refine_person(
             take, tracked.body, poses, frames_for_sizes(run, tracked.scores), person,
-            height=person.fine_height, rounds=FINE_ROUNDS, blind=blind, also=run.further, done=lambda frame: step(),
-            memory=memory,
+            height=person.fine_height, rounds=FINE_ROUNDS, ignored_frames=blind, extra_terms=run.further,
+            progress=lambda frame: step(), checkpoint=memory,
         ):  # fmt: skip
             found |= fit.by_frame
             pieces.append(measure_piece(fit))

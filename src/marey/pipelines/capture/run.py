@@ -21,8 +21,8 @@ from marey.fit.recipes.person import (
     PersonSettings,
     with_shape,
 )
-from marey.fit.recipes.pick_up import of_one_shape
-from marey.fit.recipes.sequence import Further
+from marey.fit.recipes.pick_up import with_fixed_shape
+from marey.fit.recipes.sequence import FrameTermsFactory
 from marey.io.calibration.readers import read_rig
 from marey.io.results.body import open_body
 from marey.io.stages import FrameLog, file_fingerprint
@@ -107,9 +107,9 @@ class Run:
     """Further observations by frame."""
 
     @property
-    def further(self) -> Further | None:
+    def further(self) -> FrameTermsFactory | None:
         """The further observations as terms of the refinement; None without any."""
-        return FrameObservations(self.observations).of_round if self.observations else None
+        return FrameObservations(self.observations).terms_of_round if self.observations else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +133,7 @@ class Bodies:
 
     def held(self) -> "Bodies":
         """Return the same bodies with fixed sizes."""
-        return Bodies(of_one_shape(self.fine), of_one_shape(self.coarse))
+        return Bodies(with_fixed_shape(self.fine), with_fixed_shape(self.coarse))
 
 
 def require_two_cameras(trial: Trial) -> None:

@@ -21,19 +21,19 @@ from marey.fit.points.lost_points import expected_by_skin
 from marey.fit.points.person_tracks import PersonTracks
 from marey.fit.points.shape import (
     DETAILS_IN_TURN,
-    OnSurface,
-    Shaped,
+    ShapeEstimate,
     ShapeSettings,
-    evenly,
+    SurfaceMeasurements,
+    evenly_spaced,
+    final_covariances,
+    has_simple_limbs,
     measured_segments,
     more_detailed,
     refine_shape,
-    simplified,
-    stated,
 )
-from marey.fit.points.shape_start import begun_from_clicks, begun_from_person, carried_on
-from marey.fit.points.surface_points import FramePoints, PersonPoints, spread_over
-from marey.fit.recipes.person import Take
+from marey.fit.points.shape_start import extend_by_trajectories, start_from_clicked_joints, start_from_person
+from marey.fit.points.surface_points import FramePoints, PersonPoints, thinned_evenly
+from marey.fit.recipes.person import SilhouetteTake
 from marey.fit.recipes.sequence import refine_in_pieces
 from marey.fit.recipes.start_joints import clicked_joints, start_from_joints
 from marey.io.gltf.glb import write_glb
@@ -103,8 +103,10 @@ def shape_trial(trial: Trial, settings: CaptureSettings, progress: Progress) -> 
         points = points_of(run, out / SURFACE[0])
         tracks = read_trajectories(out / SURFACE[1]) if (out / SURFACE[1]).is_file() else None
         followed, begun, clicked = begin(run, bodies, logs, points, tracks)
-        few = {f: spread_over(given, ShapeSettings().points_a_frame) for f, given in points.items()}
-        given = OnSurface(PersonPoints(by_frame=few), None if tracks is None else PersonTracks.of(tracks), clicked)
+        few = {f: thinned_evenly(given, ShapeSettings().points_a_frame) for f, given in points.items()}
+        given = SurfaceMeasurements(
+            PersonPoints(by_frame=few), None if tracks is None else PersonTracks.of(tracks), clicked
+        )
         shaped = fitted(run, followed, begun, given)
         write_shape(run, followed, shaped, points)
     return load_motion(out)
@@ -140,7 +142,7 @@ def points_of(run: Run, path: Path) -> dict[int, FramePoints]:
 
 def begin(
     run: Run, bodies: Bodies, logs: Logs, points: Mapping[int, FramePoints], tracks: Trajectories | None
-) -> tuple[FollowedPerson, Shaped, Clicked]:
+) -> tuple[FollowedPerson, ShapeEstimate, Clicked]:
     """Find the person's motion, a first shape, and the clicked joints.
 
     With silhouettes this is done as in `marey capture`. Without a background, but with clicked joints, the motion is
@@ -161,12 +163,12 @@ def begin(
         return begin_by_points(run, bodies, logs, points, tracks)
     followed = follow_person(run, bodies, logs)
     refined = refined_person(run, followed, bodies)
-    return followed, begun_from_person(refined.body, refined.poses, ShapeSettings()), {}
+    return followed, start_from_person(refined.body, refined.poses, ShapeSettings()), {}
 
 
 def begin_by_points(
     run: Run, bodies: Bodies, logs: Logs, points: Mapping[int, FramePoints], tracks: Trajectories | None
-) -> tuple[FollowedPerson, Shaped, Clicked]:
+) -> tuple[FollowedPerson, ShapeEstimate, Clicked]:
     """Start from clicked joints, and follow the trajectories from there.
 
     Args:
@@ -191,17 +193,17 @@ def begin_by_points(
     if joints.frame not in points:
         remedy = "Click the joints in a frame whose surface was measured."
         raise FileProblem(trial.start or trial.folder, f"names frame {joints.frame}, which has no points", remedy)
-    take = Take(tuple(trial.rig), outlines, tuple(points), trial.take.rate)
+    take = SilhouetteTake(tuple(trial.rig), outlines, tuple(points), trial.take.rate)
     with run.progress.stage("Start"):
         found = start_from_joints(take, joints.frame, joints.joint_names, joints.pixels, bodies.fine, run.person)[1]
         clicked = {joints.frame: clicked_joints(list(trial.rig), joints.joint_names, joints.pixels, found.posed)}
-        begun = begun_from_clicks(found.posed, clicked, points, settings)
+        begun = start_from_clicked_joints(found.posed, clicked, points, settings)
     if tracks is not None:
         inside = [row for row, f in enumerate(tracks.frames) if trial.take.first <= f < trial.take.end]
         position = tracks.position[inside][:, ~tracks.removed]
         with run.progress.stage("Motion by trajectories", len(inside)) as step:
-            begun = carried_on(
-                begun, tracks.frames[inside], position, points, settings, done=lambda frame: step()
+            begun = extend_by_trajectories(
+                begun, tracks.frames[inside], position, points, settings, progress=lambda frame: step()
             )  # fmt: skip
     tracked = Tracked(begun.body, begun.poses, dict.fromkeys(begun.poses, 1.0))
     return FollowedPerson(tracked, {}, outlines, tuple(points)), begun, clicked
@@ -224,28 +226,28 @@ class Fitted:
     body: Body
     poses: Mapping[int, Pose]
     pieces: Sequence[MeasuredPiece]
-    shaped: Shaped
+    shaped: ShapeEstimate
 
 
-def fitted(run: Run, followed: FollowedPerson, begun: Shaped, given: OnSurface) -> Fitted:
+def fitted(run: Run, followed: FollowedPerson, begun: ShapeEstimate, given: SurfaceMeasurements) -> Fitted:
     """Fit the whole body, then single metaballs; refine the motion a last time."""
     settings = ShapeSettings()
-    take = Take(
+    take = SilhouetteTake(
         tuple(run.trial.rig), followed.outlines, tuple(begun.poses), run.trial.take.rate, followed.outlines.edges
     )
     levels = take.levels(run.person.fine_height)
     # Simplified limbs are used only if the start has them: learned shapes are nearer (docs/accuracy/rejected.md).
-    for i, detail in enumerate(DETAILS_IN_TURN if simplified(begun.body) else DETAILS_IN_TURN[1:]):
+    for i, detail in enumerate(DETAILS_IN_TURN if has_simple_limbs(begun.body) else DETAILS_IN_TURN[1:]):
         now = replace(begun, body=more_detailed(begun.body, detail))
         scale = settings.begin_scale_m if i == 0 else np.inf
 
-        def compute(now: Shaped = now, scale: float = scale, detail: str = detail) -> Arrays:
+        def compute(now: ShapeEstimate = now, scale: float = scale, detail: str = detail) -> Arrays:
             total = settings.repeats * settings.rounds * len(now.poses)
             with run.progress.stage(f"Shape, {NAMES[detail]}", total) as step:
                 return _packed(
                     refine_shape(
                         now, levels, given, rate=take.rate, repeats=settings.repeats, settings=settings, scale_m=scale,
-                        done=lambda frame: step(),
+                        progress=lambda frame: step(),
                     )
                 )  # fmt: skip
 
@@ -257,8 +259,10 @@ NAMES = {"simple": "simplified limbs", "full": "whole body", "single": "single b
 """Names of the fitted bodies for the progress display, by `DETAILS_IN_TURN`."""
 
 
-def _last(run: Run, take: Take, begun: Shaped, given: OnSurface, settings: ShapeSettings) -> Fitted:
-    measured_there = given.believed(begun)
+def _last(
+    run: Run, take: SilhouetteTake, begun: ShapeEstimate, given: SurfaceMeasurements, settings: ShapeSettings
+) -> Fitted:
+    measured_there = given.with_uncertainty(begun)
     levels = take.levels(run.person.fine_height)
     poses: dict[int, Pose] = {}
     body = begun.body
@@ -268,22 +272,22 @@ def _last(run: Run, take: Take, begun: Shaped, given: OnSurface, settings: Shape
     ):
         for fit in refine_in_pieces(
             list(begun.poses), list(begun.poses.values()), begun.body, levels,
-            rate=take.rate, rounds=LAST_ROUNDS, shape_frames=evenly(list(begun.poses), settings.shape_frames),
-            settings=replace(settings.sequence, sigma_px=begun.outline_sd_px), also=measured_there.of_round,
-            done=lambda frame: step(), memory=memory,
+            rate=take.rate, rounds=LAST_ROUNDS, shape_frames=evenly_spaced(list(begun.poses), settings.shape_frames),
+            settings=replace(settings.sequence, sigma_px=begun.outline_sd_px),
+            extra_terms=measured_there.terms_of_round, progress=lambda frame: step(), checkpoint=memory,
         ):  # fmt: skip
             poses |= fit.by_frame
             body = fit.body
     found = replace(begun, body=body, poses=poses)
     pieces: list[MeasuredPiece] = []
     with run.progress.stage("Standard deviations"):
-        for fit in stated(found, levels, measured_there, rate=take.rate, settings=settings):
+        for fit in final_covariances(found, levels, measured_there, rate=take.rate, settings=settings):
             pieces.append(measure_piece(fit))
             body = fit.body
     return Fitted(body, poses, pieces, replace(found, body=body))
 
 
-def _packed(found: Shaped) -> Arrays:
+def _packed(found: ShapeEstimate) -> Arrays:
     return {
         "frames": np.array(list(found.poses)),
         "translation": np.array([pose.translation for pose in found.poses.values()]),
@@ -294,10 +298,10 @@ def _packed(found: Shaped) -> Arrays:
     }
 
 
-def _unpacked(arrays: Arrays, begun: Shaped) -> Shaped:
+def _unpacked(arrays: Arrays, begun: ShapeEstimate) -> ShapeEstimate:
     parts = zip(arrays["translation"], arrays["rotation"], arrays["angles"], strict=True)
     poses = dict(zip(map(int, arrays["frames"]), (Pose(*part) for part in parts), strict=True))
-    return Shaped(reshaped(begun.body, arrays["numbers"]), poses, *map(float, arrays["sds"]))
+    return ShapeEstimate(reshaped(begun.body, arrays["numbers"]), poses, *map(float, arrays["sds"]))
 
 
 def write_shape(run: Run, followed: FollowedPerson, found: Fitted, points: Mapping[int, FramePoints]) -> None:
