@@ -11,10 +11,10 @@ from marey.arrays import Floats, Mask
 from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.articulation.skeleton import Skeleton
 from marey.body.articulation.surface import Body
-from marey.body.people.family import Level as Detail
+from marey.body.people.family import DetailLevel as Detail
 from marey.body.people.person import family_body
 from marey.cameras.camera import Camera
-from marey.fit.recipes.person import Take
+from marey.fit.recipes.person import SilhouetteTake
 from marey.fit.search.levels import FrameLevels
 from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
@@ -97,10 +97,10 @@ def seen(
     return masks if rng is None else [[rough(mask, rng, spread=noise) for mask in frame] for frame in masks]
 
 
-def take(posed: Sequence[PosedBody], cameras: Sequence[Camera]) -> Take:
+def take(posed: Sequence[PosedBody], cameras: Sequence[Camera]) -> SilhouetteTake:
     """A take of a motion, one posed body a frame."""
     masks = seen(posed, cameras)
-    return Take(tuple(cameras), lambda frame: masks[frame], tuple(range(len(posed))), RATE)
+    return SilhouetteTake(tuple(cameras), lambda frame: masks[frame], tuple(range(len(posed))), RATE)
 
 
 def levels(

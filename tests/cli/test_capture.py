@@ -115,7 +115,7 @@ def add_an_unknown_key(trial: Path) -> str:
 
 def keep_the_empty_frames(trial: Path) -> str:
     (trial / "trial.toml").write_text("frames = [0, 6]\n")
-    return "shows nobody"
+    return "shows no person"
 
 
 def turn_the_world(trial: Path) -> str:

@@ -70,7 +70,7 @@ def test_a_folder_that_cannot_be_written_is_told_before_the_work(tmp_path: Path,
         write_mesh(tmp_path / f"{name}.ply", made_bone(fine=3))
     words = ["knee", "register", str(tmp_path / "template.ply"), str(tmp_path / "femur.ply"), "--out"]
     assert run([*words, str(tmp_path / "femur.ply" / "below")]) == 2
-    assert "cannot be made (Not a directory)" in capsys.readouterr().err
+    assert "cannot be created (Not a directory)" in capsys.readouterr().err
 
 
 def test_a_template_of_which_the_subject_shows_a_part_is_registered_and_that_is_said(tmp_path: Path, capsys):

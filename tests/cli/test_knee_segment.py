@@ -155,7 +155,7 @@ def test_a_folder_that_cannot_be_written_is_told_before_the_work(tmp_path, capsy
     (tmp_path / "file").write_text("in the way", encoding="utf-8")
     monkeypatch.setattr("marey.pipelines.knee.segment.segment_bones", lambda *_, **__: pytest.fail("it began to work"))
     assert run(["knee", "segment", str(tmp_path / "knee.nii.gz"), "--out", str(tmp_path / "file"), "-q"]) == 2
-    assert "cannot be made" in capsys.readouterr().err
+    assert "cannot be created" in capsys.readouterr().err
 
 
 def test_an_interrupted_run_leaves_nothing_behind(tmp_path, monkeypatch):

@@ -144,7 +144,7 @@ def test_without_a_common_surface_there_is_a_reason_and_no_file(tmp_path, rng, c
     folder = write_trial(tmp_path / "trial", [images], rig)
     assert run(["surface", str(folder), *OPTIONS]) == WRONG_INPUT
     said = capsys.readouterr().err
-    assert {"other balls": "no surface that", "flat": "no texture", "far apart": "differ by less"}[kind] in said
+    assert {"other balls": "no surface that", "flat": "too little texture", "far apart": "differ by less"}[kind] in said
     assert not (folder / "marey" / "surface.npz").exists()
 
 

@@ -126,7 +126,7 @@ def test_kinds_are_final_so_that_nobody_bends_the_contract():
 
 
 def test_the_page_for_newcomers_lists_every_kind():
-    page = (Path(__file__).parents[2] / "docs" / "adding-an-observation.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "how-to" / "add-an-observation.md").read_text(encoding="utf-8")
     assert [kind.__name__ for kind in CATALOGUE if f"| `{kind.__name__}` |" not in page] == []
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from marey.images.silhouettes.nearest import nearest_other, nearest_within, sort_into_cells
 from marey.observations.correspondence import pair_both_ways
-from marey.observations.votes import SLACK, SPLIT, WINDOW, elect
+from marey.observations.votes import SLACK, SPLIT, WINDOW, elect_limbs
 
 ROWS = np.arange(60.0)
 LEFT, RIGHT = 1, 2
@@ -88,7 +88,7 @@ def test_an_election_is_what_counting_the_votes_gives(rng):
     nearest, second = rng.integers(-1, 60, (2, 70))
     second[rng.random(70) > 0.4] = -1
     second[nearest < 0] = -1
-    taken, doubtful = elect(nearest, second, rim, limb, sort_into_cells(contour), inward)
+    taken, doubtful = elect_limbs(nearest, second, rim, limb, sort_into_cells(contour), inward)
     apart = np.linalg.norm(rim[nearest] - rim[second], axis=1) > SPLIT
     np.testing.assert_array_equal(doubtful, (second >= 0) & apart)
     for j in range(70):

@@ -46,7 +46,7 @@ def edges(faces):
 
 
 def in_hands(balls, skin):
-    """Tell which vertices lie beyond the wrists."""
+    """Return which vertices lie beyond the wrists."""
     names = balls.skeleton.segment_names
     beyond = np.zeros(len(skin.part), bool)
     for side in ("left", "right"):

@@ -140,7 +140,7 @@ def test_statures_of_men_and_women_are_within_the_family(family, known):
         assert abs(average - mean) + 2 * sd < 2.5 * spread
 
 
-# What docs/body.md tells of the rig's joints beside the literature: the family's mean less the published, in mm.
+# The distances of the rig's joints from published ones in docs/explanation/body.md: family mean less published [mm].
 AGREEING = ("upperarm_length", "thigh_length", "shank_length", "hip_height", "ankle_height")
 DEPARTING = {"hip_width": 51, "forearm_length": -27, "knee_height": 23, "shoulder_height": -38}
 

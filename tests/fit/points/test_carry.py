@@ -5,9 +5,9 @@ import pytest
 from tests.fit import metaball_worlds as world
 
 from marey.body.articulation.pose import PosedBody
-from marey.fit.points.carry import CarrySettings, carried, carrying_segments, follow_points, settled
+from marey.fit.points.carry import CarrySettings, carrying_segments, follow_points, pose_from_points, pose_on_surface
 from marey.fit.points.surface_points import FramePoints, PersonPoints
-from marey.observations.carried_points import fasten
+from marey.observations.carried_points import local_places
 
 NOISE = 0.0003
 
@@ -24,7 +24,7 @@ def scene():
     start = PosedBody(body, poses[3])
     points = world.measured(body, poses[3], 500, 0.0, rng).points
     on = carrying_segments(start, points, near_m=0.05)
-    places = fasten(start, on, points)
+    places = local_places(start, on, points)
     position = np.full((8, len(points), 3), np.nan)
     for f, pose in poses.items():
         posed = PosedBody(body, pose)
@@ -35,7 +35,7 @@ def scene():
 
 def test_one_step_is_found_from_the_points_alone(scene):
     body, poses, position, on = scene
-    pose = carried(PosedBody(body, poses[3]), position[3], position[4], CarrySettings(), segments=on)
+    pose = pose_from_points(PosedBody(body, poses[3]), position[3], position[4], CarrySettings(), segments=on)
     arm = [body.skeleton.segment(f"right_{name}") for name in ("upperarm", "forearm", "hand")]
     away = PosedBody(body, pose).segment_origin[arm] - PosedBody(body, poses[4]).segment_origin[arm]
     # Two measurements' noise over some dozens of points a segment, and levers of a few of their sizes.
@@ -48,7 +48,7 @@ def test_trajectories_that_slip_do_not_carry_the_body_away(scene, rng):
     body, poses, position, on = scene
     slipped = position[4].copy()
     slipped[::5] += rng.normal(size=slipped[::5].shape) * 0.05
-    pose = carried(PosedBody(body, poses[3]), position[3], slipped, CarrySettings(), segments=on)
+    pose = pose_from_points(PosedBody(body, poses[3]), position[3], slipped, CarrySettings(), segments=on)
     assert np.abs(pose.angles - poses[4].angles).max() < np.deg2rad(1.5)
 
 
@@ -91,7 +91,7 @@ def test_a_pose_settles_on_the_points_of_its_frame(scene, rng):
     points = world.measured(body, poses[5], 3000, NOISE, rng)
     given = PersonPoints(by_frame={5: FramePoints(points.points, points.covariance)}, model_sd_m=5e-4, scale_m=0.03)
     off = poses[5].step(np.append(rng.normal(size=3) * 0.005, rng.normal(size=3 + len(poses[5].angles)) * 0.02))
-    found = settled(PosedBody(body, off), given, 5, CarrySettings())
+    found = pose_on_surface(PosedBody(body, off), given, 5, CarrySettings())
     elbow = body.skeleton.segment("right_forearm")
     away = [
         np.linalg.norm(PosedBody(body, p).segment_origin[elbow] - PosedBody(body, poses[5]).segment_origin[elbow])

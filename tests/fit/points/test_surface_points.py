@@ -5,21 +5,21 @@ import pytest
 from tests.fit import metaball_worlds as world
 
 from marey.body.articulation.pose import PosedBody
-from marey.fit.points.surface_points import FramePoints, PersonPoints, alike, spread_over
+from marey.fit.points.surface_points import FramePoints, PersonPoints, patch_counts, thinned_evenly
 
 
 def test_points_of_one_patch_count_together():
     points = np.array([[0.001, 0.0, 0.0], [0.004, 0.002, 0.0], [0.5, 0.0, 0.0]])
-    np.testing.assert_array_equal(alike(points, 0.01), [2, 2, 1])
-    assert len(alike(np.zeros((0, 3)), 0.01)) == 0
+    np.testing.assert_array_equal(patch_counts(points, 0.01), [2, 2, 1])
+    assert len(patch_counts(np.zeros((0, 3)), 0.01)) == 0
 
 
 def test_too_many_points_are_thinned_evenly():
     points = FramePoints(np.arange(300.0).reshape(100, 3), np.zeros((100, 3, 3)))
-    few = spread_over(points, 10)
+    few = thinned_evenly(points, 10)
     assert len(few) == 10
     np.testing.assert_array_equal(few.points[[0, -1], 0], [0, 297])
-    assert spread_over(points, 1000) is points
+    assert thinned_evenly(points, 1000) is points
 
 
 @pytest.fixture(scope="module")

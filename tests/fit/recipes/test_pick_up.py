@@ -7,15 +7,15 @@ import pytest
 from tests import worlds
 
 from marey.body.articulation.pose import PosedBody
-from marey.fit.recipes.person import PersonSettings, Take, track_person
+from marey.fit.recipes.person import PersonSettings, SilhouetteTake, track_person
 from marey.fit.recipes.pick_up import (
     PickUpSettings,
-    better_of,
-    of_one_shape,
+    best_per_frame,
     pick_up,
+    restart,
     runs_between,
-    start_again,
     weak_frames,
+    with_fixed_shape,
 )
 from marey.fit.search.levels import FrameLevels
 from marey.fit.search.search import Candidate, StartSettings
@@ -101,14 +101,14 @@ def test_a_stretch_that_was_followed_badly_is_named_but_no_single_frame():
 
 def test_of_two_answers_the_old_one_stays_unless_the_new_one_is_better():
     old, new = {1: scored(0.8), 2: scored(0.8), 3: scored(0.8)}, {2: scored(0.805), 3: scored(0.9), 4: scored(0.6)}
-    both = better_of(old, new)
+    both = best_per_frame(old, new)
     assert list(both) == [1, 2, 3, 4]
     assert [both[f] for f in (1, 2, 3, 4)] == [old[1], old[2], new[3], new[4]]
 
 
 def test_a_body_without_numbers_keeps_the_shape_that_was_found(rng):
     body = worlds.person("coarse", 4).with_numbers(np.array([1.0, -0.5, 0.3, 0.8]))
-    fixed = of_one_shape(body)
+    fixed = with_fixed_shape(body)
     assert len(fixed.space) == 0
     np.testing.assert_allclose(fixed.vertices, body.vertices, atol=1e-12)
     np.testing.assert_allclose(fixed.joint_centres, body.joint_centres, atol=1e-12)
@@ -125,15 +125,15 @@ def coming_back():
     ]
     truth = dict(enumerate(first)) | {40 + i: posed for i, posed in enumerate(later)}
     masks = {f: worlds.silhouettes(posed, cameras) for f, posed in truth.items()}
-    return body, truth, Take(tuple(cameras), lambda frame: masks[frame], tuple(truth), worlds.RATE)
+    return body, truth, SilhouetteTake(tuple(cameras), lambda frame: masks[frame], tuple(truth), worlds.RATE)
 
 
 def test_a_person_who_comes_back_elsewhere_is_found_again(coming_back):
     body, truth, take = coming_back
-    told = []
-    found = track_person(take, body, body, (0, truth[0].pose), PersonSettings(), done=told.append)
+    finished = []
+    found = track_person(take, body, body, (0, truth[0].pose), PersonSettings(), progress=finished.append)
     assert list(found) == [0, 1, 2, 3, 40, 41, 42, 43]
-    assert sorted(told) == list(truth)
+    assert sorted(finished) == list(truth)
     # A pixel is eleven millimetres.
     assert max(worlds.joint_errors(found[f].posed, truth[f]).max() for f in truth) < 0.05
 
@@ -142,4 +142,4 @@ def test_silhouettes_that_have_nothing_in_common_give_no_start(coming_back):
     body, _, take = coming_back
     levels = FrameLevels(take.cameras, take.masks_of, 0.5)
     empty = [np.zeros_like(mask) for mask in take.masks_of(0)]
-    assert start_again(take.cameras, empty, body, body, levels, 0, StartSettings()) is None
+    assert restart(take.cameras, empty, body, body, levels, 0, StartSettings()) is None

@@ -13,7 +13,7 @@ from marey.body.people.person import person_body
 from marey.fit.recipes import sequence
 from marey.fit.recipes.sequence import (
     DISTINCT_FRAMES,
-    RefineMemory,
+    RefineCheckpoint,
     SequenceSettings,
     acceleration_spread,
     refine_sequence,
@@ -113,8 +113,8 @@ def test_sizes_of_metaballs_are_found_and_an_interruption_changes_nothing():
     truth = [PosedBody(person, pose) for pose in worlds.swing(person, 6)]
     levels = worlds.levels(truth, worlds.ring())
     asked = {"rate": 30, "rounds": 5, "shape_frames": range(0, 6, 2)}
-    memory = RefineMemory()
-    fit = refine_sequence(range(6), [t.pose for t in truth], mean, levels, memory=memory, **asked)
+    checkpoint = RefineCheckpoint()
+    fit = refine_sequence(range(6), [t.pose for t in truth], mean, levels, checkpoint=checkpoint, **asked)
     lying = np.abs(mean.metaballs.balls(fit.body.numbers).at_rest().distance(fit.body.vertices))
     assert np.quantile(lying, 0.95) < 1e-6
     scale = np.sqrt(np.diag(mean.space.prior_covariance))
@@ -123,8 +123,8 @@ def test_sizes_of_metaballs_are_found_and_an_interruption_changes_nothing():
         np.mean([worlds.joint_errors(PosedBody(body, true.pose), true) for true in truth]) for body in (mean, fit.body)
     )
     assert after < 0.4 * before
-    again = RefineMemory(rounds={k: v for k, v in memory.rounds.items() if k < 2})
-    went_on = refine_sequence(range(6), [t.pose for t in truth], mean, levels, memory=again, **asked)
+    again = RefineCheckpoint(rounds={k: v for k, v in checkpoint.rounds.items() if k < 2})
+    went_on = refine_sequence(range(6), [t.pose for t in truth], mean, levels, checkpoint=again, **asked)
     np.testing.assert_array_equal(went_on.body.vertices, fit.body.vertices)
 
 
@@ -141,27 +141,27 @@ def test_the_shape_stays_within_three_spreads_of_other_people():
 
 def test_a_sequence_of_one_frame_is_refined_and_done_is_told(motion):
     body, truth, levels, start = motion
-    told = []
-    fit = refine_sequence([4], [start[4]], body, levels, rate=30, rounds=3, done=told.append)
-    assert told == [4, 4, 4]
+    finished = []
+    fit = refine_sequence([4], [start[4]], body, levels, rate=30, rounds=3, progress=finished.append)
+    assert finished == [4, 4, 4]
     assert worlds.joint_errors(PosedBody(body, fit.poses[0]), truth[4]).mean() < 0.015
 
 
 def test_frames_without_anybody_are_bridged_by_their_neighbours(motion):
     body, truth, levels, start = motion
     nobody = levels.at(4)
-    blind = replace(nobody, sightings=(), masks=(), cameras=())
+    ignored_frames = replace(nobody, sightings=(), masks=(), cameras=())
 
     class Gap:
         """Levels of which one frame shows nobody."""
 
         def at(self, frame):
-            return blind if frame == 4 else levels.at(frame)
+            return ignored_frames if frame == 4 else levels.at(frame)
 
     fit = refine_sequence(range(9), start, body, Gap(), rate=30, rounds=4)
     assert worlds.joint_errors(PosedBody(body, fit.poses[4]), truth[4]).mean() < 0.02
-    seen, unseen = (np.trace(fit.covariance[f][:3, :3]) for f in (3, 4))
-    assert unseen > 2 * seen
+    seen, unsupported_frames = (np.trace(fit.covariance[f][:3, :3]) for f in (3, 4))
+    assert unsupported_frames > 2 * seen
 
 
 def test_no_rounds_are_no_fit(motion):
@@ -249,9 +249,9 @@ class Broken(dict):
 def test_an_interrupted_refinement_goes_on_where_it_was(long_motion, monkeypatch, rounds, parts):
     monkeypatch.setattr(sequence, "windows", lambda count, length, overlap: windows(count, 10, 8))
     whole = refined(long_motion)
-    memory = RefineMemory(Broken(rounds), Broken(parts))
+    checkpoint = RefineCheckpoint(Broken(rounds), Broken(parts))
     with pytest.raises(KeyboardInterrupt):
-        refined(long_motion, memory=memory)
+        refined(long_motion, checkpoint=checkpoint)
     matched, match = [], sequence.match_all
 
     def count(*arguments):
@@ -259,11 +259,15 @@ def test_an_interrupted_refinement_goes_on_where_it_was(long_motion, monkeypatch
         return match(*arguments)
 
     monkeypatch.setattr(sequence, "match_all", count)
-    told = []
-    again = refined(long_motion, memory=RefineMemory(dict(memory.rounds), dict(memory.parts)), done=told.append)
-    assert len(told) == 120
+    finished = []
+    again = refined(
+        long_motion,
+        checkpoint=RefineCheckpoint(dict(checkpoint.rounds), dict(checkpoint.parts)),
+        progress=finished.append,
+    )
+    assert len(finished) == 120
     # Each remembered round spares 40 frames, each remembered window ten, less those that its neighbours lend.
-    assert len(matched) <= 120 - 40 * len(memory.rounds) - (10 * parts - 8 if parts < 99 else 0)
+    assert len(matched) <= 120 - 40 * len(checkpoint.rounds) - (10 * parts - 8 if parts < 99 else 0)
     for one, other in zip(whole.poses, again.poses, strict=True):
         np.testing.assert_allclose(one.change_to(other), 0.0, atol=1e-9)
     np.testing.assert_allclose(again.covariance, whole.covariance, rtol=1e-6, atol=1e-12)
@@ -279,16 +283,18 @@ def test_a_frame_whose_silhouettes_are_not_believed_follows_its_neighbours(motio
         def at(self, frame):
             return posed[0] if frame == 6 else posed[frame]
 
-    fit = refine_sequence(range(9), start, body, Wrong(), rate=30, rounds=4, blind={6})
+    fit = refine_sequence(range(9), start, body, Wrong(), rate=30, rounds=4, ignored_frames={6})
     assert worlds.joint_errors(PosedBody(body, fit.poses[6]), truth[6]).mean() < 0.02
-    seen, unseen = (np.trace(fit.covariance[f][:3, :3]) for f in (5, 6))
-    assert unseen > 2 * seen
+    seen, unsupported_frames = (np.trace(fit.covariance[f][:3, :3]) for f in (5, 6))
+    assert unsupported_frames > 2 * seen
 
 
 def test_a_round_moves_numbers_of_every_unit_by_their_own_spread():
     """Shares of a length and numbers of unit variance are held alike; what hardly varies is not held the more."""
     space = person_body("coarse").space
-    np.testing.assert_allclose(sequence._trusted(space), sequence.TRUST_SHAPE**2)
+    np.testing.assert_allclose(sequence._step_variance(space), sequence.STEP_SD_SHAPE**2)
     mixed = replace(space, prior_covariance=np.diag(np.where(np.arange(len(space)) < 10, 1.0, 0.01)))
-    np.testing.assert_allclose(sequence._trusted(mixed) / np.diag(mixed.prior_covariance), sequence.TRUST_SHAPE**2)
-    assert len(sequence._trusted(space.keep(range(0)))) == 0
+    np.testing.assert_allclose(
+        sequence._step_variance(mixed) / np.diag(mixed.prior_covariance), sequence.STEP_SD_SHAPE**2
+    )
+    assert len(sequence._step_variance(space.keep(range(0)))) == 0

@@ -5,7 +5,15 @@ import pytest
 from tests import worlds
 
 from marey.body.articulation.pose import PosedBody
-from marey.fit.search.hull import Grid, common_parts, filled, largest_part, meeting_point, room_between, visual_hull
+from marey.fit.search.hull import (
+    HullGrid,
+    common_parts,
+    filled,
+    largest_part,
+    meeting_point,
+    room_between,
+    visual_hull,
+)
 
 CELL = 0.04
 
@@ -78,7 +86,7 @@ def test_lines_of_sight_meet_where_the_ball_is():
 def test_the_filled_cells_are_those_of_the_plain_formula(rng, witnesses):
     cameras = worlds.ring(3, size=(160, 120), focal=500.0)
     masks = [rng.random((120, 160)) < 0.7 for _ in cameras]
-    grid = Grid.about(np.array([0.02, 0.05, -0.03]), 0.9, 0.09)
+    grid = HullGrid.about(np.array([0.02, 0.05, -0.03]), 0.9, 0.09)
     inside, seen = np.ones(grid.counts, bool), np.zeros(grid.counts, int)
     every = grid.centres(inside)
     for camera, mask in zip(cameras, masks, strict=True):

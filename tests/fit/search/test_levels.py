@@ -7,7 +7,7 @@ import pytest
 from tests import worlds
 
 from marey.body.articulation.pose import PosedBody
-from marey.fit.search.levels import FrameLevels, Level, level_factor, shrink
+from marey.fit.search.levels import FrameLevels, SilhouetteLevel, level_factor, shrink
 from marey.images.silhouettes.contours import trace_contour
 
 
@@ -24,7 +24,7 @@ def test_a_shrunken_silhouette_is_what_the_shrunken_camera_sees_neither_thinner_
     poses = [worlds.pose(body, yaw=yaw, at=(0.01 * yaw, 0.02, 0)) for yaw in (0.0, 0.7, 1.9)]
     more = outline = 0
     for posed in (PosedBody(body, pose) for pose in poses):
-        level = Level.of(cameras, worlds.silhouettes(posed, cameras), factor)
+        level = SilhouetteLevel.of(cameras, worlds.silhouettes(posed, cameras), factor)
         for small, mask, seen in zip(level.cameras, level.masks, worlds.silhouettes(posed, level.cameras), strict=True):
             assert mask.shape == seen.shape == (small.height, small.width)
             more += np.count_nonzero(mask) - np.count_nonzero(seen)
@@ -59,7 +59,7 @@ def test_pictures_are_never_enlarged_and_empty_ones_do_no_harm():
 
 def test_packing_pads_masks_of_different_sizes_with_nothing(scene):
     cameras, _, masks = scene
-    level = Level.at_size([cameras[0], cameras[1].scaled(0.5)], [masks[0], shrink(masks[1], (100, 120))])
+    level = SilhouetteLevel.at_size([cameras[0], cameras[1].scaled(0.5)], [masks[0], shrink(masks[1], (100, 120))])
     packed, widths, heights, padded = level.packed()
     assert packed.shape[0] == 2
     np.testing.assert_array_equal(widths, [200, 100])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from marey.fit.solver.banded import System, Window, windows, with_shape_covariance
+from marey.fit.solver.banded import BandedSystem, Window, windows, with_shape_covariance
 from marey.fit.solver.body_solver import bounded_step
 
 FRAMES, DEGREES, NUMBERS = 6, 4, 3
@@ -12,7 +12,7 @@ NO_TRUST = np.full(DEGREES, np.inf)
 
 def random_system(rng, numbers=NUMBERS, frames=FRAMES):
     """A random positive system of the shape that poses, smoothness and a border give, and the same one dense."""
-    system = System.empty(frames, DEGREES, numbers)
+    system = BandedSystem.empty(frames, DEGREES, numbers)
     size = frames * DEGREES + numbers
     dense, gradient = np.zeros((size, size)), np.zeros(size)
     shape = list(range(frames * DEGREES, size))

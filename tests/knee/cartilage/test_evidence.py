@@ -35,7 +35,7 @@ def seen_in(values: np.ndarray) -> Tissues:
 
 def profiles_of(values: np.ndarray, blur: float) -> Profiles:
     every = np.ones(len(values))
-    return Profiles(values=values, blur_mm=blur * every, alike_mm=0.5 * every)
+    return Profiles(values=values, blur_mm=blur * every, correlation_mm=0.5 * every)
 
 
 def costs_of(values: np.ndarray, blur: float, *, begins: float = np.inf, sd: float = 0.5, ends: float = np.inf):
@@ -53,7 +53,7 @@ def test_a_layer_thinner_than_the_blur_of_its_edges_is_measured(thick, rng):
     assert found.std() < 0.25
 
 
-def test_a_bare_bone_is_told_from_a_thin_layer(rng):
+def test_a_bare_bone_is_distinguished_from_a_thin_layer(rng):
     noise = rng.normal(0, SPREAD, (200, len(DEPTHS_MM)))
     assert (costs_of(profile(0.0, 0.4) + noise, 0.4).argmin(1) == 0).mean() > 0.95
     assert (costs_of(profile(1.0, 0.4) + noise, 0.4).argmin(1) > 0).all()
@@ -79,7 +79,7 @@ def test_the_costs_without_another_bone_are_those_of_the_plain_formula(rng):
         np.testing.assert_allclose(costs_of(values, blur)[v, n], each.sum() * STEP_MM / 0.5, rtol=1e-9)
 
 
-def test_where_cartilages_touch_the_foretold_place_decides_and_where_a_gap_is_seen_the_gap():
+def test_where_cartilages_touch_the_prediction_decides_and_where_a_gap_is_visible_the_gap():
     blur, away = 0.3, 5.0
     touching = np.minimum(profile(9.0, blur), 1.0)[None]
     found = LEVELS_MM[costs_of(touching, blur, begins=2.6, sd=0.5, ends=away).argmin(1)]

@@ -16,9 +16,9 @@ def layered(offset: np.ndarray, thick: np.ndarray, marrow: float, over: float) -
     return marrow + (1 - marrow) * inner + (over - 1) * outer
 
 
-def told(values: np.ndarray, marrow: float, thick: np.ndarray, at: np.ndarray) -> np.ndarray:
+def costs_of(values: np.ndarray, marrow: float, thick: np.ndarray, at: np.ndarray) -> np.ndarray:
     every = np.ones(len(values))
-    profiles = Profiles(values=values, blur_mm=BLUR * every, alike_mm=0.5 * every)
+    profiles = Profiles(values=values, blur_mm=BLUR * every, correlation_mm=0.5 * every)
     seen = Tissues(relative=values, marrow=marrow * every, spread=SPREAD, over=np.ones(100) / 4)
     return inner_costs(profiles, seen, thick, every > 0, at)
 
@@ -30,22 +30,22 @@ def test_the_inner_edge_is_found_wherever_the_profile_begins(rng, marrow, over, 
     at = np.full(300, 0.2)  # The profiles begin beside the surface that was found.
     rest = thick * np.ones(300) + offset - at
     values = layered(offset - at, thick * np.ones(300), marrow, over) + rng.normal(0, SPREAD, (300, len(DEPTHS_MM)))
-    best = OFFSETS_MM[told(values, marrow, rest, at).argmin(1)]
+    best = OFFSETS_MM[costs_of(values, marrow, rest, at).argmin(1)]
     # The places lie 0.2 mm apart, so that no single answer can be nearer than a tenth.
     assert abs((best - offset).mean()) < 0.06
     assert (best - offset).std() < 0.2
 
 
-def test_where_no_edge_is_seen_or_a_dark_line_is_nothing_is_told():
+def test_costs_are_zero_without_a_visible_edge_and_with_a_dark_line():
     thick, at = np.full(2, 2.0), np.zeros(2)
     values = layered(np.full(2, 0.6), thick, 1.5, 0.3)
-    assert np.ptp(told(values, 1.5, thick, at), axis=1).min() > 1
+    assert np.ptp(costs_of(values, 1.5, thick, at), axis=1).min() > 1
     line = values - 1.2 * np.exp(-0.5 * (DEPTHS_MM / 0.4) ** 2)
-    assert not told(line, 1.5, thick, at).any()
-    assert not told(layered(np.full(2, 0.6), thick, 1.05, 0.3), 1.05, thick, at).any()
+    assert not costs_of(line, 1.5, thick, at).any()
+    assert not costs_of(layered(np.full(2, 0.6), thick, 1.05, 0.3), 1.05, thick, at).any()
 
 
-def test_the_edge_is_a_smooth_sheet_that_goes_back_to_the_bone_where_nothing_is_told():
+def test_the_edge_is_a_smooth_sheet_that_returns_to_the_bone_without_evidence():
     mesh = trimesh.creation.icosphere(subdivisions=4, radius=15.0)
     surface = Surface(vertices_mm=mesh.vertices, faces=mesh.faces)
     height = mesh.vertices[:, 2]

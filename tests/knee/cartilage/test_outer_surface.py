@@ -6,9 +6,9 @@ import trimesh
 
 from marey.errors import MareyError
 from marey.knee.cartilage.evidence import LEVELS_MM
-from marey.knee.cartilage.knee_cartilage import _unseen
+from marey.knee.cartilage.knee_cartilage import KNEE_CARTILAGE_DEFAULTS, _why_invisible
 from marey.knee.cartilage.labels import with_cartilage
-from marey.knee.cartilage.outer_surface import _answers, _in_one_piece, find_cartilage
+from marey.knee.cartilage.outer_surface import OUTER_SURFACE_DEFAULTS, _answers, _without_specks, find_cartilage
 from marey.knee.cartilage.prediction import predict_cartilage
 from marey.knee.registration.deformation import Deformation
 from marey.knee.space.mesh_graph import MeshGraph
@@ -64,8 +64,8 @@ def made_volume(
     return Volume(intensity=image + rng.normal(0, noise, shape), grid=grid), Labels(labels=labels, grid=grid)
 
 
-def foretold(bone: Surface, *, thick: float, rim: float):
-    """What a template says whose cartilage is of another thickness and ends elsewhere."""
+def predicted(bone: Surface, *, thick: float, rim: float):
+    """Prediction by a template whose cartilage has another thickness and ends elsewhere."""
     height = bone.vertices_mm[:, 2] / np.linalg.norm(bone.vertices_mm, axis=1)
     return predict_cartilage(bone, bone, np.where(height > rim, thick, 0.0))
 
@@ -74,7 +74,7 @@ def foretold(bone: Surface, *, thick: float, rim: float):
 def test_cartilage_is_found_though_the_template_is_thicker_and_ends_elsewhere(rng, values):
     volume, truth = made_volume(rng, values)
     bone = ball()
-    sheet = find_cartilage([volume], bone, foretold(bone, thick=3.0, rim=0.15))
+    sheet = find_cartilage([volume], bone, predicted(bone, thick=3.0, rim=0.15))
     height = bone.vertices_mm[:, 2] / RADIUS
     inner = height > RIM + 0.1
     assert (sheet.thickness_mm[inner] > 0).all()
@@ -95,7 +95,7 @@ def test_cartilage_is_found_though_the_template_is_thicker_and_ends_elsewhere(rn
 def test_a_bone_that_was_found_beside_its_edge_is_put_right_where_it_is_covered(rng, values, off):
     volume, truth = made_volume(rng, values)
     bone = ball(RADIUS + off)
-    sheet = find_cartilage([volume], bone, foretold(bone, thick=3.0, rim=0.15))
+    sheet = find_cartilage([volume], bone, predicted(bone, thick=3.0, rim=0.15))
     height = bone.vertices_mm[:, 2] / (RADIUS + off)
     inner = height > RIM + 0.15
     lies = np.linalg.norm(sheet.bone.vertices_mm, axis=1)
@@ -114,37 +114,37 @@ def test_a_bone_that_was_found_beside_its_edge_is_put_right_where_it_is_covered(
     assert (found.labels[cap & (radius < RADIUS + THICK - 1)] > 0).all()
 
 
-@pytest.mark.parametrize("told", [1.5, 3.8])
-def test_a_template_of_other_thickness_draws_nothing_to_itself_where_the_edge_is_seen(rng, told):
+@pytest.mark.parametrize("thick", [1.5, 3.8])
+def test_a_template_of_other_thickness_does_not_bias_the_result_where_the_edge_is_visible(rng, thick):
     volume, _ = made_volume(rng)
     bone = ball()
-    sheet = find_cartilage([volume], bone, foretold(bone, thick=told, rim=RIM))
+    sheet = find_cartilage([volume], bone, predicted(bone, thick=thick, rim=RIM))
     inner = bone.vertices_mm[:, 2] / RADIUS > RIM + 0.15
     off = sheet.thickness_mm[inner] - THICK
     assert abs(off.mean()) < 0.1
     assert np.abs(off).mean() < 0.15
-    # What the template foretells has become this person's.
-    assert abs(np.median(sheet.foretold_mm[inner]) - THICK) < 0.15
+    # The prediction by the template was scaled to the subject's thickness.
+    assert abs(np.median(sheet.predicted_mm[inner]) - THICK) < 0.15
     sure = sheet.confidence[inner] > 0.5
     assert (np.abs(off) < 1.96 * sheet.thickness_sd_mm[inner])[sure].mean() > 0.85
 
 
-def test_where_the_image_shows_no_edge_the_template_alone_is_known_to_tell(rng):
+def test_where_the_image_shows_no_edge_only_the_template_determines_the_thickness(rng):
     bone = ball()
     inner = bone.vertices_mm[:, 2] / RADIUS > RIM + 0.15
     for flesh, seen in ((FLESH, True), (CARTILAGE, False)):
         volume, _ = made_volume(rng, (MARROW, CARTILAGE, flesh))
-        sheet = find_cartilage([volume], bone, foretold(bone, thick=2.4, rim=RIM))
+        sheet = find_cartilage([volume], bone, predicted(bone, thick=2.4, rim=RIM))
         known = inner & (sheet.thickness_mm > 0)
         assert bool((sheet.by_image[known] > 0.5).mean() > 0.9) is seen
-        assert (_unseen(sheet) is None) is seen
-    assert "its outer edge is not seen" in _unseen(sheet)
+        assert (_why_invisible(sheet, settings=KNEE_CARTILAGE_DEFAULTS) is None) is seen
+    assert "its outer edge is not visible" in _why_invisible(sheet, settings=KNEE_CARTILAGE_DEFAULTS)
 
 
 def test_the_outer_surface_is_closed_and_has_the_cartilages_volume(rng):
     volume, _ = made_volume(rng)
     bone = ball()
-    sheet = find_cartilage([volume], bone, foretold(bone, thick=2.4, rim=RIM))
+    sheet = find_cartilage([volume], bone, predicted(bone, thick=2.4, rim=RIM))
     outer = sheet.outer
     assert trimesh.Trimesh(outer.vertices_mm, outer.faces, process=False).is_watertight
     cap = 2 / 3 * np.pi * ((RADIUS + THICK) ** 3 - RADIUS**3) * (1 - RIM)
@@ -159,16 +159,16 @@ def test_where_two_cartilages_touch_the_space_is_shared(rng):
     volume, _ = made_volume(rng, (MARROW, CARTILAGE, CARTILAGE))
     bone, around = ball(), ball(RADIUS + 4.0)
     shell = Surface(vertices_mm=around.vertices_mm, faces=around.faces[:, ::-1])
-    told = foretold(bone, thick=2.0, rim=0.0)
-    sheet = find_cartilage([volume], bone, told, [(shell, np.full(len(around.vertices_mm), 2.0))])
+    prediction = predicted(bone, thick=2.0, rim=0.0)
+    sheet = find_cartilage([volume], bone, prediction, [(shell, np.full(len(around.vertices_mm), 2.0))])
     top = bone.vertices_mm[:, 2] > 0.5 * RADIUS
     assert abs(np.median(sheet.thickness_mm[top]) - 2.0) < 0.4
 
 
-def test_a_template_without_cartilage_is_told(rng):
+def test_a_template_without_cartilage_is_an_error(rng):
     volume, _ = made_volume(rng)
     bone = ball()
-    with pytest.raises(MareyError, match="foretells no cartilage"):
+    with pytest.raises(MareyError, match="predicts no cartilage"):
         find_cartilage([volume], bone, predict_cartilage(bone, bone, np.zeros(len(bone.vertices_mm))))
 
 
@@ -180,14 +180,14 @@ def test_thickness_is_carried_by_the_deformation():
     field = np.stack([0 * nodes[0], 0 * nodes[1], nodes[2] * (1 - 1 / 1.2)])
     deformation = Deformation(origin_mm=np.full(3, -26.0), step_mm=4.0, displacement_mm=field)
     bone = Surface(vertices_mm=template.vertices_mm * (1, 1, 1.2), faces=template.faces)
-    told = predict_cartilage(bone, template, np.where(height > 0, 2.0 + 0.05 * height, 0.0), deformation)
+    prediction = predict_cartilage(bone, template, np.where(height > 0, 2.0 + 0.05 * height, 0.0), deformation)
     inner = height > 6
-    np.testing.assert_allclose(told.thickness_mm[inner], (2.0 + 0.05 * height)[inner], atol=1e-2)
-    assert told.presence[height > 12].min() > 0.95
-    assert told.presence[height < -12].max() < 0.05
+    np.testing.assert_allclose(prediction.thickness_mm[inner], (2.0 + 0.05 * height)[inner], atol=1e-2)
+    assert prediction.presence[height > 12].min() > 0.95
+    assert prediction.presence[height < -12].max() < 0.05
 
 
-def test_a_lone_speck_is_no_cartilage_and_a_hole_no_lesion_but_nobody_is_sure_there():
+def test_a_lone_speck_is_no_cartilage_and_a_hole_no_lesion_with_low_confidence():
     bone = ball()
     up = bone.vertices_mm / RADIUS
     cap, island, hole = up[:, 2] > 0.3, up[:, 2] < -0.98, np.linalg.norm(up - [0.6, 0, 0.8], axis=1) < 0.08
@@ -195,7 +195,11 @@ def test_a_lone_speck_is_no_cartilage_and_a_hole_no_lesion_but_nobody_is_sure_th
     covered = (cap & ~lesion | island) & ~hole
     costs = np.full((len(up), len(LEVELS_MM)), 8.0)
     costs[np.arange(len(up)), np.where(covered, 8, 0)] = 0.0
-    thickness, _, confidence = _answers(_in_one_piece(costs, bone, MeshGraph.of(bone)), costs)
+    thickness, _, confidence = _answers(
+        _without_specks(costs, bone, MeshGraph.of(bone), settings=OUTER_SURFACE_DEFAULTS),
+        costs,
+        settings=OUTER_SURFACE_DEFAULTS,
+    )
     assert not thickness[island].any()
     assert not thickness[lesion].any()
     np.testing.assert_array_equal(thickness > 0, cap & ~lesion | hole)

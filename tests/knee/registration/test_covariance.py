@@ -1,6 +1,6 @@
 import numpy as np
 
-from marey.knee.registration.covariance import bounded_stiffness, pulls_covariance, smoothed_normals
+from marey.knee.registration.covariance import bounded_stiffness, gradient_covariance, smoothed_normals
 
 
 def test_what_deviations_pull_is_told_whatever_the_length_over_which_they_hang_together(rng):
@@ -15,7 +15,7 @@ def test_what_deviations_pull_is_told_whatever_the_length_over_which_they_hang_t
         half, told = np.linalg.cholesky(true), []
         for _ in range(3):
             deviations = half @ rng.normal(size=900)
-            told.append(np.diag(pulls_covariance(places, deviations - fitted @ (fitted.T @ deviations), jacobian)))
+            told.append(np.diag(gradient_covariance(places, deviations - fitted @ (fitted.T @ deviations), jacobian)))
         # Of smooth deviations a surface of 60 mm holds few independent ones: one draw tells a variance to a third.
         ratio = np.mean(told, 0) / np.diag(pulled)
         assert 0.6 < np.sqrt(ratio.mean()) < 1.6, length

@@ -13,7 +13,7 @@ from marey.body.metaballs import segment_measures
 from marey.body.metaballs.metaball_people import metaball_person
 from marey.body.metaballs.metaballs import PosedMetaballs
 from marey.cameras.rig import Rig
-from marey.fit.points.shape import Shaped
+from marey.fit.points.shape import ShapeEstimate
 from marey.fit.points.surface_points import FramePoints
 from marey.geometry.rigid import RigidTransform
 from marey.io.calibration.readers import write_cameras_toml
@@ -134,7 +134,7 @@ def followed_with(monkeypatch, tmp_path, body, poses, *, names):
     asked, warned = {}, []
     monkeypatch.setattr(shape, "follow_measured", lambda *given, **named: asked.update(named, parts=given[2]))
     monkeypatch.setattr(shape, "write_tracks", lambda *given: None)
-    monkeypatch.setattr(shape, "told", lambda result: "")
+    monkeypatch.setattr(shape, "tracks_text", lambda result: "")
     none = MeasuredPoints(
         frame=np.zeros(1, int), points=np.zeros((1, 3)), covariance=np.eye(3)[None] * 1e-6, camera_names=("a", "b"),
         pixels=np.zeros((1, 2, 2)), correlation=np.ones((1, 2)), residual_px=np.zeros(1),
@@ -146,7 +146,7 @@ def followed_with(monkeypatch, tmp_path, body, poses, *, names):
         progress=SimpleNamespace(warn=warned.append, report=lambda text: None), cache=None,
     )  # fmt: skip
     skin = posed_skin(body, poses)
-    find_lost_points(run, tmp_path, skin, Fitted(body, poses, [], Shaped(body, poses, 0.001, 1.0)))
+    find_lost_points(run, tmp_path, skin, Fitted(body, poses, [], ShapeEstimate(body, poses, 0.001, 1.0)))
     return asked, warned, skin
 
 

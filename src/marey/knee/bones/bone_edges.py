@@ -1,30 +1,18 @@
 """Refinement of a bone's edge on the image's own voxels, by the local brightness inside and outside."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from marey.arrays import Floats
-from marey.knee.bones.marrow import Kind
+from marey.knee.bones.marrow import Kind, PerKind
 from marey.knee.bones.outer_edge import at_half_level
 from marey.knee.space.distances import signed_distance
 from marey.knee.space.minimal_cut import minimal_cut
 from marey.knee.space.resampling import smoothed
 from marey.knee.space.volume import VoxelGrid
-
-
-@dataclass(frozen=True, kw_only=True)
-class PerKind:
-    """A value for each kind of marrow."""
-
-    dark: float
-    bright: float
-
-    def of(self, kind: Kind) -> float:
-        """Return the value for one kind."""
-        return self.dark if kind == "dark" else self.bright
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,12 +36,12 @@ class BoneEdgeSettings:
     Values without a stated source were chosen by hand.
     """
 
-    coarse_nats_mm: PerKind = PerKind(dark=1.5, bright=6.0)
+    coarse_nats_mm: PerKind = field(default_factory=lambda: PerKind(dark=1.5, bright=6.0))
     """Price [nats per mm, for a voxel of 1 mm] of a bone's surface in the first round."""
-    fine_nats_mm: PerKind = PerKind(dark=1.5, bright=3.0)
+    fine_nats_mm: PerKind = field(default_factory=lambda: PerKind(dark=1.5, bright=3.0))
     """The same in later rounds. It is larger for bright marrow, which only the thin black cortex separates from fat
     of the same brightness."""
-    outward: PerKind = PerKind(dark=0.5, bright=0.3)
+    outward: PerKind = field(default_factory=lambda: PerKind(dark=0.5, bright=0.3))
     """How far the edge may move outward, as a share of how far it may move inward; for dark marrow in small bones
     only."""
     most_nats: float = 4.0

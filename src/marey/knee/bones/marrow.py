@@ -48,6 +48,18 @@ MARROW_DEFAULTS = MarrowSettings()
 Kind = Literal["dark", "bright"]
 
 
+@dataclass(frozen=True, kw_only=True)
+class PerKind:
+    """A value for each kind of marrow."""
+
+    dark: float
+    bright: float
+
+    def of(self, kind: Kind) -> float:
+        """Return the value for one kind."""
+        return self.dark if kind == "dark" else self.bright
+
+
 class NoPairFound(MareyError):
     """An image shows no femur above a tibia: no knee, an unknown sequence, or one of the two only."""
 

@@ -1,4 +1,4 @@
-"""What an image says of how thick the cartilage is along each normal: a layer between two blurred edges, or none."""
+"""Evidence of an image for the thickness of cartilage along each normal: a layer between two blurred edges, or none."""
 
 import math
 from dataclasses import dataclass
@@ -13,28 +13,52 @@ from marey.knee.space.mesh_graph import MeshGraph
 from marey.knee.space.volume import Volume
 
 STEP_MM = 0.2
+"""Spacing [mm] of the candidate thicknesses, and of the samples of a profile; chosen by hand."""
 THINNEST_MM, THICKEST_MM = 0.4, 7.0
+"""Least and largest candidate thickness [mm] of cartilage; chosen by hand."""
 LEVELS_MM = np.concatenate([[0.0], np.arange(THINNEST_MM, THICKEST_MM + 1e-9, STEP_MM)])
-"""The thicknesses among which is chosen; 0 is bare."""
+"""(L,) the candidate thicknesses [mm]; 0 is bare bone."""
 DEPTHS_MM = np.arange(-3.0, THICKEST_MM + 4.0, STEP_MM)
-"""Where along a normal the image is read; 0 is the bone's surface."""
+"""(D,) where along a normal the image is read [mm]; 0 is the bone's surface."""
 FIRST_MM = -0.6
-"""From here on the grey values have to be explained."""
-EDGE_SD_MM = 0.3
-"""How blurred an edge is besides what the voxels do: surfaces are curved and rough."""
-CORRELATED_MM = 0.5
-"""Grey values nearer than this along a profile tell the same, or nearer than voxels are."""
-LEAST_SPREAD = 0.04
-"""Grey values of cartilage differ by at least this share of their brightness."""
+"""Depth [mm] from which the grey values enter the costs; chosen by hand."""
 STRAY = 0.03
-"""This share of grey values is something else than it should be."""
-BIAS_MM = 12.0
-"""Over such a way the brightness of cartilage may change."""
+"""Share of outliers among the grey values; chosen by hand."""
 OVER_MM = 0.6
-"""What lies over the cartilage is seen in so much of the profile beyond the edge."""
-_FACTORS = np.arange(0.5, 1.8, 0.05)
-_CLEAR, _ENOUGH, _EDGE_MM = 0.3, 50, 1.2
+"""Length [mm] of the profile beyond the outer edge where the tissue over the cartilage is measured; chosen by hand."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvidenceSettings:
+    """Settings for the evidence of an image for the thickness of cartilage.
+
+    Values without a stated source were chosen by hand.
+    """
+
+    edge_sd_mm: float = 0.3
+    """Standard deviation [mm] of an edge's blur in addition to that of the voxels: surfaces are curved and
+    rough."""
+    correlated_mm: float = 0.5
+    """Least distance [mm] between independent grey values along a profile; the extent of a voxel if it is
+    larger."""
+    least_spread: float = 0.04
+    """Least standard deviation of the grey values of cartilage, as a share of their level."""
+    bias_mm: float = 12.0
+    """Distance [mm] over which the level of cartilage may change."""
+    blur_factors: tuple[float, float, float] = (0.5, 1.8, 0.05)
+    """First, last and step of the multiples of the expected blur that are tried."""
+    least_contrast: float = 0.3
+    """Least contrast at an outer edge, as a share of the level of cartilage, for measuring its blur."""
+    fewest_edges: int = 50
+    """Fewest such edges from which the blur is measured."""
+    edge_mm: float = 1.2
+    """Distance [mm] from an edge within which its blur is measured."""
+
+
+EVIDENCE_DEFAULTS = EvidenceSettings()
+"""Default settings for the evidence of an image for the thickness of cartilage."""
 _BINS = np.arange(-0.5, 3.5001, 0.04)
+"""Edges of the bins of relative grey values; chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -45,52 +69,71 @@ class Profiles:
     """(V, D) at `DEPTHS_MM`."""
     blur_mm: Floats
     """(V,) standard deviation of an edge's blur along the normal."""
-    alike_mm: Floats
-    """(V,) over such a way along the normal grey values tell the same."""
+    correlation_mm: Floats
+    """(V,) distance along the normal over which grey values are not independent."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Tissues:
-    """Grey values as shares of cartilage's at that place."""
+    """Grey values relative to the local level of cartilage."""
 
     relative: Floats
     """(V, D) the profiles."""
     marrow: Floats
-    """(V,) below the cartilage."""
+    """(V,) level of the marrow below the cartilage."""
     spread: float
     """Standard deviation within cartilage."""
     over: Floats
-    """Density of what lies over cartilage, in `_BINS`."""
+    """Probability density of the tissue over cartilage, in the bins of relative grey values."""
 
 
-def read_profiles(volume: Volume, places_mm: Floats, normals: Floats, blurred: float = 1.0) -> Profiles:
-    """Read an image along normals (V, 3) from places (V, 3).
+def read_profiles(
+    volume: Volume,
+    places_mm: Floats,
+    normals: Floats,
+    blurred: float = 1.0,
+    *,
+    settings: EvidenceSettings = EVIDENCE_DEFAULTS,
+) -> Profiles:
+    """Read an image along normals.
 
     Args:
         volume: The image.
-        places_mm: On the bone.
-        normals: Unit.
-        blurred: The image is so many times as blurred as its voxels and `EDGE_SD_MM` let expect.
+        places_mm: (V, 3) on the bone.
+        normals: (V, 3) unit vectors.
+        blurred: Blur of the image as a multiple of that expected from its voxels and `edge_sd_mm`.
+        settings: Tuned constants of the algorithm.
     """
     along = places_mm[:, None] + DEPTHS_MM[:, None] * normals[:, None]
     voxels = np.moveaxis(volume.grid.voxels(along)[..., ::-1], -1, 0)
     values = ndimage.map_coordinates(volume.intensity, voxels, order=1, mode="nearest", output=float)
     axes = volume.grid.lps_from_voxel[:3, :3]
-    extents = np.abs(normals @ axes)  # (V, 3) of a voxel's edges, along the normal
-    # A voxel is the mean over its box, and reading between voxels is a mean over two boxes.
-    blur = blurred * np.sqrt((extents**2).sum(1) * (1 / 12 + 1 / 6) + EDGE_SD_MM**2)
-    return Profiles(values=values, blur_mm=blur, alike_mm=np.maximum(np.sqrt((extents**2).sum(1)), CORRELATED_MM))
+    extents = np.abs(normals @ axes)  # (V, 3) extent of a voxel's edges along the normal
+    # A voxel is the mean over its box, and interpolation is a mean over two boxes.
+    blur = blurred * np.sqrt((extents**2).sum(1) * (1 / 12 + 1 / 6) + settings.edge_sd_mm**2)
+    return Profiles(
+        values=values, blur_mm=blur, correlation_mm=np.maximum(np.sqrt((extents**2).sum(1)), settings.correlated_mm)
+    )
 
 
-def tissues(profiles: Profiles, thickness_mm: Floats, present: Mask, theirs: Floats, graph: MeshGraph) -> Tissues:
-    """Learn how bright cartilage, marrow, and what lies over cartilage are, from a first idea of its thickness.
+def tissues(
+    profiles: Profiles,
+    thickness_mm: Floats,
+    present: Mask,
+    theirs: Floats,
+    graph: MeshGraph,
+    *,
+    settings: EvidenceSettings = EVIDENCE_DEFAULTS,
+) -> Tissues:
+    """Measure the levels of cartilage, marrow, and what lies over cartilage, from an estimate of its thickness.
 
     Args:
         profiles: Grey values.
-        thickness_mm: (V,) the idea.
+        thickness_mm: (V,) the estimate.
         present: (V,) where cartilage is.
-        theirs: (V, D) how probable it is that another bone's cartilage is there, or that bone.
+        theirs: (V, D) probability that another bone, or its cartilage, is there.
         graph: Of the bone.
+        settings: Tuned constants of the algorithm.
     """
     values = profiles.values
     column = np.clip(np.round((0.5 * thickness_mm - DEPTHS_MM[0]) / STEP_MM).astype(int), 0, len(DEPTHS_MM) - 1)
@@ -101,7 +144,7 @@ def tissues(profiles: Profiles, thickness_mm: Floats, present: Mask, theirs: Flo
     usual = float(np.median(middle[sure]))
     rough = 1.4826 * float(np.median(np.abs(middle[sure] - usual)))
     weights = (sure & (np.abs(middle - usual) < max(3 * rough, 0.2 * abs(usual)))).astype(float)
-    about = graph.filled(middle, weights, BIAS_MM)
+    about = graph.filled(middle, weights, settings.bias_mm)
     here = np.maximum(np.where(np.isfinite(about), about, usual), 1e-3 * max(abs(usual), 1e-6))
     relative = values / here[:, None]
     spread = 1.4826 * float(np.median(np.abs(middle[sure] / here[sure] - 1)))
@@ -110,11 +153,13 @@ def tissues(profiles: Profiles, thickness_mm: Floats, present: Mask, theirs: Flo
     beyond = DEPTHS_MM[None] - thickness_mm[:, None]
     outside = (beyond > 2.5 * profiles.blur_mm[:, None]) & (beyond < 4.0) & (theirs < 0.3) & np.isfinite(here)[:, None]
     outside &= present[:, None]
-    return Tissues(relative=relative, marrow=marrow, spread=max(spread, LEAST_SPREAD), over=_density(relative[outside]))
+    return Tissues(
+        relative=relative, marrow=marrow, spread=max(spread, settings.least_spread), over=_density(relative[outside])
+    )
 
 
 def _density(values: Floats) -> Floats:
-    """Return a smooth histogram with a floor: nothing is impossible."""
+    """Return a smoothed histogram with a floor, so that no value is impossible."""
     counts = np.histogram(np.clip(values, _BINS[0], _BINS[-1] - 1e-9), _BINS)[0].astype(float)
     smooth = ndimage.gaussian_filter1d(counts, 1.5, mode="nearest")
     wide = _BINS[1] - _BINS[0]
@@ -122,18 +167,18 @@ def _density(values: Floats) -> Floats:
 
 
 def layer_costs(profiles: Profiles, seen: Tissues, begins_mm: Floats, begins_sd_mm: Floats, ends_mm: Floats) -> Floats:
-    """Return what each thickness of `LEVELS_MM` costs (V, L): minus the logarithm of the profile's probability.
+    """Return the cost (V, L) of each thickness of `LEVELS_MM`: minus the logarithm of the profile's probability.
 
-    Bone, cartilage and what lies over it are three grey values with a blurred edge between each two. Farther out lies
-    whatever usually lies there, up to where another bone's cartilage begins. Where that begins is not known, only
-    foretold: of all places the likeliest is taken, and where it is the outer surface itself, the two touch, edgeless.
+    Bone, cartilage and what lies over it are three grey values with blurred edges between them. Farther out follows the
+    usual tissue, up to where another bone's cartilage begins. That depth is predicted, not known: the likeliest depth
+    is used, and where it is the outer surface itself, the cartilages touch without an edge.
 
     Args:
         profiles: Grey values.
         seen: The tissues.
-        begins_mm: (V,) where another bone's cartilage is foretold to begin; infinite where there is none.
-        begins_sd_mm: (V,) standard deviation of that.
-        ends_mm: (V,) how far out a profile tells something: another bone may be in the way.
+        begins_mm: (V,) where another bone's cartilage is predicted to begin; infinite where there is none.
+        begins_sd_mm: (V,) its standard deviation.
+        ends_mm: (V,) depth up to which a profile is used: another bone may lie beyond it.
     """
     values = np.clip(seen.relative, _BINS[0], _BINS[-1] - 1e-9)
     wide = _BINS[1] - _BINS[0]
@@ -142,33 +187,42 @@ def layer_costs(profiles: Profiles, seen: Tissues, begins_mm: Floats, begins_sd_
     cartilage = (1 - STRAY) * peak * np.exp(-0.5 * ((values - 1) / seen.spread) ** 2) + STRAY / (_BINS[-1] - _BINS[0])
     return _layer_costs(
         values, -np.log(seen.over)[bins], -np.log(cartilage), -np.log(seen.over), seen.marrow, profiles.blur_mm,
-        STEP_MM / profiles.alike_mm, begins_mm, begins_sd_mm, ends_mm, seen.spread, LEVELS_MM, DEPTHS_MM,
+        STEP_MM / profiles.correlation_mm, begins_mm, begins_sd_mm, ends_mm, seen.spread, LEVELS_MM, DEPTHS_MM,
         (STRAY, _BINS[0], wide),
     )  # fmt: skip
 
 
-def measured_blur(profiles: Profiles, seen: Tissues, thickness_mm: Floats, sure: Mask) -> float:
-    """Return the blur that the image shows at the outer edges of thick cartilage, as a multiple of what is assumed.
+def measured_blur(
+    profiles: Profiles,
+    seen: Tissues,
+    thickness_mm: Floats,
+    sure: Mask,
+    *,
+    settings: EvidenceSettings = EVIDENCE_DEFAULTS,
+) -> float:
+    """Return the blur measured at the outer edges of thick cartilage, as a multiple of the assumed blur.
 
     Args:
         profiles: Grey values.
         seen: The tissues.
-        thickness_mm: (V,) as found.
-        sure: (V,) where it is known, and free of other cartilage.
+        thickness_mm: (V,) of the cartilage.
+        sure: (V,) where it is known, and no other cartilage is near.
+        settings: Tuned constants of the algorithm.
     """
     used = np.flatnonzero(sure & (thickness_mm > 4 * profiles.blur_mm))
     off = DEPTHS_MM[None] - thickness_mm[used, None]
     blur = profiles.blur_mm[used, None]
     beyond = (off > 2.5 * blur) & (off < 2.5 * blur + OVER_MM)
     outside = (seen.relative[used] * beyond).sum(1) / np.maximum(beyond.sum(1), 1)
-    clear = (np.abs(1 - outside) > _CLEAR) & beyond.any(1)
-    if np.count_nonzero(clear) < _ENOUGH:
+    clear = (np.abs(1 - outside) > settings.least_contrast) & beyond.any(1)
+    if np.count_nonzero(clear) < settings.fewest_edges:
         return 1.0
-    near = clear[:, None] & (np.abs(off) < _EDGE_MM)
+    near = clear[:, None] & (np.abs(off) < settings.edge_mm)
     part = ((1 - seen.relative[used]) / (1 - np.where(clear, outside, 0.0))[:, None])[near]
     at = (off / blur)[near]
-    misfit = [np.minimum((part - ndtr(at / factor)) ** 2, 0.05).sum() for factor in _FACTORS]
-    return float(_FACTORS[int(np.argmin(misfit))])
+    factors = np.arange(*settings.blur_factors)
+    misfit = [np.minimum((part - ndtr(at / factor)) ** 2, 0.05).sum() for factor in factors]
+    return float(factors[int(np.argmin(misfit))])
 
 
 @kernel
@@ -185,14 +239,14 @@ def _layer_costs(  # pragma: no cover - compiled
         _farther(over[v], cartilage[v], depths, begins[v], begins_sd[v], ends[v], share[v], farther, theirs)
         for n in range(len(levels)):
             thick = levels[n]
-            # Where voxels are thick the blur reaches beyond the profile's end.
+            # In thick voxels the blur reaches beyond the end of the profile.
             first = min(int((thick + 1.5 * blur[v] - depths[0]) / step + 0.5), number - 1)
             last = min(first + int(OVER_MM / step + 0.5), number - 1)
             outside = 0.0
             for d in range(first, last + 1):
                 outside += values[v, d]
             outside /= last - first + 1
-            # As if nothing were blurred: what lies over is paid for all along.
+            # The tissue over the cartilage enters the cost as if it were not blurred.
             paid = over_bins[min(max(int((outside - low) / wide), 0), len(over_bins) - 1)]
             apart = touching = 0.0
             edge = rim = number
@@ -209,7 +263,7 @@ def _layer_costs(  # pragma: no cover - compiled
                 at = (depth - thick) / blur[v]
                 outer = 0.5 * math.erfc(-at / math.sqrt(2.0))
                 model = marrow[v] + (1 - marrow[v]) * inner
-                # What an edge may be off its mean place and form.
+                # Deviation of an edge from its mean position and shape.
                 inner_slope = 0.3 * (1 - marrow[v]) * math.exp(-0.5 * (depth / blur[v]) ** 2)
                 outer_slope = 0.15 * (outside - 1) * math.exp(-0.5 * at * at)
                 variance = spread**2 + inner_slope**2
@@ -221,7 +275,7 @@ def _layer_costs(  # pragma: no cover - compiled
                 apart += (usual if depth <= thick else paid) - math.log((1 - stray) * math.exp(-0.5 * off) + stray)
             costs[v, n] = apart * share[v] + farther[rim]
             if begins[v] < np.inf:
-                # The other cartilage begins right here.
+                # The other cartilage begins at this depth.
                 there = 0.5 * ((thick - begins[v]) / begins_sd[v]) ** 2
                 costs[v, n] = min(costs[v, n], touching * share[v] + theirs[edge] + there)
     return costs
@@ -231,7 +285,7 @@ def _layer_costs(  # pragma: no cover - compiled
 def _farther(  # pragma: no cover - compiled
     over, cartilage, depths, begins, begins_sd, ends, share, farther, theirs
 ):
-    """Fill in what the profile from each depth on costs: what lies over, then another cartilage; and that alone."""
+    """Write the cost of the profile from each depth: of other tissue then another cartilage, and of that alone."""
     number = len(depths)
     farther[number] = theirs[number] = 0.0
     if begins < np.inf:

@@ -1,4 +1,4 @@
-"""All cartilages of a knee by a template: registration of each bone, what is foretold, what the image shows."""
+"""All cartilages of a knee by a template: registration of each bone, prediction, and segmentation."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -9,23 +9,46 @@ import numpy as np
 from marey.arrays import Floats
 from marey.errors import MareyError
 from marey.geometry.rigid import RigidTransform
-from marey.knee.cartilage.outer_surface import CartilageSheet, find_cartilage
+from marey.knee.cartilage.outer_surface import (
+    OUTER_SURFACE_DEFAULTS,
+    CartilageSheet,
+    OuterSurfaceSettings,
+    find_cartilage,
+)
 from marey.knee.cartilage.prediction import CartilagePrediction, predict_cartilage
 from marey.knee.cartilage.thickness import cartilage_thickness
-from marey.knee.registration.elastic import ElasticRegistration, register_elastically
-from marey.knee.registration.rigid import RigidRegistration, register_rigidly
+from marey.knee.registration.elastic import ELASTIC_DEFAULTS, ElasticRegistration, ElasticSettings, register_elastically
+from marey.knee.registration.rigid import RIGID_DEFAULTS, RigidRegistration, RigidSettings, register_rigidly
 from marey.knee.space.sides import mirrored
 from marey.knee.space.structures import BONES, CARTILAGE_OF_BONE
 from marey.knee.space.surface import Surface
 from marey.knee.space.volume import Volume
 
-_PASSES = 2
-"""In the second one each bone's cartilage knows how thick this person's is on the others."""
-_SURE = 0.5
-LEAST_SEEN = 0.4
-"""Over at least such a share of a cartilage the image must tell more of its thickness than the template does."""
-MOST_BLUR = 0.5
-"""The blur of its edges [standard deviation] over the thickness: beyond, the two edges of a layer run together."""
+
+@dataclass(frozen=True, kw_only=True)
+class KneeCartilageSettings:
+    """Settings for finding all cartilages of a knee.
+
+    Values without a stated source were chosen by hand.
+    """
+
+    rigid: RigidSettings = RIGID_DEFAULTS
+    elastic: ElasticSettings = ELASTIC_DEFAULTS
+    outer_surface: OuterSurfaceSettings = OUTER_SURFACE_DEFAULTS
+    passes: int = 2
+    """Number of passes over the bones. In the second one the thickness predicted for the other bones is that of the
+    subject."""
+    sure: float = 0.5
+    """Probability from which cartilage is predicted, and confidence below which a thickness counts as uncertain."""
+    least_seen: float = 0.4
+    """Least share of a cartilage over which the image determines its thickness more than the template."""
+    most_blur: float = 0.5
+    """Standard deviation of the blur of its edges, relative to the thickness, above which a cartilage is reported:
+    the two edges of a layer merge."""
+
+
+KNEE_CARTILAGE_DEFAULTS = KneeCartilageSettings()
+"""Default settings for finding all cartilages of a knee."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -36,18 +59,18 @@ class KneeTemplate:
     thickness_mm: Mapping[str, Floats]
     """(V,) of each bone's vertices, 0 where it is bare."""
     unusable: Mapping[str, str] = field(default_factory=dict)
-    """Bones whose cartilage tells nothing, to the reason."""
+    """Bones whose cartilage cannot be used, to the reason."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class KneeCartilage:
-    """What was found, by the bone's name."""
+    """The cartilage of a knee, by the bone's name."""
 
     sheets: Mapping[str, CartilageSheet]
     rigid: Mapping[str, RigidRegistration]
     elastic: Mapping[str, ElasticRegistration]
     missing: Mapping[str, str]
-    """Bones whose cartilage the template has and that was not found, to the reason."""
+    """Bones whose cartilage is in the template but was not found, to the reason."""
     notes: tuple[str, ...]
     """What a user should know, as sentences."""
 
@@ -57,17 +80,17 @@ def knee_template(surfaces: Mapping[str, Surface], *, mirror: bool = False) -> K
 
     Args:
         surfaces: By the names of `structures.LABELS`; a bone without cartilage is left out.
-        mirror: It is of the other side than the subject.
+        mirror: Whether the template is of the other side than the subject.
 
     Raises:
-        MareyError: No bone has its cartilage.
+        MareyError: No bone comes with its cartilage.
     """
     sided = {name: mirrored(surface) if mirror else surface for name, surface in surfaces.items()}
-    told = [bone for bone in BONES if CARTILAGE_OF_BONE[bone] in sided]
-    if not any(bone in sided for bone in told):
+    covered = [bone for bone in BONES if CARTILAGE_OF_BONE[bone] in sided]
+    if not any(bone in sided for bone in covered):
         raise MareyError("The template has no bone together with its cartilage.")
     thickness, unusable = {}, {}
-    for bone in told:
+    for bone in covered:
         if bone not in sided:
             unusable[bone] = f"The template has no {bone} under it."
             continue
@@ -79,25 +102,31 @@ def knee_template(surfaces: Mapping[str, Surface], *, mirror: bool = False) -> K
 
 
 def find_knee_cartilage(
-    volumes: Sequence[Volume], bones: Mapping[str, Surface], template: KneeTemplate,
-    starts: Mapping[str, RigidTransform] | None = None, done: Callable[[float], None] = lambda share: None,
-) -> KneeCartilage:  # fmt: skip
-    """Find the cartilage on each bone that the template has, too.
+    volumes: Sequence[Volume],
+    bones: Mapping[str, Surface],
+    template: KneeTemplate,
+    starts: Mapping[str, RigidTransform] | None = None,
+    done: Callable[[float], None] = lambda share: None,
+    *,
+    settings: KneeCartilageSettings = KNEE_CARTILAGE_DEFAULTS,
+) -> KneeCartilage:
+    """Find the cartilage on each bone that is also in the template.
 
     Args:
         volumes: The image, or several in the same place.
-        bones: The subject's.
+        bones: Of the subject.
         template: Of the same side.
-        starts: Where each bone of the template lies about, as subject_from_template; they are looked for without.
-        done: Told of the share of the work that is done.
+        starts: Bone to its approximate subject_from_template; found if not given.
+        done: Called with the share of the work that is done.
+        settings: Tuned constants of the algorithm.
 
     Raises:
         MareyError: No bone is in both.
 
     Returns:
-        A bone whose cartilage fails, or is not seen in the image, is in `missing`; the others' are kept.
+        A bone whose cartilage fails, or is not visible in the image, is in `missing`; the others are kept.
     """
-    laid: dict[str, _Laid] = {}
+    registered: dict[str, _RegisteredBone] = {}
     missing = dict(template.unusable)
     for bone in template.bones:
         if bone not in bones:
@@ -105,105 +134,123 @@ def find_knee_cartilage(
     both = [bone for bone in BONES if bone in bones and bone in template.bones]
     if not both and not template.unusable:
         raise MareyError("The template and the image have no bone in common.")
-    steps = len(both) * (2 + _PASSES)
+    steps = len(both) * (2 + settings.passes)
     for n, bone in enumerate(both):
         start = (starts or {}).get(bone)
         try:
-            laid[bone] = _laid(template, bone, bones[bone], start, partial(_told_part, done, n, steps))
+            registered[bone] = _registered(
+                template, bone, bones[bone], start, partial(_report_part, done, n, steps), settings
+            )
         except MareyError as problem:
             missing[bone] = str(problem)
     sheets: dict[str, CartilageSheet] = {}
-    # A bone without a template is in the way of the others' cartilage all the same.
+    # A bone that is not in the template still limits the cartilage of the others.
     thickness: dict[str, Floats] = {bone: np.zeros(len(surface.vertices_mm)) for bone, surface in bones.items()}
-    thickness |= {bone: _foretold(each.told) for bone, each in laid.items()}
+    thickness |= {bone: _predicted_thickness(each.prediction, settings=settings) for bone, each in registered.items()}
     inner = dict(bones)
-    for turn in range(_PASSES):
+    for turn in range(settings.passes):
         for n, bone in enumerate(both):
-            if bone in laid and bone not in missing:
+            if bone in registered and bone not in missing:
                 others = [(inner[other], thickness[other]) for other in bones if other != bone]
                 try:
-                    sheets[bone] = find_cartilage(volumes, bones[bone], laid[bone].told, others, sheets.get(bone))
+                    sheets[bone] = find_cartilage(
+                        volumes,
+                        bones[bone],
+                        registered[bone].prediction,
+                        others,
+                        sheets.get(bone),
+                        settings=settings.outer_surface,
+                    )
                 except MareyError as problem:
                     missing[bone] = str(problem)
             done((len(both) * (2 + turn) + n + 1) / steps)
-        # Not what was found: where cartilages touch, it has been placed by this very sharing.
+        # The prediction, not the result, which depends on this sharing where cartilages touch.
         inner |= {bone: sheet.bone for bone, sheet in sheets.items()}
-        thickness |= {bone: np.asarray(sheet.foretold_mm) for bone, sheet in sheets.items()}
+        thickness |= {bone: np.asarray(sheet.predicted_mm) for bone, sheet in sheets.items()}
     for bone in list(sheets):
-        if (reason := _unseen(sheets[bone])) is not None:
+        if (reason := _why_invisible(sheets[bone], settings=settings)) is not None:
             missing[bone] = reason
     sheets = {bone: sheet for bone, sheet in sheets.items() if bone not in missing}
-    elastic = {bone: each.elastic for bone, each in laid.items()}
+    elastic = {bone: each.elastic for bone, each in registered.items()}
     return KneeCartilage(
-        sheets=sheets, missing=missing, rigid={bone: each.rigid for bone, each in laid.items()}, elastic=elastic,
-        notes=_notes(sheets, elastic),
+        sheets=sheets, missing=missing, rigid={bone: each.rigid for bone, each in registered.items()}, elastic=elastic,
+        notes=_notes(sheets, elastic, settings=settings),
     )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class _Laid:
-    """A template's bone on the subject's."""
+class _RegisteredBone:
+    """A template's bone, registered to the subject's."""
 
     rigid: RigidRegistration
     elastic: ElasticRegistration
-    told: CartilagePrediction
+    prediction: CartilagePrediction
 
 
-def _told_part(done: Callable[[float], None], n: int, steps: int, part: float) -> None:
+def _report_part(done: Callable[[float], None], n: int, steps: int, part: float) -> None:
     done((2 * n + part) / steps)
 
 
-def _laid(
-    template: KneeTemplate, name: str, bone: Surface, start: RigidTransform | None, done: Callable[[float], None]
-) -> _Laid:
+def _registered(
+    template: KneeTemplate,
+    name: str,
+    bone: Surface,
+    start: RigidTransform | None,
+    done: Callable[[float], None],
+    settings: KneeCartilageSettings,
+) -> _RegisteredBone:
     model = template.bones[name]
-    rigid = register_rigidly(model, bone, start)
+    rigid = register_rigidly(model, bone, start, settings=settings.rigid)
     moved = Surface(vertices_mm=rigid.subject_from_template.apply(model.vertices_mm), faces=model.faces)
     done(1)
-    elastic = register_elastically(moved, bone)
-    told = predict_cartilage(bone, moved, template.thickness_mm[name], elastic.deformation)
+    elastic = register_elastically(moved, bone, settings.elastic)
+    prediction = predict_cartilage(bone, moved, template.thickness_mm[name], elastic.deformation)
     done(2)
-    return _Laid(rigid=rigid, elastic=elastic, told=told)
+    return _RegisteredBone(rigid=rigid, elastic=elastic, prediction=prediction)
 
 
 def seen_share(sheet: CartilageSheet) -> float:
-    """Return the share of the covered vertices at which the image tells more of the thickness than the template."""
+    """Return the share of the covered vertices at which the image determines the thickness more than the template."""
     return float((np.asarray(sheet.by_image)[sheet.thickness_mm > 0] > 0.5).mean())
 
 
-def _unseen(sheet: CartilageSheet) -> str | None:
-    """Say why a sheet is not what the image shows; None where it is."""
+def _why_invisible(sheet: CartilageSheet, *, settings: KneeCartilageSettings) -> str | None:
+    """Return why a sheet does not show the image's cartilage; None where it does."""
     if not (sheet.thickness_mm > 0).any():
-        return "The image shows none where the template has some."
-    if (seen := seen_share(sheet)) >= LEAST_SEEN:
+        return "The image shows none where the template has cartilage."
+    if (seen := seen_share(sheet)) >= settings.least_seen:
         return None
     blur = np.nanmedian(np.asarray(sheet.blur_mm))
     return (
-        f"Over {100 * (1 - seen):.0f} % of it the image tells less of its thickness than the template: its outer edge "
-        f"is not seen. An edge is blurred by {blur:.1f} mm (standard deviation) along "
+        f"Over {100 * (1 - seen):.0f} % of it the image contributes less to its thickness than the template: its outer "
+        f"edge is not visible. An edge is blurred by {blur:.1f} mm (standard deviation) along "
         "the bone's normals; thinner slices, or another contrast, would show it."
     )
 
 
-def _foretold(prediction: CartilagePrediction) -> Floats:
-    return np.where(prediction.presence > _SURE, np.nan_to_num(prediction.thickness_mm), 0.0)
+def _predicted_thickness(prediction: CartilagePrediction, *, settings: KneeCartilageSettings) -> Floats:
+    return np.where(prediction.presence > settings.sure, np.nan_to_num(prediction.thickness_mm), 0.0)
 
 
-def _notes(sheets: Mapping[str, CartilageSheet], elastic: Mapping[str, ElasticRegistration]) -> tuple[str, ...]:
+def _notes(
+    sheets: Mapping[str, CartilageSheet], elastic: Mapping[str, ElasticRegistration], *, settings: KneeCartilageSettings
+) -> tuple[str, ...]:
     notes = []
     for bone, sheet in sheets.items():
         name = CARTILAGE_OF_BONE[bone].replace("_", " ")
-        if (unsure := float((sheet.confidence[sheet.thickness_mm > 0] < _SURE).mean())) > 0.3:
-            notes.append(f"The {name}'s outer surface is unsure over {100 * unsure:.0f} % of it.")
+        if (unsure := float((sheet.confidence[sheet.thickness_mm > 0] < settings.sure).mean())) > 0.3:
+            notes.append(f"The {name}'s outer surface is uncertain over {100 * unsure:.0f} % of it.")
         ratio = float(
             np.nanmedian(np.asarray(sheet.blur_mm) / np.where(sheet.thickness_mm > 0, sheet.thickness_mm, np.nan))
         )
-        if ratio > MOST_BLUR:
+        if ratio > settings.most_blur:
             notes.append(
                 f"The {name}'s edges are blurred by {100 * ratio:.0f} % of its thickness (standard deviation): the "
-                "voxels are too thick for it, and its thickness is unsure."
+                "voxels are too thick for it, and its thickness is uncertain."
             )
         if elastic[bone].surface_distance_mm > 1.0:
             far = elastic[bone].surface_distance_mm
-            notes.append(f"The template's {bone} could be bent to within {far:.1f} mm of the bone only, on average.")
+            notes.append(
+                f"The template's {bone} could be deformed only to a mean distance of {far:.1f} mm from the bone."
+            )
     return tuple(notes)

@@ -1,4 +1,4 @@
-"""Sheets of cartilage as voxels of the image."""
+"""Labels of cartilage from its sheets."""
 
 from collections.abc import Mapping
 
@@ -13,21 +13,21 @@ from marey.knee.space.triangle_tree import TriangleTree, corner_weights
 from marey.knee.space.volume import Labels
 
 MOVED_MM = 2.0
-"""The sheets' inner surfaces lie at most so far beside the bones' voxels."""
+"""Largest distance [mm] of the sheets' inner surfaces from the edges of the bones' voxels; chosen by hand."""
 
 
 def with_cartilage(bones: Labels, sheets: Mapping[str, CartilageSheet]) -> Labels:
-    """Add cartilage to a volume of bones: voxels over a bone that lie nearer to it than the cartilage is thick.
+    """Add cartilage to the labels of bones: voxels over a bone that lie nearer to it than the cartilage is thick.
 
-    Where a bone is covered, its voxels end where the sheet's inner surface says, which may lie beside where they ended
-    before; no voxel between bone and cartilage is left out. Elsewhere bones stay as they are.
+    Where a bone is covered, its voxels are changed to end at the sheet's inner surface, so that no voxel between bone
+    and cartilage is left out. Elsewhere bones are kept.
 
     Args:
-        bones: On the image's own grid; cartilage of before is taken away.
+        bones: On the image's own grid; its labels of cartilage are removed.
         sheets: Bone's name to the cartilage on it.
 
     Returns:
-        Where two cartilages claim a voxel, that one has it of which the smaller share lies below.
+        Bones and cartilage. A voxel within two cartilages belongs to the one of which the smaller share lies below it.
     """
     labels = np.where(np.isin(bones.labels, [LABELS[bone] for bone in CARTILAGE_OF_BONE]), bones.labels, 0)
     best = np.full(labels.shape, np.inf)
@@ -46,7 +46,7 @@ def with_cartilage(bones: Labels, sheets: Mapping[str, CartilageSheet]) -> Label
         part[tuple(free[below].T)] = LABELS[bone]
         share[tuple(free[below].T)] = -np.inf
         over = covered & (height > 0)
-        # What was bone and lies over the cartilage is neither.
+        # Voxels of the bone that lie over the cartilage are neither.
         crust = over & (height > thickness) & (height < MOVED_MM) & own[tuple(free.T)]
         part[tuple(free[crust].T)] = 0
         ratio = np.where(over & (height <= thickness), height / np.maximum(thickness, 1e-9), np.inf)
@@ -71,7 +71,7 @@ def _box(labels: Labels, sheet: CartilageSheet) -> tuple[slice, ...]:
 
 
 def _heights(sheet: CartilageSheet, places: Floats) -> tuple[Floats, Floats]:
-    """Return how high places (n, 3) lie over the bone, negative within it, and how thick the cartilage is there."""
+    """Return the height of positions (n, 3) over the bone, negative within it, and the thickness of cartilage there."""
     surface = sheet.bone
     covered = sheet.thickness_mm > 0
     thickness, height = np.zeros(len(places)), np.full(len(places), np.inf)

@@ -1,12 +1,14 @@
 """The outer surface of cartilage, found along the bone's normals ([Alexander2003] section 2.1).
 
-From each vertex of the bone the image is read along the normal. A Gaussian about the foretold thickness, a third of it
-wide, weighs what the image says of each thickness. Unlike the paper, the normal is the subject's own, smoothed: the
-template's, carried along, lies 12 degrees off it in the median. And where the paper takes the strongest edge of the
-weighted gradient, a layer between two blurred edges is laid over the whole profile, since the gradient's maxima of a
-thin layer lie too far apart; the answers are chosen together as one sheet whose thickness changes slowly; and what the
-template foretells is scaled, region by region, to the person's cartilage wherever the image shows its edge, so that the
-Gaussian stands where that person's cartilage should end and draws nothing to the template's thickness.
+From each vertex of the bone the image is read along the normal. The image's evidence for each thickness is weighted
+by a Gaussian about the predicted thickness, whose standard deviation is a third of it.
+
+Unlike the paper, the normal is the subject's own, smoothed: the mapped normal of the template differs from it by 12
+degrees in the median. Where the paper takes the strongest edge of the weighted gradient, a layer between two blurred
+edges is fitted to the whole profile, because the maxima of the gradient of a thin layer lie too far apart. The
+thicknesses are chosen together, as one sheet whose thickness changes slowly. And the prediction is scaled, region by
+region, to the subject's cartilage wherever the image shows its edge, so that the Gaussian lies where that subject's
+cartilage should end and does not bias the result towards the template's thickness.
 """
 
 from collections.abc import Sequence
@@ -15,53 +17,77 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import erf
 
-from marey.arrays import Floats, Integers, Mask, frozen
+from marey.arrays import Floats, Integers, Mask, freeze_fields
 from marey.errors import MareyError
 from marey.knee.cartilage.contact import contact_with
 from marey.knee.cartilage.evidence import (
+    EVIDENCE_DEFAULTS,
     LEVELS_MM,
     STEP_MM,
     THICKEST_MM,
     THINNEST_MM,
+    EvidenceSettings,
     layer_costs,
     measured_blur,
     read_profiles,
     tissues,
 )
-from marey.knee.cartilage.inner_surface import inner_costs, inner_edge
-from marey.knee.cartilage.prediction import RIM_MM, TOLD_SHARE, CartilagePrediction
+from marey.knee.cartilage.inner_surface import INNER_SURFACE_DEFAULTS, InnerSurfaceSettings, inner_costs, inner_edge
+from marey.knee.cartilage.prediction import PREDICTED_SD_SHARE, RIM_MM, CartilagePrediction
 from marey.knee.space.mesh_graph import MeshGraph
 from marey.knee.space.surface import Surface
 from marey.knee.space.volume import Volume
 
-SLOPE_SD = 0.4
-"""How fast the thickness changes over the bone [mm/mm]."""
-LEAST_PRESENCE = 0.02
-"""No template is so sure that there is none, or some."""
-RIM_COST = 3.0
-"""What a rim costs at most, at each edge of the mesh that crosses it."""
-NORMALS_MM = 1.0
-"""Normals are smoothed over so much of the bone: they shall not follow its roughness."""
-REGION_MM = 8.0
-"""Over such a way a person's cartilage keeps its ratio to the template's."""
-NEAR_MM = 2.5
-"""So far from the answer other thicknesses count in its standard deviation."""
-MODEL_SD_MM = 0.15
-"""What the model of a profile, a bone's surface and its normal are worth, as a standard deviation of the thickness."""
-_FEW = 0.02
-"""So little edge nearby, as a share of all vertices about, tells as much of the ratio as the whole cartilage does."""
-_SURE_MM = 0.5
-"""An edge known so well takes part in the scaling."""
-SPECK_MM2, HOLE_MM2 = 40.0, 6.0
-"""Smaller pieces of cartilage, and smaller holes in it, are none."""
-_ROUNDS = 3
-_HAIR = 1e-3
-_TOLD = 0.8
-"""The template has cartilage where it is so probable."""
-_SOME = 0.5
-"""Cartilage is so probable by the template that its inner edge is looked for though none was found."""
-_COVERED = 0.84
-"""Of a mask spread over `RIM_MM`, so much is left that far from its rim."""
+
+@dataclass(frozen=True, kw_only=True)
+class OuterSurfaceSettings:
+    """Settings for finding the outer surface of cartilage.
+
+    Values without a stated source were chosen by hand.
+    """
+
+    evidence: EvidenceSettings = EVIDENCE_DEFAULTS
+    inner_surface: InnerSurfaceSettings = INNER_SURFACE_DEFAULTS
+    slope_sd: float = 0.4
+    """Standard deviation [mm/mm] of the slope of the thickness over the bone."""
+    least_presence: float = 0.02
+    """Least probability, by the template, of cartilage and of bare bone at any vertex."""
+    rim_cost: float = 3.0
+    """Largest cost of a rim at each edge of the mesh that crosses it."""
+    normals_mm: float = 1.0
+    """Standard deviation [mm] of the smoothing of the normals, which should not follow the bone's roughness."""
+    region_mm: float = 8.0
+    """Standard deviation [mm] of the regions over which the ratio of the subject's thickness to the template's is
+    averaged."""
+    near_mm: float = 2.5
+    """Largest difference [mm] from the result of thicknesses that enter its standard deviation."""
+    model_sd_mm: float = 0.15
+    """Standard deviation [mm] of the thickness due to errors of the model of a profile, of the bone's surface and
+    of its normal."""
+    ratio_floor: float = 0.02
+    """Share of vertices nearby with a known edge at which the local ratio and that of the whole cartilage have
+    equal weight."""
+    sure_mm: float = 0.5
+    """Largest standard deviation [mm] of a thickness that enters the ratio."""
+    speck_mm2: float = 40.0
+    """Smaller pieces [mm2] of cartilage are removed."""
+    hole_mm2: float = 6.0
+    """Smaller holes [mm2] in cartilage are filled."""
+    rounds: int = 3
+    """Number of rounds in which thickness, inner surface and prediction are updated."""
+    hair: float = 1e-3
+    """Difference of costs by which specks and holes are decided: their confidence is that of an undecided
+    vertex."""
+    likely: float = 0.8
+    """Probability from which the template has cartilage."""
+    possible: float = 0.5
+    """Probability by the template from which the inner edge is searched even where no cartilage was found."""
+    covered: float = 0.84
+    """Value of a mask smoothed by the rim's standard deviation at that distance inside its rim."""
+
+
+OUTER_SURFACE_DEFAULTS = OuterSurfaceSettings()
+"""Default settings for finding the outer surface of cartilage."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -69,38 +95,34 @@ class CartilageSheet:
     """The cartilage on one bone, at each of the bone's vertices."""
 
     bone: Surface
-    """Its vertices moved to where the cartilage begins."""
+    """The bone, with its vertices moved to where the cartilage begins."""
     normals: Floats
-    """(V, 3) along which it was looked for."""
+    """(V, 3) normals along which the cartilage was searched."""
     thickness_mm: Floats
     """(V,) 0 where the bone is bare."""
     thickness_sd_mm: Floats
-    """(V,) by the costs of other thicknesses; NaN where the bone is bare."""
+    """(V,) standard deviation by the costs of other thicknesses; NaN where the bone is bare."""
     confidence: Floats
-    """(V,) how probable the answer is, bare or within half a millimetre, from 0 to 1."""
-    foretold_mm: Floats | None = None
-    """(V,) the template's thickness after it was scaled to this person's, 0 where the bone is bare."""
+    """(V,) probability, from 0 to 1, that the result is right: bare, or within half a millimetre."""
+    predicted_mm: Floats | None = None
+    """(V,) the template's thickness after scaling to the subject's, 0 where the bone is bare."""
     by_image: Floats | None = None
-    """(V,) share of what is known of the thickness that the image tells, not the template: 1 less the ratio of the
-    variances with the image and without; NaN where the bone is bare."""
+    """(V,) share of the information on the thickness that comes from the image, not the template: 1 minus the ratio of
+    the variances with and without the image; NaN where the bone is bare."""
     scale: Floats | None = None
-    """(V,) this person's cartilage is foretold so many times as thick as the template's."""
+    """(V,) predicted ratio of the subject's thickness to the template's."""
     moved_mm: Floats | None = None
-    """(V,) how far `bone` lies outward of the surface that was given."""
+    """(V,) distance of `bone` outward of the given surface."""
     blur_mm: Floats | None = None
     """(V,) standard deviation of an edge's blur along the normal, in the sharpest image; NaN where the bone is bare."""
 
     def __post_init__(self) -> None:
-        for name in (
-            "normals", "thickness_mm", "thickness_sd_mm", "confidence", "foretold_mm", "by_image", "scale",
-            "moved_mm", "blur_mm",
-        ):  # fmt: skip
-            if getattr(self, name) is not None:
-                object.__setattr__(self, name, frozen(getattr(self, name)))
+        freeze_fields(self, "normals", "thickness_mm", "thickness_sd_mm", "confidence")
+        freeze_fields(self, "predicted_mm", "by_image", "scale", "moved_mm", "blur_mm")
 
     @property
     def outer(self) -> Surface:
-        """The closed surface of the cartilage: the bone where it is covered, the outer sheet, and walls at the rim.
+        """Closed surface of the cartilage: the covered bone, the outer sheet, and walls at the rim.
 
         Raises:
             MareyError: There is no cartilage.
@@ -119,7 +141,7 @@ class CartilageSheet:
         return self.thickness_mm[self._closed()[0] % len(self.thickness_mm)]
 
     def _closed(self) -> tuple[Integers, Integers]:
-        """Return the vertices of `outer`, numbered through the bone's and then the outer sheet's, and its faces."""
+        """Return the vertices of `outer`, as indices into those of the bone and then the outer sheet, and its faces."""
         covered = self.thickness_mm > 0
         faces = self.bone.faces[covered[self.bone.faces].all(1)]
         if not len(faces):
@@ -136,33 +158,39 @@ class CartilageSheet:
 
 
 def find_cartilage(
-    volumes: Sequence[Volume], bone: Surface, prediction: CartilagePrediction,
-    others: Sequence[tuple[Surface, Floats]] = (), before: CartilageSheet | None = None,
-) -> CartilageSheet:  # fmt: skip
+    volumes: Sequence[Volume],
+    bone: Surface,
+    prediction: CartilagePrediction,
+    others: Sequence[tuple[Surface, Floats]] = (),
+    before: CartilageSheet | None = None,
+    *,
+    settings: OuterSurfaceSettings = OUTER_SURFACE_DEFAULTS,
+) -> CartilageSheet:
     """Find the cartilage on a bone.
 
     Args:
         volumes: One image or several in the same place, of any contrasts in which cartilage differs from what lies
-            over it. What several say is added up.
-        bone: The inner surface of the cartilage, about.
+            over it. The evidence of several images is added.
+        bone: Approximate inner surface of the cartilage.
         prediction: From the template.
-        others: The other bones, and how thick the cartilage on each is foretold to be at its vertices, 0 where bare:
+        others: The other bones, and the predicted thickness of the cartilage at the vertices of each, 0 where bare:
             where two cartilages touch, the space between the bones is shared.
-        before: An earlier answer on this bone, from which to go on.
+        before: An earlier result on this bone, from which to continue.
+        settings: Tuned constants of the algorithm.
 
     Raises:
-        MareyError: The template foretells no cartilage on this bone.
+        MareyError: The template predicts no cartilage on this bone.
     """
     looked = np.isfinite(prediction.thickness_mm)
-    if np.count_nonzero(looked & (prediction.presence > _TOLD)) < 20:
-        raise MareyError("The template foretells no cartilage on this bone: does it fit?")
-    normals = _steady_normals(bone)
-    part, told, presence = _part(bone, looked), prediction.thickness_mm[looked], prediction.presence[looked]
-    moved: Floats = np.zeros(len(told))
-    scale: Floats = np.ones(len(told))
+    if np.count_nonzero(looked & (prediction.presence > settings.likely)) < 20:
+        raise MareyError("The template predicts no cartilage on this bone: check that it fits.")
+    normals = _steady_normals(bone, settings=settings)
+    part, predicted, presence = _part(bone, looked), prediction.thickness_mm[looked], prediction.presence[looked]
+    moved: Floats = np.zeros(len(predicted))
+    scale: Floats = np.ones(len(predicted))
     if before is not None and before.moved_mm is not None and before.scale is not None:
         moved, scale = before.moved_mm[looked], before.scale[looked]
-    found = _settled(volumes, part, normals[looked], told, presence, others, moved, scale)
+    found = _iterated(volumes, part, normals[looked], predicted, presence, others, moved, scale, settings=settings)
     thickness, there = found.thickness_mm, found.thickness_mm > 0
 
     def whole(values: Floats, elsewhere: float) -> Floats:
@@ -176,79 +204,98 @@ def find_cartilage(
         bone=inner, normals=normals, moved_mm=outward, scale=whole(found.scale, 1.0),
         thickness_mm=whole(thickness, 0.0),
         thickness_sd_mm=whole(found.thickness_sd_mm, np.nan), confidence=whole(found.confidence, 1.0),
-        foretold_mm=whole(np.where(there, found.foretold_mm, 0.0), 0.0),
+        predicted_mm=whole(np.where(there, found.predicted_mm, 0.0), 0.0),
         by_image=whole(np.where(there, found.by_image, np.nan), np.nan),
         blur_mm=whole(np.where(there, found.blur_mm, np.nan), np.nan),
     )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class _Settled:
-    """As in `CartilageSheet`, at the vertices that were looked at."""
+class _SheetValues:
+    """Fields of `CartilageSheet`, at the vertices at which cartilage is searched."""
 
     thickness_mm: Floats
     thickness_sd_mm: Floats
     confidence: Floats
-    foretold_mm: Floats
+    predicted_mm: Floats
     by_image: Floats
     moved_mm: Floats
     blur_mm: Floats
     scale: Floats
 
 
-def _settled(
-    volumes: Sequence[Volume], part: Surface, normals: Floats, told: Floats, presence: Floats,
-    others: Sequence[tuple[Surface, Floats]], moved: Floats, scale: Floats,
-) -> _Settled:  # fmt: skip
-    """Return the answers when they, the inner surface, and the foretold thickness, scaled to the person's, agree."""
+def _iterated(
+    volumes: Sequence[Volume], part: Surface, normals: Floats, predicted: Floats, presence: Floats,
+    others: Sequence[tuple[Surface, Floats]], moved: Floats, scale: Floats, *, settings: OuterSurfaceSettings
+) -> _SheetValues:  # fmt: skip
+    """Alternate between thickness, inner surface, and the scaling of the prediction to the subject."""
     graph, across = MeshGraph.of(part), contact_with(part.vertices_mm, normals, others)
-    scaled: Floats = np.clip(scale * told, THINNEST_MM, THICKEST_MM)
-    estimate, present, blurred = scaled, presence > _TOLD, [1.0] * len(volumes)
-    for turn in range(_ROUNDS):
+    scaled: Floats = np.clip(scale * predicted, THINNEST_MM, THICKEST_MM)
+    estimate, present, blurred = scaled, presence > settings.likely, [1.0] * len(volumes)
+    for turn in range(settings.rounds):
         places, contact = part.vertices_mm + moved[:, None] * normals, across.from_above(moved)
-        profiles = [read_profiles(each, places, normals, blur) for each, blur in zip(volumes, blurred, strict=True)]
-        known = [tissues(each, estimate, present, contact.theirs, graph) for each in profiles]
-        prior = contact.costs(LEVELS_MM) + _prior_costs(scaled, presence)
+        profiles = [
+            read_profiles(each, places, normals, blur, settings=settings.evidence)
+            for each, blur in zip(volumes, blurred, strict=True)
+        ]
+        known = [
+            tissues(each, estimate, present, contact.theirs, graph, settings=settings.evidence) for each in profiles
+        ]
+        prior = contact.costs(LEVELS_MM) + _prior_costs(scaled, presence, settings=settings)
         costs = prior.copy()
         for each, seen in zip(profiles, known, strict=True):
             costs += layer_costs(each, seen, contact.begins_mm, contact.begins_sd_mm, contact.ends_mm)
-        beliefs = _in_one_piece(graph.choose(costs, LEVELS_MM, SLOPE_SD, RIM_COST), part, graph)
-        thickness, sd, confidence = _answers(beliefs, costs)
-        # Where two cartilages may touch, the template itself has placed the edge: it tells nothing of the person. Nor
-        # is it asked whether the answer touches alone: those too thin by chance would be left, and thin all the others.
+        beliefs = _without_specks(
+            graph.choose(costs, LEVELS_MM, settings.slope_sd, settings.rim_cost), part, graph, settings=settings
+        )
+        thickness, sd, confidence = _answers(beliefs, costs, settings=settings)
+        # Where two cartilages may touch, the edge comes from the template and is no evidence of the subject's own.
+        # The prediction is tested as well as the result: otherwise results that are too thin by chance remain.
         touching = contact.reached(np.maximum(thickness, scaled))
-        sure = (thickness > 0) & (np.nan_to_num(sd) < _SURE_MM) & (confidence > 0.6) & ~touching
-        scaled = _scaled(told, thickness, sure & _within(thickness > 0, presence, graph), graph)
+        sure = (thickness > 0) & (np.nan_to_num(sd) < settings.sure_mm) & (confidence > 0.6) & ~touching
+        scaled = _scaled(
+            predicted,
+            thickness,
+            sure & _within(thickness > 0, presence, graph, settings=settings),
+            graph,
+            settings=settings,
+        )
         estimate, present = np.where(thickness > 0, thickness, scaled), thickness > 0
-        if turn + 1 == _ROUNDS:
+        if turn + 1 == settings.rounds:
             break
-        looked = present | (presence > _SOME)
-        told_by = [
-            inner_costs(each, seen, thickness, looked, moved) for each, seen in zip(profiles, known, strict=True)
+        looked = present | (presence > settings.possible)
+        inner_evidence = [
+            inner_costs(each, seen, thickness, looked, moved, settings=settings.inner_surface)
+            for each, seen in zip(profiles, known, strict=True)
         ]
         dark = any(np.median(seen.marrow) < 1 for seen in known)
-        inner = inner_edge(np.sum(told_by, axis=0), graph, "dark" if dark else "bright")
+        inner = inner_edge(
+            np.sum(inner_evidence, axis=0), graph, "dark" if dark else "bright", settings=settings.inner_surface
+        )
         moved = np.asarray(inner.offset_mm)
-        more = [measured_blur(*both, thickness, sure) for both in zip(profiles, known, strict=True)]
+        more = [
+            measured_blur(*both, thickness, sure, settings=settings.evidence)
+            for both in zip(profiles, known, strict=True)
+        ]
         blurred = [blur * each for blur, each in zip(blurred, more, strict=True)]
-    by_image = 1 - (_spread(costs) ** 2 + MODEL_SD_MM**2) / _spread(prior) ** 2
-    return _Settled(
-        thickness_mm=thickness, thickness_sd_mm=np.hypot(sd, inner.sd_mm), confidence=confidence, foretold_mm=scaled,
+    by_image = 1 - (_spread(costs) ** 2 + settings.model_sd_mm**2) / _spread(prior) ** 2
+    return _SheetValues(
+        thickness_mm=thickness, thickness_sd_mm=np.hypot(sd, inner.sd_mm), confidence=confidence, predicted_mm=scaled,
         by_image=by_image, moved_mm=moved, blur_mm=np.min([each.blur_mm for each in profiles], axis=0),
-        scale=scaled / told,
+        scale=scaled / predicted,
     )  # fmt: skip
 
 
-def _within(present: Mask, presence: Floats, graph: MeshGraph) -> Mask:
-    """(V,) true where both the template and the person have cartilage, and no rim of it is near.
+def _within(present: Mask, presence: Floats, graph: MeshGraph, *, settings: OuterSurfaceSettings) -> Mask:
+    """(V,) true where both the template and the subject have cartilage, far from its rim.
 
-    At its rim cartilage is thin wherever the rim lies: that tells nothing of how thick it is elsewhere.
+    At its rim cartilage is always thin, which is no evidence of its thickness elsewhere.
     """
-    return (presence > _TOLD) & (graph.smoothed(present.astype(float), RIM_MM) > _COVERED)
+    return (presence > settings.likely) & (graph.smoothed(present.astype(float), RIM_MM) > settings.covered)
 
 
 def _spread(costs: Floats) -> Floats:
-    """Return the standard deviation (V,) of the thickness where it is not 0, by what each costs (V, L)."""
+    """Return the standard deviation (V,) of the thickness where it is not 0, by the costs (V, L)."""
     there, levels = costs[:, 1:], LEVELS_MM[1:]
     chance = np.exp(there.min(1, keepdims=True) - there)
     chance /= chance.sum(1, keepdims=True)
@@ -256,51 +303,53 @@ def _spread(costs: Floats) -> Floats:
     return np.sqrt((chance * (levels - mean[:, None]) ** 2).sum(1) + (STEP_MM**2) / 12)
 
 
-def _scaled(told: Floats, thickness: Floats, sure: Mask, graph: MeshGraph) -> Floats:
-    """Scale the foretold thickness (V,) to the person's, by the ratios seen nearby, or else by that of the whole."""
+def _scaled(
+    predicted: Floats, thickness: Floats, sure: Mask, graph: MeshGraph, *, settings: OuterSurfaceSettings
+) -> Floats:
+    """Scale the predicted thickness (V,) to the subject's, by nearby ratios, or else by that of the whole cartilage."""
     if not sure.any():
-        return told
-    ratio = np.log(np.where(sure, thickness, 1.0) / np.where(sure, told, 1.0))
+        return predicted
+    ratio = np.log(np.where(sure, thickness, 1.0) / np.where(sure, predicted, 1.0))
     usual = float(np.median(ratio[sure]))
     weight = sure.astype(float)
-    more, near = graph.smoothed(np.stack([weight * (ratio - usual), weight], 1), REGION_MM).T
-    return np.clip(told * np.exp(usual + more / (near + _FEW)), THINNEST_MM, THICKEST_MM)
+    more, near = graph.smoothed(np.stack([weight * (ratio - usual), weight], 1), settings.region_mm).T
+    return np.clip(predicted * np.exp(usual + more / (near + settings.ratio_floor)), THINNEST_MM, THICKEST_MM)
 
 
-def _steady_normals(bone: Surface) -> Floats:
-    smooth = MeshGraph.of(bone).smoothed(bone.vertex_normals, NORMALS_MM)
+def _steady_normals(bone: Surface, *, settings: OuterSurfaceSettings) -> Floats:
+    smooth = MeshGraph.of(bone).smoothed(bone.vertex_normals, settings.normals_mm)
     return smooth / np.maximum(np.linalg.norm(smooth, axis=1, keepdims=True), 1e-12)
 
 
 def _part(bone: Surface, kept: Mask) -> Surface:
-    """Return the faces all of whose corners are kept, on just these vertices."""
+    """Return the part of a surface whose vertices are kept."""
     number: Integers = np.cumsum(kept) - 1
     return Surface(vertices_mm=bone.vertices_mm[kept], faces=number[bone.faces[kept[bone.faces].all(1)]])
 
 
-def _prior_costs(told: Floats, presence: Floats) -> Floats:
-    """Return what each thickness costs (V, L) by the template: minus the logarithm of its probability."""
-    there = np.clip(presence, LEAST_PRESENCE, 1 - LEAST_PRESENCE)[:, None]
-    sd = TOLD_SHARE * told[:, None]
-    off = (LEVELS_MM[None] - told[:, None]) / sd
+def _prior_costs(predicted: Floats, presence: Floats, *, settings: OuterSurfaceSettings) -> Floats:
+    """Return the cost (V, L) of each thickness by the template: minus the logarithm of its probability."""
+    there = np.clip(presence, settings.least_presence, 1 - settings.least_presence)[:, None]
+    sd = PREDICTED_SD_SHARE * predicted[:, None]
+    off = (LEVELS_MM[None] - predicted[:, None]) / sd
     costs = 0.5 * off**2 - np.log(there) + np.log(np.sqrt(2 * np.pi) * sd / STEP_MM)
     costs[:, :1] = -np.log(1 - there)
     return np.asarray(costs)
 
 
-def _in_one_piece(beliefs: Floats, part: Surface, graph: MeshGraph) -> Floats:
-    """Return the costs (V, L) such that specks are bare and pinholes covered, by a hair: nobody is sure there."""
+def _without_specks(beliefs: Floats, part: Surface, graph: MeshGraph, *, settings: OuterSurfaceSettings) -> Floats:
+    """Return the costs (V, L), changed so that specks are bare and small holes covered, with low confidence."""
     beliefs = beliefs.copy()
     bare = np.argmin(beliefs, axis=1) == 0
-    speck = _small(~bare, SPECK_MM2, part, graph)
-    beliefs[speck, 0] = beliefs[speck].min(1) - _HAIR
-    hole = _small(bare, HOLE_MM2, part, graph)
-    beliefs[hole, 1:] += (beliefs[hole, 0] - beliefs[hole, 1:].min(1) - _HAIR)[:, None]
+    speck = _small(~bare, settings.speck_mm2, part, graph)
+    beliefs[speck, 0] = beliefs[speck].min(1) - settings.hair
+    hole = _small(bare, settings.hole_mm2, part, graph)
+    beliefs[hole, 1:] += (beliefs[hole, 0] - beliefs[hole, 1:].min(1) - settings.hair)[:, None]
     return beliefs
 
 
 def _small(mask: Mask, least_mm2: float, part: Surface, graph: MeshGraph) -> Mask:
-    """(V,) true in those pieces of a mask that are smaller than so much."""
+    """(V,) true in the pieces of a mask that are smaller than an area."""
     piece = graph.pieces(mask)
     areas = np.bincount(piece[mask], part.vertex_areas_mm2[mask])
     small: Mask = mask.copy()
@@ -308,22 +357,22 @@ def _small(mask: Mask, least_mm2: float, part: Surface, graph: MeshGraph) -> Mas
     return small
 
 
-def _answers(beliefs: Floats, costs: Floats) -> tuple[Floats, Floats, Floats]:
-    """Give thickness, standard deviation and confidence (V,) from the sheet's costs (V, L) and each vertex's own.
+def _answers(beliefs: Floats, costs: Floats, *, settings: OuterSurfaceSettings) -> tuple[Floats, Floats, Floats]:
+    """Return thickness, standard deviation and confidence (V,) from the sheet's costs (V, L) and each vertex' own.
 
-    The deviation is by the vertex's own costs: neighbours are wrong together, so that their agreement proves little.
+    The standard deviation is by the vertex' own costs, because the errors of neighbours are correlated.
     """
     best = np.argmin(beliefs, axis=1)
     bare = best == 0
-    # Between the levels the costs are a parabola.
+    # The costs are interpolated by a parabola between the candidates.
     rows, middle = np.arange(len(beliefs)), np.clip(best, 2, len(LEVELS_MM) - 2)
     before, least, after = (beliefs[rows, middle + step] for step in (-1, 0, 1))
     beside = np.clip(0.5 * (before - after) / np.maximum(before - 2 * least + after, 1e-6), -0.5, 0.5)
     thickness = np.where(best == middle, LEVELS_MM[middle] + beside * STEP_MM, LEVELS_MM[best])
     off = LEVELS_MM[None] - thickness[:, None]
-    own = np.where((np.abs(off) < NEAR_MM) & (LEVELS_MM > 0), costs, np.inf)
+    own = np.where((np.abs(off) < settings.near_mm) & (LEVELS_MM > 0), costs, np.inf)
     chance = np.exp(own.min(1, keepdims=True) - own)
-    sd = np.sqrt((chance * off**2).sum(1) / chance.sum(1) + MODEL_SD_MM**2)
+    sd = np.sqrt((chance * off**2).sum(1) / chance.sum(1) + settings.model_sd_mm**2)
     bareness = np.exp(beliefs.min(1) - beliefs[:, 0]) / np.exp(beliefs.min(1, keepdims=True) - beliefs).sum(1)
     confidence = np.where(bare, bareness, (1 - bareness) * erf(0.5 / (np.sqrt(2) * sd)))
     return np.where(bare, 0.0, thickness), np.where(bare, np.nan, sd), confidence

@@ -1,4 +1,4 @@
-"""What a template foretells of the subject's cartilage: its normals and thickness carried along by the deformation."""
+"""Prediction of the subject's cartilage: the thickness of a template's, mapped by the deformation."""
 
 from dataclasses import dataclass
 
@@ -10,22 +10,22 @@ from marey.knee.space.mesh_graph import MeshGraph
 from marey.knee.space.surface import Surface
 from marey.knee.space.triangle_tree import TriangleTree, corner_weights
 
-TOLD_SHARE = 1 / 3
-"""Standard deviation of the foretold thickness, as a share of it ([Alexander2003])."""
+PREDICTED_SD_SHARE = 1 / 3
+"""Standard deviation of the predicted thickness, as a share of it ([Alexander2003])."""
 RIM_MM = 3.0
-"""How well the place of the cartilage's rim is foretold, as a standard deviation."""
+"""Standard deviation [mm] of the predicted position of the cartilage's rim; chosen by hand."""
 FARTHEST_RIM_MM = 12.0
-"""Cartilage is not looked for so far beyond the foretold rim."""
+"""Distance [mm] beyond the predicted rim from which cartilage is not searched; chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CartilagePrediction:
-    """At each vertex of the subject's bone."""
+    """Predicted cartilage at each vertex of the subject's bone."""
 
     thickness_mm: Floats
-    """(V,) of the cartilage if it is there; beyond the rim that of the cartilage nearby; NaN far from all cartilage."""
+    """(V,) thickness if there is cartilage; beyond the rim that of nearby cartilage; NaN far from all cartilage."""
     presence: Floats
-    """(V,) how probable it is that cartilage is there, from 0 to 1."""
+    """(V,) probability of cartilage, from 0 to 1."""
 
     def __post_init__(self) -> None:
         freeze_fields(self, "thickness_mm", "presence")
@@ -34,13 +34,13 @@ class CartilagePrediction:
 def predict_cartilage(
     bone: Surface, template: Surface, thickness_mm: Floats, deformation: Deformation | None = None
 ) -> CartilagePrediction:
-    """Carry a template's cartilage to the subject's bone ([Alexander2003] section 2.1).
+    """Map a template's cartilage to the subject's bone ([Alexander2003] section 2.1).
 
-    Unlike the paper, the template's normals are not carried along: thickness is measured along the subject's own.
+    Unlike the paper, the template's normals are not mapped: thickness is measured along the subject's own.
 
     Args:
-        bone: The subject's.
-        template: The template's bone, laid on the subject's rigidly.
+        bone: Of the subject.
+        template: The template's bone, rigidly registered to the subject's.
         thickness_mm: (N,) at the template's vertices, 0 where it is bare.
         deformation: From the elastic registration; None where the template is the subject's own shape.
     """

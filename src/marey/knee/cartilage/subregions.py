@@ -1,4 +1,4 @@
-"""The parts of a knee's cartilage: medial and lateral, and from front to back, by the bone's own geometry."""
+"""Subregions of a knee's cartilage: medial and lateral, and from front to back, by the bone's own geometry."""
 
 from dataclasses import dataclass
 
@@ -9,47 +9,49 @@ from marey.errors import MareyError
 from marey.knee.cartilage.outer_surface import CartilageSheet
 
 PARTS = ("anterior", "central", "posterior")
+"""Names of the parts from front to back."""
 TROCHLEA_DEG, POSTERIOR_DEG = -20.0, 50.0
-"""Angles about the axis of the condyles, from straight down, forward negative: where the trochlea ends below, and where
-the posterior part of the condyles begins."""
+"""Angles about the axis of the condyles, from straight down, negative forward: the lower end of the trochlea, and the
+beginning of the posterior part of the condyles; chosen by hand."""
 _TRIMMED = 0.01
+"""Share of the covered vertices that is ignored at each end when extents are measured; chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FlatMap:
-    """Where each vertex of a bone lies in a flat picture of its cartilage."""
+    """Position of each vertex of a bone in a flat picture of its cartilage."""
 
     across: Floats
     """(V,) mm from the middle, towards lateral."""
     along: Floats
-    """(V,) mm: of a femur along the arc from the front over the bottom to the back, of another bone from front to back
-    or, of the patella, from the head to the foot."""
+    """(V,) mm: for a femur along the arc from the front over the bottom to the back, for a tibia from front to back,
+    and for a patella from the head to the foot."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Subregion:
-    """What one part's cartilage is like."""
+    """Measures of one part of a cartilage."""
 
     name: str
     area_mm2: float
-    """Of the bone that is covered."""
+    """Area of the covered bone."""
     volume_mm3: float
     """Area times thickness."""
     mean_mm: float
-    """Thickness over the covered bone, by area; NaN where none is covered."""
+    """Area-weighted mean thickness over the covered bone; NaN where none is covered."""
     thickest_mm: float
-    """99 % of the covered vertices have less."""
+    """99th percentile of the thickness at the covered vertices."""
     covered: float
-    """Share of the part's vertices, rims and what lies between them, that is not bare; NaN of the whole bone."""
+    """Share of the part's vertices that are not bare; NaN for the whole bone."""
 
 
 def flat_map(bone: str, sheet: CartilageSheet, *, left: bool) -> FlatMap:
-    """Unroll a femur about the axis of its condyles, or look at another bone's joint surface from over it.
+    """Unroll a femur about the axis of its condyles, or project another bone's joint surface along its axis.
 
     Args:
         bone: Its name.
         sheet: Its cartilage; the covered part gives the middle and, of a femur, the axis.
-        left: Whether it is a left knee's: LPS x grows to the left.
+        left: Whether it is of a left knee: LPS x increases to the left.
 
     Raises:
         MareyError: It has no cartilage.
@@ -92,7 +94,7 @@ def subregion_names(bone: str, sheet: CartilageSheet, *, left: bool) -> list[str
 
 
 def subregions(bone: str, sheet: CartilageSheet, *, left: bool) -> list[Subregion]:
-    """Measure each part, and the whole as the last."""
+    """Measure each part, and the whole cartilage as the last."""
     names = np.array(subregion_names(bone, sheet, left=left))
     covered = sheet.thickness_mm > 0
     found = [_measured(name, names == name, covered, sheet) for name in sorted(set(names[covered]))]
@@ -100,7 +102,7 @@ def subregions(bone: str, sheet: CartilageSheet, *, left: bool) -> list[Subregio
 
 
 def whole(sheet: CartilageSheet) -> Subregion:
-    """Measure all the cartilage of a bone, whose side need not be known."""
+    """Measure the whole cartilage of a bone, whose side need not be known."""
     covered = sheet.thickness_mm > 0
     return _measured("all", np.ones(len(covered), bool), covered, sheet)
 
@@ -121,14 +123,14 @@ def _measured(name: str, here: Mask, covered: Mask, sheet: CartilageSheet) -> Su
 def _about_condyles(sheet: CartilageSheet) -> tuple[Floats, float]:
     """Return the angle (V,) about the condyles' axis, 0 straight down and positive to the back, and the radius [mm].
 
-    The axis runs from side to side through the centre of the circle that fits the lower and hinder cartilage best.
+    The axis runs from side to side through the centre of the circle that fits the lower and posterior cartilage best.
     """
     places = sheet.bone.vertices_mm
     covered = sheet.thickness_mm > 0
     low, high = np.quantile(places[covered], (_TRIMMED, 1 - _TRIMMED), axis=0)
-    hinder = covered & (places[:, 1] > 0.5 * (low + high)[1])
-    y, z = places[hinder if hinder.sum() > 20 else covered][:, 1:].T
-    # A circle is linear in its centre and in its radius' square less the centre's ([Kasa1976]).
+    posterior = covered & (places[:, 1] > 0.5 * (low + high)[1])
+    y, z = places[posterior if posterior.sum() > 20 else covered][:, 1:].T
+    # The circle's equation is linear in its centre, and in its squared radius minus the centre's ([Kasa1976]).
     matrix = np.stack([2 * y, 2 * z, np.ones_like(y)], 1)
     centre_y, centre_z, rest = np.linalg.lstsq(matrix, y**2 + z**2, rcond=None)[0]
     radius = float(np.sqrt(max(rest + centre_y**2 + centre_z**2, 1.0)))

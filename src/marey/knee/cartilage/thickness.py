@@ -1,4 +1,4 @@
-"""How thick the cartilage is over each vertex of its bone."""
+"""Thickness of cartilage over each vertex of its bone."""
 
 from collections.abc import Sequence
 
@@ -10,21 +10,22 @@ from marey.knee.space.surface import Surface
 from marey.knee.space.triangle_tree import TriangleTree
 
 REACH_MM = 10.0
-"""Cartilage is followed so far out from the bone."""
+"""Distance [mm] from the bone up to which cartilage is followed; chosen by hand."""
 NEAR_MM = 2.5
-"""Cartilage lies on the bone where it begins at most so far from it, above or, by the meshes' errors, below."""
+"""Largest distance [mm] from the bone at which cartilage on it begins, above or, by errors of the meshes, below; chosen
+by hand."""
 
 
 def cartilage_thickness(bone: Surface, cartilages: Sequence[Surface]) -> Floats:
     """Measure the thickness of cartilage along the bone's normals.
 
-    From each vertex of the bone a line goes along its outward normal, from `NEAR_MM` below the bone to `REACH_MM`
-    above. Where it enters a cartilage within `NEAR_MM` of the bone, the thickness is the length from there to where it
-    next comes out; of several cartilages the thickest counts. A line that enters none, or does not come out of it
-    within reach, gives 0: the bone is bare there.
+    From each vertex of the bone a line follows its outward normal, from `NEAR_MM` below the bone to `REACH_MM` above.
+    If it enters a cartilage within `NEAR_MM` of the bone, the thickness is the distance from there to where it next
+    leaves the cartilage; of several cartilages the thickest counts. If it enters none, or does not leave it within
+    reach, the thickness is 0: the bone is bare there.
 
     Args:
-        bone: N vertices.
+        bone: With N vertices.
         cartilages: Closed surfaces, such as the medial and the lateral one of a tibia.
 
     Returns:
@@ -46,5 +47,5 @@ def cartilage_thickness(bone: Surface, cartilages: Sequence[Surface]) -> Floats:
         through = np.where(entered, crossed.distance_mm[rows, after] - begins, 0.0)
         thickness = np.maximum(thickness, through)
     if not thickness.any():
-        raise MareyError("The cartilage does not lie on the bone: no line along the bone's normals goes through it.")
+        raise MareyError("The cartilage does not lie on the bone: no line along the bone's normals crosses it.")
     return thickness

@@ -1,4 +1,4 @@
-"""How sure a registration is where the deviations of neighbouring places go together."""
+"""Covariance of a registration whose residuals are spatially correlated."""
 
 import numpy as np
 from scipy import sparse
@@ -8,27 +8,29 @@ from scipy.spatial import cKDTree
 from marey.arrays import Floats, Integers
 
 LENGTHS_MM = (0.7, 1.5, 3.0, 5.0, 8.0, 12.0, 18.0)
-"""Deviations are a sum of parts that are smooth over such lengths, and of one that is a place's own."""
+"""Residuals are a sum of parts that are smooth over these lengths [mm], and of one that is independent at each point;
+chosen by hand."""
 _BIN_MM = 1.0
+"""Width [mm] of the bins of distance in which products of residuals are averaged; chosen by hand."""
 _FAR_MM = 30.0
-"""Pairs farther apart say nothing that the six numbers of the motion have not taken away."""
+"""Largest distance [mm] of pairs that are used: the motion has removed correlation over longer distances."""
 _POINTS = 1000
-"""So many places are looked at, by pairs."""
+"""Number of points whose pairs are used; chosen by hand."""
 _SMOOTH_MM = 4.0
-"""Roughness finer than this is no shape of the bone."""
+"""Standard deviation [mm] of the smoothing of normals, which removes roughness; chosen by hand."""
 
 
-def pulls_covariance(places_mm: Floats, deviations: Floats, jacobian: Floats) -> Floats:
-    """Return the covariance (6, 6) of jacobian.T @ deviations, whatever length the deviations are smooth over.
+def gradient_covariance(places_mm: Floats, deviations: Floats, jacobian: Floats) -> Floats:
+    """Return the covariance (6, 6) of jacobian.T @ deviations, for deviations that are correlated over any length.
 
-    The mean product of two places' deviations, by how far they lie apart, is taken for a sum of Gaussians of
-    `LENGTHS_MM`; their shares are found by least squares, none below nothing. What the fit has taken away from the
-    deviations is taken away from each Gaussian, too.
+    The mean product of the deviations at two points, as a function of their distance, is modelled by a sum of Gaussians
+    of `LENGTHS_MM`, whose shares are found by non-negative least squares. The part of the deviations that the fit has
+    removed is removed from each Gaussian as well.
 
     Args:
         places_mm: (N, 3).
-        deviations: (N,) what is left after the fit, weighted.
-        jacobian: (N, 6) of the fitted numbers.
+        deviations: (N,) weighted residuals after the fit.
+        jacobian: (N, 6) derivatives with respect to the fitted parameters.
     """
     chosen = np.random.default_rng(0).permutation(len(places_mm))[:_POINTS]
     slopes, left = jacobian[chosen], deviations[chosen]
@@ -42,26 +44,26 @@ def pulls_covariance(places_mm: Floats, deviations: Floats, jacobian: Floats) ->
     weight = np.sqrt(np.bincount(bins.ravel()))
     weight[0] = 0.0
     shares = nnls(weight[:, None] * table, weight * seen)[0]
-    # The places stand for all: of pairs there are as many more as the square of what of places there are more.
+    # The chosen points represent all: the number of pairs grows with the square of the number of points.
     more = len(places_mm) / len(chosen)
     together = sum(share * (slopes.T @ part @ slopes) for share, part in zip(shares[1:], parts[1:], strict=True))
     return np.asarray(more * shares[0] * slopes.T @ slopes + more**2 * together)
 
 
 def _less_fit(matrix: Floats, fitted: Floats) -> Floats:
-    """Take away from a covariance (N, N) what a fit of columns (N, 6) takes away."""
+    """Remove from a covariance (N, N) what a fit of columns (N, 6) removes."""
     half = matrix - fitted @ (fitted.T @ matrix)
     return np.asarray(half - (half @ fitted) @ fitted.T)
 
 
 def _by_distance(matrix: Floats, bins: Integers) -> Floats:
-    """Return the means of a matrix's terms, bin by bin."""
+    """Return the mean of a matrix's entries in each bin."""
     flat = bins.ravel()
     return np.asarray(np.bincount(flat, matrix.ravel()) / np.maximum(np.bincount(flat), 1))
 
 
 def bounded_stiffness(measured: Floats, supposed: Floats) -> Floats:
-    """Take a measured stiffness (6, 6), but no less than a fifth and no more than twice the supposed one."""
+    """Return a measured stiffness (6, 6), limited to between 20 % and 200 % of the computed one."""
     scale = np.sqrt(np.maximum(np.diag(supposed), 1e-12 * np.diag(supposed).max() + 1e-300))
     values, vectors = np.linalg.eigh(supposed / np.outer(scale, scale))
     root = vectors * np.sqrt(np.maximum(values, 1e-12 * values.max()))
@@ -72,7 +74,7 @@ def bounded_stiffness(measured: Floats, supposed: Floats) -> Floats:
 
 
 def smoothed_normals(places_mm: Floats, normals: Floats) -> Floats:
-    """Return the mean normals (N, 3) of the places about each: those of the bone under its roughness."""
+    """Return the mean normals (N, 3) about each point: those of the bone without its roughness."""
     summed = np.empty_like(normals)
     tree = cKDTree(places_mm)
     for part in np.array_split(np.arange(len(places_mm)), max(len(places_mm) // 1000, 1)):

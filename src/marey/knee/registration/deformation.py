@@ -1,4 +1,4 @@
-"""A deformation of space on a grid: smooth, without folds, with its inverse."""
+"""Smooth deformation of space on a grid, with its inverse."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,31 +12,35 @@ from marey.kernels import kernel
 from marey.knee.space.surface import Surface
 
 _NEWTON_STEPS = 40
+"""Largest number of Newton steps of the inverse; chosen by hand."""
 _CLOSE_MM = 1e-7
+"""Error [mm] at which the inverse has converged: negligible for any mesh."""
 _ORDER = 3
-_LOOKED_CLOSER_AT = 16
+"""Order of the spline between the nodes."""
+_REFINED_NODES = 16
+"""Number of nodes of least determinant in each slab about which the determinant is sampled finely; chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Deformation:
-    """The field d(u) of [Alexander2003] eq. (1): what is at u in the subject is at u - d(u) in the template."""
+    """The field d(u) of [Alexander2003] eq. (1): the point u of the subject is the point u - d(u) of the template."""
 
     origin_mm: Floats
-    """(3,) the first node, LPS."""
+    """(3,) position of the first node, LPS."""
     step_mm: float
-    """From node to node, along each axis."""
+    """Spacing of the nodes along each axis."""
     displacement_mm: Floats
-    """(3, X, Y, Z) d at the nodes; between them a cubic spline, beyond them as at the last."""
+    """(3, X, Y, Z) d at the nodes; a cubic spline between them, constant beyond them."""
 
     def __post_init__(self) -> None:
         freeze_fields(self, "origin_mm", "displacement_mm")
 
     def template_points(self, subject_mm: Floats) -> Floats:
-        """Carry points (..., 3) from the subject to the template."""
+        """Map points (..., 3) from the subject to the template."""
         return np.asarray(subject_mm) - self._at(subject_mm)
 
     def subject_points(self, template_mm: Floats) -> Floats:
-        """Carry points (..., 3) from the template to the subject: the inverse, by Newton's steps.
+        """Map points (..., 3) from the template to the subject: the inverse, by Newton's method.
 
         Raises:
             MareyError: The field folds there.
@@ -54,23 +58,23 @@ class Deformation:
         raise MareyError("The deformation cannot be inverted everywhere: it folds.")
 
     def jacobians(self, subject_mm: Floats) -> Floats:
-        """Return the derivatives (..., 3, 3) of the template's points by the subject's: of positive determinants."""
+        """Return the derivatives (..., 3, 3) of the template's points with respect to the subject's."""
         return np.asarray(np.eye(3) - self._read(subject_mm)[1])
 
     def subject_normals(self, subject_mm: Floats, template_normals: Floats) -> Floats:
-        """Carry the normals (..., 3) of a template's surface to the places (..., 3) where it lies in the subject."""
-        carried = np.einsum("...ji,...j->...i", self.jacobians(subject_mm), template_normals)
-        return np.asarray(carried / np.maximum(np.linalg.norm(carried, axis=-1, keepdims=True), 1e-12))
+        """Map normals (..., 3) of the template's surface to its points (..., 3) in the subject."""
+        mapped = np.einsum("...ji,...j->...i", self.jacobians(subject_mm), template_normals)
+        return np.asarray(mapped / np.maximum(np.linalg.norm(mapped, axis=-1, keepdims=True), 1e-12))
 
     def subject_surface(self, template: Surface) -> Surface:
-        """Carry a surface of the template to the subject, its vertices in their order."""
+        """Map a surface of the template to the subject, with its vertices in their order."""
         return Surface(vertices_mm=self.subject_points(template.vertices_mm), faces=template.faces)
 
     @cached_property
     def least_determinant(self) -> float:
-        """The least determinant of the Jacobian, below 0 where space folds.
+        """Least determinant of the Jacobian, below 0 where space folds.
 
-        At the nodes and halfway between them, and by eighths of a step about the places where these are least.
+        It is sampled at the nodes and halfway between them, and about the least of these at 1/8 of the spacing.
         """
         shape = np.array(self.displacement_mm.shape[1:])
         steps = [np.arange(0, n - 0.5, 0.5) for n in shape]
@@ -78,7 +82,7 @@ class Deformation:
         for x in np.array_split(steps[0], max(len(steps[0]) // 8, 1)):
             nodes = np.stack(np.meshgrid(x, steps[1], steps[2], indexing="ij"), -1).reshape(-1, 3)
             values = np.linalg.det(self.jacobians(self.origin_mm + self.step_mm * nodes))
-            least = np.argpartition(values, min(_LOOKED_CLOSER_AT, len(values) - 1))[:_LOOKED_CLOSER_AT]
+            least = np.argpartition(values, min(_REFINED_NODES, len(values) - 1))[:_REFINED_NODES]
             found.append(nodes[least])
         eighths = np.stack(np.meshgrid(*[np.arange(-2, 3) / 8] * 3, indexing="ij"), -1).reshape(-1, 1, 3)
         places = np.clip(np.concatenate(found) + eighths, 0, shape - 1)
@@ -93,7 +97,7 @@ class Deformation:
         return self._read(places_mm)[0]
 
     def _read(self, places_mm: Floats) -> tuple[Floats, Floats]:
-        """Return the displacements (..., 3) at places (..., 3), and their derivatives (..., 3, 3) by these."""
+        """Return the displacements (..., 3) at positions (..., 3), and their derivatives (..., 3, 3)."""
         nodes = (np.asarray(places_mm, float) - self.origin_mm) / self.step_mm
         flat = np.ascontiguousarray(nodes.reshape(-1, 3))
         values, slopes = np.empty((len(flat), 3)), np.empty((len(flat), 3, 3))
@@ -105,7 +109,7 @@ class Deformation:
 def _read_spline(coefficients, nodes, values, slopes):  # pragma: no cover - compiled
     """Write a cubic spline's values (n, 3) at nodes (n, 3), and its derivatives (n, 3, 3), value by axis.
 
-    Beyond the ends the coefficients (X, Y, Z, 3) go on as the last ones.
+    Beyond the ends the coefficients (X, Y, Z, 3) are constant.
     """
     count = coefficients.shape
     index = np.empty((3, 4), np.int64)

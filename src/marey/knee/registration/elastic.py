@@ -1,9 +1,9 @@
-"""A template's bone bent into the subject's: the dynamic pyramid ([Dengler1987], [Alexander2003] eq. (1)).
+"""Elastic registration of a template's bone to the subject's by the dynamic pyramid ([Dengler1987]).
 
-Both bones become images, signed distances from their surfaces, and the field d(u) makes M(u - d(u)) - S(u) small: from
-a coarse grid to a fine one, on each by Gauss-Newton, with a stabiliser of controlled continuity. Of its two orders the
-second alone is held everywhere, so that another size or slant costs nothing; the first is raised where the field comes
-near to a fold, until it is none.
+It solves [Alexander2003] eq. (1). Both bones become images, signed distances from their surfaces, and the field d(u)
+minimises M(u - d(u)) - S(u): from a coarse grid to a fine one, on each by Gauss-Newton, with a stabiliser of controlled
+continuity. Only the second of its two orders acts everywhere, so that another size or shear costs nothing; the first is
+increased where the field is close to a fold, until there is none.
 """
 
 from collections.abc import Callable
@@ -21,45 +21,52 @@ from marey.knee.space.cut_ends import CutPlane, cut_planes, known_faces
 from marey.knee.space.surface import Surface
 from marey.knee.space.triangle_tree import TriangleTree, corner_weights
 
-CLOSE = 1e-3
-"""Each step is solved so well that so much of the squared pull is left: the next one is another problem."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class ElasticSettings:
-    """How the field is sought."""
+    """Settings of the elastic registration.
+
+    Values without a stated source were chosen by hand.
+    """
 
     steps_mm: tuple[float, ...] = (12.0, 6.0, 3.0)
-    """From node to node, level by level."""
+    """Spacing [mm] of the nodes of the field, one per level."""
     image_mm: float = 2.0
-    """From node to node of the images."""
+    """Spacing [mm] of the nodes of the images."""
     bands_mm: tuple[float, ...] = (16.0, 8.0, 4.0)
-    """What lies farther than about this from the surface says little, level by level."""
+    """Standard deviation [mm] of the weight about the surface, one per level."""
     iterations: int = 12
-    """On each level, at most."""
+    """Largest number of iterations on each level."""
     image_sd_mm: float = 0.3
-    """How far the images may differ at a node."""
+    """Standard deviation [mm] of the difference of the images at a node."""
     bend_sd_per_mm: tuple[float, ...] = (0.004, 0.012, 0.04)
-    """How fast the field's slope may change at a node, level by level: it is the finer levels that bend."""
+    """Standard deviation [1/mm] of the second derivatives of the field at a node, one per level: finer levels bend
+    more."""
     least_determinant: float = 0.15
-    """Where the field squeezes space further than to this share, its continuity is raised."""
+    """Determinant of the Jacobian below which the first order of continuity is increased."""
+    solver_tolerance: float = 1e-3
+    """Share of the squared gradient that may remain in each step: the next step solves another problem."""
+
+
+ELASTIC_DEFAULTS = ElasticSettings()
+"""Default settings of the elastic registration."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ElasticRegistration:
-    """A template's bone on the subject's."""
+    """A template's bone, deformed to the subject's."""
 
     deformation: Deformation
     registered: Surface
-    """The template's vertices, in their order, on the subject."""
+    """The template with its vertices, in their order, on the subject."""
     normals: Floats
-    """(V, 3) the template's normals, carried along."""
+    """(V, 3) the mapped normals of the template."""
     surface_distance_mm: float
-    """Mean distance of the two surfaces, of each one's vertices from the other; cut ends are left out."""
+    """Mean distance of each surface's vertices from the other surface; cut ends are ignored."""
     farthest_mm: float
-    """95 % of these distances are less."""
+    """95th percentile of these distances."""
     least_determinant: float
-    """Of the Jacobian, anywhere on the grid; above 0 there is no fold."""
+    """Least determinant of the Jacobian on the grid; above 0 there is no fold."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,9 +76,9 @@ class _Image:
     origin_mm: Floats
     step_mm: float
     distance_mm: Floats
-    """(X, Y, Z), negative within."""
+    """(X, Y, Z), negative inside."""
     known: Floats
-    """(X, Y, Z) 1 where the nearest place of the surface is the bone's own, 0 where it is a cut end."""
+    """(X, Y, Z) 1 where the nearest point of the surface belongs to the bone, 0 where it is on a cut end."""
 
     @staticmethod
     def of(surface: Surface, cuts: tuple[CutPlane, ...], origin: Floats, step: float, shape: Integers) -> "_Image":
@@ -91,13 +98,13 @@ class _Image:
         return _Image(self.origin_mm, self.step_mm, blurred, self.known)
 
     def at(self, places: Floats) -> tuple[Floats, Mask]:
-        """Return the distances and which are known, (...) each, at places (..., 3)."""
+        """Return the distances (...) and which are known (...) at positions (..., 3)."""
         nodes = np.moveaxis((places - self.origin_mm) / self.step_mm, -1, 0)
         values = ndimage.map_coordinates(self.distance_mm, nodes, order=1, mode="nearest")
         return values, ndimage.map_coordinates(self.known, nodes, order=1, mode="nearest") > 0.5
 
     def slopes(self, places: Floats) -> Floats:
-        """Return the derivatives (..., 3) at places."""
+        """Return the derivatives (..., 3) at positions."""
         nodes = np.moveaxis((places - self.origin_mm) / self.step_mm, -1, 0)
         parts = [
             ndimage.map_coordinates(part / self.step_mm, nodes, order=1, mode="nearest")
@@ -107,21 +114,20 @@ class _Image:
 
 
 def register_elastically(
-    template: Surface, subject: Surface, settings: ElasticSettings | None = None,
+    template: Surface, subject: Surface, settings: ElasticSettings = ELASTIC_DEFAULTS,
     done: Callable[[float], None] = lambda share: None,
 ) -> ElasticRegistration:  # fmt: skip
-    """Bend a template's bone into the subject's.
+    """Deform a template's bone to the subject's.
 
     Args:
-        template: Laid on the subject by `register_rigidly` already.
-        subject: The same bone of somebody else.
-        settings: How the field is sought.
-        done: Told of the share of the work that is done.
+        template: Already aligned with the subject by `register_rigidly`.
+        subject: The same bone of another person.
+        settings: Tuned constants of the algorithm.
+        done: Called with the share of the work that is done.
 
     Raises:
         MareyError: The bones do not overlap, or no field without a fold was found.
     """
-    settings = settings or ElasticSettings()
     cuts = cut_planes(template), cut_planes(subject)
     images = _images(template, subject, cuts, settings)
     origin = images[0].origin_mm
@@ -135,9 +141,9 @@ def register_elastically(
         done((level + 1) / (len(settings.steps_mm) + 1))
     deformation = Deformation(origin_mm=origin, step_mm=before, displacement_mm=field)
     if deformation.least_determinant <= 0:
-        raise MareyError("No deformation without a fold was found: are these the same bone of the same side?")
+        raise MareyError("No deformation without a fold was found. Check that both are the same bone of the same side.")
     registered = deformation.subject_surface(template)
-    distances = surface_distances(registered, subject, _carried(cuts[0], deformation), cuts[1])
+    distances = surface_distances(registered, subject, _mapped_cuts(cuts[0], deformation), cuts[1])
     done(1.0)
     return ElasticRegistration(
         deformation=deformation,
@@ -155,7 +161,7 @@ def surface_distances(
     """Return the distances (n,) [mm] of each surface's vertices from the other surface, where both are known.
 
     Raises:
-        MareyError: Nothing is in common.
+        MareyError: The surfaces have nothing in common.
     """
     found = []
     for here, there, here_cuts, there_cuts in (
@@ -169,7 +175,7 @@ def surface_distances(
     return np.concatenate(found)
 
 
-def _carried(cuts: tuple[CutPlane, ...], deformation: Deformation) -> tuple[CutPlane, ...]:
+def _mapped_cuts(cuts: tuple[CutPlane, ...], deformation: Deformation) -> tuple[CutPlane, ...]:
     places = [deformation.subject_points(cut.point_mm[None])[0] for cut in cuts]
     return tuple(
         CutPlane(point_mm=place, normal=deformation.subject_normals(place[None], cut.normal[None])[0])
@@ -214,23 +220,25 @@ def _level(field: Floats, images: tuple[_Image, _Image], step: float, level: int
     stabiliser = _Stabiliser(step, settings.bend_sd_per_mm[level], np.zeros(field.shape[1:]))
     energy = np.inf
     for _ in range(settings.iterations):
-        carried = places - np.moveaxis(field, 0, -1)
-        found, there = model.at(carried)
-        # Of two bones that differ by much, the distances far off are not comparable.
+        mapped = places - np.moveaxis(field, 0, -1)
+        found, there = model.at(mapped)
+        # Far from the surfaces of two different bones, their distances are not comparable.
         weight = near * (known & there) / settings.image_sd_mm**2
         residual = found - wanted
         now = float((weight * residual**2).sum() + (field * stabiliser.pull(field)).sum())
         if now > (1 - 1e-3) * energy:
             break
         energy = now
-        slope = np.moveaxis(model.slopes(carried), -1, 0)
-        change = _solve(slope, weight, residual, field, stabiliser)
+        slope = np.moveaxis(model.slopes(mapped), -1, 0)
+        change = _solve(slope, weight, residual, field, stabiliser, tolerance=settings.solver_tolerance)
         field, stabiliser = _without_folds(field, change, stabiliser, step, settings)
     return field
 
 
-def _solve(slope: Floats, weight: Floats, residual: Floats, field: Floats, stabiliser: "_Stabiliser") -> Floats:
-    """Find the change of the field: the normal equations by conjugate gradients."""
+def _solve(
+    slope: Floats, weight: Floats, residual: Floats, field: Floats, stabiliser: "_Stabiliser", *, tolerance: float
+) -> Floats:
+    """Return the change of the field: the solution of the normal equations by conjugate gradients."""
 
     def applied(vector: Floats) -> Floats:
         return slope * (weight * (slope * vector).sum(0)) + stabiliser.pull(vector)
@@ -241,7 +249,7 @@ def _solve(slope: Floats, weight: Floats, residual: Floats, field: Floats, stabi
     rest = right.copy()
     ready = rest / diagonal
     direction = ready.copy()
-    product, aim = float((rest * ready).sum()), CLOSE * float((right * right / diagonal).sum())
+    product, aim = float((rest * ready).sum()), tolerance * float((right * right / diagonal).sum())
     for _ in range(150):
         if product <= aim or product <= 0:
             break
@@ -257,7 +265,7 @@ def _solve(slope: Floats, weight: Floats, residual: Floats, field: Floats, stabi
 
 @dataclass(frozen=True, eq=False)
 class _Stabiliser:
-    """Controlled continuity: what a field costs by its second derivatives, and by its first where that is raised."""
+    """Controlled continuity: the cost of a field's second derivatives, and of its first where that is increased."""
 
     step_mm: float
     bend_sd: float
@@ -265,7 +273,7 @@ class _Stabiliser:
     """(X, Y, Z) weight of the first order, relative to that of the second on this grid."""
 
     def pull(self, field: Floats) -> Floats:
-        """Give half the derivative of the cost by the field."""
+        """Return half the derivative of the cost with respect to the field."""
         out = np.zeros_like(field)
         for part, pulled in zip(field, out, strict=True):
             _pull_by_bends(part, pulled)
@@ -280,13 +288,13 @@ class _Stabiliser:
 
     @property
     def diagonal(self) -> Floats:
-        """(X, Y, Z) about what `pull` does to a node by itself."""
+        """(X, Y, Z) approximate diagonal of `pull`."""
         return (42.0 + 6.0 * self.tension) / (self.step_mm**2 * self.bend_sd) ** 2
 
 
 @kernel
 def _pull_by_bends(field, out):  # pragma: no cover - compiled
-    """Add to out what second and mixed differences of a field (X, Y, Z) pull at its nodes, axis by axis."""
+    """Add to `out` the gradient of the squared second and mixed differences of a field (X, Y, Z), axis by axis."""
     for axis in range(3):
         a, b, c = int(axis == 0), int(axis == 1), int(axis == 2)
         for i in range(field.shape[0] - 2 * a):
@@ -298,7 +306,7 @@ def _pull_by_bends(field, out):  # pragma: no cover - compiled
                     to_last[k + 2 * c] += bend
                     to_middle[k + c] -= 2.0 * bend
                     to_first[k] += bend
-        # The mixed difference with the axis after this one, counted twice as in the squared Hessian.
+        # The mixed difference with the next axis, counted twice as in the squared Hessian.
         p, q, r = c, a, b
         for i in range(field.shape[0] - a - p):
             for j in range(field.shape[1] - b - q):
@@ -320,7 +328,7 @@ def _pull_by_bends(field, out):  # pragma: no cover - compiled
 
 @kernel
 def _pull_by_rises(field, tension, out):  # pragma: no cover - compiled
-    """Add to out what first differences of a field (X, Y, Z) pull at its nodes, as the tension about them says."""
+    """Add to `out` the gradient of the squared first differences of a field (X, Y, Z), weighted by the tension."""
     for axis in range(3):
         a, b, c = int(axis == 0), int(axis == 1), int(axis == 2)
         for i in range(field.shape[0] - a):
@@ -336,20 +344,20 @@ def _pull_by_rises(field, tension, out):  # pragma: no cover - compiled
 def _without_folds(
     field: Floats, change: Floats, stabiliser: _Stabiliser, step: float, settings: ElasticSettings
 ) -> tuple[Floats, _Stabiliser]:
-    """Take the change, or a part of it; where it squeezes space too much, raise the continuity."""
+    """Apply the change, or a part of it; increase the continuity where it compresses space too much."""
     for share in (1.0, 0.5, 0.25, 0.1):
         trial = field + share * change
-        squeezed = _determinants(trial, step) < settings.least_determinant
-        if not squeezed.any():
+        compressed = _determinants(trial, step) < settings.least_determinant
+        if not compressed.any():
             return trial, stabiliser
-        spread = ndimage.gaussian_filter(squeezed.astype(float), 1.5, mode="nearest")
+        spread = ndimage.gaussian_filter(compressed.astype(float), 1.5, mode="nearest")
         raised = stabiliser.tension + 10.0 * spread / max(float(spread.max()), 1e-12)
         stabiliser = _Stabiliser(stabiliser.step_mm, stabiliser.bend_sd, raised)
     return field, stabiliser
 
 
 def _determinants(field: Floats, step: float) -> Floats:
-    """Return the least determinant (X, Y, Z) of the Jacobian of u - d(u) at each node, of all one-sided differences."""
+    """Return the least determinant (X, Y, Z) of the Jacobian of u - d(u), over all one-sided differences."""
     least = np.full(field.shape[1:], np.inf)
     slopes = []
     for axis in range(3):

@@ -83,7 +83,7 @@ class SkinMotionSettings:
 
 
 _SETTINGS = SkinMotionSettings()
-"""The default settings."""
+"""Default settings of the estimation."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

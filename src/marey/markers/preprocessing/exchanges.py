@@ -11,8 +11,8 @@ from marey.markers.data.clusters import Cluster
 from marey.markers.data.trajectories import MarkerTrajectories
 
 _MAXIMUM_ERROR_RATIO = 0.5
-"""After the exchange, the error of the distances must be below this ratio of the error before. Chosen by hand; the
-detection rate is in docs/accuracy/markers.md (exchanged labels), other values were not measured."""
+"""After the exchange, the error of the distances must be below this ratio of the error before. Chosen by hand; results
+were not measured against other values."""
 _MINIMUM_GAIN_M = 0.008
 """And smaller by at least this much (RMS) [m], because skin changes distances by a few millimetres. Chosen by hand."""
 _WHOLE_TRIAL_SHARE = 0.9

@@ -12,8 +12,8 @@ from marey.motion.filters import known_runs, low_pass
 from marey.motion.gait import OFF, STRIKE, GaitEvent
 
 _CUTOFF_HZ = 20.0
-"""Cut-off of the low-pass filter for heel and toe [Hz]. Chosen by hand; the errors of the events are in
-docs/accuracy/markers.md (gait events), other values were not measured."""
+"""Cut-off of the low-pass filter for heel and toe [Hz]. Chosen by hand; results were not measured against other
+values."""
 _SHORTEST_CYCLE_S = 0.5
 """Shortest gait cycle [s]. Chosen by hand."""
 _MINIMUM_PROMINENCE = 0.4
