@@ -164,7 +164,7 @@ def test_the_border_belongs_to_the_picture(lens_camera):
     ("changes", "message"),
     [
         ({"distortion": [0.1, 0.2, 0.3]}, "has 3 distortion coefficients; a lens has 4"),
-        ({"distortion": [0.1] * 5, "fisheye": True}, "a fisheye has the 4 numbers"),
+        ({"distortion": [0.1] * 5, "fisheye": True}, "a fisheye lens has 4"),
         ({"distortion": [0.1, np.nan, 0, 0]}, "not finite"),
         ({"distortion": [-3.0, 0, 0, 0]}, "not invertible"),
         ({"distortion": [5.0, 0, 0, 0]}, "implausible distortion"),

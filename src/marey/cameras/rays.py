@@ -52,8 +52,8 @@ class PluckerLines:
             points: (..., 3) [m], one for each line, or broadcast.
 
         Returns:
-            (..., 3) [m]; its length is the distance of the point from the line, and it is perpendicular to the line and to the
-            shortest connection.
+            (..., 3) [m]; its length is the distance of the point from the line, and it is perpendicular to the line and
+            to the shortest connection.
         """
         return np.cross(points, self.directions) - self.moments
 

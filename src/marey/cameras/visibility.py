@@ -152,6 +152,7 @@ class Scratch(NamedTuple):
 
 
 _BUFFERS = threading.local()
+"""Buffers of each thread, by numbers of vertices and image size."""
 
 
 @kernel
