@@ -1,6 +1,7 @@
 """Settings of the whole process that suit the program: threads, Python's lock, and the memory allocator."""
 
 import ctypes
+import gc
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext, suppress
@@ -72,3 +73,20 @@ def _keep_freed_memory() -> None:
         set_option = ctypes.CDLL(None).mallopt
         set_option(_MMAP_THRESHOLD, LARGE_BYTES)
         set_option(_TRIM_THRESHOLD, KEPT_FREE_BYTES)
+
+
+@contextmanager
+def without_collection_pauses() -> Iterator[None]:
+    """Exclude the objects that exist already from garbage collection, which would search them for 0.1 s at a time.
+
+    A page that follows the mouse shows such pauses.
+
+    Yields:
+        Nothing.
+    """
+    gc.collect()
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()

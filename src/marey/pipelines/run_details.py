@@ -94,3 +94,20 @@ def checkpoints(out: Path | None, inputs: Sequence[Path]) -> Iterator[StageCache
         return
     with TemporaryDirectory(prefix="marey-") as folder, StageCache(Path(folder) / "run", ()) as cache:
         yield cache
+
+
+@contextmanager
+def writable_folder(out: Path) -> Iterator[None]:
+    """Make sure, before the work begins, that results can be written to a folder.
+
+    Args:
+        out: The folder; it is made if it does not exist, and removed again if nothing was written to it.
+
+    Raises:
+        FileProblem: It cannot be written to.
+    """
+    cache = StageCache(out, ())
+    try:
+        yield
+    finally:
+        cache.clear()

@@ -225,6 +225,5 @@ def load_shapes(folder: Path | str) -> Shapes:
         found=read_shapes(path),
         labels=tuple(map(str, read_arrays(path, ("labels",))["labels"])),
         rate=read_c3d(c3d).rate if c3d.is_file() else float("nan"),
-        details=RunDetails.read(folder, COMMAND, file=_FILE),
-        folder=folder,
+        details=RunDetails.read(folder, COMMAND, file=_FILE), folder=folder,
     )  # fmt: skip
