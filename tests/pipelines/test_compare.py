@@ -10,7 +10,7 @@ from tests import performer
 from marey.errors import FileProblem
 from marey.io.npz import write_motion
 from marey.io.opensim.mot_sto import Table, write_table
-from marey.motion.names import known_angle, known_point, known_segment
+from marey.motion.names import hinge_sign, known_angle, known_point, known_segment
 from marey.motion.recording import Recording
 from marey.pipelines.capture.motion import Motion
 from marey.pipelines.compare import compare, same_names
