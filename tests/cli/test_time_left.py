@@ -49,7 +49,8 @@ def slow_first_batch() -> np.ndarray:
 STAGES = {
     "steady": steady(), "slow first step": slow_first_step(), "irregular": irregular(), "in twos": in_batches(2),
     "in eights": in_batches(8), "ever slower": ever_slower(), "ever faster": ever_faster(),
-    "empty frames first": empty_frames_first(), "slow first batch": slow_first_batch(), "three steps": np.array([25.0, 3.0, 4.0]), "few steps": np.full(8, 2.0),
+    "empty frames first": empty_frames_first(),
+    "slow first batch": slow_first_batch(), "three steps": np.array([25.0, 3.0, 4.0]), "few steps": np.full(8, 2.0),
 }  # fmt: skip
 
 
