@@ -119,7 +119,7 @@ def test_names_that_only_the_user_knows_are_given_in_a_file(folder, capsys):
         ("[angles\n", "cannot be read as TOML"),
     ],
 )
-def test_a_wrong_file_of_names_is_said(folder, capsys, text, wrong):
+def test_a_wrong_file_of_names_is_reported(folder, capsys, text, wrong):
     (folder / "names.toml").write_text(text)
     assert run(["compare", "ours.mot", "theirs.mot", "--map", "names.toml"]) == 2
     error = capsys.readouterr().err
