@@ -56,6 +56,9 @@ class Camera:
     camera_from_world: RigidTransform
     """Transform from world to camera axes: x right, y down, z forward."""
 
+    def __repr__(self) -> str:
+        return f"Camera {self.name} ({self.width} x {self.height} px)"
+
     def __post_init__(self) -> None:
         freeze_fields(self, "matrix")
         object.__setattr__(self, "distortion", frozen(self.distortion).ravel())

@@ -52,6 +52,9 @@ class Rig:
         """The centres of projection (C, 3) in the world [m]."""
         return frozen(np.stack([camera.centre for camera in self.cameras]))
 
+    def __repr__(self) -> str:
+        return f"Rig of {len(self.cameras)} cameras: " + ", ".join(map(repr, self.cameras))
+
     def __len__(self) -> int:
         return len(self.cameras)
 
