@@ -63,7 +63,7 @@ def person(detail: Detail = "coarse", numbers: int = 6) -> Body:
 
 
 def scan(detail: Detail = "coarse") -> Body:
-    """A person whose shape is known, as that of a scan: there is no number left to find."""
+    """A person whose shape is known, as that of a scan: there are no shape numbers."""
     body = person(detail)
     return replace(body, space=body.space.keep(range(0)), numbers=np.zeros(0))
 
@@ -92,13 +92,13 @@ def silhouettes(posed: PosedBody, cameras: Sequence[Camera]) -> list[Mask]:
 def seen(
     posed: Sequence[PosedBody], cameras: Sequence[Camera], *, noise: float = 0.0, rng: np.random.Generator | None = None
 ) -> list[list[Mask]]:
-    """The silhouettes of a motion, frame by frame, with noise on their outlines [px] where that is asked for."""
+    """The silhouettes of a motion, frame by frame, with noise on their outlines [px] if a generator is given."""
     masks = [silhouettes(p, cameras) for p in posed]
     return masks if rng is None else [[rough(mask, rng, spread=noise) for mask in frame] for frame in masks]
 
 
 def take(posed: Sequence[PosedBody], cameras: Sequence[Camera]) -> SilhouetteTake:
-    """A take of a motion, one posed body a frame."""
+    """A take of a motion, with one posed body per frame."""
     masks = seen(posed, cameras)
     return SilhouetteTake(tuple(cameras), lambda frame: masks[frame], tuple(range(len(posed))), RATE)
 

@@ -39,7 +39,7 @@ def tuned_process(*, parallel_cameras: bool = True) -> Iterator[None]:
     Example:
         >>> import marey
         >>> with marey.tuned_process():
-        ...     pass  # motion = marey.capture("walk01")
+        ...     trial = marey.open_trial(marey.example_folder())
     """
     import scipy.linalg  # noqa: F401  (its library must be loaded before its threads can be limited)
     from threadpoolctl import threadpool_limits

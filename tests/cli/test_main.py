@@ -98,6 +98,30 @@ def test_a_file_problem_names_file_fault_and_remedy(capture, tmp_path, capsys):
     assert capsys.readouterr().err == line
 
 
+def test_the_commands_on_a_trial_print_the_path_of_their_result(tmp_path, capsys, monkeypatch):
+    given = {}
+
+    def called(name):
+        def call(trial, **settings):
+            given[name] = (trial, settings)
+            return SimpleNamespace(path=settings["out"] / "surface.npz", report=settings["out"] / "report.html")
+
+        return call
+
+    monkeypatch.setattr("marey.pipelines.surface.tasks.measure_surface", called("surface"))
+    monkeypatch.setattr("marey.pipelines.shape.tasks.fit_shape", called("shape"))
+    options = ["--keep-rig", "--no-tracks", "--max-speed", "2", "--frames", ":3"]
+    assert run(["surface", str(tmp_path), *options]) == 0
+    assert capsys.readouterr().out == f"Surface: {tmp_path / 'marey' / 'surface.npz'}\n"
+    settings = given["surface"][1]
+    assert (settings["refine_rig"], settings["tracks"], settings["max_speed"], settings["frames"]) == (
+        False, False, 2.0, (0, 3),
+    )  # fmt: skip
+    assert run(["shape", str(tmp_path), "--out", str(tmp_path / "own"), "--preset", "right_arm"]) == 0
+    assert capsys.readouterr().out == f"Report: {tmp_path / 'own' / 'report.html'}\n"
+    assert given["shape"][1]["preset"] == "right_arm"
+
+
 def test_interrupting_says_that_the_same_command_goes_on(capture, tmp_path, capsys):
     capture.fails = KeyboardInterrupt()
     assert run(["capture", str(tmp_path)]) == 130

@@ -1,4 +1,4 @@
-"""Which point of the surface belongs to which point of an outline."""
+"""Correspondence between points of the surface and points of an outline."""
 
 from dataclasses import replace
 
@@ -118,7 +118,7 @@ def test_without_a_silhouette_or_without_a_body_in_view_nothing_matches(scene):
         assert match(away, view_of(away, camera), sighting, OutlineMatchSettings()) is None
 
 
-def test_somebody_who_reaches_behind_the_camera_is_drawn_as_far_as_he_lies_before_it():
+def test_a_body_partly_behind_the_camera_is_drawn_in_front_of_it():
     body = worlds.person()
     camera = worlds.looking_at(np.array([0.0, 0, -0.3]), np.array([0.05, -0.02, 0.55]), size=(100, 120), focal=60.0)
     posed = PosedBody(body, worlds.pose(body))

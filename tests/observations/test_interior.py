@@ -1,4 +1,4 @@
-"""A limb before the trunk is fastened to the edge that the picture shows there."""
+"""Matching of a limb in front of the trunk with the edges of the picture."""
 
 from dataclasses import replace
 
@@ -71,14 +71,14 @@ def test_only_edges_of_the_same_limb_match(scene):
     assert interior_matches(posed, others, OutlineMatchSettings(interior=True)) is None
 
 
-def test_where_nobody_looked_or_nothing_was_found_there_is_nothing_to_observe(scene):
+def test_without_interior_edges_there_are_no_matches(scene):
     posed, _, sighting = scene
     for edges in (None, InteriorEdges.none()):
         assert interior_matches(posed, replace(sighting, interior=edges), OutlineMatchSettings(interior=True)) is None
     assert interior_matches(posed, sighting, OutlineMatchSettings()) is None
 
 
-def test_interior_edges_tell_what_one_silhouette_does_not(scene):
+def test_interior_edges_determine_what_one_silhouette_does_not(scene):
     truth, camera, sighting = scene
     column = worlds.column(truth.body.skeleton, "left_shoulder_lift")
     angles = truth.pose.angles.copy()

@@ -26,6 +26,13 @@ class Camera:
 
     Raises:
         SettingProblem: A number is missing or impossible; the message lists everything that is wrong.
+
+    Example:
+        >>> import marey
+        >>> camera = marey.read_cameras(marey.example_folder())["cam01"]
+        >>> pixel = camera.project([[0.0, 0.0, 1.0]])
+        >>> pixel.shape
+        (1, 2)
     """
 
     name: str

@@ -18,6 +18,12 @@ class Rig:
 
     Raises:
         SettingProblem: There is no camera, or two have the same name.
+
+    Example:
+        >>> import marey
+        >>> rig = marey.read_cameras(marey.example_folder())
+        >>> rig.subset(["cam01", "cam03"]).names
+        ('cam01', 'cam03')
     """
 
     cameras: tuple[Camera, ...]

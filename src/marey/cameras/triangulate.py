@@ -46,6 +46,16 @@ def triangulate(cameras: Sequence[Camera], pixels: Floats, *, sigma_px: float | 
 
     Returns:
         The points; NaN with fewer than two views, with parallel rays, and where no point before the cameras fits.
+
+    Example:
+        >>> import numpy as np
+        >>> import marey
+        >>> rig = marey.read_cameras(marey.example_folder())
+        >>> true = np.array([[0.1, 0.2, 1.0]])
+        >>> pixels = np.stack([camera.project(true) for camera in rig])
+        >>> found = marey.triangulate(list(rig), pixels, sigma_px=0.5)
+        >>> found.points.round(6).tolist()
+        [[0.1, 0.2, 1.0]]
     """
     pixels = np.asarray(pixels, float)
     sigma = np.broadcast_to(np.asarray(sigma_px, float), pixels.shape[:2])

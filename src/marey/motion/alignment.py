@@ -7,9 +7,9 @@ import numpy as np
 from marey.arrays import Floats, Mask, freeze_fields
 from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
-from marey.motion.filters import low_pass
+from marey.motion.filters import MINIMUM_RATE_RATIO, low_pass
 from marey.motion.recording import Recording, continuous_angles, interpolated
-from marey.motion.shift_search import agreement_by_lag
+from marey.motion.shift_search import MINIMUM_SINGULAR_RATIO, agreement_by_lag
 
 SEARCH_HZ = 50.0
 """Highest rate of the grid on which the shift is searched before its refinement [Hz]. Chosen by hand."""
@@ -28,8 +28,6 @@ _SHIFT_TOLERANCE_S = 1e-7
 """A smaller step of the shift ends the iteration [s]; numerical."""
 _OFFSET_TOLERANCE = 1e-9
 """A smaller step of the offset ends the iteration [rad or m]; numerical."""
-_MINIMUM_RATIO = 1e-3
-"""Smallest ratio of the second to the first singular value that determines a rotation. Chosen by hand."""
 _OFFSET_PARAMETERS = 6
 """Number of parameters of the rigid offset."""
 _LEAST_FRAMES = 4
@@ -38,8 +36,6 @@ _LARGEST_SHIFT_SD = 0.25
 """Largest standard deviation of a usable shift as a share of the shorter recording. Chosen by hand."""
 _VELOCITY_STEP_S = 0.02
 """Half the time over which angular velocities are computed [s]. Chosen by hand."""
-_MINIMUM_RATE_RATIO = 2.2
-"""Values are smoothed only at rates above this multiple of the cut-off; the filter requires more than 2."""
 _UNCORRELATED = 0.05
 """Autocorrelation below which differences count as uncorrelated. Chosen by hand."""
 
@@ -163,7 +159,7 @@ def _angular_velocities(recording: Recording) -> Floats:
 
 
 def _smooth(values: Floats, rate: float) -> Floats:
-    return low_pass(values, rate=rate, cutoff_hz=SMOOTH_HZ) if rate > _MINIMUM_RATE_RATIO * SMOOTH_HZ else values
+    return low_pass(values, rate=rate, cutoff_hz=SMOOTH_HZ) if rate > MINIMUM_RATE_RATIO * SMOOTH_HZ else values
 
 
 def _search(pair: _RecordingPair) -> tuple[float, float] | None:
@@ -200,7 +196,7 @@ def _kabsch(p: Floats, q: Floats, places: bool) -> RigidTransform | None:
     mean_p, mean_q = (p.mean(0), q.mean(0)) if places else (np.zeros(3), np.zeros(3))
     cross = (p - mean_p).T @ (q - mean_q)
     sizes = np.linalg.svd(cross, compute_uv=False)
-    if not sizes[1] > _MINIMUM_RATIO * sizes[0]:
+    if not sizes[1] > MINIMUM_SINGULAR_RATIO * sizes[0]:
         return None
     turn = rotations.nearest(cross)
     return RigidTransform(turn, mean_p - turn @ mean_q)

@@ -20,8 +20,10 @@ FORWARD, UP, RIGHT = np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 1.0]), np.a
 """Directions of the body at rest, which faces -y with its left side at +x."""
 WORLD_FRAME = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """Reference of the pelvis' and thorax' angles: X along world y (OpenSim's x), Y along world z, Z along world x."""
-_DISTAL = {"thigh": "shank", "shank": "foot", "upperarm": "forearm", "forearm": "hand"}
+NEXT_DISTAL = {"thigh": "shank", "shank": "foot", "upperarm": "forearm", "forearm": "hand"}
 """Maps each segment of a limb to the next distal one."""
+SIDE_PREFIXES = ("left_", "right_")
+"""Prefixes of the names of segments and angles of a side."""
 _SINGULARITY_OFFSET = 1e-6
 """Offset of the middle angle from a singularity of its sequence [rad]; numerical."""
 LARGEST_ANGLE_SD = np.pi
@@ -138,7 +140,7 @@ class Anatomy:
 
     def joints(self) -> list[tuple[AnatomicalJoint, str]]:
         """List the rows of the table whose segments exist, with the side's prefix."""
-        rows = [(j, side) for j in JOINTS for side in (("left_", "right_") if j.sided else ("",))]
+        rows = [(j, side) for j in JOINTS for side in (SIDE_PREFIXES if j.sided else ("",))]
         return [(j, side) for j, side in rows if all(s is None or s in self.segment_names for s in _pair(j, side))]
 
 
@@ -182,8 +184,8 @@ def anatomy(
 
 def _frame(name: str, centre: Mapping[str, Floats], transverse: Mapping[str, Floats]) -> Floats:
     side, _, kind = name.rpartition("_")
-    if kind in _DISTAL:
-        distal = f"{side}_{_DISTAL[kind]}"
+    if kind in NEXT_DISTAL:
+        distal = f"{side}_{NEXT_DISTAL[kind]}"
         if distal not in centre:
             raise MareyError(f"The segment {name!r} needs {distal!r} for the direction of its long axis.")
         return _from_y_and_z(centre[name] - centre[distal], transverse.get(name, RIGHT))

@@ -6,6 +6,9 @@ from scipy.signal import butter, sosfiltfilt
 from marey.arrays import Floats
 from marey.errors import SettingProblem
 
+MINIMUM_RATE_RATIO = 2.2
+"""Values are filtered only at rates above this multiple of the cut-off where filtering is optional; the filter itself
+requires more than 2."""
 _PASSES = 2
 """Passes of the filter: one forward, one backward."""
 _EDGE_PERIODS = 6

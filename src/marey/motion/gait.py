@@ -87,4 +87,4 @@ def over_cycles(values: Floats, time: Floats, cycles: Sequence[GaitCycle], *, po
     part = part.reshape(*at.shape, *[1] * (values.ndim - 1))
     first, second = values[before], values[before + 1]
     # A point that coincides with a frame needs only that frame.
-    return np.where(part == 0, first, np.where(part == 1, second, first * (1 - part) + second * part))
+    return np.asarray(np.where(part == 0, first, np.where(part == 1, second, first * (1 - part) + second * part)))

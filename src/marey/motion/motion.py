@@ -132,7 +132,7 @@ class BodyMotion:
         names = getattr(self, kind)
         if name not in names:
             raise MareyError(f"There is no {name!r} in {kind}. It has: {', '.join(names)}.")
-        return names.index(name)
+        return int(names.index(name))
 
     def frames(self, chosen: slice | Sequence[int] | Integers | Mask) -> "BodyMotion":
         """Return the motion in some of its frames.

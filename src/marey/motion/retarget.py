@@ -11,6 +11,7 @@ from marey.arrays import Floats, Integers, freeze_fields
 from marey.body.articulation.skeleton import PARENTS
 from marey.errors import MareyError
 from marey.geometry import rotations
+from marey.motion.anatomical import NEXT_DISTAL
 from marey.motion.motion import BodyMotion
 from marey.motion.planted_feet import LegJoints, leg_rotations, planted_feet, standing
 from marey.motion.twist import reduce_twist
@@ -26,8 +27,6 @@ REQUIRED_SEGMENTS = (
 """Segments that a character must have."""
 _TRUNK = ("pelvis", "abdomen", "thorax", "neck", "head")
 """Segments of the trunk from the pelvis to the head."""
-_NEXT = {"thigh": "shank", "shank": "foot", "upperarm": "forearm", "forearm": "hand"}
-"""Maps each segment of a limb to the next distal one."""
 _LEGS = (("thigh", "shank"), ("shank", "foot"))
 """Pairs of neighbouring segments of a leg."""
 _SIDES = ("left", "right")
@@ -245,8 +244,8 @@ class _RestAlignment:
             parent_turn = found.get(parent or "", np.eye(3))
             if not side or kind == "clavicle":
                 found[name] = np.eye(3)
-            elif kind in _NEXT:
-                end = f"{side}_{_NEXT[kind]}"
+            elif kind in NEXT_DISTAL:
+                end = f"{side}_{NEXT_DISTAL[kind]}"
                 theirs, own = self.theirs[end] - self.theirs[name], self.own[end] - self.own[name]
                 found[name] = rotations.shortest(parent_turn @ theirs, own) @ parent_turn
             elif kind == "foot":
@@ -345,7 +344,7 @@ def _turns(fit: _RestAlignment, known: Integers) -> dict[int, Floats]:
         parent = PARENTS[name]
         if name in by_segment and parent in motion.segment_names:
             side, _, kind = name.rpartition("_")
-            axis = fit.own[f"{side}_{_NEXT[kind]}"] - fit.own[name]
+            axis = fit.own[f"{side}_{NEXT_DISTAL[kind]}"] - fit.own[name]
             turns = reduce_twist(motion.segment(str(parent))[known], by_segment[name], axis, share)
             turned[node] = fit.in_scene(turns, name)
     trunk = [name for name in _TRUNK if name in by_segment]
@@ -409,7 +408,7 @@ def _hips(fit: _RestAlignment, known: Integers) -> Floats:
     middle = np.mean([motion.segment_origin[known, motion.segment_names.index(f"{s}_thigh")] for s in _SIDES], axis=0)
     ankles = _ankle_heights(fit)
     higher = ankles[0] - size * ankles[1] if ankles else 0.0
-    return (size * middle + np.array([0.0, 0.0, higher])) @ fit.rig.scene_from_world.T
+    return np.asarray((size * middle + np.array([0.0, 0.0, higher])) @ fit.rig.scene_from_world.T)
 
 
 def _ankle_heights(fit: _RestAlignment) -> tuple[float, float] | None:

@@ -7,7 +7,7 @@ from marey.arrays import Floats, Mask
 
 _VARIANCE_FLOOR = 1e-9
 """Smallest remaining share of the variance; equal recordings agree up to rounding only."""
-_MINIMUM_RATIO = 1e-3
+MINIMUM_SINGULAR_RATIO = 1e-3
 """Smallest ratio of the second to the first singular value that determines a rotation. Chosen by hand."""
 _NO_VARIANCE = 1e-12
 """Ratio of the variance to the mean square below which a column is constant; numerical."""
@@ -86,7 +86,7 @@ def _of_vectors(p: Floats, q: Floats, *, places: bool, least: int) -> tuple[Floa
     sizes = sizes * np.stack([np.ones(lags), np.ones(lags), np.sign(np.linalg.det(u @ vt))], 1)
     left = (squares - 2 * sizes.sum(1)) / safe
     logs, counts = _logarithm(left, moved / safe, count, least, float((p**2).mean() + (q**2).mean()))
-    turned = sizes[:, 1] > _MINIMUM_RATIO * sizes[:, 0]
+    turned = sizes[:, 1] > MINIMUM_SINGULAR_RATIO * sizes[:, 0]
     return np.where(turned, logs, 0.0), np.where(turned, counts, 0.0)
 
 

@@ -13,7 +13,14 @@ from marey.kernels import kernel
 
 @dataclass(frozen=True, eq=False)
 class Linearization:
-    """First-order model of an observation: r(x + d) = residual + jacobian d."""
+    """First-order model of an observation: r(x + d) = residual + jacobian d.
+
+    Example:
+        >>> import numpy as np
+        >>> import marey
+        >>> marey.Linearization(residual=np.array([0.02]), jacobian=np.zeros((1, 48))).jacobian.shape
+        (1, 48)
+    """
 
     residual: Floats
     """(m,) predicted minus measured, in the observation's own unit."""
@@ -22,7 +29,31 @@ class Linearization:
 
 
 class Observation(ABC):
-    """A batch of measurements of one kind, with their uncertainty and their prediction."""
+    """A batch of measurements of one kind in one frame, with their uncertainty and their prediction.
+
+    A new kind of observation is a subclass with `sigma` and `linearize`. It is given by frame to
+    `marey.capture(trial, observations={frame: [observation, ...]})`.
+
+    Example:
+        The height of a joint was measured, with a standard deviation of 5 mm:
+
+        >>> import numpy as np
+        >>> import marey
+        >>> class JointHeight(marey.Observation):
+        ...     sigma = 0.005
+        ...
+        ...     def __init__(self, segment, height_m):
+        ...         self.segment, self.height_m = segment, height_m
+        ...
+        ...     def linearize(self, posed, *, shape=False):
+        ...         residual = posed.segment_origin[self.segment][2:] - self.height_m
+        ...         jacobian = posed.pose_jacobian(*posed.joint_parts(np.array([self.segment])))[:, 2]
+        ...         if shape:
+        ...             jacobian = np.hstack([jacobian, posed.origin_shape_jacobian()[self.segment, 2:]])
+        ...         return marey.Linearization(residual, jacobian)
+        >>> JointHeight(segment=4, height_m=1.62).sigma
+        0.005
+    """
 
     @property
     @abstractmethod
@@ -61,6 +92,21 @@ class SurfaceObservation(Observation):
 
     All of them enter the least squares through the same moments ([Rosenhahn2006] eq. (10), for any kind that is linear
     in the point), see `fit.solver.moments`.
+
+    Example:
+        The heights of points of the surface were measured, with a standard deviation of 1 cm:
+
+        >>> import numpy as np
+        >>> import marey
+        >>> class PointHeights(marey.SurfaceObservation):
+        ...     sigma = 0.01
+        ...
+        ...     def __init__(self, where, heights_m):
+        ...         self.where, self.heights_m = where, heights_m
+        ...
+        ...     def constraints(self, posed):
+        ...         rows = np.tile([[[0.0, 0.0, 1.0]]], (len(self.where), 1, 1))
+        ...         return rows, self.heights_m[:, None]
     """
 
     where: SurfacePoints

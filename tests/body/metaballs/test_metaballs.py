@@ -117,7 +117,7 @@ def test_far_points_still_pull_towards_the_body(posed):
     assert posed.distance(nearer) < of.residual
 
 
-def test_one_leg_does_not_melt_into_the_other(rng):
+def test_one_leg_does_not_merge_with_the_other(rng):
     body = people.stick_person(rng)
     legs = [body.skeleton.segment(f"{side}_thigh") for side in ("left", "right")]
     apart = np.array([0.12, 0.0, 0.0])
@@ -133,7 +133,7 @@ def test_one_leg_does_not_melt_into_the_other(rng):
 
 
 @pytest.mark.parametrize("limb", [3, 4])
-def test_a_point_given_to_a_limb_feels_that_limb(rng, posed, points, limb):
+def test_a_point_of_a_limb_depends_on_that_limb_and_the_trunk(rng, posed, points, limb):
     kept = np.flatnonzero(np.isin(posed.balls.limb, [0, limb]))
     balls = posed.balls
     only = replace(

@@ -167,7 +167,7 @@ def test_a_mesh_without_metaballs_has_no_cross_sections(rng):
         spline_body(people.stick_person(rng))
 
 
-def test_bones_that_lie_beside_the_balls_do_no_harm():
+def test_bones_may_lie_beside_the_balls():
     """The balls of the trunk moved forward until the spine stands out of the back, those of a forearm aside."""
     balls = person("simple", None)
     names = np.array(balls.skeleton.segment_names)[balls.segment]

@@ -113,7 +113,7 @@ def test_every_distal_end_lies_away_from_its_joint(family):
     assert np.all((length > 0.03) & (length < 0.5))
 
 
-def test_wrong_settings_are_told():
+def test_wrong_settings_are_refused():
     with pytest.raises(SettingProblem, match="level"):
         load_family("finest")
     with pytest.raises(SettingProblem, match="numbers"):

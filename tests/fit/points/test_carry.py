@@ -1,4 +1,4 @@
-"""A body moves as points on it move."""
+"""Motion of a body from trajectories of points on it."""
 
 import numpy as np
 import pytest
@@ -33,7 +33,7 @@ def scene():
     return body, poses, position, on
 
 
-def test_one_step_is_found_from_the_points_alone(scene):
+def test_one_step_is_estimated_from_the_points_alone(scene):
     body, poses, position, on = scene
     pose = pose_from_points(PosedBody(body, poses[3]), position[3], position[4], CarrySettings(), segments=on)
     arm = [body.skeleton.segment(f"right_{name}") for name in ("upperarm", "forearm", "hand")]
@@ -52,7 +52,7 @@ def test_trajectories_that_slip_do_not_carry_the_body_away(scene, rng):
     assert np.abs(pose.angles - poses[4].angles).max() < np.deg2rad(1.5)
 
 
-def test_the_motion_is_followed_to_both_ends(scene):
+def test_the_motion_is_tracked_to_both_ends(scene):
     body, poses, position, _ = scene
     gaps = position.copy()
     gaps[0, ::2] = np.nan
@@ -81,12 +81,12 @@ def test_without_points_a_body_stays_where_it_was(scene):
     np.testing.assert_allclose(found[0].angles, poses[3].angles, atol=1e-9)
 
 
-def test_points_far_from_the_skin_belong_to_nobody(scene):
+def test_points_far_from_the_skin_are_ignored(scene):
     body, poses, _, _ = scene
     assert carrying_segments(PosedBody(body, poses[3]), np.array([[5.0, 0, 0]]), near_m=0.05)[0] == -1
 
 
-def test_a_pose_settles_on_the_points_of_its_frame(scene, rng):
+def test_a_pose_is_fitted_to_the_points_of_its_frame(scene, rng):
     body, poses, _, _ = scene
     points = world.measured(body, poses[5], 3000, NOISE, rng)
     given = PersonPoints(by_frame={5: FramePoints(points.points, points.covariance)}, model_sd_m=5e-4, scale_m=0.03)

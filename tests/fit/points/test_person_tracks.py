@@ -1,4 +1,4 @@
-"""Followed points ride on their segments, at one place in all frames."""
+"""Tracked points that are carried by their segments, at one position in all frames."""
 
 from dataclasses import replace
 
@@ -68,7 +68,7 @@ def test_the_sum_is_that_of_carried_points(scene):
     np.testing.assert_allclose(gradient[:size], rows.jacobian.T @ (weight * rows.residual), atol=1e-6)
 
 
-def test_the_places_of_a_segment_move_as_the_last_columns_say(scene):
+def test_the_last_columns_are_the_motion_of_a_segments_positions(scene):
     body, poses, tracks, _ = scene
     attached, posed = tracks.attached(poses, body), PosedBody(body, poses[1])
     _, gradient = attached.terms(1, posed)
@@ -88,14 +88,14 @@ def test_the_places_of_a_segment_move_as_the_last_columns_say(scene):
         assert gradient[first + 6 * k + column] == pytest.approx(change, rel=1e-3, abs=1e-2)
 
 
-def test_a_frame_without_points_says_nothing(scene):
+def test_a_frame_without_points_contributes_nothing(scene):
     body, poses, tracks, _ = scene
     hessian, gradient = tracks.attached(poses, body).terms(99, PosedBody(body, poses[0]))
     assert not hessian.any()
     assert not gradient.any()
 
 
-def test_trajectories_of_other_frames_say_nothing(scene):
+def test_trajectories_of_other_frames_contribute_nothing(scene):
     body, poses, tracks, _ = scene
     other = replace(tracks, frames=tracks.frames + 100)
     attached = other.attached(poses, body)
@@ -103,7 +103,7 @@ def test_trajectories_of_other_frames_say_nothing(scene):
     assert attached.reestimated({f: PosedBody(body, pose) for f, pose in poses.items()}).skin_sd_m == other.skin_sd_m
 
 
-def test_trajectories_are_taken_without_those_that_were_removed():
+def test_removed_trajectories_are_skipped():
     covariance = np.broadcast_to(np.eye(3) * 4e-8, (2, 3, 3, 3)).copy()
     covariance[0, 2] = np.nan
     nothing = np.full((2, 3, 3), np.nan)
@@ -118,7 +118,7 @@ def test_trajectories_are_taken_without_those_that_were_removed():
     np.testing.assert_allclose(found.variance, [[4e-8, 0.0], [4e-8, 4e-8]], rtol=1e-6)
 
 
-def test_how_far_skin_moves_about_is_found_again(scene):
+def test_the_standard_deviation_of_the_skin_is_recovered(scene):
     body, poses, tracks, _ = scene
     rng = np.random.default_rng(2)
     moving = replace(tracks, position=tracks.position + rng.normal(size=tracks.position.shape) * 0.001)
@@ -129,7 +129,7 @@ def test_how_far_skin_moves_about_is_found_again(scene):
     assert found.skin_sd_m == pytest.approx(0.001, rel=0.15)
 
 
-def test_only_people_of_metaballs_are_fitted(scene):
+def test_a_body_without_metaballs_is_refused(scene):
     body, poses, tracks, _ = scene
     bare = replace(body, metaballs=None)
     with pytest.raises(ValueError, match="metaballs"):

@@ -1,4 +1,4 @@
-"""The recipe: a person's metaballs from measured points and silhouettes together."""
+"""Estimation of a person's metaballs from measured points and silhouettes together."""
 
 from dataclasses import replace
 
@@ -37,7 +37,7 @@ def arm():
     return person_body("fine", preset="right_arm")
 
 
-def test_the_trunk_of_an_arms_preset_may_turn(arm):
+def test_the_trunk_of_an_arms_preset_is_freed(arm):
     whole = with_free_trunk(arm)
     names = {c.name for c in whole.skeleton.coordinates}
     assert {c.name for c in arm.skeleton.coordinates} < names
@@ -48,7 +48,7 @@ def test_the_trunk_of_an_arms_preset_may_turn(arm):
     np.testing.assert_allclose(PosedBody(whole, moved).vertices, PosedBody(arm, pose).vertices, atol=1e-12)
 
 
-def test_metaballs_take_over_a_learned_persons_numbers_and_preset(arm, rng):
+def test_metaballs_keep_a_learned_persons_numbers_and_preset(arm, rng):
     body = with_free_trunk(
         arm.with_numbers(0.5 * rng.normal(size=len(arm.space)) * np.sqrt(np.diag(arm.space.prior_covariance)))
     )
@@ -63,7 +63,7 @@ def test_metaballs_take_over_a_learned_persons_numbers_and_preset(arm, rng):
     assert metaballs_like(balls) is balls
 
 
-def test_simple_metaballs_come_as_near_as_lengths_and_widths_can(arm):
+def test_simple_metaballs_approximate_a_body_by_lengths_and_widths(arm):
     body = with_free_trunk(arm)
     balls = metaballs_like(body, "simple")
     assert "upperarm_width" in balls.space.names
@@ -72,12 +72,12 @@ def test_simple_metaballs_come_as_near_as_lengths_and_widths_can(arm):
         assert np.linalg.norm(balls.joint_centres[k] - body.joint_centres[k]) < 0.03
 
 
-def test_a_scan_has_no_numbers_to_share():
+def test_a_scan_without_numbers_is_refused():
     with pytest.raises(SettingProblem, match="without --body"):
         metaballs_like(family_body("coarse"))
 
 
-def test_details_come_in_turn_and_change_nothing_by_themselves(arm):
+def test_more_detail_keeps_the_shape(arm):
     simple = metaballs_like(with_free_trunk(arm), "simple")
     full = more_detailed(simple, "full")
     assert len(full.metaballs.mean) > len(simple.metaballs.mean)
@@ -111,7 +111,7 @@ def test_single_radii_move_one_ball_on_both_sides():
     )
 
 
-def test_frames_are_chosen_evenly():
+def test_frames_are_evenly_spaced():
     assert evenly_spaced([3, 4, 5, 6, 7], 3) == [3, 5, 7]
     assert evenly_spaced([3], 60) == [3]
 
@@ -133,7 +133,7 @@ def scene():
 
 
 @pytest.mark.parametrize("outlines", [False, True], ids=["points", "points and silhouettes"])
-def test_shape_and_motion_are_found_again(scene, outlines):
+def test_shape_and_motion_are_recovered(scene, outlines):
     space, truth, body, poses, points, start = scene
     cameras = worlds.ring(3)
     posed = [PosedBody(body, pose) for pose in poses.values()]
@@ -172,7 +172,7 @@ def carried(posed, count, rng, noise=3e-4):
     return np.array(position) + rng.normal(size=(len(posed), count, 3)) * noise
 
 
-def test_followed_points_show_a_limbs_turn_about_itself(scene):
+def test_tracked_points_determine_a_limbs_rotation_about_itself(scene):
     space, _, body, poses, points, start = scene
     rng = np.random.default_rng(4)
     position = carried([PosedBody(body, pose) for pose in poses.values()], 300, rng)
@@ -197,7 +197,7 @@ def test_followed_points_show_a_limbs_turn_about_itself(scene):
     assert change[1] < np.deg2rad(0.1)
 
 
-def test_what_is_stated_counts_points_that_lie_off_alike_as_one(scene):
+def test_the_final_covariance_counts_correlated_points_as_one(scene):
     space, truth, body, poses, points, _ = scene
     blank = FrameLevels(worlds.ring(2), lambda f: [np.zeros((240, 200), bool)] * 2, 1.0)
     found = ShapeEstimate(body, poses, 0.002, 3.2)
@@ -214,7 +214,7 @@ def test_what_is_stated_counts_points_that_lie_off_alike_as_one(scene):
     assert 1.5 * sds[0] < sds[1] < np.sqrt(space.prior_covariance[at, at])
 
 
-def test_clicked_joints_hold_a_start_that_points_of_one_side_leave_open(arm):
+def test_clicked_joints_determine_what_points_of_one_side_do_not(arm):
     rng, cameras = np.random.default_rng(6), worlds.ring(3)
     whole = with_free_trunk(arm)
     truth = PosedBody(whole, Pose(np.zeros(3), np.eye(3), 0.3 * rng.normal(size=len(whole.skeleton) - 6)))

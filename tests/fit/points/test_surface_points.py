@@ -1,4 +1,4 @@
-"""Points of a take: how many are alike, and how well the model fits them."""
+"""Points of a take: patches, and the model's standard deviation."""
 
 import numpy as np
 import pytest
@@ -32,7 +32,7 @@ def scene():
 
 
 @pytest.mark.parametrize("scale", [np.inf, 0.02])
-def test_the_models_standard_deviation_is_found_again(scene, scale):
+def test_the_models_standard_deviation_is_recovered(scene, scale):
     """Points a millimetre off by measurement, three by the model."""
     body, pose, points = scene
     rng = np.random.default_rng(2)
@@ -44,7 +44,7 @@ def test_the_models_standard_deviation_is_found_again(scene, scale):
     assert found.scale_m <= scale
 
 
-def test_a_frame_without_points_says_nothing(scene):
+def test_a_frame_without_points_contributes_nothing(scene):
     body, pose, points = scene
     person = PersonPoints(by_frame={4: points})
     assert person.observed(5, PosedBody(body, pose)) is None
@@ -54,7 +54,7 @@ def test_a_frame_without_points_says_nothing(scene):
     assert PersonPoints(by_frame={}).reestimated({5: PosedBody(body, pose)}).model_sd_m == person.model_sd_m
 
 
-def test_points_are_fitted_to_metaballs_only(scene):
+def test_points_need_a_body_of_metaballs(scene):
     from dataclasses import replace
 
     body, pose, points = scene

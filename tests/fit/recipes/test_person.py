@@ -1,4 +1,4 @@
-"""The recipe for a person: which frames are chosen, and the whole way on a small take."""
+"""Capture of a person: choice of frames, and the complete estimate on a small take."""
 
 from dataclasses import replace
 
@@ -45,7 +45,7 @@ def test_frames_are_chosen_that_show_all_of_the_person_in_every_camera():
     assert set(promising_frames(take, 3)) <= {2, 5, 9}
 
 
-def test_chosen_frames_lie_apart():
+def test_chosen_frames_are_spread_over_time():
     take = take_of([boxes((20, 40), (30, 50))] * 120)
     chosen = sorted(promising_frames(take, 3))
     assert len(chosen) == 3
@@ -56,7 +56,7 @@ def test_a_take_of_one_frame_is_tried_at_that_frame():
     assert promising_frames(take_of([boxes((20, 40), (30, 50))]), 3) == [0]
 
 
-def test_the_shape_is_learned_from_good_frames_all_over_the_take():
+def test_the_shape_is_estimated_from_good_frames_of_the_whole_take():
     scores = {f: 0.5 if 30 <= f < 50 else 0.9 + 1e-4 * f for f in range(100)}
     chosen = shape_frames(scores, 10)
     assert len(chosen) == 10
@@ -66,7 +66,7 @@ def test_the_shape_is_learned_from_good_frames_all_over_the_take():
     assert shape_frames({7: 0.9, 8: 0.9}, 10) == [7, 8]
 
 
-def test_a_takes_levels_are_as_high_as_asked():
+def test_the_levels_of_a_take_have_the_requested_height():
     body = worlds.person()
     take = worlds.take([PosedBody(body, worlds.pose(body))], worlds.ring(size=(400, 480), focal=600.0))
     height = max(np.count_nonzero(mask.any(1)) for mask in take.masks_of(0))
@@ -74,7 +74,7 @@ def test_a_takes_levels_are_as_high_as_asked():
     assert take.levels(2 * height).factor == 1.0
 
 
-def test_a_body_of_another_level_takes_the_shape_over(rng):
+def test_a_body_of_another_level_gets_the_same_shape(rng):
     fine, coarse = worlds.person("fine"), worlds.person("coarse")
     covariance = np.eye(6)
     found = replace(fine, numbers=rng.normal(size=6), numbers_covariance=covariance)
@@ -85,7 +85,7 @@ def test_a_body_of_another_level_takes_the_shape_over(rng):
     np.testing.assert_allclose(taken.joint_centres, found.joint_centres, atol=1e-9)
 
 
-def test_a_start_that_is_remembered_is_not_sought_again(monkeypatch):
+def test_a_start_in_the_checkpoint_is_reused(monkeypatch):
     body = worlds.person()
     posed = PosedBody(body, worlds.pose(body))
     take = worlds.take([posed] * 3, worlds.ring())
@@ -104,7 +104,7 @@ def test_a_start_that_is_remembered_is_not_sought_again(monkeypatch):
 
 
 @pytest.mark.parametrize("cameras", [4, 3])
-def test_a_person_is_followed_both_ways_and_refined_with_its_shape(cameras):
+def test_a_person_is_tracked_in_both_directions_and_refined_with_its_shape(cameras):
     mean = worlds.person("coarse", 3)
     person = mean.with_numbers(np.array([1.0, -0.7, 0.5]))
     truth = [PosedBody(person, pose) for pose in worlds.swing(person, 9)]
@@ -122,7 +122,7 @@ def test_a_person_is_followed_both_ways_and_refined_with_its_shape(cameras):
     assert np.abs(fit.body.numbers - person.numbers).max() < 0.5
 
 
-def test_single_frames_are_mended_once_the_body_is_known():
+def test_single_frames_are_repaired_with_a_better_body():
     body = worlds.person("coarse", 3)
     truth = [PosedBody(body, pose) for pose in worlds.swing(body, 9)]
     poses = {f: t.pose for f, t in enumerate(truth)}
@@ -147,7 +147,7 @@ def test_a_good_start_is_enough(monkeypatch):
     assert len(asked) == 1
 
 
-def test_moments_without_an_answer_are_filled_from_both_sides():
+def test_short_gaps_are_interpolated():
     body = worlds.person("coarse", 3)
     poses = dict(enumerate(worlds.swing(body, 30)))
     known = {f: pose for f, pose in poses.items() if f not in (4, 5, *range(10, 20), 29)}
@@ -161,7 +161,7 @@ def test_moments_without_an_answer_are_filled_from_both_sides():
     assert interpolated_poses({}, longest=5) == {}
 
 
-def test_filled_poses_that_silhouettes_bear_out_are_told_from_others():
+def test_interpolated_poses_that_disagree_with_silhouettes_are_listed():
     body = worlds.person("coarse", 3)
     truth = [PosedBody(body, pose) for pose in worlds.swing(body, 3)]
     take = worlds.take(truth, worlds.ring())

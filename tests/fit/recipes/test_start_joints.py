@@ -30,7 +30,7 @@ def clicks(truth, cameras, joints, rng, *, sigma=2.0):
     )
 
 
-def test_pose_and_facing_come_from_joints_and_silhouettes(scene, rng):
+def test_pose_and_facing_are_estimated_from_joints_and_silhouettes(scene, rng):
     truth, take = scene
     names = truth.body.joint_names
     pixels = clicks(truth, take.cameras, names, rng)
@@ -41,7 +41,7 @@ def test_pose_and_facing_come_from_joints_and_silhouettes(scene, rng):
     assert found.score > 0.85
 
 
-def test_a_few_joints_in_some_cameras_are_enough_to_face_the_right_way(scene, rng):
+def test_a_few_joints_in_some_cameras_determine_the_facing(scene, rng):
     truth, take = scene
     names = ("left_hip", "right_hip", "left_shoulder", "right_shoulder", "left_wrist", "right_ankle")
     pixels = clicks(truth, take.cameras, names, rng)
@@ -52,7 +52,7 @@ def test_a_few_joints_in_some_cameras_are_enough_to_face_the_right_way(scene, rn
     assert np.median(worlds.joint_errors(found.posed, truth)) < 0.06
 
 
-def test_joints_alone_start_where_there_are_no_silhouettes(scene, rng):
+def test_joints_alone_give_a_start_without_silhouettes(scene, rng):
     truth, take = scene
     empty = [np.zeros_like(mask) for mask in take.masks_of(0)]
     ignored_frames = SilhouetteTake(take.cameras, lambda frame: empty, (0,), take.rate)
@@ -63,7 +63,7 @@ def test_joints_alone_start_where_there_are_no_silhouettes(scene, rng):
     assert worlds.joint_errors(found.posed, truth).mean() < 0.05
 
 
-def test_joints_that_two_cameras_do_not_share_are_too_few(scene, rng):
+def test_too_few_joints_in_two_cameras_are_refused(scene, rng):
     truth, take = scene
     names = ("left_hip", "right_hip", "left_shoulder")
     pixels = clicks(truth, take.cameras, names, rng)

@@ -1,4 +1,4 @@
-"""The steps of the search: exchanges that undo themselves, proposals that hold the truth, fits that mend."""
+"""Steps of the search: exchanges, proposals of limbs, and fits."""
 
 from dataclasses import replace
 
@@ -65,7 +65,7 @@ def test_a_pose_is_read_back_from_the_rotations_of_its_segments(rng):
             np.testing.assert_allclose(found, wanted, atol=1e-9)
 
 
-def test_about_face_looks_the_other_way_and_keeps_the_sides_of_the_picture():
+def test_a_reversed_pose_faces_the_other_way_with_the_same_outline():
     body = worlds.person()
     posed = PosedBody(body, worlds.pose(body, {"left_shoulder_lift": 40, "right_hip_abduction": 20}, yaw=0.4))
     turned = PosedBody(body, turned_about(posed))
@@ -77,7 +77,7 @@ def test_about_face_looks_the_other_way_and_keeps_the_sides_of_the_picture():
         assert np.linalg.norm(turned.segment_origin[at[right]] - posed.segment_origin[at[left]]) < 0.08
 
 
-def test_about_face_twice_gives_the_pose_back(rng):
+def test_reversing_a_pose_twice_restores_it(rng):
     body = worlds.person()
     skeleton = body.skeleton
     segment = skeleton.coordinate_segment
@@ -146,7 +146,7 @@ def test_a_score_is_the_overlap_less_what_the_posture_costs(scene):
 
 
 @pytest.mark.parametrize(("lean", "ways"), [(0, 1), (20, 2), (45, 3), (85, 4)])
-def test_who_leans_is_tried_upright_and_along_the_hulls_axis(rng, lean, ways):
+def test_a_leaning_person_is_searched_upright_and_along_the_hulls_axis(rng, lean, ways):
     trunk = rng.normal(size=(500, 3)) * [0.15, 0.15, 0.5]
     turn = rotations.exp(np.array([np.deg2rad(lean), 0, 0]))
     found = steps.standing_ways(trunk @ turn.T)

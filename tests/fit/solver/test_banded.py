@@ -52,7 +52,7 @@ def add_smoothness(rng, system, dense, gradient):
 
 
 def shape_of(dense, gradient):
-    """What all frames together say of the shape alone."""
+    """The information about the shape alone from all frames."""
     return dense[-NUMBERS:, -NUMBERS:], gradient[-NUMBERS:]
 
 
@@ -83,7 +83,7 @@ def test_the_covariances_are_blocks_of_the_dense_inverse(rng, numbers):
         np.testing.assert_allclose(covariance[f], inverse[np.ix_(own, own)], atol=1e-7 * np.abs(inverse).max())
 
 
-def test_poses_that_know_nothing_of_the_shape_have_no_share_in_it(rng):
+def test_poses_independent_of_the_shape_leave_it_unchanged(rng):
     blocks, shape = np.tile(np.eye(DEGREES), (2, 1, 1)), 0.1 * np.eye(NUMBERS)
     whole = with_shape_covariance(blocks, np.zeros((2, DEGREES, 0)), shape)
     np.testing.assert_array_equal(whole[:, :DEGREES, :DEGREES], blocks)

@@ -81,7 +81,7 @@ def test_without_silhouettes_the_shape_goes_to_its_prior(scene):
     np.testing.assert_allclose(fitted.pose.angles, truth.body.skeleton.habit[0], atol=1e-6)
 
 
-def test_no_number_leaves_the_reach_that_is_allowed(scene):
+def test_no_number_leaves_its_bounds(scene):
     truth, level = scene
     start = truth.body.with_numbers(np.zeros(5))
     fitted = fit_body(PosedBody(start, truth.pose), level.sightings, PRIORS, schedule=SCHEDULE, clip=0.5)

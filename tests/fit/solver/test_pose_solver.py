@@ -71,7 +71,7 @@ def test_another_level_of_the_body_fits_the_same_silhouettes(scene):
     assert worlds.joint_errors(fit.posed, PosedBody(coarse, truth.pose)).mean() < 0.008
 
 
-def test_contours_with_noise_are_fitted_as_well_as_they_say(scene):
+def test_noisy_contours_are_fitted_within_the_stated_uncertainty(scene):
     """The stated 3.2 px of a match stand for outlines that err by a tenth of it, alike over some ten pixels."""
     truth, level = scene
     share = []
@@ -85,7 +85,7 @@ def test_contours_with_noise_are_fitted_as_well_as_they_say(scene):
     assert np.max(share) < 3
 
 
-def test_a_camera_fewer_still_finds_the_pose(scene):
+def test_one_camera_fewer_still_gives_the_pose(scene):
     truth, level = scene
     start = replace(truth, pose=truth.pose.step(np.full(len(truth.body.skeleton), 0.02)))
     fit = fit_pose(start, level.sightings[:3], PRIORS, schedule=SCHEDULE)
@@ -191,7 +191,7 @@ def test_the_schedule_narrows_from_its_first_to_its_last_value():
     assert Schedule(iterations=1).at(0)[0].gate == 25.0
 
 
-def test_agreement_is_one_where_all_agrees_and_unknown_where_nobody_is(scene):
+def test_agreement_is_one_for_equal_masks_and_nan_for_empty_ones(scene):
     truth, level = scene
     views = [view_of(truth, camera) for camera in level.cameras]
     np.testing.assert_array_equal(agreement(views, [view.mask() for view in views]), 1.0)
@@ -225,7 +225,7 @@ def test_the_kernel_does_what_the_steps_one_by_one_do(scene, count):
     np.testing.assert_allclose(once.pose.change_to(twice.pose), 0, atol=1e-9)
 
 
-def test_a_coordinate_that_nothing_fixes_is_told_of(scene):
+def test_an_undetermined_coordinate_is_an_error(scene):
     truth, _ = scene
     with pytest.raises(np.linalg.LinAlgError, match="prior"):
         solve_pose(truth, gather_moments(truth, []), ())

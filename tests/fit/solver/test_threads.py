@@ -1,4 +1,4 @@
-"""Work on several things at a time gives what work on one after the other gives."""
+"""Work in threads gives the same results as sequential work."""
 
 import threading
 import time
@@ -45,7 +45,7 @@ def test_an_error_in_the_work_reaches_the_caller():
         list(found)
 
 
-def test_who_stops_asking_stops_the_work():
+def test_closing_the_iterator_cancels_the_work():
     progress = []
     found = map_in_threads(lambda i: progress.append(i), iter(range(1000)))
     next(found)
@@ -59,13 +59,13 @@ def test_kernels_on_several_threads_give_the_same_numbers(rng):
     np.testing.assert_array_equal(again, [m @ m.T for m in matrices])
 
 
-def test_short_work_together_gives_results_in_order_and_errors():
+def test_two_threads_return_results_in_order_and_raise_errors():
     assert map_in_two_threads(lambda i: i * i, range(7)) == [i * i for i in range(7)]
     with pytest.raises(ZeroDivisionError):
         map_in_two_threads(lambda i: 1 / i, [1, 0])
 
 
-def test_short_work_inside_of_work_side_by_side_stays_in_its_thread():
+def test_short_work_inside_a_worker_thread_stays_in_it():
     def outer(item):
         return set(map_in_two_threads(lambda _: threading.get_ident(), range(3))) == {threading.get_ident()}
 

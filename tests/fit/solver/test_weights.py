@@ -6,7 +6,7 @@ import pytest
 from marey.fit.solver.weights import component_sd, geman_mcclure
 
 
-def test_a_weight_is_one_on_the_spot_a_quarter_at_the_scale_and_fades_with_the_fourth_power():
+def test_a_weight_is_one_at_zero_and_a_quarter_at_the_scale():
     np.testing.assert_allclose(geman_mcclure(np.array([0.0, 2.0, -2.0]), 2.0), [1.0, 0.25, 0.25])
     far = geman_mcclure(np.array([200.0, 400.0]), 2.0)
     np.testing.assert_allclose(far[0] / far[1], 16.0, rtol=1e-3)
@@ -44,11 +44,11 @@ def test_known_deviations_that_explain_all_leave_nothing(rng):
     assert component_sd(0.5 * rng.normal(size=1000), np.ones(1000)) == 0.0
 
 
-def test_nothing_observed_says_nothing():
+def test_without_observations_the_result_is_nan():
     assert np.isnan(component_sd(np.zeros(0), np.zeros(0)))
 
 
-def test_what_parameters_took_is_left_out(rng):
+def test_estimated_parameters_reduce_the_redundancy(rng):
     """Five observations about each of many means: a fifth of them went into the means."""
     values = rng.normal(size=(4000, 5)) * 0.3
     residual = (values - values.mean(1, keepdims=True)).ravel()

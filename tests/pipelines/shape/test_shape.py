@@ -114,7 +114,7 @@ def test_the_measured_surface_stays_among_the_results(tmp_path):
 
 
 def test_the_table_has_a_row_for_each_segment_that_is_followed(tmp_path, body, monkeypatch):
-    monkeypatch.setattr(segment_measures, "SAMPLES", 4)
+    monkeypatch.setattr(segment_measures, "COVARIANCE_DRAWS", 4)
     known = replace(body, numbers_covariance=1e-4 * np.eye(len(body.space)))
     write_table(tmp_path, known)
     with (tmp_path / "segments.csv").open(newline="") as file:
