@@ -1,4 +1,4 @@
-"""Make a character to put motions on: a stocky person of metaballs, in a T posture, on a rig such as the web's.
+"""Make a character for retargeting: a stocky person of metaballs, in a T posture, with the joint names of common rigs.
 
     PYTHONPATH=src python bodies/character.py stocky.glb
 
@@ -31,8 +31,9 @@ SIZES = {
     "abdomen_breadth": 0.2, "thorax_breadth": 0.2, "head_breadth": 0.2, "head_depth": 0.2, "upperarm_breadth": 0.3,
     "upperarm_depth": 0.3, "forearm_breadth": 0.4, "forearm_depth": 0.4, "shank_breadth": 0.2, "shank_depth": 0.2,
 }  # fmt: skip
-"""Beside the generic person's."""
+"""Sizes relative to the generic person's, as shape numbers of the metaballs."""
 CENTIMETRE = 0.01
+"""One centimetre [m]."""
 
 
 def stocky() -> Body:
@@ -42,7 +43,7 @@ def stocky() -> Body:
 
 
 def with_arms_out(body: Body) -> Body:
-    """Give a body whose rest posture is a T."""
+    """Return the body with a T as its rest posture."""
     skeleton, names = body.skeleton, body.skeleton.segment_names
     turns = np.tile(np.eye(3), (len(names), 1, 1))
     for side, sign in (("left", 1.0), ("right", -1.0)):
@@ -67,7 +68,7 @@ def _fixed(vertices: Floats, joints: Floats) -> ShapeSpace:
 
 
 def foreign(path: Path) -> None:
-    """Give a GLB of ours the names of other makers, and joints in centimetres below an armature that undoes them."""
+    """Rename the joints of a GLB file, and convert them to centimetres below an armature that scales them back."""
     gltf = Gltf(path)
     document, binary = gltf.document, bytearray(gltf.buffer(0))
     skin = document["skins"][0]

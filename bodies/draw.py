@@ -1,4 +1,4 @@
-"""Draw the family's mean body at both levels, at rest and bent, to look at: docs/pictures/body.png."""
+"""Draw the family's mean body at both levels, at rest and bent: docs/pictures/body.png."""
 
 import argparse
 from pathlib import Path

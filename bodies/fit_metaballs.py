@@ -1,7 +1,7 @@
-"""Fits the generic metaballs of both levels to the skin of the mean body, draws them, and writes metaballs.npz.
+"""Fit the generic metaballs of both levels to the skin of the mean body, draw them, and write metaballs.npz.
 
-Development only: PYTHONPATH=src python bodies/fit_metaballs.py [--out FILE]. Look at the drawing beside the file before
-it takes the place of the one that is shipped.
+Development only: PYTHONPATH=src python bodies/fit_metaballs.py [--out FILE]. Check the drawing beside the file before
+replacing the one that is shipped.
 """
 
 import argparse
@@ -21,31 +21,33 @@ from marey.body.people.person import family_body
 
 OUT = Path(__file__).parents[1] / "src" / "marey" / "body" / "metaballs.npz"
 
-# How many balls a segment has; on the trunk as many pairs.
 SIMPLE = {"pelvis": 2, "abdomen": 3, "thorax": 2, "neck": 1, "head": 3, "clavicle": 1, "hand": 3, "foot": 3, "toes": 1}
 SIMPLE |= {"upperarm": 3, "forearm": 3, "thigh": 3, "shank": 3}
 FULL = {"pelvis": 3, "abdomen": 6, "thorax": 3, "neck": 2, "head": 5, "clavicle": 2, "hand": 9, "foot": 6, "toes": 3}
 FULL |= {"upperarm": 6, "forearm": 5, "thigh": 7, "shank": 7}
 LEVELS = {"simple": SIMPLE, "full": FULL}
+"""Number of balls of each segment, by detail; on the trunk, number of pairs. Chosen by hand."""
 
 FILLED = 0.007
 """Edge of the cells that fill the body, among which the balls are placed [m]."""
 SKIN_SD, CENTRE_SD, SIZE_SD = 0.002, 0.4, 0.4
-"""What pulls: the skin [m], the place where a ball started (by its mean start radius), its start size (relative)."""
+"""Standard deviations of the skin [m], of a ball's position from its start (in mean initial radii), and of its
+size from its start (relative)."""
 CELL, SHELLS, CLEAR, KEPT, SPACE_SD = 0.025, (-0.012, 0.012, 0.03), 0.011, 0.2, 0.005
-"""Points of a grid [m], and of shells about the skin [m], that lie this far off the skin [m] must read at least this
-share of their distance, on their side [m].
-The skin's points alone do not see thin discs that stand out between them."""
+"""Step of a grid and offsets of shells about the skin [m]; their points farther from the skin than the third value [m]
+must have at least the fourth value's share of their distance, on their side, with the last value as the standard
+deviation [m]. The skin's points alone do not constrain thin discs that protrude between them."""
 INSIDE_SD = 0.001
-"""How far outside of the skin a ball's centre may lie [m]. Far from the skin's points, and deep inside, where distances
-are held down (`metaball_field.CORE`), nothing else keeps a ball whose size and place make up for each other."""
+"""Standard deviation of a ball's centre outside the skin [m]. Far from the skin's points, and deep inside, where
+distances are bounded (`metaball_field.CORE`), nothing else constrains a ball whose size and position
+compensate each other."""
 DEEPEST = 0.15
-"""No point lies deeper in the body [m]."""
+"""Upper limit of a point's depth in the body [m]."""
 THINNEST = 0.008
-"""No radius is less [m]: a thinner disc has an edge on which points find no way to the surface."""
+"""Smallest radius [m]: points on the edge of a thinner disc do not converge to the surface."""
 ITERATIONS, LONGEST, GROWTH = 80, 0.004, 0.15
-"""Steps, and how far one of them may move a ball [m] and grow it (logarithm): a ball that leaps out of the body does
-not find its way back."""
+"""Number of steps, and limits of a ball's motion [m] and growth (logarithm) per step: a ball that leaves the body does
+not return."""
 
 
 def bone_frame(bone: np.ndarray) -> np.ndarray:
@@ -78,7 +80,7 @@ def outside(body: Body, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def surrounded(body: Body, points: np.ndarray) -> np.ndarray:
     """Whether points lie within the skin: a line straight up leaves it once more than it enters.
 
-    The normal of the nearest face would not do: between toes and fingers, and beyond their tips, it may look away.
+    The normal of the nearest face is unsuitable: between toes and fingers, and beyond their tips, it may point away.
     """
     columns, column = np.unique(points[:, :2] + [1.1e-7, 1.7e-7], axis=0, return_inverse=True)
     a, b, c = body.vertices[body.faces].transpose(1, 0, 2)
@@ -164,7 +166,7 @@ def changed(balls: Metaballs, step: np.ndarray) -> Metaballs:
 
 
 class Fit:
-    """Centres and radii of balls, on the mean skin, with nothing beside it and the balls near where they started."""
+    """Fit of balls to the mean skin, with constraints beside the skin and a prior at the initial balls."""
 
     def __init__(self, first: Metaballs, body: Body):
         self.first = first
@@ -183,7 +185,7 @@ class Fit:
         return np.concatenate([moved[:half].ravel(), grown[:half].ravel()])
 
     def trespass(self, distance: np.ndarray, off: np.ndarray) -> np.ndarray:
-        """By how much points of the grid read too little for their side [m]."""
+        """By how much the distance of grid points is too small on their side [m]."""
         return np.minimum(distance * np.sign(off) - KEPT * np.abs(off), 0.0) * np.sign(off)
 
     def strayed(self, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -199,8 +201,8 @@ class Fit:
         stray = self.strayed(posed.place)[0] / INSIDE_SD
         skin = posed.distance(self.points, self.limb) / SKIN_SD
         space = self.trespass(posed.distance(self.grid), self.off) / SPACE_SD
-        believed = self.prior @ self.from_start(balls) ** 2
-        return 0.5 * float(self.share @ skin**2 + np.sum(space**2) + np.sum(stray**2) + believed)
+        prior = self.prior @ self.from_start(balls) ** 2
+        return 0.5 * float(self.share @ skin**2 + np.sum(space**2) + np.sum(stray**2) + prior)
 
     def normal_equations(self, balls: Metaballs) -> tuple[np.ndarray, np.ndarray]:
         """Normal matrix and gradient by centres and logarithms of radii."""
@@ -240,7 +242,7 @@ class Fit:
 
 
 def drawn(fitted: dict[str, Metaballs], body: Body, path: Path) -> None:
-    """Draw the skin over each detail's balls from three sides, and say how many faces are folded."""
+    """Draw the skin over each detail's balls from three sides, and print the number of folded faces."""
     import matplotlib.pyplot as plt
 
     palette = np.array(plt.get_cmap("tab20").colors)
@@ -261,8 +263,8 @@ def moved_to(body: Body, vertices: np.ndarray) -> ShapeSpace:
     return replace(body.space, vertex_mean=vertices - np.tensordot(body.numbers, body.space.vertex_modes, 1))
 
 
-def told(level: str, balls: Metaballs, body: Body) -> None:
-    """Say how well balls fit, all over and by segment."""
+def report_fit(level: str, balls: Metaballs, body: Body) -> None:
+    """Print how well balls fit, overall and by segment."""
     points, area, limb = samples(body)
     owner = body.face_segment[body.vertices[body.faces].mean(1)[:, 0] > 0.0]
     off = balls.at_rest().distance(points, limb)
@@ -276,7 +278,7 @@ def told(level: str, balls: Metaballs, body: Body) -> None:
 
 
 def main() -> None:
-    """Fit both levels, say how well, draw them, and write the file."""
+    """Fit both levels, print the residuals, draw them, and write the file."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=OUT, help="NPZ; the drawing gets its name")
     path = parser.parse_args().out
@@ -286,7 +288,7 @@ def main() -> None:
     arrays, fitted = {"segment_names": np.array(body.skeleton.segment_names)}, {}
     for level, counts in LEVELS.items():
         balls = fitted[level] = Fit(start(body, bones, counts), body).run()
-        told(level, balls, body)
+        report_fit(level, balls, body)
         arrays |= {f"{level}_{name}": getattr(balls, name) for name in ("segment", "centre", "rotation", "radii")}
     np.savez_compressed(path, **arrays)
     drawn(fitted, body, Path(path.stem + ".png") if path == OUT else path.with_suffix(".png"))

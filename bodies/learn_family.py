@@ -92,7 +92,7 @@ def components(people: crowd.People, area: np.ndarray, seen: np.ndarray, numbers
 
 
 def joint_spread(people: crowd.People, weight: np.ndarray, skin, modes, joints, joint_modes) -> np.ndarray:
-    """How far joint centres lie from those that the skin tells, root mean square by axis (K + 1, S) m.
+    """Root mean square distance of joint centres from those predicted by the skin, by axis (K + 1, S) [m].
 
     Row k: the first k numbers are those that fit each person's skin in least squares, weighted by vertex.
     """

@@ -1,4 +1,4 @@
-"""Adults drawn from the free parametric body `anny`, all posed alike: what the family is learned from.
+"""Random adults of the free parametric body `anny`, all in one posture, from which the family is learned.
 
 Development only: needs `anny` (0.6.2 was used), `torch`, `numpy` and `scipy`; marey itself needs none of them.
 """

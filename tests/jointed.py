@@ -6,7 +6,7 @@ from marey.body.articulation.coordinate_functions import linear, polynomial, sca
 from marey.body.articulation.jointed_body import (
     Coupling,
     JointedBody,
-    JointMotion,
+    JointTwist,
     ModelBody,
     ModelCoordinate,
     ModelMarker,
@@ -17,11 +17,11 @@ X, Y, Z = np.eye(3)
 
 
 def _turn(coordinate, axis, function=None):
-    return JointMotion(turns=True, axis=axis, coordinate=coordinate, function=function or linear(1.0))
+    return JointTwist(turns=True, axis=axis, coordinate=coordinate, function=function or linear(1.0))
 
 
 def _shift(coordinate, axis, function=None):
-    return JointMotion(turns=False, axis=axis, coordinate=coordinate, function=function or linear(1.0))
+    return JointTwist(turns=False, axis=axis, coordinate=coordinate, function=function or linear(1.0))
 
 
 def leg(*, without=(), locked=("foot_angle",), ankle_limit=np.inf):

@@ -63,3 +63,9 @@ def test_the_example_of_a_public_name_runs(example: doctest.DocTest, world: Path
     output: list[str] = []
     runner.run(example, out=output.append)
     assert runner.summarize(verbose=False).failed == 0, "".join(output)
+
+
+@pytest.mark.parametrize("name", [name for name in marey.__all__ if name != "__version__"])
+def test_every_public_name_has_an_example(name: str):
+    text = getattr(marey, name).__doc__ or ""
+    assert ">>> " in text, f"{name} has no example"

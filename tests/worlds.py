@@ -11,10 +11,10 @@ from marey.arrays import Floats, Mask
 from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.articulation.skeleton import Skeleton
 from marey.body.articulation.surface import Body
-from marey.body.people.family import Level as Detail
+from marey.body.people.family import DetailLevel as Detail
 from marey.body.people.person import family_body
 from marey.cameras.camera import Camera
-from marey.fit.recipes.person import Take
+from marey.fit.recipes.person import SilhouetteTake
 from marey.fit.search.levels import FrameLevels
 from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
@@ -63,7 +63,7 @@ def person(detail: Detail = "coarse", numbers: int = 6) -> Body:
 
 
 def scan(detail: Detail = "coarse") -> Body:
-    """A person whose shape is known, as that of a scan: there is no number left to find."""
+    """A person whose shape is known, as that of a scan: there are no shape numbers."""
     body = person(detail)
     return replace(body, space=body.space.keep(range(0)), numbers=np.zeros(0))
 
@@ -92,15 +92,15 @@ def silhouettes(posed: PosedBody, cameras: Sequence[Camera]) -> list[Mask]:
 def seen(
     posed: Sequence[PosedBody], cameras: Sequence[Camera], *, noise: float = 0.0, rng: np.random.Generator | None = None
 ) -> list[list[Mask]]:
-    """The silhouettes of a motion, frame by frame, with noise on their outlines [px] where that is asked for."""
+    """The silhouettes of a motion, frame by frame, with noise on their outlines [px] if a generator is given."""
     masks = [silhouettes(p, cameras) for p in posed]
     return masks if rng is None else [[rough(mask, rng, spread=noise) for mask in frame] for frame in masks]
 
 
-def take(posed: Sequence[PosedBody], cameras: Sequence[Camera]) -> Take:
-    """A take of a motion, one posed body a frame."""
+def take(posed: Sequence[PosedBody], cameras: Sequence[Camera]) -> SilhouetteTake:
+    """A take of a motion, with one posed body per frame."""
     masks = seen(posed, cameras)
-    return Take(tuple(cameras), lambda frame: masks[frame], tuple(range(len(posed))), RATE)
+    return SilhouetteTake(tuple(cameras), lambda frame: masks[frame], tuple(range(len(posed))), RATE)
 
 
 def levels(

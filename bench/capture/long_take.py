@@ -21,7 +21,7 @@ from marey.body.articulation.surface import Body
 from marey.body.people.person import person_body
 from marey.cameras.camera import Camera
 from marey.fit.recipes import sequence
-from marey.fit.recipes.sequence import RefineMemory, SequenceFit, refine_in_pieces
+from marey.fit.recipes.sequence import RefineCheckpoint, SequenceFit, refine_in_pieces
 from marey.fit.search.levels import FrameLevels
 from marey.fit.solver.banded import windows
 from marey.geometry import rotations
@@ -95,12 +95,12 @@ def grow(table: Table, count: int) -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         with FrameLog(folder / "rounds.log") as rounds, FrameLog(folder / "windows.log") as parts:
-            memory = RefineMemory(KeptArrays(rounds), KeptArrays(parts))
+            memory = RefineCheckpoint(KeptArrays(rounds), KeptArrays(parts))
             kept = [
                 measure_piece(piece)
                 for piece in refine_in_pieces(
                     range(count), start, body, levels, rate=RATE, rounds=ROUNDS, shape_frames=shape_frames,
-                    memory=memory,
+                    checkpoint=memory,
                 )
             ]  # fmt: skip
     seconds = time.perf_counter() - began

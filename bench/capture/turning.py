@@ -19,15 +19,15 @@ from marey.body.people.person import family_body, person_body
 from marey.cameras.camera import Camera
 from marey.fit.recipes.person import (
     PersonSettings,
-    Take,
-    mend_person,
+    SilhouetteTake,
     refine_person,
+    repair_person,
     shape_frames,
     start_person,
     track_person,
     with_shape,
 )
-from marey.fit.recipes.sequence import joined
+from marey.fit.recipes.sequence import join_pieces
 from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
 from marey.observations.correspondence import view_of
@@ -77,7 +77,7 @@ def rough(mask: Mask, rng: np.random.Generator) -> Mask:
     return np.asarray(np.where(mask, inside - 0.5, 0.5 - outside) + noise / noise.std() > 0)
 
 
-def made_take(seed: int) -> tuple[Take, list[PosedBody]]:
+def made_take(seed: int) -> tuple[SilhouetteTake, list[PosedBody]]:
     """Draw a person, turn them round, and see them."""
     rng = np.random.default_rng(seed)
     mean = family_body("fine")
@@ -86,10 +86,10 @@ def made_take(seed: int) -> tuple[Take, list[PosedBody]]:
     truth = [PosedBody(person, pose_at(person, frame, begun)) for frame in range(FRAMES)]
     seeing = cameras()
     masks = [[rough(view_of(posed, camera).mask(), rng) for camera in seeing] for posed in truth]
-    return Take(seeing, lambda frame: masks[frame], tuple(range(FRAMES)), RATE), truth
+    return SilhouetteTake(seeing, lambda frame: masks[frame], tuple(range(FRAMES)), RATE), truth
 
 
-def captured(take: Take) -> list[PosedBody]:
+def captured(take: SilhouetteTake) -> list[PosedBody]:
     """Find the person and follow them, as `marey capture` does once the silhouettes are known."""
     settings = PersonSettings()
     coarse, fine = (person_body(level) for level in ("coarse", "fine"))
@@ -103,10 +103,10 @@ def captured(take: Take) -> list[PosedBody]:
     poses = {f: candidate.posed.pose for f, candidate in tracked.items()}
     for height in (settings.track_height, settings.fine_height):
         chosen = shape_frames(scores, settings.shape_frames)
-        fit = joined(list(refine_person(take, body, poses, chosen, settings, height=height, rounds=4)))
+        fit = join_pieces(list(refine_person(take, body, poses, chosen, settings, height=height, rounds=4)))
         body, poses = fit.body, dict(zip(map(int, fit.frames), fit.poses, strict=True))
         if height == settings.track_height:
-            poses = mend_person(take, body, with_shape(body, coarse), poses, settings)
+            poses = repair_person(take, body, with_shape(body, coarse), poses, settings)
     return [PosedBody(body, poses[f]) for f in sorted(poses)]
 
 

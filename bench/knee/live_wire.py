@@ -142,7 +142,7 @@ def timed_answers(volume: Volume, axis: str, index: int) -> list[float]:
     """The same as the page asks: from the question sent to the answer read."""
     with tempfile.TemporaryDirectory() as folder:
         server = OutlineServer(OutlineSession(volume, Path(folder) / "contours.json", "dess"))
-        thread = threading.Thread(target=serve, args=(server,), kwargs={"browser": False})
+        thread = threading.Thread(target=serve, args=(server,))
         thread.start()
         connection = http.client.HTTPConnection("127.0.0.1", server.server_address[1])
 

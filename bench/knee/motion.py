@@ -54,7 +54,7 @@ from marey.markers.kinematics.transform_chain import (
     TransformChain,
     identity,
 )
-from marey.pipelines.knee.animate import AnimateOptions, animate
+from marey.pipelines.knee.animate import animate_knee
 from marey.pipelines.markers.estimate import estimate_bones, open_markers
 from marey.pipelines.progress import RecordingProgress
 
@@ -166,9 +166,8 @@ def trial(table: Table, shared: Path, name: str, work: Path) -> None:
         sta / f"{name}.c3d", reference=work / "reference.npz", side="left" if left else "right", progress=quiet
     )  # fmt: skip
     estimate_bones(walk, ("skin", "rigid"), out=motion, progress=quiet)
-    out = animate(
-        knee_folder, motion, AnimateOptions(reference=work / "standing.c3d", compare="rigid", out=work / "out"), quiet
-    )
+    out, standing = work / "out", work / "standing.c3d"
+    animate_knee(knee_folder, motion, reference=standing, compare="rigid", out=out, progress=quiet)
     chains = true_chains(truth, laboratory_from_scanner, at, frames)
     moved = motion_of_chains(chains, np.arange(len(places)) / float(truth["rate"]), left=left)
     sides, _ = joint_sides(parts, ["femur", "tibia"], left=left)
@@ -178,15 +177,12 @@ def trial(table: Table, shared: Path, name: str, work: Path) -> None:
     got = dict(np.load(out / "knee_motion.npz"))
     compare(table, name, true, got)
     compare(table, name, true, got, prefix="compared_")
-    known = animate(
-        knee_folder, with_true_bones(motion, truth, at, work / "true"),
-        AnimateOptions(reference=work / "standing.c3d", out=work / "out_true", views=("plateau",)), quiet,
-    )  # fmt: skip
+    true_motion = with_true_bones(motion, truth, at, work / "true")
+    known = work / "out_true"
+    animate_knee(knee_folder, true_motion, reference=standing, views=("plateau",), out=known, progress=quiet)
     compare(table, name, true, dict(np.load(known / "knee_motion.npz")), method="true bones")
-    apart = animate(
-        knee_folder, without_covariance(motion, work / "apart"),
-        AnimateOptions(reference=work / "standing.c3d", out=work / "out_apart", views=("plateau",)), quiet,
-    )  # fmt: skip
+    apart, without = work / "out_apart", without_covariance(motion, work / "apart")
+    animate_knee(knee_folder, without, reference=standing, views=("plateau",), out=apart, progress=quiet)
     compare(table, name, true, dict(np.load(apart / "knee_motion.npz")), method="skin, standard deviations alone")
 
 

@@ -15,6 +15,7 @@ from marey.markers.data.bone_motion import BoneMotion
 from marey.markers.data.problem import MarkerProblem
 from marey.markers.methods.chain import ChainJoint
 from marey.markers.methods.global_optimisation import optimise_chain
+from marey.markers.preprocessing.preparation import prepare_problem
 
 BENCH = Bench(
     measures=(
@@ -31,8 +32,12 @@ def with_knee(degrees: int, sd_m: float | None) -> Callable[[MarkerProblem], Bon
     """Global optimisation with a knee of some degrees of freedom."""
 
     def estimate(problem: MarkerProblem) -> BoneMotion:
-        joints = [ChainJoint(parent=p, child=c, degrees_of_freedom=degrees, sd_m=sd_m) for p, c in problem.joints]
-        return optimise_chain(problem, joints).bones
+        ready = prepare_problem(problem)
+        if ready.problem is None:
+            return ready.with_all_segments(None)
+        ends = ready.problem.joints
+        joints = [ChainJoint(parent=p, child=c, degrees_of_freedom=degrees, sd_m=sd_m) for p, c in ends]
+        return ready.with_all_segments(optimise_chain(ready.problem, joints).bones)
 
     return estimate
 

@@ -194,11 +194,11 @@ def run(run: Run) -> None:
         found = track_views(videos, within=within > 0)
         middle = time.perf_counter()
         frames, points = judged(found)
-        tracks = found.tracks[found.tied][:, frames][..., points]
+        tracks = found.tracks[found.connected][:, frames][..., points]
         held = factorise_at_held_size(tracks)
         run.say(f"following and matching {middle - started:.0f} s, shapes {time.perf_counter() - middle:.0f} s")
         truth = surface_at(rig, found.tracks[0, 0].T, vertices, faces).points()
-        kept = rig.subset([camera for camera, tied in zip(rig.names, found.tied, strict=True) if tied])
+        kept = rig.subset([camera for camera, connected in zip(rig.names, found.connected, strict=True) if connected])
         error_rows(errors, name, held, tracks, truth[frames][:, points])
         track_rows(followed, name, rig, found, truth)
         camera_rows(cameras, name, kept, held.shapes)

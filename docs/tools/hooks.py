@@ -1,8 +1,9 @@
 """What MkDocs does beside its own work: pages made from the program, formulas, citations.
 
-Four markers in the pages are replaced: `<!-- commands -->` by the help of every command, `<!-- public names -->` by
+Markers in the pages are replaced: `<!-- commands -->` by the help of every command, `<!-- public names -->` by
 the documentation of everything that `marey` exports, `<!-- examples -->` by the scripts in examples/, and
-`<!-- bibliography -->` by docs/references.bib. A citation
+`<!-- bibliography -->` by docs/references.bib. `<!-- source FILE NAME -->` becomes the code of a class or function. A
+citation
 such as `[Rosenhahn2006]` becomes a link to the bibliography. Formulas between dollar signs become MathML, which
 browsers show without a script.
 """
@@ -11,29 +12,78 @@ import ast
 import html
 import importlib
 import inspect
+import json
 import re
 from pathlib import Path
 from typing import Any
 
 import latex2mathml.converter
 import typer
+from mkdocs.structure.files import File
 
 DOCS = Path(__file__).parents[1]
 BIBLIOGRAPHY = "reference/bibliography.md"
 
-_CITATION = re.compile(r"\[([A-Z][A-Za-z]+\d{4}[a-z]?)\](?![(\[:])")
+_CITATION = re.compile(r"\[([A-Z][A-Za-z]+\d{4}[a-z]?)\](?![(\[]|: *\S)")
 _CODE = re.compile(r"(^ *```.*?^ *```[^\n]*$|^(?: {4}|\t)[^\n]*$|`[^`\n]+`)", re.MULTILINE | re.DOTALL)
+_SOURCE = re.compile(r"<!-- source (\S+) (\w+) -->")
 _FORMULA = re.compile(r'<(span|div) class="arithmatex">(.*?)</\1>', re.DOTALL)
 
 
 def on_config(config: Any) -> Any:
-    """Add the pages that the benchmarks write, and the log of what was rejected, behind docs/accuracy.md."""
+    """Add the pages that are not listed by hand: of the benchmarks behind docs/accuracy.md, and of the notebooks."""
     folders = (DOCS / "accuracy", DOCS / "development")
-    pages = [path.relative_to(DOCS).as_posix() for folder in folders for path in sorted(folder.rglob("*.md"))]
+    measured = [path.relative_to(DOCS).as_posix() for folder in folders for path in sorted(folder.rglob("*.md"))]
+    shown = [_notebook_page(path) for path in notebooks()]
     for entry in config["nav"]:
-        if "Accuracy" in entry and pages:
-            entry["Accuracy"] = ["accuracy.md", *pages]
+        if "Accuracy" in entry and measured:
+            entry["Accuracy"] = ["accuracy.md", *measured]
+        if "How to" in entry and shown:
+            entry["How to"].append({"Notebooks": shown})
     return config
+
+
+def on_files(files: Any, config: Any) -> Any:
+    """Add a page for every notebook in examples/."""
+    for path in notebooks():
+        files.append(File.generated(config, _notebook_page(path), content=notebook(path)))
+    return files
+
+
+def notebooks() -> list[Path]:
+    """List the notebooks in examples/."""
+    return sorted((DOCS.parent / "examples").rglob("*.ipynb"))
+
+
+def _notebook_page(path: Path) -> str:
+    return f"notebooks/{path.stem}.md"
+
+
+def notebook(path: Path) -> str:
+    """Write an executed notebook as Markdown: its texts, its code, and what the code printed and drew."""
+    cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+    parts = [_joined(cell["source"]) if cell["cell_type"] == "markdown" else _code_cell(cell) for cell in cells]
+    name = path.relative_to(DOCS.parent).as_posix()
+    return "\n\n".join([*parts, f"This page shows the notebook `{name}`."])
+
+
+def _code_cell(cell: Any) -> str:
+    parts = [f"```python\n{_joined(cell['source'])}\n```"]
+    for output in cell.get("outputs", []):
+        data = output.get("data", {})
+        if "image/png" in data:
+            code = "".join(_joined(data["image/png"]).split())
+            parts.append(f'<img alt="Figure drawn by the code above" src="data:image/png;base64,{code}">')
+        elif "text/html" in data:
+            parts.append(f"<div>{_joined(data['text/html'])}</div>")
+        else:
+            text = _joined(output.get("text") or data.get("text/plain", "")).rstrip()
+            parts += [f"```text\n{text}\n```"] if text else []
+    return "\n\n".join(parts)
+
+
+def _joined(text: str | list[str]) -> str:
+    return text if isinstance(text, str) else "".join(text)
 
 
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
@@ -48,6 +98,7 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
         marker = f"<!-- {name} -->"
         if marker in markdown:
             markdown = markdown.replace(marker, make())
+    markdown = _SOURCE.sub(lambda found: source_of(found.group(1), found.group(2)), markdown)
     path = page.file.src_uri
     return markdown if path == BIBLIOGRAPHY else linked_citations(markdown, path)
 
@@ -179,6 +230,15 @@ def examples() -> str:
         name = f"`examples/{path.name}`"
         parts.append(f"### {title.rstrip('.')}\n\n{name}\n\n{text.strip()}\n\n```python\n{code.rstrip()}\n```")
     return "\n\n".join(parts)
+
+
+def source_of(file: str, name: str) -> str:
+    """Show a class or function of the package with its decorators, as code."""
+    text = (DOCS.parent / "src" / "marey" / file).read_text(encoding="utf-8")
+    node = next(node for node in ast.parse(text).body if getattr(node, "name", "") == name)
+    first = min([node.lineno, *(each.lineno for each in node.decorator_list)])  # type: ignore[attr-defined]
+    lines = text.splitlines()[first - 1 : node.end_lineno]
+    return "\n".join(["```python", *lines, "```"])
 
 
 def entries() -> dict[str, str]:

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from marey.pipelines.capture.motion import Motion, load_body, load_motion
     from marey.pipelines.capture.tasks import capture, open_trial, read_cameras
     from marey.pipelines.compare import Comparison, compare
+    from marey.pipelines.knee.animate import animate_knee
     from marey.pipelines.knee.knee import Knee, load_knee
     from marey.pipelines.knee.segment import segment_knee
     from marey.pipelines.markers.bones import Bones, load_bones
@@ -51,6 +52,7 @@ __all__ = [
     "Surface",
     "SurfaceObservation",
     "__version__",
+    "animate_knee",
     "capture",
     "compare",
     "estimate_bones",
@@ -94,6 +96,7 @@ _MODULES = {
     "Shapes": "pipelines.nonrigid.shapes",
     "Surface": "pipelines.surface.result",
     "SurfaceObservation": "observations.observation",
+    "animate_knee": "pipelines.knee.animate",
     "capture": "pipelines.capture.tasks",
     "compare": "pipelines.compare",
     "estimate_bones": "pipelines.markers.estimate",

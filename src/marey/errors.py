@@ -1,19 +1,34 @@
-"""What went wrong, where, and what would be right."""
+"""Errors and warnings that users can act on."""
 
 from pathlib import Path
 
 
 class MareyError(Exception):
-    """An error that a user can understand and mend."""
+    """An error that a user can understand and correct; all errors of marey's inputs and settings are of this kind.
+
+    Example:
+        >>> import marey
+        >>> try:
+        ...     marey.load_motion("nowhere")
+        ... except marey.MareyError as error:
+        ...     print(error)
+        nowhere: does not exist. Give the folder with the results of `marey capture` or `marey shape`.
+    """
 
 
 class FileProblem(MareyError):
-    """A file that cannot be used: which one, what is wrong in it, and what would be right.
+    """A file that cannot be used: its path, what is wrong in it, and what would be right.
 
     Args:
         path: The file or folder.
-        wrong: What is wrong, as the middle of a sentence ("has no camera 'cam03'").
+        wrong: What is wrong, as the predicate of a sentence ("has no camera 'cam03'").
         remedy: What the user can do, as a sentence.
+
+    Example:
+        >>> import marey
+        >>> problem = marey.FileProblem("cameras.toml", "has no camera 'cam03'", "Calibrate it.")
+        >>> str(problem), problem.path.name
+        ("cameras.toml: has no camera 'cam03'. Calibrate it.", 'cameras.toml')
     """
 
     def __init__(self, path: Path | str, wrong: str, remedy: str = ""):
@@ -24,7 +39,14 @@ class FileProblem(MareyError):
 
 
 class SettingProblem(MareyError):
-    """A setting or option whose value cannot be used."""
+    """A setting or option whose value cannot be used.
+
+    Example:
+        >>> import marey
+        >>> marey.open_trial(marey.example_folder(), frames=range(9, 3))
+        Traceback (most recent call last):
+        marey.errors.SettingProblem: The frames are range(9, 3); they should be consecutive, for example range(40, 100).
+    """
 
 
 class MissingPackage(MareyError):
@@ -32,4 +54,10 @@ class MissingPackage(MareyError):
 
 
 class MareyWarning(UserWarning):
-    """Something in the data or the results that the user should check; see the `warnings` of each result."""
+    """A part of the data or the results that the user should check; see the `warnings` of each result.
+
+    Example:
+        >>> import warnings
+        >>> import marey
+        >>> warnings.simplefilter("ignore", marey.MareyWarning)
+    """

@@ -1,6 +1,7 @@
 """Settings of the whole process that suit the program: threads, Python's lock, and the memory allocator."""
 
 import ctypes
+import gc
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext, suppress
@@ -38,7 +39,7 @@ def tuned_process(*, parallel_cameras: bool = True) -> Iterator[None]:
     Example:
         >>> import marey
         >>> with marey.tuned_process():
-        ...     pass  # motion = marey.capture("walk01")
+        ...     trial = marey.open_trial(marey.example_folder())
     """
     import scipy.linalg  # noqa: F401  (its library must be loaded before its threads can be limited)
     from threadpoolctl import threadpool_limits
@@ -72,3 +73,20 @@ def _keep_freed_memory() -> None:
         set_option = ctypes.CDLL(None).mallopt
         set_option(_MMAP_THRESHOLD, LARGE_BYTES)
         set_option(_TRIM_THRESHOLD, KEPT_FREE_BYTES)
+
+
+@contextmanager
+def without_collection_pauses() -> Iterator[None]:
+    """Exclude the objects that exist already from garbage collection, which would search them for 0.1 s at a time.
+
+    A page that follows the mouse shows such pauses.
+
+    Yields:
+        Nothing.
+    """
+    gc.collect()
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()

@@ -147,8 +147,8 @@ def failing(made: MadeActivity, capsys: pytest.CaptureFixture[str]) -> Callable[
 
 
 def test_impossible_settings_are_named(failing):
-    assert "--frame is tibia or room" in failing("--frame", "femur")
-    assert "--view above is none of" in failing("--view", "above")
+    assert "should be tibia or room" in failing("--frame", "femur")
+    assert "--view is 'above'; it should be some of" in failing("--view", "above")
     assert "--limit" in failing("--limit", "0")
     assert "--noise" in failing("--noise", "-1")
     assert "--side" in failing("--side", "middle")
@@ -160,14 +160,14 @@ def test_a_knee_without_markers_or_bones_is_an_error(made: MadeActivity, tmp_pat
     assert "markers.json" in failing(knee=tmp_path / "knee")
     (tmp_path / "knee" / "tibia.ply").unlink()
     assert "has no tibia.ply" in failing(knee=tmp_path / "knee")
-    assert "is no folder" in failing(knee=tmp_path / "nowhere")
+    assert "is not a folder" in failing(knee=tmp_path / "nowhere")
 
 
 def test_a_folder_without_bones_or_with_another_leg_s_is_an_error(made: MadeActivity, tmp_path: Path, failing):
     assert "has no bones.npz" in failing(motion=made.knee)
     assert "no bones of the method pct" in failing("--method", "pct")
     other = made_activity(tmp_path, left=True, sided=True)
-    assert "has the left leg's bones, and the scanned knee is a right one" in failing(motion=other.motion)
+    assert "has the bones of the left leg, and the scanned knee is a right one" in failing(motion=other.motion)
 
 
 def test_a_standing_trial_without_the_activity_s_markers_is_an_error(made: MadeActivity, tmp_path: Path, failing):
@@ -181,7 +181,7 @@ def test_too_few_common_markers_are_an_error(made: MadeActivity, tmp_path: Path,
     few = {key: values[:2] for key, values in table.items()}
     (tmp_path / "knee" / "markers.json").write_text(json.dumps(few), encoding="utf-8")
     said = failing("--reference", str(made.standing), knee=tmp_path / "knee")
-    assert "markers.json: cannot be joined with" in said
+    assert "markers.json: cannot be related to" in said
     assert "No bone can be transformed" in said
 
 

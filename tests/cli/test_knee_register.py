@@ -70,7 +70,7 @@ def test_a_folder_that_cannot_be_written_is_told_before_the_work(tmp_path: Path,
         write_mesh(tmp_path / f"{name}.ply", made_bone(fine=3))
     words = ["knee", "register", str(tmp_path / "template.ply"), str(tmp_path / "femur.ply"), "--out"]
     assert run([*words, str(tmp_path / "femur.ply" / "below")]) == 2
-    assert "cannot be made (Not a directory)" in capsys.readouterr().err
+    assert "cannot be created (Not a directory)" in capsys.readouterr().err
 
 
 def test_a_template_of_which_the_subject_shows_a_part_is_registered_and_that_is_said(tmp_path: Path, capsys):
@@ -80,6 +80,6 @@ def test_a_template_of_which_the_subject_shows_a_part_is_registered_and_that_is_
     write_mesh(tmp_path / "part.ply", Surface(vertices_mm=bone.vertices_mm, faces=part))
     words = ["knee", "register", str(tmp_path / "template.ply"), str(tmp_path / "part.ply"), "--no-mirror"]
     assert run(words) == 0
-    assert "% of template.ply still lies more than 3 mm from part.ply: there it has no counterpart" in (
+    assert "% of template.ply is still more than 3 mm from part.ply: it has no counterpart there" in (
         capsys.readouterr().err
     )

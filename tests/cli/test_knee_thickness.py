@@ -53,7 +53,7 @@ def test_cartilage_that_mostly_lies_elsewhere_is_an_error_and_names_its_file(tmp
     for name in ("moved", "half"):
         words = ["knee", "thickness", *(str(tmp_path / f"{each}.ply") for each in ("bone", "good", name))]
         assert run(words) == 2
-        assert f"{name}.ply: does not lie on that bone: only" in capsys.readouterr().err
+        assert f"{name}.ply: is not on that bone: only" in capsys.readouterr().err
         assert not (tmp_path / "bone_marey").exists()
 
 
@@ -65,7 +65,7 @@ def test_cartilage_of_which_a_part_lies_on_nothing_is_measured_and_that_is_said(
     )
     write_mesh(tmp_path / "cartilage.ply", shell(20.0, 22.0))
     assert run(["knee", "thickness", str(tmp_path / "bone.ply"), str(tmp_path / "cartilage.ply")]) == 0
-    assert "of what it encloses lies over the bone bone.ply; the rest is in no number." in capsys.readouterr().err
+    assert "of its volume is over the bone bone.ply; the rest is not measured." in capsys.readouterr().err
 
 
 def test_small_holes_and_turned_faces_are_mended_and_an_open_sheet_is_an_error(tmp_path: Path, capsys):
@@ -99,7 +99,7 @@ def test_a_bone_in_the_place_of_cartilage_is_told(tmp_path: Path, capsys):
     faces = np.concatenate([near.faces, far.faces + len(near.vertices_mm)])
     write_mesh(tmp_path / "large.ply", Surface(vertices_mm=both, faces=faces))
     assert run(["knee", "thickness", str(tmp_path / "bone.ply"), str(tmp_path / "large.ply")]) == 2
-    assert "large.ply: is too large for the cartilage of that bone: it encloses 33." in capsys.readouterr().err
+    assert "large.ply: is too large for the cartilage of that bone: its volume is 33." in capsys.readouterr().err
     assert not (tmp_path / "bone_marey").exists()
 
 

@@ -297,7 +297,7 @@ def test_angles_stand_over_the_gait_cycle_where_a_heel_shows_events(folder, caps
         rows = list(csv.DictReader(file))
     assert len(rows) == 101
     assert {"knee_flexion_deg_mean", "knee_flexion_deg_between_cycles_sd"} <= set(rows[0])
-    assert "Over the cycle" in (out / "report.html").read_text()
+    assert "Gait cycle" in (out / "report.html").read_text()
 
 
 def standing(folder: Path) -> None:

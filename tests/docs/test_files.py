@@ -39,7 +39,7 @@ from marey.knee.markers.correspondence import correspond
 from marey.knee.markers.reference_posture import reference_posture
 from marey.knee.motion.joint_motion import JointMotion, KneeMotion, joint_proximities, joint_sides
 from marey.knee.outlines.contours import Contour
-from marey.knee.space.volume import Grid, Labels
+from marey.knee.space.volume import Labels, VoxelGrid
 from marey.markers.data.bone_motion import BoneMotion
 from marey.markers.kinematics.joint_angles import JointKinematics
 from marey.markers.kinematics.transform_chain import CAPTURE_GLOBAL, MR_ANATOMIC, MR_GLOBAL, NamedTransform
@@ -187,7 +187,7 @@ def test_scanner_markers_and_outlines(tmp_path):
     assert keys_in(tmp_path / "markers.json") == documented("markers-json")
     square = np.array([[0.0, 0], [2, 0], [2, 2]])
     contour = Contour(structure="femur", axis="k", index=0, anchors=square, outline=square)
-    grid = Grid(shape=(4, 4, 4), lps_from_voxel=np.eye(4))
+    grid = VoxelGrid(shape=(4, 4, 4), lps_from_voxel=np.eye(4))
     write_contours(tmp_path / "contours.json", [contour], grid, "knee.nii.gz")
     whole = json.loads((tmp_path / "contours.json").read_text(encoding="utf-8"))
     assert set(whole) | set(whole["contours"][0]) == documented("contours-json")
@@ -250,7 +250,7 @@ def test_the_record_of_a_run(tmp_path):
 
 def test_labels_of_a_knee(tmp_path):
     pytest.importorskip("SimpleITK")
-    grid = Grid(shape=(2, 2, 2), lps_from_voxel=np.eye(4))
+    grid = VoxelGrid(shape=(2, 2, 2), lps_from_voxel=np.eye(4))
     labels = Labels(labels=np.zeros((2, 2, 2), np.uint8), grid=grid)
     write_labels(tmp_path, labels, missing={"patella": "not in the image"})
     assert keys_in(tmp_path / "labels.json") == documented("labels-json")

@@ -1,4 +1,4 @@
-"""Anatomical angles mean what their names say, on both sides, and their standard deviations hold."""
+"""Anatomical angles have the meaning of their names on both sides, and their standard deviations are correct."""
 
 import re
 from pathlib import Path

@@ -63,7 +63,7 @@ def test_the_stated_deviations_of_shift_and_offset_are_those_of_repeated_trials(
         turn = rotations.log(found.first_from_second.rotation @ truth.rotation.T) / found.turn_sd
         move = (found.first_from_second.translation - truth.translation) / found.translation_sd
         errors.append([(found.shift_s - SHIFT) / found.shift_sd_s, *turn, *move])
-    # 56 draws: their root mean square scatters by 10 % or so about one, and more as those of one trial are tied.
+    # 56 draws: their root mean square has a standard deviation of 10 %, and more as those of one trial are correlated.
     assert 0.6 < np.sqrt(np.mean(np.square(errors))) < 1.4
 
 
@@ -111,7 +111,7 @@ def test_points_that_differ_over_the_whole_trial_make_the_offset_less_sure(rng):
         errors.append(found.first_from_second.translation - SECOND_FROM_FIRST.inverse().translation)
         errors[-1] = errors[-1] / found.translation_sd
         assert (found.translation_sd > 10 * plain.translation_sd).all()
-    # 18 numbers: their root mean square scatters by 17 % or so about one, and more as four points tell the spread.
+    # 18 numbers: their root mean square has a standard deviation of 17 %, and more as the spread is from four points.
     assert 0.5 < np.sqrt(np.mean(np.square(errors))) < 1.6
 
 

@@ -10,18 +10,18 @@ from marey.motion.motion import MEASURED, BodyMotion
 
 
 def test_a_wrong_shape_is_named_with_the_right_one(motion: BodyMotion):
-    with pytest.raises(MareyError, match=r"joint_centres_sd is .* and should be"):
+    with pytest.raises(MareyError, match=r"joint_centres_sd has the shape .* and should have"):
         replace(motion, joint_centres_sd=motion.joint_centres_sd[:-1])
 
 
 def test_every_fault_is_listed_at_once(motion: BodyMotion):
-    with pytest.raises(MareyError, match=r"rate is .* state holds"):
+    with pytest.raises(MareyError, match=r"rate is .* state contains"):
         replace(motion, rate=0.0, state=np.full(len(motion), 7))
 
 
 def test_two_equal_names_are_refused(motion: BodyMotion):
     names = (motion.joint_names[0], *motion.joint_names[:-1])
-    with pytest.raises(MareyError, match="alike"):
+    with pytest.raises(MareyError, match="are equal"):
         replace(motion, joint_names=names)
 
 

@@ -1,4 +1,4 @@
-"""A made surface that turns and bends before orthographic cameras, for the tests of several views."""
+"""A synthetic surface that rotates and bends before orthographic cameras, for the tests of several views."""
 
 import numpy as np
 

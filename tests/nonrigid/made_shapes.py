@@ -1,4 +1,4 @@
-"""Made shapes for the tests of the room."""
+"""Synthetic shapes and cameras for the tests of this package."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Which point of the surface belongs to which point of an outline."""
+"""Correspondence between points of the surface and points of an outline."""
 
 from dataclasses import replace
 
@@ -9,12 +9,12 @@ from tests import worlds
 from marey.body.articulation.pose import PosedBody
 from marey.images.silhouettes.nearest import sort_into_cells
 from marey.observations.correspondence import (
-    Matching,
-    Sighting,
+    ObservedOutline,
+    OutlineMatchSettings,
     match_outline,
     match_rays,
+    outline_matches,
     pair_both_ways,
-    see_outline,
     view_of,
 )
 
@@ -23,7 +23,7 @@ from marey.observations.correspondence import (
 def scene():
     body, camera = worlds.person("fine"), worlds.ring(1)[0]
     posed = PosedBody(body, worlds.pose(body))
-    return posed, camera, Sighting.of(camera, view_of(posed, camera).mask())
+    return posed, camera, ObservedOutline.of(camera, view_of(posed, camera).mask())
 
 
 def shifted(posed, metres):
@@ -32,11 +32,11 @@ def shifted(posed, metres):
 
 def test_a_body_in_place_matches_its_own_outline_within_a_pixel(scene):
     posed, camera, sighting = scene
-    match = match_outline(posed, view_of(posed, camera), sighting, Matching())
+    match = match_outline(posed, view_of(posed, camera), sighting, OutlineMatchSettings())
     assert len(match.where) == pytest.approx(2 * len(sighting.contour.pixels), rel=0.02)
     # The rim's points and the contour's pixels are the same pixels.
     assert np.abs(match.residuals(posed)).max() < 1.0
-    rays = match_rays(posed, view_of(posed, camera), sighting, Matching())
+    rays = match_rays(posed, view_of(posed, camera), sighting, OutlineMatchSettings())
     assert np.linalg.norm(rays.residuals(posed), axis=1).max() < 1.0
 
 
@@ -44,8 +44,8 @@ def test_a_body_in_place_matches_its_own_outline_within_a_pixel(scene):
 def test_drawing_and_matching_in_one_go_give_the_same(scene, metres):
     posed, camera, sighting = scene
     moved = shifted(posed, np.array([metres, 0.3 * metres, 0.0]))
-    outline = see_outline(moved, sighting, Matching())
-    expected = match_outline(moved, view_of(moved, camera), sighting, Matching())
+    outline = outline_matches(moved, sighting, OutlineMatchSettings())
+    expected = match_outline(moved, view_of(moved, camera), sighting, OutlineMatchSettings())
     assert (outline is None) == (expected is None)
     if outline is not None and expected is not None:
         assert outline.counts.sum() == len(expected.where)
@@ -62,7 +62,7 @@ def test_residuals_are_pixels_across_the_contour_towards_the_inside(scene):
     posed, camera, sighting = scene
     right = camera.camera_from_world.rotation[0]
     moved = shifted(posed, 0.02 * right)
-    match = match_outline(moved, view_of(moved, camera), sighting, Matching())
+    match = match_outline(moved, view_of(moved, camera), sighting, OutlineMatchSettings())
     pixel = 300.0 * 0.02 / 3.2
     points = camera.project(moved.points(match.where))
     mean = points.mean(0)[0]
@@ -78,7 +78,7 @@ def test_rays_and_planes_see_the_same_points_and_planes_are_the_nearer(scene):
     posed, camera, sighting = scene
     moved = shifted(posed, (0.01, 0.01, 0.02))
     view = view_of(moved, camera)
-    planes, rays = (match(moved, view, sighting, Matching()) for match in (match_outline, match_rays))
+    planes, rays = (match(moved, view, sighting, OutlineMatchSettings()) for match in (match_outline, match_rays))
     np.testing.assert_array_equal(planes.where.face, rays.where.face)
     near, far = np.abs(planes.residuals(moved)[:, 0]), np.linalg.norm(rays.residuals(moved), axis=1)
     # A plane through a ray is never farther away than the ray; both measure in pixels at the point's depth.
@@ -89,9 +89,9 @@ def test_matches_keep_to_the_gate_and_to_the_direction(scene):
     posed, camera, sighting = scene
     moved = shifted(posed, (0.05, 0.02, 0.03))
     view = view_of(moved, camera)
-    wide = match_outline(moved, view, sighting, Matching(gate=25.0, cosine=0.3))
-    narrow = match_outline(moved, view, sighting, Matching(gate=3.0, cosine=0.3))
-    strict = match_outline(moved, view, sighting, Matching(gate=25.0, cosine=0.95))
+    wide = match_outline(moved, view, sighting, OutlineMatchSettings(gate=25.0, cosine=0.3))
+    narrow = match_outline(moved, view, sighting, OutlineMatchSettings(gate=3.0, cosine=0.3))
+    strict = match_outline(moved, view, sighting, OutlineMatchSettings(gate=25.0, cosine=0.95))
     assert len(narrow.where) < len(wide.where)
     assert len(strict.where) < len(wide.where)
     assert np.abs(narrow.residuals(moved)).max() <= 3.0 * 1.05
@@ -102,23 +102,23 @@ def test_faces_whose_outline_does_not_count_are_not_matched(scene):
     body = posed.body
     legs = np.array([name.endswith(("thigh", "shank", "foot", "toes")) for name in body.skeleton.segment_names])
     without = replace(posed, body=replace(body, outlined=~legs[body.face_segment]))
-    match = match_outline(without, view_of(without, camera), sighting, Matching())
+    match = match_outline(without, view_of(without, camera), sighting, OutlineMatchSettings())
     assert len(match.where) > 100
     assert not legs[body.face_segment[match.where.face]].any()
     nothing = replace(posed, body=replace(body, outlined=np.zeros(len(body.faces), bool)))
-    assert match_outline(nothing, view_of(nothing, camera), sighting, Matching()) is None
+    assert match_outline(nothing, view_of(nothing, camera), sighting, OutlineMatchSettings()) is None
 
 
 def test_without_a_silhouette_or_without_a_body_in_view_nothing_matches(scene):
     posed, camera, sighting = scene
-    nobody = Sighting.of(camera, np.zeros((camera.height, camera.width), bool))
+    nobody = ObservedOutline.of(camera, np.zeros((camera.height, camera.width), bool))
     away = shifted(posed, (0, 0, 30))
     for match in (match_outline, match_rays):
-        assert match(posed, view_of(posed, camera), nobody, Matching()) is None
-        assert match(away, view_of(away, camera), sighting, Matching()) is None
+        assert match(posed, view_of(posed, camera), nobody, OutlineMatchSettings()) is None
+        assert match(away, view_of(away, camera), sighting, OutlineMatchSettings()) is None
 
 
-def test_somebody_who_reaches_behind_the_camera_is_drawn_as_far_as_he_lies_before_it():
+def test_a_body_partly_behind_the_camera_is_drawn_in_front_of_it():
     body = worlds.person()
     camera = worlds.looking_at(np.array([0.0, 0, -0.3]), np.array([0.05, -0.02, 0.55]), size=(100, 120), focal=60.0)
     posed = PosedBody(body, worlds.pose(body))
@@ -149,10 +149,10 @@ def test_pairs_are_those_that_a_look_at_all_of_them_finds(rng):
 def test_an_outline_may_be_observed_by_its_rays_as_well(scene):
     posed, camera, sighting = scene
     moved = shifted(posed, (0.01, 0.01, 0.02))
-    planes, rays = (see_outline(moved, sighting, Matching(residual=kind)) for kind in ("plane", "ray"))
+    planes, rays = (outline_matches(moved, sighting, OutlineMatchSettings(residual=kind)) for kind in ("plane", "ray"))
     np.testing.assert_array_equal(planes.match.where.face, rays.match.where.face)
     np.testing.assert_array_equal(planes.counts, rays.counts)
-    expected = match_rays(moved, view_of(moved, camera), sighting, Matching())
+    expected = match_rays(moved, view_of(moved, camera), sighting, OutlineMatchSettings())
     # Each pair is listed once here and as often as it was found there.
     far = np.repeat(np.linalg.norm(rays.match.residuals(moved), axis=1), rays.counts.astype(int))
     np.testing.assert_allclose(np.sort(far), np.sort(np.linalg.norm(expected.residuals(moved), axis=1)), atol=1e-9)

@@ -121,12 +121,12 @@ def test_the_catalogue_is_complete():
     assert {kind.__name__ for kind in every_kind()} == {kind.__name__ for kind in CATALOGUE}
 
 
-def test_kinds_are_final_so_that_nobody_bends_the_contract():
+def test_all_kinds_are_final():
     assert all(getattr(kind, "__final__", False) for kind in every_kind())
 
 
-def test_the_page_for_newcomers_lists_every_kind():
-    page = (Path(__file__).parents[2] / "docs" / "adding-an-observation.md").read_text(encoding="utf-8")
+def test_the_documentation_lists_every_kind():
+    page = (Path(__file__).parents[2] / "docs" / "how-to" / "add-an-observation.md").read_text(encoding="utf-8")
     assert [kind.__name__ for kind in CATALOGUE if f"| `{kind.__name__}` |" not in page] == []
 
 

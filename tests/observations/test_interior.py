@@ -1,4 +1,4 @@
-"""A limb before the trunk is fastened to the edge that the picture shows there."""
+"""Matching of a limb in front of the trunk with the edges of the picture."""
 
 from dataclasses import replace
 
@@ -10,8 +10,8 @@ from marey.body.articulation.pose import PosedBody
 from marey.fit.solver.pose_solver import Schedule, fit_pose
 from marey.images.silhouettes.contours import trace_contour
 from marey.images.silhouettes.interior import InteriorEdges
-from marey.observations.correspondence import Matching, Sighting, see_outline, view_of
-from marey.observations.interior import see_all, see_interior
+from marey.observations.correspondence import ObservedOutline, OutlineMatchSettings, outline_matches, view_of
+from marey.observations.interior import all_matches, interior_matches
 from marey.observations.prior import Habit, JointLimits
 
 BEFORE_THE_TRUNK = {"left_shoulder_lift": 30, "left_elbow_flexion": 15}
@@ -39,12 +39,12 @@ def edges_of(posed, camera):
 
 
 def sighting_of(posed, camera):
-    return Sighting(camera, trace_contour(view_of(posed, camera).mask()), edges_of(posed, camera))
+    return ObservedOutline(camera, trace_contour(view_of(posed, camera).mask()), edges_of(posed, camera))
 
 
 def test_a_body_in_place_matches_the_edges_of_its_limbs(scene):
     posed, _, sighting = scene
-    found = see_interior(posed, sighting, Matching(interior=True))
+    found = interior_matches(posed, sighting, OutlineMatchSettings(interior=True))
     # The forearm shows two borders before the trunk, each of some centimetres; every pixel finds itself.
     assert len(found.match.where) >= 0.95 * len(sighting.interior) > 40
     assert np.abs(found.match.residuals(posed)).max() < 1.0
@@ -58,27 +58,27 @@ def test_a_moved_limb_sees_its_edges_a_few_pixels_off_and_no_farther(scene):
     angles = posed.pose.angles.copy()
     angles[column] += np.deg2rad(7)
     moved = replace(posed, pose=replace(posed.pose, angles=angles))
-    found = see_interior(moved, sighting, Matching(interior=True, interior_gate=3.0))
+    found = interior_matches(moved, sighting, OutlineMatchSettings(interior=True, interior_gate=3.0))
     assert np.abs(found.match.residuals(moved)).max() <= 3.3
     assert len(found.match.where) > 20
-    wide = see_interior(moved, sighting, Matching(interior=True, interior_gate=12.0))
+    wide = interior_matches(moved, sighting, OutlineMatchSettings(interior=True, interior_gate=12.0))
     assert len(wide.match.where) > len(found.match.where)
 
 
 def test_only_edges_of_the_same_limb_match(scene):
     posed, _, sighting = scene
     others = replace(sighting, interior=replace(sighting.interior, limb=sighting.interior.limb + 7))
-    assert see_interior(posed, others, Matching(interior=True)) is None
+    assert interior_matches(posed, others, OutlineMatchSettings(interior=True)) is None
 
 
-def test_where_nobody_looked_or_nothing_was_found_there_is_nothing_to_observe(scene):
+def test_without_interior_edges_there_are_no_matches(scene):
     posed, _, sighting = scene
     for edges in (None, InteriorEdges.none()):
-        assert see_interior(posed, replace(sighting, interior=edges), Matching(interior=True)) is None
-    assert see_interior(posed, sighting, Matching()) is None
+        assert interior_matches(posed, replace(sighting, interior=edges), OutlineMatchSettings(interior=True)) is None
+    assert interior_matches(posed, sighting, OutlineMatchSettings()) is None
 
 
-def test_interior_edges_tell_what_one_silhouette_does_not(scene):
+def test_interior_edges_determine_what_one_silhouette_does_not(scene):
     truth, camera, sighting = scene
     column = worlds.column(truth.body.skeleton, "left_shoulder_lift")
     angles = truth.pose.angles.copy()
@@ -99,11 +99,11 @@ def test_interior_edges_tell_what_one_silhouette_does_not(scene):
 
 def test_outline_and_edges_are_seen_in_one_drawing(scene):
     posed, camera, sighting = scene
-    alone = [see(posed, sighting, Matching(interior=True)) for see in (see_outline, see_interior)]
-    both = see_all(posed, sighting, Matching(interior=True))
+    alone = [see(posed, sighting, OutlineMatchSettings(interior=True)) for see in (outline_matches, interior_matches)]
+    both = all_matches(posed, sighting, OutlineMatchSettings(interior=True))
     for one, other in zip(both, alone, strict=True):
         np.testing.assert_array_equal(one.match.where.face, other.match.where.face)
         np.testing.assert_array_equal(one.match.offsets, other.match.offsets)
-    assert len(see_all(posed, sighting, Matching())) == 1
-    nobody = Sighting.of(camera, np.zeros((camera.height, camera.width), bool))
-    assert see_all(posed, nobody, Matching(interior=True)) == []
+    assert len(all_matches(posed, sighting, OutlineMatchSettings())) == 1
+    nobody = ObservedOutline.of(camera, np.zeros((camera.height, camera.width), bool))
+    assert all_matches(posed, nobody, OutlineMatchSettings(interior=True)) == []

@@ -1,4 +1,4 @@
-"""Clicked joint centres: zero where they were clicked, silent where they cannot be seen."""
+"""Clicked joint centres: zero residual at the click, no contribution behind the camera."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ def test_a_click_on_the_joint_has_no_residual_and_one_beside_it_has_its_distance
     np.testing.assert_allclose(beside.whiten(posed).residual.reshape(-1, 2), [[-0.75, 0.5]] * 16, atol=1e-9)
 
 
-def test_a_joint_behind_the_camera_says_nothing(posed):
+def test_a_joint_behind_the_camera_contributes_nothing(posed):
     camera = worlds.looking_at(np.array([0.0, 5.0, 0.3]), np.array([0.0, 0.3, 0.3]))
     segments = posed.body.joint_segments
     depths = camera.depths(posed.segment_origin[segments])

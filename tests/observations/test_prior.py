@@ -1,4 +1,4 @@
-"""Priors say nothing where all is usual, and as much as they are worth elsewhere."""
+"""Priors: zero at usual values, and weighted by their share elsewhere."""
 
 from dataclasses import replace
 
@@ -51,7 +51,7 @@ def test_one_standard_deviation_costs_one(posed):
     assert cost(ShapePrior(), replace(posed, body=posed.body.with_numbers(numbers))) == pytest.approx(1.0)
 
 
-def test_where_nothing_is_known_of_a_coordinate_it_may_go_anywhere(posed):
+def test_an_infinite_standard_deviation_leaves_a_coordinate_free(posed):
     spread = np.full(len(posed.body.skeleton), 0.1)
     spread[:3] = np.inf
     near = NearPose(pose=posed.pose, spread=spread)
@@ -62,7 +62,7 @@ def test_where_nothing_is_known_of_a_coordinate_it_may_go_anywhere(posed):
     assert cost(near, posed.moved(change)) == pytest.approx(4.0)
 
 
-def test_a_scan_has_no_numbers_and_its_prior_says_nothing(posed):
+def test_the_shape_prior_of_a_scan_is_empty(posed):
     scanned = PosedBody(worlds.scan(), posed.pose)
     for shape in (False, True):
         model = ShapePrior().linearize(scanned, shape=shape)

@@ -1,11 +1,11 @@
-"""Who belongs to whom where two limbs are equally near."""
+"""Assignment of contour pixels where two limbs are equally near."""
 
 import numpy as np
 import pytest
 
 from marey.images.silhouettes.nearest import nearest_other, nearest_within, sort_into_cells
 from marey.observations.correspondence import pair_both_ways
-from marey.observations.votes import SLACK, SPLIT, WINDOW, elect
+from marey.observations.votes import SLACK, SPLIT, WINDOW, elect_limbs
 
 ROWS = np.arange(60.0)
 LEFT, RIGHT = 1, 2
@@ -40,8 +40,8 @@ def test_the_neighbours_decide_between_two_parallel_limbs():
     assert not np.isin(j[limb[i] == RIGHT], np.arange(28, 33)).any()
 
 
-def test_without_a_majority_a_pixel_belongs_to_nobody():
-    # All of the outline runs midway between the limbs: nobody is beyond doubt, and nobody can vote.
+def test_without_a_majority_a_pixel_is_not_matched():
+    # The whole outline is midway between the limbs: no pixel is unambiguous, and none can vote.
     _, (i, j) = two_parallel_limbs(np.full(60, 14.0))
     assert len(i) == len(j) == 0
     # Above the middle it follows the left limb, below the right one: as many vote for either.
@@ -63,7 +63,7 @@ def scattered(rng):
     return rim, rim_in, rng.integers(0, 3, 90), contour, contour_in[:80]
 
 
-def test_votes_never_change_what_is_beyond_doubt(rng):
+def test_votes_never_change_unambiguous_pixels(rng):
     for _ in range(5):
         rim, rim_in, limb, contour, contour_in = scattered(rng)
         cells, rim_cells = sort_into_cells(contour), sort_into_cells(rim)
@@ -80,7 +80,7 @@ def test_votes_never_change_what_is_beyond_doubt(rng):
         assert before == after
 
 
-def test_an_election_is_what_counting_the_votes_gives(rng):
+def test_the_vote_agrees_with_plain_counting(rng):
     rim, contour = rng.uniform(0, 50, (60, 2)), rng.uniform(0, 50, (70, 2))
     inward = rng.normal(size=(70, 2))
     inward /= np.linalg.norm(inward, axis=1, keepdims=True)
@@ -88,7 +88,7 @@ def test_an_election_is_what_counting_the_votes_gives(rng):
     nearest, second = rng.integers(-1, 60, (2, 70))
     second[rng.random(70) > 0.4] = -1
     second[nearest < 0] = -1
-    taken, doubtful = elect(nearest, second, rim, limb, sort_into_cells(contour), inward)
+    taken, doubtful = elect_limbs(nearest, second, rim, limb, sort_into_cells(contour), inward)
     apart = np.linalg.norm(rim[nearest] - rim[second], axis=1) > SPLIT
     np.testing.assert_array_equal(doubtful, (second >= 0) & apart)
     for j in range(70):

@@ -13,13 +13,13 @@ from marey.errors import SettingProblem
 app = typer.Typer(no_args_is_help=True, rich_markup_mode="markdown", help="Bones and cartilage of a knee from MR.")
 
 INCOMPLETE = 3
-"""Exit code: results were written, but a structure that was asked for is not among them."""
+"""Exit code: results were written, but a structure is missing in them."""
 _SEED_OPTIONS = ("--seed", "--seed-voxel")
 _SEED_WORDS = 4
 
 
 def with_seeds_joined(arguments: Sequence[str]) -> list[str]:
-    """Join the four words of each seed into one: Typer takes options of several words once only."""
+    """Join the four words of each seed into one, because Typer accepts options of several words only once."""
     words = list(arguments)
     if words[:2] != ["knee", "segment"]:
         return words
@@ -52,7 +52,7 @@ def parse_seed(text: str, option: str) -> tuple[str, float, float, float]:
         ) from error
 
 
-_Out = Annotated[Path | None, typer.Option("--out", "-o", metavar="DIR", help="Where the results go.")]
+_Out = Annotated[Path | None, typer.Option("--out", "-o", metavar="DIR", help="Folder for the results.")]
 
 
 @app.command()
@@ -61,37 +61,37 @@ def segment(
         list[Path],
         typer.Argument(
             metavar="VOLUME [VOLUME2]",
-            help="A folder of DICOM slices, NIfTI, NRRD or MetaImage; a second one of the same knee in the same place.",
+            help="Folder with a DICOM series, NIfTI, NRRD or MetaImage; a second one of the same knee is allowed.",
         ),
     ],
     template: Annotated[
         Path | None,
         typer.Option(
-            metavar="FOLDER", help="Another knee's labels.nii.gz with names.json or labels.json, of either side."
+            metavar="FOLDER", help="Labels of another knee, of either side: labels.nii.gz, names.json or labels.json."
         ),
     ] = None,
     seed: Annotated[
         list[str] | None,
-        typer.Option(metavar="BONE X Y Z", help="A place in the bone's marrow, LPS in mm. Several bones are allowed."),
+        typer.Option(metavar="BONE X Y Z", help="A place in the marrow of a bone, LPS in mm; can be repeated."),
     ] = None,
     seed_voxel: Annotated[
         list[str] | None,
-        typer.Option(metavar="BONE I J K", help="The same as the indices of a voxel of VOLUME."),
+        typer.Option(metavar="BONE I J K", help="The same as the indices of a voxel of the first VOLUME."),
     ] = None,
     side: Annotated[
         str | None,
-        typer.Option(metavar="SIDE", help="left or right, to name medial and lateral parts. [default: by the patella]"),
+        typer.Option(metavar="SIDE", help="left or right, for medial and lateral parts. [default: by the patella]"),
     ] = None,
     out: _Out = None,
     quiet: Quiet = False,
 ) -> None:
-    """Find femur, tibia and patella in an MR volume, and by a template the cartilage on them.
+    """Segment femur, tibia and patella in an MR volume, and with a template the cartilage on them.
 
-    Dark marrow (fat suppressed) and bright marrow are told apart; seeds are found, too. Leaves `labels.nii.gz` on the
-    image's own grid with `labels.json`, `femur.ply`, `tibia.ply`, `patella.ply` (LPS, mm), `report.html` and `run.json`
-    in `VOLUME_marey`, or in DIR; of cartilage its surfaces, `<bone>_thickness.npz`, coloured bones, flat pictures and
-    `cartilage.csv` with its parts; `markers.json` where gadolinium markers are on the skin. Ends with exit code 3 where
-    a bone, or cartilage that the template has, was not found; the rest is written.
+    Marrow can be dark (fat suppressed) or bright; seeds are found automatically. The results, in `VOLUME_marey` or in
+    DIR, are `labels.nii.gz` on the grid of the image with `labels.json`, `femur.ply`, `tibia.ply`, `patella.ply` (LPS,
+    mm), `report.html` and `run.json`; for cartilage its surfaces, `<bone>_thickness.npz`, coloured bones, flat pictures
+    and `cartilage.csv`; and `markers.json` if there are gadolinium markers on the skin. The exit code is 3 if a bone,
+    or a cartilage that the template has, was not found; the other results are written.
 
     Examples:
     * `marey knee segment dess.nii.gz --template atlas`
@@ -123,10 +123,11 @@ def thickness(
     cartilages: Annotated[list[Path], typer.Argument(metavar="CARTILAGE.ply...", help="The cartilage on it.")],
     out: _Out = None,
 ) -> None:
-    """Measure how thick the cartilage is over each vertex of a bone.
+    """Measure the thickness of the cartilage over each vertex of a bone.
 
-    PLY, STL, VTK, GLB, OBJ, OFF, and NPZ with `vertices` and `faces`, in millimetres. Leaves `thickness.npz`
-    (`thickness_mm`, one a vertex, 0 where bare) and the coloured bone in `BONE_marey`, or in DIR.
+    Meshes are PLY, STL, VTK, GLB, OBJ, OFF, or NPZ with `vertices` and `faces`, in millimetres. The results, in
+    `BONE_marey` or in DIR, are `thickness.npz` (`thickness_mm`, one per vertex, 0 where the bone is bare) and the
+    coloured bone.
 
     Examples:
     * `marey knee thickness femur.ply femoral_cartilage.ply`
@@ -134,106 +135,114 @@ def thickness(
     """
     from marey.pipelines.knee.thickness import measure_thickness
 
+    folder = out or bone.with_name(f"{bone.stem}_marey")
     with working() as progress:
-        folder, found = measure_thickness(bone, cartilages, out, progress)
-    typer.echo(found)
+        measured = measure_thickness(bone, cartilages, progress=progress)
+        measured.save(folder)
+    for label, text in measured.summary().lines.items():
+        typer.echo(f"{label}: {text}")
     typer.echo(f"Thickness: {folder / 'thickness.npz'}")
 
 
 @app.command()
 def register(
-    template: Annotated[Path, typer.Argument(metavar="TEMPLATE.ply", help="A bone of somebody else.")],
+    template: Annotated[Path, typer.Argument(metavar="TEMPLATE.ply", help="A bone of another person.")],
     subject: Annotated[Path, typer.Argument(metavar="SUBJECT.ply", help="The same bone of the subject.")],
     mirror: Annotated[
         bool | None,
         typer.Option(
-            "--mirror/--no-mirror", help="The template is, or is not, of the other side. [default: found out]"
+            "--mirror/--no-mirror", help="Whether the template is of the other side. [default: both are tried]"
         ),
     ] = None,
     out: _Out = None,
     quiet: Quiet = False,
 ) -> None:
-    """Lay a template's bone on a subject's: by a rigid motion, then bent.
+    """Register a template's bone with a subject's: by a rigid motion, then by an elastic deformation.
 
-    The template may lie 30 degrees and 30 mm off and be of either side. Leaves `rigid.json` (`subject_from_template`,
-    4x4, mm, `sd_deg`, `sd_mm`, `mirrored`) and `registered.ply` (the template's vertices, in their order, on the
-    subject) in `SUBJECT_marey`, or in DIR.
+    The template may be 30 degrees and 30 mm away, and of either side. The results, in `SUBJECT_marey` or in DIR, are
+    `rigid.json` (`subject_from_template`, 4x4, mm, `sd_deg`, `sd_mm`, `mirrored`) and `registered.ply` (the vertices of
+    the template, in their order, on the subject).
 
     Examples:
     * `marey knee register atlas_femur.ply femur.ply`
     * `marey knee register left_patella.ply right_patella.ply --mirror --out patella`
     """
-    from marey.pipelines.knee.register import register as register_bones
+    from marey.pipelines.knee.register import register_bone
+    from marey.pipelines.run_details import writable_folder
 
-    with working(quiet=quiet) as progress:
-        folder = register_bones(template, subject, out, mirror=mirror, progress=progress)
+    folder = out or subject.with_name(f"{subject.stem}_marey")
+    with working(quiet=quiet) as progress, writable_folder(folder):
+        registered = register_bone(template, subject, mirror=mirror, progress=progress)
+        registered.save(folder)
+        for label, text in registered.summary().lines.items():
+            progress.report(f"{label}: {text}")
     typer.echo(f"Registered: {folder / 'registered.ply'}")
 
 
 @app.command()
 def animate(
-    knee: Annotated[Path, typer.Argument(metavar="KNEE_DIR", help="A folder of `marey knee segment`.")],
-    motion: Annotated[Path, typer.Argument(metavar="MOTION", help="A folder of `marey markers`.")],
+    knee: Annotated[Path, typer.Argument(metavar="KNEE_DIR", help="Folder with the results of `marey knee segment`.")],
+    motion: Annotated[Path, typer.Argument(metavar="MOTION", help="Folder with the results of `marey markers`.")],
     reference: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="The person standing, with the markers of the scanner and of the activity."),
+        typer.Option(metavar="FILE", help="Trial of the person standing, with the markers of scanner and activity."),
     ] = None,
     method: Annotated[
         str | None,
         typer.Option(
-            metavar="NAME", help="Whose bones, where `marey markers` ran several methods. [default: the first's]"
+            metavar="NAME", help="Method whose bones are used, if `marey markers` ran several. [default: the first]"
         ),
     ] = None,
     compare: Annotated[
         str | None,
-        typer.Option(metavar="NAME|MOTION2", help="Another method, or folder, to set beside it: rigid, for one."),
+        typer.Option(metavar="NAME|MOTION2", help="Another method, or another folder, for comparison."),
     ] = None,
-    frame: Annotated[str, typer.Option(help="What is held in video and GLB: tibia, or nothing (room).")] = "tibia",
+    frame: Annotated[str, typer.Option(help="What is fixed in video and GLB: tibia, or nothing (room).")] = "tibia",
     view: Annotated[
         str, typer.Option(metavar="NAME,...", help="Views of the video: anterior, posterior, medial, lateral, plateau.")
     ] = "anterior,medial,plateau",
-    limit: Annotated[float, typer.Option(metavar="MM", help="Cartilages nearer than this count as near.")] = 5.0,
+    limit: Annotated[float, typer.Option(metavar="MM", help="Distance below which cartilages are called near.")] = 5.0,
     noise: Annotated[
         float,
-        typer.Option(metavar="MM", help="Standard deviation of a marker's coordinate, and of its place when put back."),
+        typer.Option(metavar="MM", help="Standard deviation of a marker's coordinate, with that of its attachment."),
     ] = 0.5,
     landmarks: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Landmarks picked in the scanner's images, for the angles' axes."),
+        typer.Option(metavar="FILE", help="Landmarks picked in the images of the scanner, for the axes of the angles."),
     ] = None,
     side: Annotated[
         str | None,
-        typer.Option(metavar="SIDE", help="left or right. [default: by the patella, or the segments' names]"),
+        typer.Option(metavar="SIDE", help="left or right. [default: by the patella, or the names of the segments]"),
     ] = None,
     out: _Out = None,
     quiet: Quiet = False,
 ) -> None:
-    """Move a knee's bones and cartilage by an activity, and measure how near the cartilages come.
+    """Move a knee's bones and cartilage by an activity, and measure the distance between the cartilages.
 
-    The markers of KNEE_DIR/markers.json and those of the laboratory join the two. Leaves `knee_motion.npz`,
-    `proximity.csv`, `correspondence.json`, `knee.glb`, `knee.mp4`, the page `knee.html` and `run.json` in
-    `MOTION/knee`, or in DIR. Ends with exit code 3 where femur or tibia cannot be moved; the rest is written.
+    The markers in KNEE_DIR/markers.json and those of the laboratory relate the two. The results, in `MOTION/knee` or in
+    DIR, are `knee_motion.npz`, `proximity.csv`, `correspondence.json`, `knee.glb`, `knee.mp4`, the page `knee.html` and
+    `run.json`. The exit code is 3 if femur or tibia cannot be moved; the other results are written.
 
     Examples:
     * `marey knee animate knee walk_marey --reference standing.c3d`
     * `marey knee animate knee walk_marey --method skin --compare rigid`
     * `marey knee animate knee walk_marey --frame room --view lateral,posterior`
     """
-    from marey.io.npz import read_arrays
-    from marey.pipelines.knee.animate import AnimateOptions
-    from marey.pipelines.knee.animate import animate as animate_knee
+    from marey.pipelines.knee.animate import animate_knee
 
-    options = AnimateOptions(
-        out=out, reference=reference, method=method, compare=compare, landmarks=landmarks, side=side, frame=frame,
-        views=tuple(name.strip() for name in view.split(",") if name.strip()), limit_mm=limit, noise_mm=noise,
-    )  # fmt: skip
+    folder = out or motion / "knee"
     with working(quiet=quiet) as progress:
-        folder = animate_knee(knee, motion, options, progress)
+        moving = animate_knee(
+            knee, motion, reference=reference, method=method, compare=compare, landmarks=landmarks, side=side,
+            frame=frame, views=[name.strip() for name in view.split(",") if name.strip()], limit_mm=limit,
+            noise_mm=noise, out=folder, progress=progress,
+        )  # fmt: skip
+        for label, text in moving.summary().lines.items():
+            progress.report(f"{label}: {text}")
     typer.echo(f"Page: {folder / 'knee.html'}")
-    moved = read_arrays(folder / "knee_motion.npz")["bones"].tolist()
-    still = [bone for bone in ("femur", "tibia") if bone not in moved]
+    still = [bone for bone in ("femur", "tibia") if bone not in moving.moved]
     if still:
-        typer.echo(f"Not moved: {', '.join(still)} (see the notes).", err=True)
+        typer.echo(f"Not moved: {', '.join(still)} (the warnings give the reasons).", err=True)
         raise typer.Exit(INCOMPLETE)
 
 
@@ -243,18 +252,19 @@ def template(
         list[Path],
         typer.Argument(
             metavar="SOURCE...",
-            help="Labels with names.json beside them, or contours.json, if wanted with its volume.",
+            help="Labels with names.json beside them; or contours.json, optionally with its volume.",
         ),
     ],
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", metavar="FOLDER", help="The template. [default: SOURCE_template]")
+        Path | None,
+        typer.Option("--out", "-o", metavar="FOLDER", help="Folder for the template. [default: SOURCE_template]"),
     ] = None,
     quiet: Quiet = False,
 ) -> None:
     """Make a template of a labelled or outlined knee, for `segment --template` and `register`.
 
-    Leaves `labels.nii.gz`, `labels.json` and a closed surface of each structure (`femur.ply`, ...; LPS, mm). Says what
-    is missing or looks wrong: bones, cartilage that does not lie on its bone, pieces, which side it is.
+    The results are `labels.nii.gz`, `labels.json` and a closed surface of each structure (`femur.ply`, ...; LPS, mm).
+    Warnings name what is missing or implausible: bones, cartilage away from its bone, separate pieces, an unknown side.
 
     Examples:
     * `marey knee template atlas/labels.nii.gz --out my_template`
@@ -264,37 +274,45 @@ def template(
 
     folder = out or sources[0].with_name(f"{sources[0].name.split('.')[0]}_template")
     with working(quiet=quiet) as progress:
-        made = make_template(sources, folder, progress)
-    typer.echo(f"{'A' if made.side is None else f'A {made.side}'} knee with {', '.join(made.surfaces)}: {folder}")
+        made = make_template(sources, progress=progress)
+        made.save(folder, progress=progress)
+    kind = "A knee" if made.template.side is None else f"A {made.template.side} knee"
+    typer.echo(f"{kind} with {', '.join(made.template.surfaces)}: {folder}")
 
 
 @app.command()
 def outline(
     volume: Annotated[
-        Path, typer.Argument(metavar="VOLUME", help="A folder of DICOM slices, NIfTI, NRRD or MetaImage.")
+        Path, typer.Argument(metavar="VOLUME", help="Folder with a DICOM series, NIfTI, NRRD or MetaImage.")
     ],
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", metavar="FILE", help="The outlines. [default: VOLUME_contours.json]"),
+        typer.Option("--out", "-o", metavar="FILE", help="File for the outlines. [default: VOLUME_contours.json]"),
     ] = None,
     port: Annotated[
-        int, typer.Option(metavar="N", help="Of the page's address. [default: any that is free]", show_default=False)
+        int, typer.Option(metavar="N", help="Port of the page's address. [default: any free one]", show_default=False)
     ] = 0,
-    no_browser: Annotated[bool, typer.Option("--no-browser", help="Only print the address.")] = False,
+    no_browser: Annotated[bool, typer.Option("--no-browser", help="Print the address without opening it.")] = False,
     quiet: Quiet = False,
 ) -> None:
-    """Outline bones and cartilage slice by slice in the browser, with a wire that follows the edges.
+    """Outline bones and cartilage slice by slice in the browser, with a live wire that follows the edges.
 
-    The page is served to this computer alone. Each change is kept at once; the same command goes on with it.
-    `marey knee template` makes a template of the outlines. Ctrl-C ends it.
+    The page can be opened on this computer only. Each change is saved at once, and the same command continues with the
+    saved outlines. `marey knee template` makes a template of them. Ctrl-C ends the command.
 
     Examples:
     * `marey knee outline knee.nii.gz`
     * `marey knee outline series --out contours.json --no-browser`
     """
+    import webbrowser
+
     from marey.pipelines.knee.outline import outline_server, serve
+    from marey.process import without_collection_pauses
 
     with working(quiet=quiet) as progress:
         server = outline_server(volume, out, port, progress)
-        typer.echo(f"Outlining at {server.address}; kept in {server.session.path}. Ctrl-C ends it.")
-        serve(server, browser=not no_browser)
+    typer.echo(f"Outlining at {server.address}; the outlines are saved in {server.session.path}. Ctrl-C ends it.")
+    if not no_browser:
+        webbrowser.open(server.address)
+    with without_collection_pauses():
+        serve(server)

@@ -1,1 +1,1 @@
-"""Space: rotations, rigid motions and twists, knowing nothing of cameras or people."""
+"""Geometry of space: rotations, rigid transforms and twists."""

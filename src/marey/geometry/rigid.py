@@ -1,4 +1,4 @@
-"""Rigid motions, named `b_from_a`, so that products cancel as they are read."""
+"""Rigid transforms, named `b_from_a`, so that neighbouring names cancel in products."""
 
 from dataclasses import dataclass
 
@@ -22,17 +22,17 @@ class RigidTransform:
 
     @staticmethod
     def identity() -> "RigidTransform":
-        """Give the motion that moves nothing."""
+        """Return the identity transform."""
         return RigidTransform(np.eye(3), np.zeros(3))
 
     @staticmethod
     def from_vector(rotation_vector: Floats, translation: Floats) -> "RigidTransform":
-        """Make a transform from a rotation vector [rad] and a translation [m]."""
+        """Return a transform from a rotation vector [rad] and a translation [m]."""
         return RigidTransform(rotations.exp(np.asarray(rotation_vector, float)), translation)
 
     @staticmethod
     def from_matrix(matrix: Floats) -> "RigidTransform":
-        """Make a transform from a homogeneous matrix (4, 4)."""
+        """Return a transform from a homogeneous matrix (4, 4)."""
         matrix = np.asarray(matrix, float)
         return RigidTransform(matrix[:3, :3], matrix[:3, 3])
 
@@ -45,7 +45,7 @@ class RigidTransform:
 
     @property
     def rotation_vector(self) -> Floats:
-        """Axis times angle (3,) [rad]."""
+        """The rotation as axis times angle (3,) [rad]."""
         return rotations.log(self.rotation)
 
     def __matmul__(self, other: "RigidTransform") -> "RigidTransform":
@@ -53,15 +53,15 @@ class RigidTransform:
         return RigidTransform(self.rotation @ other.rotation, self.apply(other.translation))
 
     def apply(self, points: Floats) -> Floats:
-        """Carry points (..., 3) from the frame a to the frame b."""
+        """Transform points (..., 3) from the frame a to the frame b."""
         return np.asarray(points, float) @ self.rotation.T + self.translation
 
     def inverse(self) -> "RigidTransform":
-        """Turn b_from_a into a_from_b."""
+        """Return a_from_b for b_from_a."""
         return RigidTransform(self.rotation.T, -self.rotation.T @ self.translation)
 
     def adjoint(self) -> Floats:
-        """Give the matrix (6, 6) that carries twists (v, w) from a to b."""
+        """Return the matrix (6, 6) that transforms twists (v, w) from a to b."""
         matrix = np.zeros((6, 6))
         matrix[:3, :3] = matrix[3:, 3:] = self.rotation
         matrix[:3, 3:] = rotations.hat(self.translation) @ self.rotation

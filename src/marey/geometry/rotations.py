@@ -1,15 +1,16 @@
-"""Rotations: exponential, logarithm and their derivatives, exact down to the smallest angle."""
+"""Rotations: exponential, logarithm and their derivatives, accurate down to the smallest angle."""
 
 import numpy as np
 
 from marey.arrays import Floats
 from marey.kernels import kernel
 
-_SERIES_BELOW = 1e-2  # rad; below it the series are more exact than the closed forms
+_SERIES_BELOW = 1e-2
+"""Angle below which the series are more accurate than the closed forms [rad]."""
 
 
 def _coefficients(angle: Floats) -> tuple[Floats, Floats, Floats]:
-    """Give sin(t)/t, (1 - cos t)/t^2 and (t - sin t)/t^3, all finite at t = 0."""
+    """Return sin(t)/t, (1 - cos t)/t^2 and (t - sin t)/t^3, all finite at t = 0."""
     small = angle < _SERIES_BELOW
     t = np.where(small, 1.0, angle)
     s = np.where(small, angle, 0.0) ** 2
@@ -20,7 +21,7 @@ def _coefficients(angle: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 def hat(vector: Floats) -> Floats:
-    """Give the skew matrix whose product with b is the cross product of the vector and b ([Rosenhahn2006] eq. (7)).
+    """Return the skew matrix whose product with b is the cross product of the vector and b ([Rosenhahn2006] eq. (7)).
 
     Args:
         vector: (..., 3).
@@ -36,7 +37,7 @@ def hat(vector: Floats) -> Floats:
 
 
 def exp(vector: Floats) -> Floats:
-    """Turn rotation vectors into rotation matrices ([Rosenhahn2006] eq. (9)).
+    """Convert rotation vectors to rotation matrices ([Rosenhahn2006] eq. (9)).
 
     Args:
         vector: (..., 3) axis times angle [rad].
@@ -50,7 +51,7 @@ def exp(vector: Floats) -> Floats:
 
 
 def log(rotation: Floats) -> Floats:
-    """Turn rotation matrices into rotation vectors of an angle of at most pi.
+    """Convert rotation matrices to rotation vectors of an angle of at most pi.
 
     Args:
         rotation: (..., 3, 3).
@@ -67,7 +68,7 @@ def log(rotation: Floats) -> Floats:
 
 
 def left_jacobian(vector: Floats) -> Floats:
-    """Give J with exp(v + d) = exp(J d) exp(v) to first order.
+    """Return J with exp(v + d) = exp(J d) exp(v) to first order.
 
     Args:
         vector: (..., 3) [rad].
@@ -81,7 +82,7 @@ def left_jacobian(vector: Floats) -> Floats:
 
 
 def inverse_left_jacobian(vector: Floats) -> Floats:
-    """Invert the left Jacobian in closed form; the angle must lie below 2 pi.
+    """Return the inverse of the left Jacobian in closed form; the angle must be below 2 pi.
 
     Args:
         vector: (..., 3) [rad].
@@ -99,7 +100,7 @@ def inverse_left_jacobian(vector: Floats) -> Floats:
 
 
 def about(axis: Floats, angle: Floats) -> Floats:
-    """Turn by an angle about a unit axis.
+    """Return the rotation by an angle about a unit axis.
 
     Args:
         axis: (..., 3) unit vectors.
@@ -112,7 +113,9 @@ def about(axis: Floats, angle: Floats) -> Floats:
 
 
 def shortest(start: Floats, end: Floats) -> Floats:
-    """Turn directions into others about the axes across both; where they are opposite, about any such axis.
+    """Return the rotation of least angle that maps directions to others.
+
+    Its axis is perpendicular to both; for opposite directions it is any such axis.
 
     Args:
         start: (..., 3) of any length.
@@ -133,7 +136,7 @@ def shortest(start: Floats, end: Floats) -> Floats:
 
 
 def mean(rotations: Floats) -> Floats:
-    """Average rotations: the chordal mean, the rotation nearest to the mean matrix.
+    """Return the chordal mean of rotations, which is the rotation nearest to the mean matrix.
 
     Args:
         rotations: (n, 3, 3).
@@ -145,7 +148,7 @@ def mean(rotations: Floats) -> Floats:
 
 
 def nearest(matrix: Floats) -> Floats:
-    """Find the proper rotation nearest to a matrix in the sense of Frobenius.
+    """Return the proper rotation nearest to a matrix in the Frobenius norm.
 
     Args:
         matrix: (..., 3, 3).
@@ -160,7 +163,7 @@ def nearest(matrix: Floats) -> Floats:
 
 
 def to_quaternion(rotation: Floats) -> Floats:
-    """Turn rotation matrices into unit quaternions.
+    """Convert rotation matrices to unit quaternions.
 
     Args:
         rotation: (..., 3, 3).
@@ -170,7 +173,7 @@ def to_quaternion(rotation: Floats) -> Floats:
     """
     r = np.asarray(rotation, float)
     trace = np.trace(r, axis1=-2, axis2=-1)
-    # Four equal expressions, each exact where its own component is large; the largest is taken.
+    # Of four equivalent expressions, the one with the largest component is the most accurate.
     squares = np.stack([1 + trace] + [1 + 2 * r[..., i, i] - trace for i in range(3)], -1)
     w = np.stack(
         [squares[..., 0], *(r[..., (i + 2) % 3, (i + 1) % 3] - r[..., (i + 1) % 3, (i + 2) % 3] for i in range(3))], -1
@@ -186,13 +189,13 @@ def to_quaternion(rotation: Floats) -> Floats:
 
 
 def continuous(quaternions: Floats) -> Floats:
-    """Choose signs so that no quaternion (F, 4) of a motion lies opposite to the one before."""
+    """Choose the signs of quaternions (F, 4) so that none is opposite to the one before."""
     sign = np.where((quaternions[1:] * quaternions[:-1]).sum(1) < 0, -1.0, 1.0)
     return quaternions * np.concatenate([[1.0], np.cumprod(sign)])[:, None]
 
 
 def from_quaternion(quaternion: Floats) -> Floats:
-    """Turn quaternions into rotation matrices.
+    """Convert quaternions to rotation matrices.
 
     Args:
         quaternion: (..., 4) as w, x, y, z; its length does not matter.
@@ -209,7 +212,7 @@ def from_quaternion(quaternion: Floats) -> Floats:
 
 @kernel
 def turn_about(axis, angle, out):  # pragma: no cover - compiled
-    """Write the rotation by an angle about a unit axis into out (3, 3): `about` for kernels."""
+    """Write the rotation by an angle about a unit axis to out (3, 3): `about` for kernels."""
     s = np.sin(angle)
     c = 1.0 - np.cos(angle)
     x, y, z = axis[0], axis[1], axis[2]
@@ -226,7 +229,7 @@ def turn_about(axis, angle, out):  # pragma: no cover - compiled
 
 @kernel
 def turn_between(first, second):  # pragma: no cover - compiled
-    """Give the vector (3,) that turns one rotation (3, 3) into another one: log(second first') for kernels."""
+    """Return the rotation vector (3,) from one rotation (3, 3) to another: log(second first') for kernels."""
     r = np.empty((3, 3))
     for a in range(3):
         for b in range(3):
@@ -255,7 +258,7 @@ def turn_between(first, second):  # pragma: no cover - compiled
 
 @kernel
 def inverse_left_jacobian_of(vector):  # pragma: no cover - compiled
-    """Give `inverse_left_jacobian` (3, 3) of one vector, for kernels."""
+    """Return `inverse_left_jacobian` (3, 3) of one vector, for kernels."""
     x, y, z = vector[0], vector[1], vector[2]
     squared = x * x + y * y + z * z
     if squared < _SERIES_BELOW**2:

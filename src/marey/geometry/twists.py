@@ -7,7 +7,7 @@ from marey.geometry import rotations
 
 
 def about_axis(point: Floats, axis: Floats) -> Floats:
-    """Give the twist (v, w) of a joint: a screw without pitch ([Rosenhahn2006] section 2.3).
+    """Return the twist (v, w) of a revolute joint, a screw of zero pitch ([Rosenhahn2006] section 2.3).
 
     Args:
         point: (..., 3) any point on the axis [m].
@@ -20,10 +20,10 @@ def about_axis(point: Floats, axis: Floats) -> Floats:
 
 
 def exp(twist: Floats) -> Floats:
-    """Turn twists into rigid motions ([Rosenhahn2006] eq. (5) and (8)).
+    """Convert twists to rigid motions ([Rosenhahn2006] eq. (5) and (8)).
 
-    Unlike the paper, the translation is the left Jacobian times v, which equals eq. (8) for every
-    angle and stays exact where the angle vanishes.
+    Unlike the paper, the translation is the left Jacobian times v, which equals eq. (8) for every angle and remains
+    accurate as the angle vanishes.
 
     Args:
         twist: (..., 6) as (v, w).
@@ -41,7 +41,7 @@ def exp(twist: Floats) -> Floats:
 
 
 def log(motion: Floats) -> Floats:
-    """Turn rigid motions into twists whose angle is at most pi.
+    """Convert rigid motions to twists whose angle is at most pi.
 
     Args:
         motion: (..., 4, 4).

@@ -1,1 +1,1 @@
-"""A motion over time, and the angles that anatomists read from it."""
+"""Motions over time: anatomical angles, filtering, gait cycles, comparison and retargeting."""

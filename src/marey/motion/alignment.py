@@ -1,4 +1,4 @@
-"""What lies between two recordings of one motion: a shift of their clocks, and a rigid offset of their laboratories."""
+"""Alignment of two recordings of one motion: the shift of their clocks and the rigid offset of their laboratories."""
 
 from dataclasses import dataclass, replace
 
@@ -7,63 +7,76 @@ import numpy as np
 from marey.arrays import Floats, Mask, freeze_fields
 from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
-from marey.motion.filters import low_pass
+from marey.motion.filters import MINIMUM_RATE_RATIO, low_pass
 from marey.motion.recording import Recording, continuous_angles, interpolated
-from marey.motion.shift_search import agreement_by_lag
+from marey.motion.shift_search import MINIMUM_SINGULAR_RATIO, agreement_by_lag
 
 SEARCH_HZ = 50.0
-"""The shift is looked for on a grid of this rate, and made finer afterwards [Hz]."""
+"""Highest rate of the grid on which the shift is searched before its refinement [Hz]. Chosen by hand."""
 LEAST_OVERLAP = 0.5
-"""Share of the shorter recording that both must cover."""
+"""Smallest overlap as a share of the shorter recording. Chosen by hand."""
 SMOOTH_HZ = 10.0
-"""Rates of change are read from paths that are smoothed to this frequency: noise is no motion [Hz]."""
+"""Cut-off of the low-pass filter applied before differentiation [Hz]. Chosen by hand."""
 RIVAL = 1.3
-"""A second shift is told of where its mean squared difference is at most this many times the best one's."""
+"""A second shift is reported if its mean squared difference is at most this multiple of the best one's. Chosen by
+hand."""
 _APART_S = 0.15
-_STEPS = 12
-_DONE_S = 1e-7
-_FLAT = 1e-3
-_OFFSET_NUMBERS = 6
+"""Smallest difference between the best shift and a second one [s]. Chosen by hand."""
+_MAXIMUM_STEPS = 12
+"""Most Gauss-Newton steps of the refinement. Chosen by hand."""
+_SHIFT_TOLERANCE_S = 1e-7
+"""A smaller step of the shift ends the iteration [s]; numerical."""
+_OFFSET_TOLERANCE = 1e-9
+"""A smaller step of the offset ends the iteration [rad or m]; numerical."""
+_OFFSET_PARAMETERS = 6
+"""Number of parameters of the rigid offset."""
 _LEAST_FRAMES = 4
+"""Fewest common frames of an alignment. Chosen by hand."""
+_LARGEST_SHIFT_SD = 0.25
+"""Largest standard deviation of a usable shift as a share of the shorter recording. Chosen by hand."""
+_VELOCITY_STEP_S = 0.02
+"""Half the time over which angular velocities are computed [s]. Chosen by hand."""
+_UNCORRELATED = 0.05
+"""Autocorrelation below which differences count as uncorrelated. Chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Alignment:
-    """The second recording's clock and laboratory, seen from the first's."""
+    """The alignment of the second recording's clock and laboratory with the first's."""
 
     shift_s: float
-    """What the first recording shows at t, the second shows at t + shift [s]."""
+    """Time t of the first recording corresponds to time t + shift of the second [s]."""
     shift_sd_s: float
-    """NaN where the shift was given or could not be found."""
+    """Standard deviation of the shift [s]; NaN if it was given or could not be estimated."""
     rival_s: float
-    """Another shift that fits nearly as well, as where a motion repeats itself; NaN where there is none."""
+    """Another shift with a nearly equal fit, as for a periodic motion [s]; NaN if there is none."""
     first_from_second: RigidTransform
-    """Carries the second laboratory into the first."""
+    """Transforms the second laboratory into the first."""
     covariance: Floats
-    """(6, 6) of the small turn about the first laboratory's axes [rad] and of the translation [m]; NaN where the offset
-    was given or could not be found; of the turn alone where nothing but orientations is in common."""
+    """(6, 6) covariance of a small rotation about the first laboratory's axes [rad] and of the translation [m]; NaN if
+    the offset was given or could not be estimated. With orientations only, the part of the translation is NaN."""
     residual_m: float
-    """Root mean square distance of the points that are in common, after alignment; NaN without points."""
+    """Root mean square distance of the common points after alignment [m]; NaN without points."""
     notes: tuple[str, ...] = ()
-    """What could not be found, as sentences."""
+    """What could not be estimated, one sentence each."""
 
     def __post_init__(self) -> None:
         freeze_fields(self, "covariance")
 
     @property
     def turn_sd(self) -> Floats:
-        """(3,) [rad]."""
+        """(3,) standard deviation of the rotation [rad]."""
         return np.asarray(np.sqrt(np.diag(self.covariance)[:3]))
 
     @property
     def translation_sd(self) -> Floats:
-        """(3,) [m]."""
+        """(3,) standard deviation of the translation [m]."""
         return np.asarray(np.sqrt(np.diag(self.covariance)[3:]))
 
 
 @dataclass(frozen=True, eq=False)
 class _RecordingPair:
-    """Two recordings as two sets of columns: scalars with a constant between them, and vectors in two laboratories."""
+    """Two recordings as columns: scalars that may differ by a constant, and vectors in two laboratories."""
 
     time: tuple[Floats, Floats]
     scalars: tuple[Floats, Floats]
@@ -71,7 +84,7 @@ class _RecordingPair:
     vectors: tuple[Floats, Floats]
     """(F, P, 3)."""
     places: bool
-    """Whether the vectors are places, between which a translation lies, or velocities of turns."""
+    """Whether the vectors are positions, which may differ by a translation, rather than angular velocities."""
 
     @property
     def spans(self) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -81,31 +94,34 @@ class _RecordingPair:
 def align(
     first: Recording, second: Recording, *, shift_s: float | None = None, same_laboratory: bool = False
 ) -> Alignment:
-    """Find the time shift and the rigid offset of the laboratories, from what both recordings name alike.
+    """Estimate the time shift and the rigid offset of the laboratories from the quantities of the same names.
 
-    The shift is first looked for over all that leaves half of the shorter recording in common, then estimated together
-    with the offset by least squares: angles may differ by a constant each, points in common are carried from one
-    laboratory to the other, and every angle and point weighs by how well it agrees. Where only orientations are in
-    common, the turning velocities stand for points: they do not depend on how a segment's frame is defined. Standard
-    deviations allow for differences that last over frames ([NeweyWest1987]), for angles that ask for different shifts,
-    and for joint centres that the two systems define differently.
+    The shift is first searched over all overlaps of at least half of the shorter recording, then refined together with
+    the offset by least squares: each angle may differ by a constant, common points are transformed from one laboratory
+    to the other, and every angle and point is weighted by its agreement. If only orientations are in common, angular
+    velocities are used instead of points: they do not depend on the definition of a segment's frame. The standard
+    deviations account for correlation between frames ([NeweyWest1987]), for angles that imply different shifts, and for
+    joint centres that the two systems define differently.
 
     Args:
         first: A recording.
-        second: Another one with the same names.
-        shift_s: The shift where it is known.
-        same_laboratory: whether both are in one laboratory already.
+        second: Another recording with the same names.
+        shift_s: The shift if it is known [s].
+        same_laboratory: True if both recordings are in the same laboratory frame.
+
+    Returns:
+        The alignment.
     """
     notes: list[str] = []
     pair = _pair(first, second)
     searched = (0.0, np.nan) if shift_s is not None else _search(pair)
     if searched is None:
-        notes.append("No time shift could be found: the motions have too little in common.")
+        notes.append("No time shift could be estimated: the motions have too little in common.")
     shift, rival = searched or (0.0, np.nan)
     shift = shift if shift_s is None else shift_s
     offset = RigidTransform.identity() if same_laboratory else _offset(pair, shift)
     if offset is None and any(v.shape[1] for v in pair.vectors):
-        notes.append("The offset of the laboratories cannot be found: no three points off a line are in common.")
+        notes.append("The offset of the laboratories cannot be estimated: no three non-collinear points are in common.")
     free_shift = shift_s is None and searched is not None
     free_offset = not same_laboratory and offset is not None
     start = Alignment(
@@ -114,8 +130,8 @@ def align(
     )  # fmt: skip
     result = _refined(pair, start, free_shift=free_shift, free_offset=free_offset)
     span = min(b - a for a, b in pair.spans)
-    if free_shift and not result.shift_sd_s < 0.25 * span:
-        note = "No time shift could be found: nothing moves that both motions show."
+    if free_shift and not result.shift_sd_s < _LARGEST_SHIFT_SD * span:
+        note = "No time shift could be estimated: no common quantity moves."
         start = replace(start, shift_s=0.0, rival_s=np.nan, notes=(*notes, note))
         result = _refined(pair, start, free_shift=False, free_offset=free_offset)
     return result
@@ -125,12 +141,14 @@ def _pair(first: Recording, second: Recording) -> _RecordingPair:
     scalars = (continuous_angles(first.angles), continuous_angles(second.angles))
     if first.point_names or not first.segment_names:
         return _RecordingPair((first.time, second.time), scalars, (first.points, second.points), True)
-    return _RecordingPair((first.time, second.time), scalars, (_turning(first), _turning(second)), False)
+    return _RecordingPair(
+        (first.time, second.time), scalars, (_angular_velocities(first), _angular_velocities(second)), False
+    )
 
 
-def _turning(recording: Recording) -> Floats:
-    """Give the segments' turning velocities in the laboratory (F, S, 3) [rad/s], smoothed."""
-    step = max(1, round(0.02 * recording.rate))
+def _angular_velocities(recording: Recording) -> Floats:
+    """Compute the segments' angular velocities in the laboratory (F, S, 3) [rad/s], smoothed."""
+    step = max(1, round(_VELOCITY_STEP_S * recording.rate))
     turn = recording.rotation
     velocity = np.full((*turn.shape[:2], 3), np.nan)
     if len(turn) > 2 * step:
@@ -141,11 +159,11 @@ def _turning(recording: Recording) -> Floats:
 
 
 def _smooth(values: Floats, rate: float) -> Floats:
-    return low_pass(values, rate=rate, cutoff_hz=SMOOTH_HZ) if rate > 2.2 * SMOOTH_HZ else values
+    return low_pass(values, rate=rate, cutoff_hz=SMOOTH_HZ) if rate > MINIMUM_RATE_RATIO * SMOOTH_HZ else values
 
 
 def _search(pair: _RecordingPair) -> tuple[float, float] | None:
-    """Look for the shift [s] on a grid, and for one that is nearly as good; None where nothing is in common."""
+    """Search the shift [s] on a grid, and another one with a nearly equal fit; None without common data."""
     step = 1 / min(SEARCH_HZ, *(1 / float(np.median(np.diff(t))) for t in pair.time if len(t) > 1))
     grids = [np.arange(a, b + 0.5 * step, step) for a, b in pair.spans]
     scalars = [interpolated(t, v, g) for t, v, g in zip(pair.time, pair.scalars, grids, strict=True)]
@@ -169,16 +187,16 @@ def _search(pair: _RecordingPair) -> tuple[float, float] | None:
 
 
 def _both(p: Floats, q: Floats) -> Mask:
-    """Tell where vectors (..., 3) are known on both sides."""
+    """Find where vectors (..., 3) are known in both recordings."""
     return np.asarray(np.isfinite(p + q).all(-1))
 
 
 def _kabsch(p: Floats, q: Floats, places: bool) -> RigidTransform | None:
-    """Carry vectors q (n, 3) onto p (n, 3) by a rotation, and a translation where they are places."""
+    """Align vectors q (n, 3) with p (n, 3) by a rotation, and a translation if they are positions."""
     mean_p, mean_q = (p.mean(0), q.mean(0)) if places else (np.zeros(3), np.zeros(3))
     cross = (p - mean_p).T @ (q - mean_q)
     sizes = np.linalg.svd(cross, compute_uv=False)
-    if not sizes[1] > _FLAT * sizes[0]:
+    if not sizes[1] > MINIMUM_SINGULAR_RATIO * sizes[0]:
         return None
     turn = rotations.nearest(cross)
     return RigidTransform(turn, mean_p - turn @ mean_q)
@@ -197,7 +215,7 @@ def _common_time(pair: _RecordingPair, shift: float) -> Floats:
 
 
 def common_time(first: Floats, second: Floats, shift_s: float) -> Floats:
-    """Give the times of the slower recording that both cover, on the first one's clock (N,) [s]."""
+    """Return the times of the slower recording covered by both, on the first one's clock (N,) [s]."""
     moved = second - shift_s
     steps = [np.median(np.diff(t)) if len(t) > 1 else np.inf for t in (first, second)]
     time = first if steps[0] >= steps[1] else moved
@@ -205,12 +223,12 @@ def common_time(first: Floats, second: Floats, shift_s: float) -> Floats:
 
 
 def _refined(pair: _RecordingPair, start: Alignment, *, free_shift: bool, free_offset: bool) -> Alignment:
-    """Estimate shift and offset together by Gauss and Newton, with the covariance of what was free."""
+    """Refine shift and offset together by Gauss-Newton, with the covariance of the free parameters."""
     shift, offset = start.shift_s, start.first_from_second
     smooth = _rates_of_change(pair)
     free = np.array([free_shift] + [free_offset] * 3 + [free_offset and pair.places] * 3)
     before = np.inf
-    for _ in range(_STEPS):
+    for _ in range(_MAXIMUM_STEPS):
         system = _system(pair, smooth, shift, offset)
         if system is None:
             return start
@@ -222,38 +240,41 @@ def _refined(pair: _RecordingPair, start: Alignment, *, free_shift: bool, free_o
         before = system.cost
         shift += step[0]
         turn = rotations.exp(step[1:4])
-        # The turn acts about the middle of the points, so that it hardly moves them.
+        # The rotation acts about the mean of the points, so that it hardly moves them.
         moved = turn @ (offset.translation - system.middle) + system.middle + step[4:]
         offset = RigidTransform(rotations.nearest(turn @ offset.rotation), moved)
-        if abs(step[0]) < _DONE_S and np.abs(step[1:]).max() < 1e-9:
+        if abs(step[0]) < _SHIFT_TOLERANCE_S and np.abs(step[1:]).max() < _OFFSET_TOLERANCE:
             break
     final = _system(pair, smooth, shift, offset)
     return start if final is None else _with_spread(start, final, shift, offset, free, places=pair.places)
 
 
 def _rates_of_change(pair: _RecordingPair) -> tuple[Floats, Floats]:
-    """Give the second recording's scalars and vectors, smoothed, whose splines are differentiated."""
+    """Return the second recording's scalars and vectors, smoothed for differentiation."""
     rate = 1 / float(np.median(np.diff(pair.time[1]))) if len(pair.time[1]) > 1 else 0.0
     return _smooth(pair.scalars[1], rate), _smooth(pair.vectors[1], rate)
 
 
 @dataclass(frozen=True, eq=False)
 class _AlignmentEquations:
-    """Normal equations of shift, turn and translation, frame by frame."""
+    """Normal equations of shift, rotation and translation, with the contribution of each frame."""
 
     information: Floats
+    """(7, 7) normal matrix."""
     gradient: Floats
+    """(7,) gradient of the cost."""
     scores: Floats
-    """(N, 7) the share of each frame in the gradient, of what varies about each number's mean difference."""
+    """(N, 7) contribution of each frame to the gradient, from differences minus their mean over the frames."""
     constant: Floats
-    """(7, 7) variance of the gradient by points that differ all along."""
+    """(7, 7) variance of the gradient due to constant differences of points."""
     disagreement: float
-    """Variance of the gradient by the shift, from how much angles and points ask for different shifts."""
+    """Variance of the gradient by the shift, from angles and points that imply different shifts."""
     lasting: int
-    """Frames over which differences last."""
+    """Number of frames over which differences are correlated."""
     middle: Floats
-    """(3,) of the points in the first laboratory."""
+    """(3,) mean of the points in the first laboratory [m]."""
     cost: float
+    """Geometric mean of the residuals' standard deviations."""
     distance: float
     """Root mean square of the vectors' differences."""
 
@@ -298,7 +319,7 @@ def _system(
 
 
 def _scalar_rows(difference: Floats, slope: Floats) -> tuple[Floats, Floats, Floats]:
-    """Give derivatives (N, K, 7), residuals (N, K) and their spread (K,); a constant of each column is taken out."""
+    """Return derivatives (N, K, 7), residuals (N, K) and their spread (K,), without a constant of each column."""
     known = np.isfinite(difference) & np.isfinite(slope)
     counts = np.maximum(known.sum(0), 1)
     residual = np.where(known, difference, 0.0)
@@ -311,7 +332,7 @@ def _scalar_rows(difference: Floats, slope: Floats) -> tuple[Floats, Floats, Flo
 
 
 def _vector_rows(difference: Floats, arm: Floats, speed: Floats, known: Mask) -> tuple[Floats, Floats, Floats]:
-    """Give derivatives (N, 3 P, 7), residuals (N, 3 P) and their spread (3 P,)."""
+    """Return derivatives (N, 3 P, 7), residuals (N, 3 P) and their spread (3 P,)."""
     frames, count = known.shape
     rows = np.zeros((frames, count, 3, 7))
     rows[..., 0] = np.where(known[..., None], speed, 0.0)
@@ -323,24 +344,24 @@ def _vector_rows(difference: Floats, arm: Floats, speed: Floats, known: Mask) ->
 
 
 def _spread(values: Floats) -> Floats:
-    """Keep standard deviations above zero, so that two equal motions do not divide by it."""
+    """Bound standard deviations from below, to avoid a division by zero for two equal motions."""
     return np.asarray(np.maximum(values, 1e-9))
 
 
 def _lasting(residuals: Floats) -> int:
-    """Find over how many frames differences (N, K) last: twice the lag at which they are no longer alike."""
+    """Return the number of frames over which differences (N, K) are correlated: twice the decorrelation lag."""
     frames = len(residuals)
     power = float((residuals**2).sum())
     if power == 0:
         return 0
     for lag in range(1, frames // 3):
-        if float((residuals[lag:] * residuals[:-lag]).sum()) < 0.05 * power:
+        if float((residuals[lag:] * residuals[:-lag]).sum()) < _UNCORRELATED * power:
             return min(2 * lag, frames // 3)
     return frames // 3
 
 
 def long_run_variance(scores: Floats, lasting: int) -> Floats:
-    """Sum the products (K, K) of scores (N, K) within some frames of each other, fading ([NeweyWest1987])."""
+    """Compute the long-run variance (K, K) of scores (N, K) with `lasting` lags ([NeweyWest1987])."""
     total = scores.T @ scores
     for lag in range(1, lasting + 1):
         product = scores[lag:].T @ scores[:-lag]
@@ -351,27 +372,27 @@ def long_run_variance(scores: Floats, lasting: int) -> Floats:
 def _constant_share(
     residuals: Floats, varying: Floats, counts: Floats, weighted: Floats, scalars: int, lasting: int
 ) -> Floats:
-    """Give the variance (7, 7) of the gradient by points that lie elsewhere in one system than in the other all along.
+    """Return the variance (7, 7) of the gradient due to constant differences of the points between the two systems.
 
-    The points' mean differences beyond what their variation explains count as draws of one spread, alike in all
-    directions.
+    The points' mean differences, beyond those explained by their variation, count as samples of one isotropic
+    distribution.
 
     Args:
         residuals: (N, R) differences.
-        varying: (N, R) the same less each column's mean.
+        varying: (N, R) differences minus each column's mean.
         counts: (R,) frames of each column.
-        weighted: (N, R, 7) derivatives over the squared spread.
-        scalars: How many columns come before the points' coordinates.
-        lasting: Frames over which differences last.
+        weighted: (N, R, 7) derivatives divided by the squared spread.
+        scalars: Number of columns before the points' coordinates.
+        lasting: Number of frames over which differences are correlated.
     """
     means = (residuals.sum(0) / counts)[scalars:]
-    if len(means) <= _OFFSET_NUMBERS:
+    if len(means) <= _OFFSET_PARAMETERS:
         return np.zeros((7, 7))
     explained = sum(
         long_run_variance(varying[:, [r]], lasting)[0, 0] / counts[r] ** 2
         for r in range(scalars, residuals.shape[1])
     )  # fmt: skip
-    spread = max(0.0, float((means**2).sum() - explained)) / (len(means) - _OFFSET_NUMBERS)
+    spread = max(0.0, float((means**2).sum() - explained)) / (len(means) - _OFFSET_PARAMETERS)
     lever = weighted[:, scalars:].sum(0)
     return np.asarray(spread * lever.T @ lever)
 
@@ -390,7 +411,7 @@ def _with_spread(
             if free[0]:
                 scatter[0, 0] = max(scatter[0, 0], system.disagreement)
             covariance[at] = inverse @ scatter @ inverse
-    # From a translation of the points' middle to one of the laboratory's origin.
+    # From a translation of the points' mean to one of the laboratory's origin.
     wrt = np.eye(6)
     wrt[3:, :3] = rotations.hat(system.middle - offset.translation)
     moved = covariance[1:, 1:]

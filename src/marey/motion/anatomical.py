@@ -1,4 +1,4 @@
-"""Anatomical angles after the ISB, from the rotations of segments, with their standard deviations.
+"""Anatomical angles after the ISB from the rotations of segments, with standard deviations.
 
 Every segment gets an anatomical frame in the rest posture: X anterior, Y proximal (up), Z to the right ([Wu2002],
 [Wu2005]). Joint angles are the Cardan or Euler angles of the distal frame in the proximal one;
@@ -17,10 +17,13 @@ from marey.errors import MareyError
 from marey.geometry import rotations
 
 FORWARD, UP, RIGHT = np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 1.0]), np.array([-1.0, 0.0, 0.0])
-"""Directions of the body at rest, which looks along -y with its left side at +x."""
+"""Directions of the body at rest, which faces -y with its left side at +x."""
 WORLD_FRAME = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-"""What the pelvis' and thorax' own angles refer to: X along world y (OpenSim's x), Y along world z, Z along world x."""
-_DISTAL = {"thigh": "shank", "shank": "foot", "upperarm": "forearm", "forearm": "hand"}
+"""Reference of the pelvis' and thorax' angles: X along world y (OpenSim's x), Y along world z, Z along world x."""
+NEXT_DISTAL = {"thigh": "shank", "shank": "foot", "upperarm": "forearm", "forearm": "hand"}
+"""Maps each segment of a limb to the next distal one."""
+SIDE_PREFIXES = ("left_", "right_")
+"""Prefixes of the names of segments and angles of a side."""
 _SINGULARITY_OFFSET = 1e-6
 """Offset of the middle angle from a singularity of its sequence [rad]; numerical."""
 LARGEST_ANGLE_SD = np.pi
@@ -29,20 +32,22 @@ LARGEST_ANGLE_SD = np.pi
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class AnatomicalJoint:
-    """One row of the table of joints: what turns in what, in which sequence, and what the angles are called."""
+    """One row of the table of joints: the two segments, the sequence of rotations, and the names of the angles."""
 
     child: str
+    """The distal segment."""
     parent: str | None
-    """None: the world."""
+    """The proximal segment; None for the world."""
     sequence: str
-    """Axes of the three turns, each about the axis that the ones before have moved."""
+    """Axes of the three intrinsic rotations."""
     angles: tuple[tuple[int, str, float], ...]
-    """(place in the sequence, name, sign of its positive direction)."""
+    """(position in the sequence, name, sign of its positive direction)."""
     sided: bool = False
-    """Whether there is one at the left and one at the right."""
+    """Whether there is a left and a right one."""
 
 
 _TRUNK = ((0, "flexion", -1.0), (1, "bending", 1.0), (2, "rotation", 1.0))
+"""Positions, names and signs of the angles of trunk and head."""
 
 
 def _named(joint: str, *angles: tuple[int, str, float]) -> tuple[tuple[int, str, float], ...]:
@@ -50,7 +55,9 @@ def _named(joint: str, *angles: tuple[int, str, float]) -> tuple[tuple[int, str,
 
 
 _ROOT = ((2, "tilt", -1.0), (1, "obliquity", 1.0), (0, "rotation", 1.0))
+"""Positions, names and signs of the angles of pelvis and thorax in the world."""
 _CARDAN = ((0, "flexion", 1.0), (1, "adduction", 1.0), (2, "rotation", 1.0))
+"""Positions, names and signs of the angles of a joint with three Cardan angles."""
 JOINTS = (
     AnatomicalJoint(child="pelvis", parent=None, sequence="YXZ", angles=_named("pelvis", *_ROOT)),
     AnatomicalJoint(child="thorax", parent=None, sequence="YXZ", angles=_named("thorax", *_ROOT)),
@@ -104,8 +111,9 @@ JOINTS = (
         sided=True,
     ),
 )
-"""The table; signs are the right side's: the left side is mirrored first, so that they mean the same."""
-_UNWRAPPED = ("pelvis_rotation", "thorax_rotation")  # a person may turn on the spot more than once
+"""The table of joints. Signs are those of the right side; the left side is mirrored first, for the same meaning."""
+_UNWRAPPED = ("pelvis_rotation", "thorax_rotation")
+"""Angles that are continuous beyond 360 degrees, because a person may turn on the spot more than once."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -115,29 +123,29 @@ class Anatomy:
     segment_names: tuple[str, ...]
     """S names."""
     frames: Floats
-    """(S, 3, 3), columns X anterior, Y proximal, Z right, in the axes of the rest posture."""
+    """(S, 3, 3) axes as columns: X anterior, Y proximal, Z right, in the frame of the rest posture."""
 
     def __post_init__(self) -> None:
         freeze_fields(self, "frames")
 
     @property
     def angle_names(self) -> tuple[str, ...]:
-        """Names of the angles that this body's segments allow, in the table's order, left before right."""
+        """Names of the angles available for this body's segments, in the table's order, left before right."""
         return tuple(f"{side}{name}" for joint, side in self.joints() for _, name, _ in joint.angles)
 
     @property
     def angle_segments(self) -> tuple[str, ...]:
-        """Names of the segments whose turning the angles describe."""
+        """Names of the segments whose rotations the angles describe."""
         return tuple(_pair(joint, side)[0] for joint, side in self.joints() for _ in joint.angles)
 
     def joints(self) -> list[tuple[AnatomicalJoint, str]]:
-        """List the rows of the table for which both segments are there, with the side's prefix."""
-        rows = [(j, side) for j in JOINTS for side in (("left_", "right_") if j.sided else ("",))]
+        """List the rows of the table whose segments exist, with the side's prefix."""
+        rows = [(j, side) for j in JOINTS for side in (SIDE_PREFIXES if j.sided else ("",))]
         return [(j, side) for j, side in rows if all(s is None or s in self.segment_names for s in _pair(j, side))]
 
 
 def _pair(joint: AnatomicalJoint, side: str) -> tuple[str, str | None]:
-    """Name the child and the parent segment of a joint on a side."""
+    """Return the names of the child and the parent segment of a joint on a side."""
     own = {"thigh", "shank", "foot", "toes", "clavicle", "upperarm", "forearm", "hand"}
     parent = f"{side}{joint.parent}" if joint.parent in own else joint.parent
     return f"{side}{joint.child}", parent
@@ -146,19 +154,22 @@ def _pair(joint: AnatomicalJoint, side: str) -> tuple[str, str | None]:
 def anatomy(
     segment_names: tuple[str, ...], joint_centres: Floats, transverse: Mapping[str, Floats] | None = None
 ) -> Anatomy:
-    """Find the anatomical frames of a body in the rest posture (upright, looking along -y, z up).
+    """Construct the anatomical frames of a body in the rest posture (upright, facing -y, z up).
 
-    Trunk and head: the axes of the rest posture itself, so that standing as at rest is zero. Thigh, shank, upper arm
-    and forearm: Y from the distal to the proximal joint centre. Clavicle: Z along it. Foot and toes: X from the ankle
-    to the toes' joint, made horizontal. Hand: as the forearm, straight at rest. The rest of each frame follows from
-    the transverse direction (Z) made perpendicular to it.
+    Trunk and head: the axes of the rest posture, so that their angles are zero at rest. Thigh, shank, upper arm and
+    forearm: Y from the distal to the proximal joint centre. Clavicle: Z along it. Foot and toes: X from the ankle to
+    the toes' joint, projected on the horizontal plane. Hand: as the forearm, straight at rest. The transverse direction
+    (Z), made perpendicular to the first axis, completes each frame.
 
     Args:
         segment_names: S names.
         joint_centres: (S, 3) the segments' proximal joint centres at rest [m].
-        transverse: For segments whose Z is not the rest posture's right, the direction that points to the person's
-            right in the anatomical position, at rest: for an upper arm the elbow's axis of flexion, for a forearm
-            the wrist's (about which flexion is positive), which carry the turn of the arm at rest about itself.
+        transverse: For segments whose Z is not the rest posture's right, the direction at rest that points to the
+            person's right in the anatomical position: for an upper arm the elbow's flexion axis, for a forearm the
+            wrist's (about which flexion is positive), which determine the rotation of the arm at rest about itself.
+
+    Returns:
+        The frames.
 
     Raises:
         MareyError: A limb's segment has no distal joint.
@@ -173,8 +184,8 @@ def anatomy(
 
 def _frame(name: str, centre: Mapping[str, Floats], transverse: Mapping[str, Floats]) -> Floats:
     side, _, kind = name.rpartition("_")
-    if kind in _DISTAL:
-        distal = f"{side}_{_DISTAL[kind]}"
+    if kind in NEXT_DISTAL:
+        distal = f"{side}_{NEXT_DISTAL[kind]}"
         if distal not in centre:
             raise MareyError(f"The segment {name!r} needs {distal!r} for the direction of its long axis.")
         return _from_y_and_z(centre[name] - centre[distal], transverse.get(name, RIGHT))
@@ -202,7 +213,7 @@ def _from_y_and_z(y: Floats, z: Floats) -> Floats:
 
 
 def euler_angles(rotation: Floats, sequence: str) -> Floats:
-    """Split rotations into three turns R_i(a) R_j(b) R_k(c), each about the axis that the ones before have moved.
+    """Decompose rotations into three intrinsic rotations R_i(a) R_j(b) R_k(c).
 
     Args:
         rotation: (..., 3, 3).
@@ -225,14 +236,14 @@ def euler_angles(rotation: Floats, sequence: str) -> Floats:
 
 
 def euler_axes(angles: Floats, sequence: str) -> Floats:
-    """Give the axes about which the three turns act, seen from the frame before all of them.
+    """Return the axes of the three rotations in the reference frame.
 
     Args:
         angles: (..., 3) [rad].
         sequence: Three axes.
 
     Returns:
-        (..., 3, 3), one axis a column: a small turn exp(w) R changes the angles by d where axes @ d = w.
+        (..., 3, 3), one axis per column: a small rotation exp(w) R changes the angles by d where axes @ d = w.
     """
     unit = [np.eye(3)["XYZ".index(axis)] for axis in sequence]
     first = rotations.about(unit[0], angles[..., 0])
@@ -241,11 +252,11 @@ def euler_axes(angles: Floats, sequence: str) -> Floats:
 
 
 def anatomical_angles(body: Anatomy, segment_rotation: Floats) -> Floats:
-    """Give the anatomical angles of a motion.
+    """Compute the anatomical angles of a motion.
 
     Args:
         body: The frames at rest.
-        segment_rotation: (F, S, 3, 3) world from segment, the identity at rest; NaN where there is no answer.
+        segment_rotation: (F, S, 3, 3) world from segment, the identity at rest; NaN without a pose.
 
     Returns:
         (F, A) [rad], positive as in docs/explanation/angles.md; pelvis' and thorax' turns in the world are continuous
@@ -276,7 +287,7 @@ def _frames_in_world(
 
 
 def _joint_angles(body: Anatomy, segment_rotation: Floats, joint: AnatomicalJoint, side: str) -> Floats:
-    """Give a joint's three turns (F, 3) [rad] before signs, the left side's mirrored."""
+    """Return a joint's three angles (F, 3) [rad] before signs, mirrored for the left side."""
     outer, inner = _frames_in_world(body, segment_rotation, joint, side)
     relative = np.swapaxes(outer, -1, -2) @ inner
     if side == "left_":
@@ -288,24 +299,24 @@ def _joint_angles(body: Anatomy, segment_rotation: Floats, joint: AnatomicalJoin
 def angles_with_sd(
     body: Anatomy, segment_rotation: Floats, turn_wrt_coordinates: Floats, covariance: Floats
 ) -> tuple[Floats, Floats]:
-    """Give the anatomical angles and their standard deviations, to first order.
+    """Compute the anatomical angles and their standard deviations to first order.
 
     Args:
         body: The frames at rest.
         segment_rotation: (F, S, 3, 3) world from segment.
-        turn_wrt_coordinates: (F, S, 3, D) the small turn w of each segment in the world, R <- exp(w) R, by each
-            coordinate (see `turns_by_difference`).
-        covariance: (F, D, D) of the coordinates.
+        turn_wrt_coordinates: (F, S, 3, D) derivative of a small rotation w of each segment in the world,
+            R <- exp(w) R, by each coordinate (see `turns_by_difference`).
+        covariance: (F, D, D) covariance of the coordinates.
 
     Returns:
-        Angles (F, A) [rad] and standard deviations (F, A) [rad]. Beside a singularity of its sequence an angle's
-        standard deviation grows without bound; it ends at pi, which says that nothing is known.
+        Angles (F, A) [rad] and standard deviations (F, A) [rad]. Near a singularity of its sequence an angle's standard
+        deviation grows without bound; it is limited to pi, which means that the angle is undetermined.
     """
     deviations = []
     for joint, side in body.joints():
         wrt = _joint_derivative(body, segment_rotation, joint, side, turn_wrt_coordinates)
         variance = np.einsum("fad,fde,fae->fa", wrt, covariance, wrt, optimize=True)
-        # NaN stays NaN: there is no answer; rounding may leave a variance of zero a little below zero.
+        # NaN is kept; rounding may leave a variance of zero slightly negative.
         sd = np.minimum(np.sqrt(np.where(variance < 0, 0.0, variance)), LARGEST_ANGLE_SD)
         deviations += [sd[:, place] for place, _, _ in joint.angles]
     empty = np.zeros((len(segment_rotation), 0))
@@ -315,21 +326,21 @@ def angles_with_sd(
 def _joint_derivative(
     body: Anatomy, segment_rotation: Floats, joint: AnatomicalJoint, side: str, turn_wrt_coordinates: Floats
 ) -> Floats:
-    """Give the derivative (F, 3, D) of a joint's three turns by the coordinates."""
+    """Return the derivative (F, 3, D) of a joint's three angles by the coordinates."""
     child, parent = _pair(joint, side)
     outer, _ = _frames_in_world(body, segment_rotation, joint, side)
     turn = turn_wrt_coordinates[:, body.segment_names.index(child)]
     if parent is not None:
         turn = turn - turn_wrt_coordinates[:, body.segment_names.index(parent)]
     turn = np.swapaxes(outer, -1, -2) @ turn
-    if side == "left_":  # a turn is an axial vector: the mirror of z flips its x and y
+    if side == "left_":  # a rotation is an axial vector: mirroring z changes the sign of its x and y
         turn = turn * np.array([-1.0, -1.0, 1.0])[:, None]
     angles = _joint_angles(body, segment_rotation, joint, side)
     return np.linalg.inv(euler_axes(_off_singularity(angles, joint.sequence), joint.sequence)) @ turn
 
 
 def _off_singularity(angles: Floats, sequence: str) -> Floats:
-    """Move the middle angle a hair off where the first and the last axis fall together."""
+    """Shift the middle angle slightly away from a singularity, where the first and the last axis coincide."""
     middle = angles[..., 1]
     lever = np.sin(middle) if sequence[0] == sequence[2] else np.cos(middle)
     nudged = np.where(np.abs(lever) < _SINGULARITY_OFFSET, middle + _SINGULARITY_OFFSET, middle)
@@ -337,10 +348,10 @@ def _off_singularity(angles: Floats, sequence: str) -> Floats:
 
 
 def transverse_axes(skeleton: Skeleton) -> dict[str, Floats]:
-    """Read from a skeleton which way the arms' hinges point at rest, as `anatomy` takes them.
+    """Return the directions of the arms' hinges of a skeleton at rest, for `anatomy`.
 
     Returns:
-        For each upper arm the elbow's, for each forearm the wrist's axis of flexion (3,).
+        For each upper arm the elbow's, for each forearm the wrist's flexion axis (3,).
     """
     hinges = {"elbow_flexion": "upperarm", "wrist_flexion": "forearm"}
     wanted = {f"{side}_{c}": f"{side}_{s}" for side in ("left", "right") for c, s in hinges.items()}
@@ -348,19 +359,20 @@ def transverse_axes(skeleton: Skeleton) -> dict[str, Floats]:
 
 
 def anatomy_of(skeleton: Skeleton, joint_centres: Floats) -> Anatomy:
-    """Give the anatomical frames of a body: its skeleton and joint centres (S, 3) at rest [m]."""
+    """Return the anatomical frames of a body from its skeleton and joint centres (S, 3) at rest [m]."""
     return anatomy(skeleton.segment_names, joint_centres, transverse_axes(skeleton))
 
 
 def turns_of_steps(skeleton: Skeleton, world_axes: Floats) -> Floats:
-    """Give each segment's small turn in the world by each number of a step of the pose (`Pose.step`).
+    """Return the derivative of each segment's small rotation in the world by a step of the pose (`Pose.step`).
 
     Args:
-        skeleton: The body's.
+        skeleton: The body's skeleton.
         world_axes: (F, D - 6, 3) axes of the joint coordinates in the world (`PosedBody.world_axes`).
 
     Returns:
-        (F, S, 3, D): translation turns nothing, the root's turn all, a joint coordinate what hangs below it.
+        (F, S, 3, D): zero for the translation; the root's rotation acts on all segments, a joint coordinate on its
+        descendants.
     """
     below = skeleton.above()[:, skeleton.coordinate_segment]
     frames, segments = len(world_axes), len(below)
@@ -371,20 +383,20 @@ def turns_of_steps(skeleton: Skeleton, world_axes: Floats) -> Floats:
 
 
 def turns_by_difference(rotations_of: Callable[[Floats], Floats], coordinates: Floats, *, step: float = 1e-5) -> Floats:
-    """Give each segment's small turn by each coordinate, by central differences.
+    """Compute the derivative of each segment's small rotation by each coordinate, by central differences.
 
     Args:
-        rotations_of: Makes segment rotations (S, 3, 3) of coordinates (D,).
-        coordinates: (F, D).
-        step: Of the difference [rad or m].
+        rotations_of: Computes segment rotations (S, 3, 3) from coordinates (D,).
+        coordinates: (F, D) [rad or m].
+        step: Step of the differences [rad or m].
 
     Returns:
-        (F, S, 3, D), NaN in frames without coordinates.
+        (F, S, 3, D); NaN in frames without coordinates.
     """
     frames = [_turns_of_one(rotations_of, q, step) if np.isfinite(q).all() else None for q in coordinates]
     known = [f for f in frames if f is not None]
     if not known:
-        raise MareyError("No frame has coordinates: the turns of the segments cannot be found.")
+        raise MareyError("No frame has coordinates: the rotations of the segments cannot be computed.")
     return np.stack([np.full_like(known[0], np.nan) if f is None else f for f in frames])
 
 

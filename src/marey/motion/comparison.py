@@ -1,4 +1,4 @@
-"""Two motions side by side: how far angles, points and orientations agree, and within which limits."""
+"""Comparison of two motions: agreement of angles, points and orientations, with limits of agreement."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -12,19 +12,21 @@ from marey.motion.alignment import Alignment, align, common_time
 from marey.motion.recording import Recording
 
 _WITHIN = 1.96
-_LEAST_FOR_A_CORRELATION = 3
+"""Standard deviations of a normal distribution that contain 95 % of its values."""
+_FEWEST_FOR_CORRELATION = 3
+"""Fewest frames from which a correlation is computed."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Agreement:
-    """How one quantity of two motions agrees; differences are the first less the second. NaN where there is none."""
+    """The agreement of one quantity of two motions; differences are first minus second. NaN where undefined."""
 
     name: str
-    """The quantity: an angle, a point's coordinate, a segment's turn."""
+    """Name of the quantity: an angle, a point's coordinate, a segment's rotation."""
     kind: str
     """`angle` [rad], `place` [m], `distance` [m] or `turn` [rad]."""
     frames: int
-    """In how many frames both know it."""
+    """Number of frames in which both values are known."""
     rms: float
     """Root mean square difference."""
     bias: float
@@ -32,9 +34,9 @@ class Agreement:
     sd: float
     """Standard deviation of the differences about the bias."""
     correlation: float
-    """Of Pearson."""
+    """Pearson's correlation coefficient."""
     within_stated: float = np.nan
-    """Share of the differences that 1.96 of the stated standard deviations of both hold."""
+    """Share of the differences within 1.96 combined standard deviations of the two motions."""
 
     @property
     def unit(self) -> str:
@@ -43,27 +45,28 @@ class Agreement:
 
     @property
     def limits(self) -> tuple[float, float]:
-        """The limits of agreement: 95 % of differences lie between, were they normal ([BlandAltman1986])."""
+        """The limits of agreement, which contain 95 % of normally distributed differences ([BlandAltman1986])."""
         return self.bias - _WITHIN * self.sd, self.bias + _WITHIN * self.sd
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MotionComparison:
-    """Two motions over one time, in one laboratory, and how they agree."""
+    """Two motions at the same times in the same laboratory, and their agreement."""
 
     alignment: Alignment
     time: Floats
-    """(N,) on the first motion's clock [s]."""
+    """(N,) times on the first motion's clock [s]."""
     first: Recording
-    """What both have, at these times."""
+    """The first motion at these times, reduced to the common quantities."""
     second: Recording
-    """The same, carried into the first one's clock and laboratory."""
+    """The second motion, transformed into the first one's clock and laboratory."""
     agreements: tuple[Agreement, ...]
     only_first: tuple[str, ...] = ()
-    """What the second lacks."""
+    """Quantities missing from the second motion."""
     only_second: tuple[str, ...] = ()
+    """Quantities missing from the first motion."""
     segment_offset: Floats = field(default_factory=lambda: np.zeros((0, 3)))
-    """(S, 3) the constant turn from the first's to the second's frame of each segment, as a rotation vector [rad]."""
+    """(S, 3) constant rotation vector from the first to the second frame of each segment [rad]."""
 
     def __post_init__(self) -> None:
         freeze_fields(self, "time", "segment_offset")
@@ -72,16 +75,19 @@ class MotionComparison:
 def compare(
     first: Recording, second: Recording, *, shift_s: float | None = None, same_laboratory: bool = False
 ) -> MotionComparison:
-    """Compare what two recordings name alike.
+    """Compare the quantities of two recordings that have the same names.
 
-    The shift of the clocks and the rigid offset of the laboratories are taken out first, as section 3 of
-    [Rosenhahn2006] does. The slower recording's frames are compared; the other one is read between its own.
+    The shift of the clocks and the rigid offset of the laboratories are removed first, as in section 3 of
+    [Rosenhahn2006]. The recordings are compared at the frames of the slower one; the other one is interpolated.
 
     Args:
         first: A motion.
-        second: Another one; quantities with the same name are the same.
-        shift_s: The shift of the second clock where it is known [s].
-        same_laboratory: whether no offset of the laboratories is to be taken out.
+        second: Another motion; quantities with the same name are compared.
+        shift_s: Shift of the second clock [s]; None to estimate it.
+        same_laboratory: True if both motions are in the same laboratory frame.
+
+    Returns:
+        The aligned motions and their agreement.
 
     Raises:
         MareyError: They have no quantity or no time in common.
@@ -95,14 +101,14 @@ def compare(
     if not len(time):
         raise MareyError(f"The two motions have no time in common at a shift of {alignment.shift_s:.3f} s.")
     a = own.at(time)
-    b = _carried(other.at(time + alignment.shift_s), time, a, alignment)
+    b = _aligned(other.at(time + alignment.shift_s), time, a, alignment)
     turns, offsets = _turns(a, b)
     agreements = [*_angles(a, b), *_points(a, b), *turns]
     if not any(row.frames for row in agreements):
-        raise MareyError("The two motions have no frame in common in which both have an answer.")
+        raise MareyError("The two motions have no common frame in which both are known.")
     return MotionComparison(
         alignment=alignment, time=time, first=a, second=b, agreements=tuple(agreements),
-        only_first=_left_over(first, own), only_second=_left_over(second, other), segment_offset=offsets,
+        only_first=_missing_names(first, own), only_second=_missing_names(second, other), segment_offset=offsets,
     )  # fmt: skip
 
 
@@ -112,14 +118,14 @@ def _common_names(first: Recording, second: Recording) -> dict[str, tuple[str, .
     return {key: tuple(name for name in a if name in b) for key, (a, b) in lists.items()}
 
 
-def _left_over(whole: Recording, used: Recording) -> tuple[str, ...]:
+def _missing_names(whole: Recording, used: Recording) -> tuple[str, ...]:
     kinds = ("angle_names", "point_names", "segment_names")
     left = [name for kind in kinds for name in getattr(whole, kind) if name not in getattr(used, kind)]
     return tuple(dict.fromkeys(left))
 
 
-def _carried(second: Recording, time: Floats, first: Recording, alignment: Alignment) -> Recording:
-    """Bring the second recording into the first one's laboratory, and its angles into the same whole turn."""
+def _aligned(second: Recording, time: Floats, first: Recording, alignment: Alignment) -> Recording:
+    """Transform the second recording into the first one's laboratory, and its angles into the same period."""
     to_first = alignment.first_from_second
     return Recording(
         time=time,
@@ -130,7 +136,7 @@ def _carried(second: Recording, time: Floats, first: Recording, alignment: Align
 
 
 def _same_turn(angles: Floats, like: Floats) -> Floats:
-    """Add whole turns to each angle so that it lies nearest to another one on average."""
+    """Add multiples of 360 degrees to each angle so that it is closest to another one on average."""
     difference = np.where(np.isfinite(angles - like), angles - like, 0.0)
     counts = np.maximum(np.isfinite(angles - like).sum(0), 1)
     return np.asarray(angles - 2 * np.pi * np.round(difference.sum(0) / counts / (2 * np.pi)))
@@ -140,11 +146,14 @@ def agreement(name: str, kind: str, first: Floats, second: Floats, sd: Floats | 
     """Compare one quantity (N,) of two motions.
 
     Args:
-        name: What it is called.
-        kind: What it is.
-        first: NaN where unknown.
-        second: NaN where unknown.
-        sd: (N,) stated standard deviation of the difference, NaN where none is stated.
+        name: Name of the quantity.
+        kind: Kind of the quantity, as in `Agreement.kind`.
+        first: (N,) values of the first motion; NaN where unknown.
+        second: (N,) values of the second motion; NaN where unknown.
+        sd: (N,) standard deviation of the difference; NaN where unknown.
+
+    Returns:
+        The agreement.
     """
     known = np.isfinite(first) & np.isfinite(second)
     a, b = first[known], second[known]
@@ -152,17 +161,17 @@ def agreement(name: str, kind: str, first: Floats, second: Floats, sd: Floats | 
         return Agreement(name=name, kind=kind, frames=0, rms=np.nan, bias=np.nan, sd=np.nan, correlation=np.nan)
     difference = a - b
     stated = np.full(len(a), np.nan) if sd is None else sd[known]
-    told = np.isfinite(stated)
+    with_sd = np.isfinite(stated)
     return Agreement(
-        name=name, kind=kind, frames=len(a),
-        rms=float(np.sqrt(np.mean(difference**2))), bias=float(difference.mean()),
+        name=name, kind=kind, frames=len(a), rms=float(np.sqrt(np.mean(difference**2))), bias=float(difference.mean()),
         sd=float(difference.std(ddof=1)) if len(a) > 1 else np.nan, correlation=_correlation(a, b),
-        within_stated=float(np.mean(np.abs(difference[told]) <= _WITHIN * stated[told])) if told.any() else np.nan,
+        within_stated=float(np.mean(np.abs(difference[with_sd]) <= _WITHIN * stated[with_sd])) if with_sd.any() else
+        np.nan,
     )  # fmt: skip
 
 
 def _correlation(a: Floats, b: Floats) -> float:
-    if len(a) < _LEAST_FOR_A_CORRELATION or a.std() < 1e-9 or b.std() < 1e-9:
+    if len(a) < _FEWEST_FOR_CORRELATION or a.std() < 1e-9 or b.std() < 1e-9:
         return np.nan
     return float(np.corrcoef(a, b)[0, 1])
 
@@ -189,7 +198,7 @@ def _points(a: Recording, b: Recording) -> list[Agreement]:
 
 
 def _turns(a: Recording, b: Recording) -> tuple[list[Agreement], Floats]:
-    """Compare orientations: the angle between them as they are, and after the constant turn of a segment's frames."""
+    """Compare orientations: the angle between them before and after removal of a constant offset per segment."""
     rows, offsets = [], []
     for k, name in enumerate(a.segment_names):
         between = np.swapaxes(a.rotation[:, k], -1, -2) @ b.rotation[:, k]
@@ -208,6 +217,6 @@ def _turns(a: Recording, b: Recording) -> tuple[list[Agreement], Floats]:
 
 
 def worst(agreements: Sequence[Agreement], kind: str) -> Agreement | None:
-    """Give the quantity of a kind that agrees least, None where there is none."""
+    """Return the quantity of a kind with the largest difference, or None if there is none."""
     known = [row for row in agreements if row.kind == kind and np.isfinite(row.rms)]
     return max(known, key=lambda row: row.rms) if known else None

@@ -1,4 +1,4 @@
-"""Filters over time that shift nothing and never reach across a gap."""
+"""Zero-phase filters over time that treat the sections between gaps separately."""
 
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
@@ -6,44 +6,52 @@ from scipy.signal import butter, sosfiltfilt
 from marey.arrays import Floats
 from marey.errors import SettingProblem
 
+MINIMUM_RATE_RATIO = 2.2
+"""Values are filtered only at rates above this multiple of the cut-off where filtering is optional; the filter itself
+requires more than 2."""
 _PASSES = 2
+"""Passes of the filter: one forward, one backward."""
+_EDGE_PERIODS = 6
+"""Length of the continuation at each end in periods of the cut-off; the filter's response has decayed by then."""
 
 
 def low_pass(values: Floats, *, rate: float, cutoff_hz: float) -> Floats:
-    """Smooth by a Butterworth filter of second order run forward and back: fourth order, no lag.
+    """Smooth by a second-order Butterworth filter applied forward and backward: fourth order without lag.
 
     The design frequency is raised so that after both passes the gain at the cut-off is 1 / sqrt(2) ([Winter2009]).
-    Each run of known values between gaps is filtered alone, its ends continued point-symmetrically; gaps stay gaps.
-    Typical cut-offs: 6 Hz for walking, 10 to 15 Hz for running.
+    Each run of known values between gaps is filtered separately, with its ends continued point-symmetrically; gaps are
+    kept. Typical cut-offs: 6 Hz for walking, 10 to 15 Hz for running.
 
     Args:
-        values: (F, ...) one sample a frame; NaN where unknown.
-        rate: Frames a second [Hz].
-        cutoff_hz: Where the gain has fallen to 1 / sqrt(2) [Hz].
+        values: (F, ...) one sample per frame; NaN where unknown.
+        rate: Frames per second [Hz].
+        cutoff_hz: Frequency at which the gain is 1 / sqrt(2) [Hz].
 
     Returns:
-        (F, ...) smoothed.
+        (F, ...) smoothed values.
 
     Raises:
         SettingProblem: The cut-off is not between 0 and half the rate.
     """
     if not 0 < cutoff_hz < rate / 2:
-        raise SettingProblem(f"There is no cut-off of {cutoff_hz:g} Hz at {rate:g} Hz: above 0, below {rate / 2:g}.")
+        raise SettingProblem(
+            f"A cut-off of {cutoff_hz:g} Hz is invalid at {rate:g} Hz; it should be above 0 and below {rate / 2:g} Hz."
+        )
     bent = np.tan(np.pi * cutoff_hz / rate) / (2 ** (1 / _PASSES) - 1) ** 0.25
     raised = rate / np.pi * np.arctan(bent)
     sections = butter(2, raised, fs=rate, output="sos")
     columns = np.array(values, float).reshape(len(values), -1)
     for c in range(columns.shape[1]):
         for start, end in known_runs(columns[:, c]):
-            # The filter forgets within a few periods of the cut-off; a longer continuation changes nothing.
-            reach = min(end - start - 1, int(np.ceil(6 * rate / raised)))
+            # The filter's response decays within a few periods of the cut-off; a longer continuation changes nothing.
+            reach = min(end - start - 1, int(np.ceil(_EDGE_PERIODS * rate / raised)))
             if end - start > 1:
                 columns[start:end, c] = sosfiltfilt(sections, columns[start:end, c], padlen=reach)
     return columns.reshape(np.shape(values))
 
 
 def known_runs(values: Floats) -> list[tuple[int, int]]:
-    """List the runs of known values as pairs (first, one after the last).
+    """List the runs of known values as pairs (first index, index after the last).
 
     Args:
         values: (F,) NaN where unknown.

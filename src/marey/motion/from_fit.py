@@ -1,4 +1,4 @@
-"""From a fitted sequence to a motion: joints, coordinates and angles with their standard deviations."""
+"""Conversion of a fitted sequence to a motion: joints, coordinates and angles with standard deviations."""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,34 +15,40 @@ from marey.motion.anatomical import anatomy_of, angles_with_sd, turns_of_steps
 from marey.motion.motion import FILLED, LOST, MEASURED, NO_PERSON, BodyMotion
 
 DETERMINED = 0.5
-"""A coordinate is determined where its own frame fixes it to this share of the spread that people's joints have."""
+"""A coordinate is determined where its own frame alone gives a standard deviation below this ratio to the spread of
+that coordinate in people. Chosen by hand; results were not measured against other values."""
 ROOT_SPREAD = (0.2, 0.2, 0.2, 0.5, 0.5, 0.5)
-"""The same spread for the root [m, rad]: coarser, and nobody could say where the person is."""
+"""The spread for the coordinates of the root [m, rad]; a larger uncertainty is useless. Chosen by hand."""
+_PRIOR_RATIO = 1e-3
+"""Information of that spread, as a ratio to its inverse variance, which keeps the information invertible; numerical."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MeasuredPiece:
-    """What a motion keeps of a piece of a fitted sequence, n frames of it."""
+    """The part of a fitted sequence that is kept in a motion, for a piece of n frames."""
 
     frames: Integers
+    """(n,) frame indices of the video."""
     rotation: Floats
     """(n, S, 3, 3) world from segment."""
     origin: Floats
-    """(n, S, 3) [m]."""
+    """(n, S, 3) origins of the segments in the world [m]."""
     joints_sd: Floats
-    """(n, J, 3) [m]."""
+    """(n, J, 3) standard deviations of the joint centres [m]."""
     coordinates: Floats
-    """(n, D)."""
+    """(n, D) coordinates [m or rad]."""
     coordinates_sd: Floats
+    """(n, D) standard deviations [m or rad]."""
     determined: Mask
-    """(n, D)."""
+    """(n, D) True where a frame determines the coordinate."""
     angles: Floats
-    """(n, A) [rad]."""
+    """(n, A) anatomical angles [rad]."""
     angles_sd: Floats
+    """(n, A) standard deviations [rad]."""
 
 
 def measure_piece(fit: SequenceFit) -> MeasuredPiece:
-    """Say what a piece of a fitted sequence measured; its covariances are not needed after."""
+    """Extract the motion from a piece of a fitted sequence, so that its covariances can be released."""
     body, skeleton = fit.body, fit.body.skeleton
     degrees = len(skeleton)
     posed = [PosedBody(body, pose) for pose in fit.poses]
@@ -68,20 +74,23 @@ def motion_of(
     pieces: Sequence[MeasuredPiece], body: Body, *, count: int, rate: float, lost: Mask, camera_names: tuple[str, ...],
     agreement: Mapping[int, Floats], filled: Collection[int] = (),
 ) -> BodyMotion:  # fmt: skip
-    """Write a fitted sequence as a motion with a row for every frame of the video.
+    """Convert a fitted sequence to a motion with one row for every frame of the video.
 
-    Joint centres and angles that a preset does not follow are NaN. Its segments stay as at rest, for the files that
-    need a whole skeleton.
+    Joint centres and angles that a preset does not follow are NaN. Its segments stay as at rest, for files that need a
+    complete skeleton.
 
     Args:
-        pieces: of the sequence, in order.
-        body: that was fitted.
-        count: frames of the video.
-        rate: frames in a second.
-        lost: (count,) frames that show the person without an answer.
+        pieces: Pieces of the sequence, in order.
+        body: The fitted body.
+        count: Number of frames of the video.
+        rate: Frames per second [Hz].
+        lost: (count,) True for frames that show the person but have no pose.
         camera_names: C names.
-        agreement: (C,) of each fitted frame.
-        filled: frames of which only their neighbours spoke.
+        agreement: Maps each fitted frame to its agreement (C,) with the silhouettes.
+        filled: Frames whose pose depends on their neighbours only.
+
+    Returns:
+        The motion.
     """
     skeleton = body.skeleton
     frames = np.concatenate([piece.frames for piece in pieces])
@@ -123,30 +132,30 @@ def motion_of(
 
 
 def _only(values: Floats, measure_piece: Mask) -> Floats:
-    """Leave columns (F, n, ...) that nobody measured without an answer."""
+    """Set columns (F, n, ...) that are not measured to NaN."""
     return np.where(measure_piece.reshape(1, -1, *[1] * (values.ndim - 2)), values, np.nan)
 
 
 def _rows(values: Floats, frames: Integers, count: int) -> Floats:
-    """Give every frame of the video a row; NaN where there is no answer."""
+    """Expand values to one row for every frame of the video; NaN in the other frames."""
     full = np.full((count, *values.shape[1:]), np.nan)
     full[frames] = values
     return full
 
 
 def coordinates_of(pose: Pose) -> Floats:
-    """Give the skeleton's coordinates (D,) in a pose: the root's place [m] and turns [rad], then the joints' [rad]."""
+    """Return the coordinates (D,) of a pose: position [m] and angles [rad] of the root, then joint angles [rad]."""
     return np.concatenate([pose.translation, root_angles(pose.rotation), pose.angles])
 
 
 def _without_jumps(coordinates: Floats) -> Floats:
-    """Let the root's turns (F, D) count on through full turns."""
+    """Unwrap the root's angles in coordinates (F, D)."""
     coordinates[:, 3:6] = np.unwrap(coordinates[:, 3:6], axis=0)
     return coordinates
 
 
 def root_coordinates_from_turn(rotation: Floats) -> Floats:
-    """Give how the root's three turns change (3, 3) with a small turn about the world's axes."""
+    """Return the derivative (3, 3) of the root's three angles by a small rotation about the world's axes."""
     turns = root_angles(rotation)
     axes = np.array(ROOT_AXES)
     first = rotations.about(axes[0], turns[0])
@@ -162,9 +171,9 @@ def _coordinate_spread(covariance: Floats, to_root: Floats) -> Floats:
 
 
 def _joint_spread(posed: list[PosedBody], covariance: Floats) -> Floats:
-    """Give the standard deviation (F, J, 3) of joint centres: the poses', and how far joints lie from where skin says.
+    """Return the standard deviation (F, J, 3) of joint centres [m] from the poses and the joints' position in the body.
 
-    The part that is constant over the take (the body's own numbers) is left out; body.npz holds it.
+    The part that is constant over the take (the body's shape parameters) is not included; it is in body.npz.
     """
     spread = []
     for p, c in zip(posed, covariance, strict=True):
@@ -176,7 +185,7 @@ def _joint_spread(posed: list[PosedBody], covariance: Floats) -> Floats:
 
 
 def _determined(information: Floats, skeleton: Skeleton) -> Mask:
-    """Tell which coordinates (F, D) their own frame fixes, without its neighbours' help."""
+    """Find the coordinates (F, D) that are determined by their own frame, without its neighbours."""
     spread = np.concatenate([ROOT_SPREAD, skeleton.habit[1]])
-    own = np.linalg.inv(information + 1e-3 * np.diag(1.0 / spread**2))
+    own = np.linalg.inv(information + _PRIOR_RATIO * np.diag(1.0 / spread**2))
     return np.asarray(np.sqrt(np.diagonal(own, axis1=1, axis2=2)) < DETERMINED * spread)

@@ -1,4 +1,4 @@
-"""Gait: events of the feet, cycles between them, and curves over the cycle."""
+"""Gait events, gait cycles, and curves over the cycle."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,42 +9,48 @@ import numpy as np
 from marey.arrays import Floats
 
 STRIKE, OFF = "strike", "off"
-_LONGEST_S = 3.0  # of a gait cycle
+"""Kinds of gait event: the foot strikes the floor, or leaves it."""
+_LONGEST_CYCLE_S = 3.0
+"""Longest gait cycle [s]; strikes farther apart belong to different walks. Chosen by hand."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class GaitEvent:
-    """A foot meets or leaves the floor."""
+    """An event of a foot: strike or off."""
 
     kind: str
     """STRIKE or OFF."""
     side: str | None
-    """`left`, `right`, or None where it is not known."""
+    """`left`, `right`, or None if unknown."""
     time: float
-    """On the trial's clock [s]."""
+    """Time on the trial's clock [s]."""
     source: str
-    """`given` in the file, found from `markers`, or from `force`."""
+    """`given` (in the file), `markers` or `force`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class GaitCycle:
-    """From one strike of a foot to its next."""
+    """A gait cycle from one strike of a foot to its next."""
 
     side: str | None
+    """`left`, `right`, or None if unknown."""
     start: float
-    """[s]."""
+    """Time of the first strike [s]."""
     end: float
-    """[s]."""
+    """Time of the next strike [s]."""
     off: float | None
-    """When the foot left the floor [s]; None where that is not known."""
+    """Time at which the foot leaves the floor [s]; None if unknown."""
 
 
-def gait_cycles(events: Sequence[GaitEvent], *, longest_s: float = _LONGEST_S) -> tuple[GaitCycle, ...]:
-    """List the cycles of each foot, in the order of their beginnings.
+def gait_cycles(events: Sequence[GaitEvent], *, longest_s: float = _LONGEST_CYCLE_S) -> tuple[GaitCycle, ...]:
+    """List the cycles of each foot, in the order of their starts.
 
     Args:
-        events: In any order.
-        longest_s: Two strikes farther apart belong to different walks [s].
+        events: Events in any order.
+        longest_s: Longest gait cycle [s]; strikes farther apart belong to different walks.
+
+    Returns:
+        The cycles.
     """
     cycles = []
     for side in {event.side for event in events}:
@@ -58,27 +64,27 @@ def gait_cycles(events: Sequence[GaitEvent], *, longest_s: float = _LONGEST_S) -
 
 
 def over_cycles(values: Floats, time: Floats, cycles: Sequence[GaitCycle], *, points: int = 101) -> Floats:
-    """Put curves over the cycle: 0 to 100 % in even steps, linear between the frames.
+    """Resample curves over the gait cycle, 0 to 100 % in equal steps, by linear interpolation.
 
     Args:
-        values: (F, ...) one sample a frame; NaN where unknown.
-        time: (F,) [s], rising.
-        cycles: C of them.
-        points: P, of each curve.
+        values: (F, ...) one sample per frame; NaN where unknown.
+        time: (F,) increasing times [s].
+        cycles: C cycles.
+        points: Number P of points of each curve.
 
     Returns:
-        (C, P, ...); NaN where one of the two frames around a point is unknown, or the trial does not reach.
+        (C, P, ...); NaN where one of the two adjacent frames is unknown, and outside of the trial.
     """
     values, time = np.asarray(values, float), np.asarray(time, float)
     share = np.linspace(0, 1, points)
     at = np.array([c.start + share * (c.end - c.start) for c in cycles]).reshape(len(cycles), points)
     if len(time) < 2:
         return np.full((*at.shape, *values.shape[1:]), np.nan)
-    slack = 1e-6 * (time[1] - time[0])  # events and frames are rounded apart
+    slack = 1e-6 * (time[1] - time[0])  # events and frames are rounded independently
     at = np.where((at >= time[0] - slack) & (at <= time[-1] + slack), np.clip(at, time[0], time[-1]), np.nan)
     before = np.clip(np.searchsorted(time, np.nan_to_num(at), side="right") - 1, 0, len(time) - 2)
     part = (at - time[before]) / (time[before + 1] - time[before])
     part = part.reshape(*at.shape, *[1] * (values.ndim - 1))
     first, second = values[before], values[before + 1]
-    # A point that falls on a frame needs only that frame.
-    return np.where(part == 0, first, np.where(part == 1, second, first * (1 - part) + second * part))
+    # A point that coincides with a frame needs only that frame.
+    return np.asarray(np.where(part == 0, first, np.where(part == 1, second, first * (1 - part) + second * part)))

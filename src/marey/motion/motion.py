@@ -1,4 +1,4 @@
-"""A measured motion: every frame's joints, segments, coordinates and angles, with standard deviations."""
+"""A measured motion: joints, segments, coordinates and angles in every frame, with standard deviations."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
@@ -10,7 +10,7 @@ from marey.arrays import Floats, Integers, Mask, frozen
 from marey.errors import MareyError
 
 NO_PERSON, MEASURED, FILLED, LOST = range(4)
-"""States of a frame: nobody is there; the pose was measured; it was filled from its neighbours; the person was lost."""
+"""States of a frame: no person detected; pose measured; pose filled from its neighbours; person lost."""
 
 _SHAPES = {
     "time": "F",
@@ -26,27 +26,30 @@ _SHAPES = {
     "state": "F",
     "agreement": "FC",
 }
+"""Shape of each array field; letters are numbers of frames and names, digits are fixed sizes."""
 _NAMES = {"joint_names": "J", "segment_names": "S", "coordinate_names": "D", "angle_names": "A", "camera_names": "C"}
+"""Letter of the number of names in each field of names."""
 _DTYPES = {"determined": bool, "state": np.int8}
+"""Element types of the array fields that are not floating-point."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class BodyMotion:
-    """A motion over the F frames of a video: NaN where there is no answer; flags and states never are.
+    """A motion over the F frames of a video; NaN where there is no estimate, except in flags and states.
 
     Every array is checked against the number of frames and of names, copied, and made read-only.
     """
 
     time: Floats
-    """(F,) [s]."""
+    """(F,) time of each frame [s]."""
     rate: float
-    """Frames a second [Hz]."""
+    """Frames per second [Hz]."""
     joint_names: tuple[str, ...]
     """J names."""
     joint_centres: Floats
     """(F, J, 3) in the world [m]."""
     joint_centres_sd: Floats
-    """(F, J, 3) [m]."""
+    """(F, J, 3) standard deviations [m]."""
     segment_names: tuple[str, ...]
     """S names."""
     segment_rotation: Floats
@@ -56,23 +59,23 @@ class BodyMotion:
     coordinate_names: tuple[str, ...]
     """D names of the skeleton's coordinates, the six of the root first."""
     coordinates: Floats
-    """(F, D) [rad], the first three [m]."""
+    """(F, D) coordinates [rad], the first three [m]."""
     coordinates_sd: Floats
-    """(F, D) [rad], the first three [m]."""
+    """(F, D) standard deviations [rad], the first three [m]."""
     determined: Mask
-    """(F, D) false where the views do not fix the coordinate."""
+    """(F, D) False where the views do not determine the coordinate."""
     angle_names: tuple[str, ...]
     """A names of anatomical angles (docs/explanation/angles.md)."""
     angles_deg: Floats
-    """(F, A) [degrees]."""
+    """(F, A) angles [degrees]."""
     angles_deg_sd: Floats
-    """(F, A) [degrees]."""
+    """(F, A) standard deviations [degrees]."""
     state: Integers
-    """(F,) 0 nobody, 1 measured, 2 filled, 3 lost."""
+    """(F,) 0 no person detected, 1 measured, 2 filled, 3 lost."""
     camera_names: tuple[str, ...]
     """C names."""
     agreement: Floats
-    """(F, C) intersection over union of surface and silhouette."""
+    """(F, C) intersection over union of projected surface and silhouette."""
 
     def __post_init__(self) -> None:
         sizes = {"F": len(np.atleast_1d(self.time))}
@@ -81,61 +84,61 @@ class BodyMotion:
             object.__setattr__(self, name, names)
             sizes[letter] = len(names)
         lists = {name: getattr(self, name) for name in _NAMES}
-        faults = [f"two entries of {name} are alike" for name, own in lists.items() if len(set(own)) < len(own)]
+        faults = [f"two entries of {name} are equal" for name, own in lists.items() if len(set(own)) < len(own)]
         for name, letters in _SHAPES.items():
             array = frozen(getattr(self, name), _DTYPES.get(name, np.float64))
             wanted = tuple(sizes[c] if c in sizes else int(c) for c in letters)
             if array.shape != wanted:
-                faults.append(f"{name} is {array.shape} and should be {wanted}")
+                faults.append(f"{name} has the shape {array.shape} and should have {wanted}")
             object.__setattr__(self, name, array)
         object.__setattr__(self, "rate", float(self.rate))
         if not (np.isfinite(self.rate) and self.rate > 0):
             faults.append(f"rate is {self.rate} and should be above 0")
         if not np.isfinite(self.time).all():
-            faults.append("time has gaps")
+            faults.append("time contains NaN or infinite values")
         if not np.isin(self.state, (NO_PERSON, MEASURED, FILLED, LOST)).all():
-            faults.append("state holds values besides 0, 1, 2 and 3")
+            faults.append("state contains values other than 0, 1, 2 and 3")
         if faults:
-            raise MareyError("A motion does not fit together: " + "; ".join(faults) + ".")
+            raise MareyError("The motion is inconsistent: " + "; ".join(faults) + ".")
 
     def __len__(self) -> int:
         return len(self.time)
 
     @cached_property
     def answered(self) -> Mask:
-        """(F,) true where every segment has a pose."""
+        """(F,) True where every segment has a pose."""
         poses = np.concatenate(
             [self.segment_rotation.reshape(len(self), -1), self.segment_origin.reshape(len(self), -1)], 1
         )
         return np.asarray(np.isfinite(poses).all(1))
 
     def joint(self, name: str) -> Floats:
-        """Give one joint centre's path (F, 3) [m]."""
+        """Return one joint centre's path (F, 3) [m]."""
         return self.joint_centres[:, self._index("joint_names", name)]
 
     def segment(self, name: str) -> Floats:
-        """Give one segment's rotation (F, 3, 3), world from segment."""
+        """Return one segment's rotation (F, 3, 3), world from segment."""
         return self.segment_rotation[:, self._index("segment_names", name)]
 
     def coordinate(self, name: str) -> Floats:
-        """Give one coordinate's values (F,) [rad or m]."""
+        """Return one coordinate's values (F,) [rad or m]."""
         return self.coordinates[:, self._index("coordinate_names", name)]
 
     def angle(self, name: str) -> Floats:
-        """Give one anatomical angle's values (F,) [degrees]."""
+        """Return one anatomical angle's values (F,) [degrees]."""
         return self.angles_deg[:, self._index("angle_names", name)]
 
     def _index(self, kind: str, name: str) -> int:
         names = getattr(self, kind)
         if name not in names:
             raise MareyError(f"There is no {name!r} in {kind}. It has: {', '.join(names)}.")
-        return names.index(name)
+        return int(names.index(name))
 
     def frames(self, chosen: slice | Sequence[int] | Integers | Mask) -> "BodyMotion":
-        """Give the motion at some of its frames.
+        """Return the motion in some of its frames.
 
         Args:
-            chosen: A slice, numbers of frames, or a mask (F,).
+            chosen: A slice, frame indices, or a mask (F,).
 
         Returns:
             The motion with these frames, in this order.
@@ -144,7 +147,7 @@ class BodyMotion:
         return replace(self, **{name: getattr(self, name)[index] for name, s in _SHAPES.items() if s[0] == "F"})
 
     def gaps(self) -> list[tuple[int, int]]:
-        """List the runs of frames without an answer between the first and the last answered frame.
+        """List the runs of frames without poses between the first and the last frame with poses.
 
         Returns:
             Pairs (first frame of the gap, first frame after it).
@@ -158,5 +161,5 @@ class BodyMotion:
         return [(int(a), int(b)) for a, b in zip(starts, ends, strict=True)]
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Give every field as an array by its name, as `motion.npz` holds it."""
+        """Return every field as an array by its name, as in `motion.npz`."""
         return {field.name: np.asarray(getattr(self, field.name)) for field in fields(self)}

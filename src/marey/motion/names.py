@@ -1,4 +1,4 @@
-"""What the same angle, joint centre or segment is called elsewhere, and with which sign."""
+"""Names of angles, joint centres and segments in other programs, with the signs of angles."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -17,9 +17,11 @@ _OPENSIM_ANGLES = {
     "arm_rot": ("shoulder_rotation", 1.0), "elbow_flex": ("elbow_flexion", 1.0),
     "pro_sup": ("forearm_pronation", 1.0), "wrist_flex": ("wrist_flexion", 1.0),
 }  # fmt: skip
-"""Coordinates of OpenSim's gait models: the anatomical angle and its sign. A subtalar angle is none of ours: its axis
-is oblique. (A knee's sign differs from model to model; `hinge_sign` decides it by the knee's own motion.)"""
-_ONE_WAY = ("knee_flexion", "elbow_flexion")
+"""Maps coordinates of OpenSim's gait models to the anatomical angle and its sign. The subtalar angle has no
+counterpart, because its axis is oblique. The sign of the knee differs between models; `hinge_sign` determines it from
+the motion."""
+_HINGES = ("knee_flexion", "elbow_flexion")
+"""Angles of joints that bend in one direction only."""
 _JOINT_WORDS = {
     "hjc": "hip", "kjc": "knee", "ajc": "ankle", "sjc": "shoulder", "ejc": "elbow", "wjc": "wrist", "hip": "hip",
     "knee": "knee", "ankle": "ankle", "shoulder": "shoulder", "elbow": "elbow", "wrist": "wrist",
@@ -27,17 +29,21 @@ _JOINT_WORDS = {
     "kneejointcenter": "knee", "anklejointcenter": "ankle", "shouldercenter": "shoulder", "elbowcenter": "elbow",
     "wristcenter": "wrist", "hipcentre": "hip", "kneecentre": "knee", "anklecentre": "ankle",
 }  # fmt: skip
+"""Maps words for joint centres in other programs, in lower case, to our joints."""
 _BODIES = {
     "femur": "thigh", "tibia": "shank", "shin": "shank", "humerus": "upperarm", "radius": "forearm", "thigh": "thigh",
     "shank": "shank", "foot": "foot", "toes": "toes", "upperarm": "upperarm", "forearm": "forearm", "hand": "hand",
     "clavicle": "clavicle",
 }  # fmt: skip
+"""Maps bodies of the limbs in other programs to our segments."""
 _MIDDLE_BODIES = {"torso": "thorax", "pelvis": "pelvis", "thorax": "thorax", "head": "head"}
+"""Maps bodies without a side in other programs to our segments."""
 _SIDES = {"l": "left_", "left": "left_", "r": "right_", "right": "right_"}
+"""Maps designations of a side to our prefix."""
 
 
 def known_angle(name: str) -> tuple[str, float] | None:
-    """Give our name of an angle and the sign between, or None where the name is nobody's known one."""
+    """Return our name of an angle and the relative sign, or None for an unknown name."""
     word, side = _split_side(name)
     if word in _OPENSIM_ANGLES and (side or word.startswith(("pelvis", "lumbar"))):
         own, sign = _OPENSIM_ANGLES[word]
@@ -46,14 +52,14 @@ def known_angle(name: str) -> tuple[str, float] | None:
 
 
 def known_point(name: str) -> str | None:
-    """Give our name of a joint centre, or None."""
+    """Return our name of a joint centre, or None for an unknown name."""
     word, side = _split_side(name)
     own = _JOINT_WORDS.get(re.sub(r"[^a-z]", "", word))
     return f"{side}{own}" if own and side else None
 
 
 def known_segment(name: str) -> str | None:
-    """Give our name of a segment, or None."""
+    """Return our name of a segment, or None for an unknown name."""
     word, side = _split_side(name)
     if word in _BODIES and side:
         return f"{side}{_BODIES[word]}"
@@ -61,7 +67,7 @@ def known_segment(name: str) -> str | None:
 
 
 def _split_side(name: str) -> tuple[str, str]:
-    """Take the side off a name: `knee_angle_r`, `RKnee`, `R_KJC`, `RightKneeCenter`, `left_hip`."""
+    """Split the side from a name: `knee_angle_r`, `RKnee`, `R_KJC`, `RightKneeCenter`, `left_hip`."""
     text = name.strip()
     after = re.fullmatch(r"(.+?)[_\s.]+(l|r|left|right)", text, re.IGNORECASE)
     if after:
@@ -76,27 +82,30 @@ def _split_side(name: str) -> tuple[str, str]:
 
 
 def hinge_sign(name: str, values: Floats) -> float:
-    """Give the sign that makes a hinge's values its flexion: knees and elbows bend one way.
+    """Return the sign that makes a hinge's values positive in flexion: knees and elbows bend in one direction only.
 
     Args:
         name: Our name of the angle.
-        values: (F,) [rad].
+        values: (F,) angle [rad].
+
+    Returns:
+        1 or -1; 1 for joints that are not hinges.
     """
-    if not name.endswith(_ONE_WAY) or not np.isfinite(values).any():
+    if not name.endswith(_HINGES) or not np.isfinite(values).any():
         return 1.0
     low, high = np.nanpercentile(values, (5, 95))
     return -1.0 if abs(low) > abs(high) and low < 0 else 1.0
 
 
 def rename_columns(names: Sequence[str], chosen: Mapping[str, str]) -> tuple[list[str], list[float]]:
-    """Rename what a user named, `-name` turning the sign, and leave the rest.
+    """Rename the columns that a user specified, and keep the others.
 
     Args:
-        names: As a file has them.
-        chosen: New name by old one.
+        names: Names of the columns in a file.
+        chosen: Maps old names to new ones; a new name `-name` also changes the sign.
 
     Returns:
-        The names, and a sign of each.
+        The names, and the sign of each.
     """
     new = [chosen.get(name, name) for name in names]
     return [name.removeprefix("-") for name in new], [-1.0 if name.startswith("-") else 1.0 for name in new]

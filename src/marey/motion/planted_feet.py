@@ -1,4 +1,4 @@
-"""Feet that stand still: found in a motion, and kept in their place on a character whose legs are others."""
+"""Planted feet: detection in a motion, and correction on a character with other proportions."""
 
 from typing import NamedTuple
 
@@ -8,40 +8,45 @@ from marey.arrays import Floats, Mask
 from marey.geometry import rotations
 
 SLOW = 0.3
-"""A foot stands while the joint on which it does moves slower [m/s], ..."""
+"""Largest speed of the supporting joint of a planted foot [m/s]. Chosen by hand."""
 NEAR_GROUND = 0.06
-"""... is not higher above the ground [m], ..."""
+"""Largest height of that joint above the ground [m]. Chosen by hand."""
 STILL = 0.03
-"""... stays within this distance of where it came to stand [m], ..."""
+"""Largest distance of that joint from its position at the beginning of the stance [m]. Chosen by hand."""
 LASTING = 0.1
-"""... and all that for longer [s]."""
-_STRAIGHT = 0.999
-"""A leg is stretched no further than to this share of its length: a straight one has no side to bend to."""
+"""Shortest duration of a stance [s]. Chosen by hand."""
+_LARGEST_EXTENSION = 0.999
+"""Largest extension of a leg as a ratio to its length, because a straight leg has no bending direction. Chosen by
+hand."""
+_SMALLEST_EXTENSION = 1.001
+"""Smallest extension of a leg as a ratio to the difference of thigh and shank; numerical."""
+_GAP_RATIO = 1.5
+"""Two frames farther apart than this multiple of the median time step are separated by a gap."""
 
 
 class LegJoints(NamedTuple):
-    """The joint centres of a leg in K frames, in a scene."""
+    """The joint centres of a leg in K frames, in a scene's unit."""
 
     hip: Floats
-    """(K, 3)."""
+    """(K, 3) centre of the hip."""
     knee: Floats
-    """(K, 3)."""
+    """(K, 3) centre of the knee."""
     ankle: Floats
-    """(K, 3)."""
+    """(K, 3) centre of the ankle."""
     hinge: Floats
-    """(K, 3) the knee's axis, to the left: about which straight legs bend."""
+    """(K, 3) axis of the knee, pointing to the left, about which straight legs bend."""
 
 
 def standing(time: Floats, path: Floats, ground: float) -> list[slice]:
-    """Find when a foot stands still.
+    """Find the stances of a foot.
 
     Args:
-        time: (K,) [s].
-        path: (K, 3) of the joint on which it stands, Z up [m].
-        ground: Height of that joint in a foot that stands [m].
+        time: (K,) times [s].
+        path: (K, 3) path of the supporting joint, Z up [m].
+        ground: Height of that joint in a planted foot [m].
 
     Returns:
-        Stretches of frames, one behind the other. A foot that comes to stand elsewhere, or creeps on, begins a new one.
+        Ranges of frames in order. A foot that moves away slowly begins a new stance.
     """
     if len(time) < 3:
         return []
@@ -50,11 +55,11 @@ def standing(time: Floats, path: Floats, ground: float) -> list[slice]:
     low: Mask = (speed < SLOW) & (path[:, 2] < ground + NEAR_GROUND)
     found, first = [], 0
     for k in range(1, len(time) + 1):
-        goes_on = (
-            k < len(time) and low[k] and low[k - 1] and time[k] - time[k - 1] < 1.5 * step
+        continues = (
+            k < len(time) and low[k] and low[k - 1] and time[k] - time[k - 1] < _GAP_RATIO * step
             and np.linalg.norm(path[k] - path[first]) < STILL
         )  # fmt: skip
-        if not goes_on:
+        if not continues:
             if low[first] and time[k - 1] - time[first] > LASTING:
                 found.append(slice(first, k))
             first = k
@@ -62,14 +67,14 @@ def standing(time: Floats, path: Floats, ground: float) -> list[slice]:
 
 
 def planted_feet(path: Floats, stands: list[slice]) -> Floats:
-    """Say by how much a foot must be shifted to stand still when it should.
+    """Compute the shift of a foot that keeps it in place during its stances.
 
     Args:
-        path: (K, 3) of the joint on which the character's foot stands.
-        stands: When it should stand, see `standing`.
+        path: (K, 3) path of the supporting joint of the character's foot.
+        stands: Stances of the foot, from `standing`.
 
     Returns:
-        (K, 3): to the middle of where it stands; between two stands the shift goes smoothly from one to the next.
+        (K, 3) shift to the median position of each stance, with a smooth transition between stances.
     """
     shift = np.zeros(path.shape)
     for rows in stands:
@@ -88,18 +93,18 @@ def planted_feet(path: Floats, stands: list[slice]) -> Floats:
 
 
 def leg_rotations(leg: LegJoints, shift: Floats) -> tuple[Floats, Floats]:
-    """Bend a leg at the knee and turn it about the hip, so that its ankle is shifted.
+    """Compute the rotations of thigh and shank that shift the ankle.
 
     Args:
-        leg: As it is.
-        shift: (K, 3) of the ankle. What is out of the leg's reach is come near to.
+        leg: The leg before the shift.
+        shift: (K, 3) wanted shift of the ankle; positions out of reach are approached as far as possible.
 
     Returns:
-        By how much thigh and shank are turned in the scene, each (K, 3, 3), after what they do already.
+        Rotations of thigh and shank in the scene, each (K, 3, 3), to be applied after the present ones.
     """
     thigh, shank, wanted = leg.knee - leg.hip, leg.ankle - leg.knee, leg.ankle + shift - leg.hip
     upper, lower, far = (np.linalg.norm(v, axis=1) for v in (thigh, shank, wanted))
-    far = np.clip(far, 1.001 * np.abs(upper - lower), _STRAIGHT * (upper + lower))
+    far = np.clip(far, _SMALLEST_EXTENSION * np.abs(upper - lower), _LARGEST_EXTENSION * (upper + lower))
     bend = np.arccos(np.clip((far**2 - upper**2 - lower**2) / (2 * upper * lower), -1, 1))
     is_now = np.arctan2(np.linalg.norm(np.cross(thigh, shank), axis=1), np.sum(thigh * shank, axis=1))
     axis = np.cross(thigh, shank) + 1e-3 * (upper * lower)[:, None] * leg.hinge

@@ -1,4 +1,4 @@
-"""What two motions may have in common: angles, points and orientations over one time, wherever they came from."""
+"""Recordings of a motion from any source: angles, points and orientations over time."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -11,26 +11,28 @@ from marey.errors import MareyError
 from marey.geometry import rotations
 from marey.motion.filters import known_runs
 
-_LEAST_FOR_A_CUBIC = 4
-_SAME_TIME = 1e-6  # s; times in files have six decimals
+_FEWEST_FOR_CUBIC = 4
+"""Fewest samples of a cubic spline; shorter runs are interpolated linearly."""
+_TIME_TOLERANCE_S = 1e-6
+"""Tolerance of times [s]; times in files have six decimals."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Recording:
-    """A motion as another program may have written it; NaN where there is no answer."""
+    """A motion from this or another program; NaN where unknown."""
 
     time: Floats
-    """(F,) rising [s]."""
+    """(F,) increasing times [s]."""
     angle_names: tuple[str, ...] = ()
     """A names."""
     angles: Floats = field(default_factory=lambda: np.zeros((0, 0)))
-    """(F, A) [rad]."""
+    """(F, A) angles [rad]."""
     angles_sd: Floats = field(default_factory=lambda: np.zeros((0, 0)))
-    """(F, A) [rad]; NaN where not known."""
+    """(F, A) standard deviations [rad]; NaN where unknown."""
     point_names: tuple[str, ...] = ()
-    """P names: joint centres, markers, bones' origins."""
+    """P names of joint centres, markers or origins of bones."""
     points: Floats = field(default_factory=lambda: np.zeros((0, 0, 3)))
-    """(F, P, 3) [m]."""
+    """(F, P, 3) positions [m]."""
     segment_names: tuple[str, ...] = ()
     """S names."""
     rotation: Floats = field(default_factory=lambda: np.zeros((0, 0, 3, 3)))
@@ -40,17 +42,17 @@ class Recording:
         freeze_fields(self, "time")
         frames = len(self.time)
         if frames > 1 and not (np.diff(self.time) > 0).all():
-            raise MareyError("The times of a motion do not rise.")
+            raise MareyError("The times of a motion are not increasing.")
         shapes = {
             "angles": (frames, len(self.angle_names)), "angles_sd": (frames, len(self.angle_names)),
             "points": (frames, len(self.point_names), 3), "rotation": (frames, len(self.segment_names), 3, 3),
         }  # fmt: skip
         for name, shape in shapes.items():
             values = np.asarray(getattr(self, name), float)
-            # What was not given is empty, or unknown.
+            # Arrays that were not given are empty, or NaN if there are names.
             values = np.full(shape, np.nan) if values.size == 0 else values
             if values.shape != shape:
-                raise MareyError(f"The {name} of a motion are {values.shape} and should be {shape}.")
+                raise MareyError(f"The {name} of a motion have the shape {values.shape}; it should be {shape}.")
             object.__setattr__(self, name, frozen(values))
 
     def __len__(self) -> int:
@@ -58,11 +60,11 @@ class Recording:
 
     @property
     def rate(self) -> float:
-        """Frames a second [Hz], by the median step of time."""
+        """Frames per second [Hz], from the median time step."""
         return float(1 / np.median(np.diff(self.time))) if len(self) > 1 else np.nan
 
     def chosen(self, *, angles: Sequence[str], points: Sequence[str], segments: Sequence[str]) -> "Recording":
-        """Give some of the angles, points and segments, in the order asked for."""
+        """Return some of the angles, points and segments, in the given order."""
         a = [self.angle_names.index(name) for name in angles]
         p = [self.point_names.index(name) for name in points]
         s = [self.segment_names.index(name) for name in segments]
@@ -73,7 +75,7 @@ class Recording:
         )  # fmt: skip
 
     def at(self, time: Floats) -> "Recording":
-        """Give the motion at other times (N,) [s]: cubic between its frames, nothing across gaps or beyond its ends."""
+        """Interpolate the motion at times (N,) [s] by cubic splines; NaN across gaps and beyond the ends."""
         return Recording(
             time=time,
             angle_names=self.angle_names,
@@ -82,44 +84,43 @@ class Recording:
             point_names=self.point_names,
             points=interpolated(self.time, self.points, time),
             segment_names=self.segment_names,
-            rotation=_turned_between(self.time, self.rotation, time),
+            rotation=_interpolated_rotations(self.time, self.rotation, time),
         )
 
 
 def interpolated(time: Floats, values: Floats, at: Floats, *, cubic: bool = True, derivative: int = 0) -> Floats:
-    """Read values between their frames.
+    """Interpolate values between their frames.
 
-    Each run of known values is a cubic spline of its own (a straight line where it has less than four frames);
-    between runs, and beyond the ends, there is no answer.
+    Each run of known values has its own cubic spline (a linear one if it has fewer than four frames).
 
     Args:
-        time: (F,) [s].
+        time: (F,) time of each frame [s].
         values: (F, ...); NaN where unknown.
-        at: (N,) [s].
-        cubic: False for straight lines, which never overshoot.
-        derivative: 1 for the rate of change.
+        at: (N,) times [s].
+        cubic: False for linear interpolation, which never overshoots.
+        derivative: 1 for the derivative by time.
 
     Returns:
-        (N, ...).
+        (N, ...); NaN between runs and beyond the ends.
     """
     columns = np.asarray(values, float).reshape(len(time), -1)
     result = np.full((len(at), columns.shape[1]), np.nan)
     known = np.isfinite(columns)
-    # Columns with the same gaps are splined together.
+    # Columns with the same gaps are interpolated together.
     patterns, group = np.unique(known, axis=1, return_inverse=True)
     for g in range(patterns.shape[1]):
         members = np.flatnonzero(group.ravel() == g)
         for start, end in known_runs(np.where(patterns[:, g], 0.0, np.nan)):
-            inside = (at >= time[start] - _SAME_TIME) & (at <= time[end - 1] + _SAME_TIME)
+            inside = (at >= time[start] - _TIME_TOLERANCE_S) & (at <= time[end - 1] + _TIME_TOLERANCE_S)
             if inside.any():
                 run = slice(start, end)
-                read = _reader(time[run], columns[run][:, members], cubic=cubic, derivative=derivative)
-                result[np.ix_(inside, members)] = read(np.clip(at[inside], time[start], time[end - 1]))
+                interpolate = _interpolator(time[run], columns[run][:, members], cubic=cubic, derivative=derivative)
+                result[np.ix_(inside, members)] = interpolate(np.clip(at[inside], time[start], time[end - 1]))
     return result.reshape(len(at), *np.shape(values)[1:])
 
 
-def _reader(time: Floats, values: Floats, *, cubic: bool, derivative: int) -> Callable[[Floats], Floats]:
-    if cubic and len(time) >= _LEAST_FOR_A_CUBIC:
+def _interpolator(time: Floats, values: Floats, *, cubic: bool, derivative: int) -> Callable[[Floats], Floats]:
+    if cubic and len(time) >= _FEWEST_FOR_CUBIC:
         spline = CubicSpline(time, values)
         return lambda at: np.asarray(spline(at, derivative))
     if len(time) == 1:
@@ -136,7 +137,7 @@ def _reader(time: Floats, values: Floats, *, cubic: bool, derivative: int) -> Ca
 
 
 def continuous_angles(angles: Floats) -> Floats:
-    """Undo jumps by whole turns between known frames of angles (F, A) [rad]."""
+    """Unwrap angles (F, A) [rad] over their known frames."""
     result = np.array(angles, float)
     for column in range(result.shape[1]):
         known = np.isfinite(result[:, column])
@@ -144,20 +145,20 @@ def continuous_angles(angles: Floats) -> Floats:
     return result
 
 
-def _turned_between(time: Floats, rotation: Floats, at: Floats) -> Floats:
-    """Read rotations (F, S, 3, 3) between their frames through splines of their quaternions."""
+def _interpolated_rotations(time: Floats, rotation: Floats, at: Floats) -> Floats:
+    """Interpolate rotations (F, S, 3, 3) by splines of their quaternions."""
     quaternions = rotations.to_quaternion(rotation)
     for s in range(quaternions.shape[1]):
         known = np.isfinite(quaternions[:, s]).all(-1)
         if known.any():
             quaternions[known, s] = rotations.continuous(quaternions[known, s])
-    read = interpolated(time, quaternions, at)
-    known = np.isfinite(read).all(-1)
-    result = np.full((*read.shape[:2], 3, 3), np.nan)
-    result[known] = rotations.from_quaternion(read[known])
+    quaternions_at = interpolated(time, quaternions, at)
+    known = np.isfinite(quaternions_at).all(-1)
+    result = np.full((*quaternions_at.shape[:2], 3, 3), np.nan)
+    result[known] = rotations.from_quaternion(quaternions_at[known])
     return result
 
 
 def answered(values: Floats) -> Mask:
-    """Tell which rows (F,) of values (F, ...) are known whole."""
+    """Find the rows (F,) of values (F, ...) that are completely known."""
     return np.asarray(np.isfinite(values).reshape(len(values), -1).all(1))

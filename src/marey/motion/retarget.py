@@ -1,4 +1,4 @@
-"""Retargeting: a motion carried over to another character's tree of joints, whatever its names, sizes and axes."""
+"""Retargeting: transfer of a motion to a character's joint hierarchy with other names, sizes and axes."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -11,6 +11,7 @@ from marey.arrays import Floats, Integers, freeze_fields
 from marey.body.articulation.skeleton import PARENTS
 from marey.errors import MareyError
 from marey.geometry import rotations
+from marey.motion.anatomical import NEXT_DISTAL
 from marey.motion.motion import BodyMotion
 from marey.motion.planted_feet import LegJoints, leg_rotations, planted_feet, standing
 from marey.motion.twist import reduce_twist
@@ -23,38 +24,41 @@ REQUIRED_SEGMENTS = (
         for limb in ("thigh", "shank", "foot", "upperarm", "forearm", "hand")
     ),
 )
-"""Segments without which a character cannot take up a motion."""
+"""Segments that a character must have."""
 _TRUNK = ("pelvis", "abdomen", "thorax", "neck", "head")
-_NEXT = {"thigh": "shank", "shank": "foot", "upperarm": "forearm", "forearm": "hand"}
+"""Segments of the trunk from the pelvis to the head."""
 _LEGS = (("thigh", "shank"), ("shank", "foot"))
+"""Pairs of neighbouring segments of a leg."""
 _SIDES = ("left", "right")
+"""Names of the two sides."""
 _UPRIGHT = np.cos(np.radians(35.0))
-_LOWEST = 0.02
-"""Share of the frames in which a foot is lower than what counts as the ground."""
+"""Cosine of the largest angle between the spine and the vertical axis at rest. Chosen by hand."""
+_GROUND_QUANTILE = 0.02
+"""Quantile of the foot's height that counts as the ground. Chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CharacterRig:
-    """A character's nodes at rest, n of them, and which of them are our segments."""
+    """The n nodes of a character at rest, and the assignment of our segments to them."""
 
     parents: Integers
-    """(n,) -1 for roots."""
+    """(n,) index of each node's parent; -1 for roots."""
     translation: Floats
-    """(n, 3) in the parent [the scene's unit]."""
+    """(n, 3) translation relative to the parent [the scene's unit]."""
     rotation: Floats
-    """(n, 3, 3) in the parent."""
+    """(n, 3, 3) rotation relative to the parent."""
     scale: Floats
-    """(n, 3)."""
+    """(n, 3) scale factors."""
     nodes: Mapping[str, int]
-    """By segment: its node."""
+    """Maps each segment to its node."""
     scene_from_world: Floats
-    """(3, 3) the scene's axes, in which the motion shall be seen."""
+    """(3, 3) rotation from the motion's world to the scene."""
     skin: Floats | None = None
-    """(V, 3) at rest in the scene; None where nobody knows."""
+    """(V, 3) vertices at rest in the scene; None if unknown."""
     guessed: tuple[str, ...] = ()
-    """Segments whose joints were guessed by their places, not named."""
+    """Segments whose joints were inferred from their positions rather than their names."""
     twists: Mapping[int, tuple[str, float]] = field(default_factory=dict)
-    """By node of a limb that several nodes turn about its axis: the segment, and the share of its twist."""
+    """Maps each twist node of a limb to the segment, and to the node's share of the segment's twist."""
 
     def __post_init__(self) -> None:
         freeze_fields(self, "parents", dtype=np.int64)
@@ -63,11 +67,11 @@ class CharacterRig:
     @cached_property
     def order(self) -> list[int]:
         """The nodes, parents before children."""
-        depth = [len(self.above(n)) for n in range(len(self.parents))]
+        depth = [len(self.ancestors(n)) for n in range(len(self.parents))]
         return [int(n) for n in np.argsort(depth, kind="stable")]
 
-    def above(self, node: int) -> list[int]:
-        """List the nodes above one, the nearest first."""
+    def ancestors(self, node: int) -> list[int]:
+        """List the ancestors of a node, the nearest first."""
         path: list[int] = []
         while self.parents[node] >= 0:
             node = int(self.parents[node])
@@ -82,51 +86,53 @@ class CharacterRig:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PosedRig:
-    """Nodes in the scene in F frames."""
+    """The poses of all nodes in the scene in F frames."""
 
     linear: Floats
-    """(F, n, 3, 3) rotation and scale."""
+    """(F, n, 3, 3) rotation and scale in the scene."""
     position: Floats
-    """(F, n, 3)."""
+    """(F, n, 3) position in the scene [scene's unit]."""
     local: dict[int, Floats]
-    """By node that was turned: its rotation (F, 3, 3) in its parent."""
+    """Maps each rotated node to its rotation (F, 3, 3) relative to its parent."""
     shift: Floats
-    """(F, 3) translation in its parent of the node that was moved, or of none."""
+    """(F, 3) translation of the moved node relative to its parent; zero if none was moved."""
 
     def middle(self, nodes: list[int]) -> Floats:
-        """Give the middle (F, 3) of nodes in the scene."""
+        """Return the mean position (F, 3) of nodes in the scene."""
         return np.asarray(self.position[:, nodes].mean(1))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RigMotion:
-    """What moves a rig: rotations of nodes in their parents, and the place of one of them, in K frames."""
+    """Animation of a rig: rotations of nodes relative to their parents, and the position of one node, in K frames."""
 
     time: Floats
-    """(K,) [s]."""
+    """(K,) times of the keys [s]."""
     rotation: dict[int, Floats]
-    """By node: unit quaternions (K, 4) as w, x, y, z, without jumps of sign."""
+    """Maps each node to unit quaternions (K, 4) as w, x, y, z, without changes of sign."""
     root: int
-    """The node that is moved."""
+    """The translated node."""
     translation: Floats
-    """(K, 3) of the root in its parent."""
+    """(K, 3) position of the root relative to its parent [scene's unit]."""
     gaps: tuple[tuple[float, float], ...]
-    """Times of the last key before and the first key after frames without an answer [s]."""
+    """Times of the last key before and the first key after each gap of the motion [s]."""
     slides: tuple[float, float] | None = None
-    """How far standing feet slide, root mean square, without and with planted feet [scene's unit]; None where none
-    stands."""
+    """RMS sliding of planted feet without and with correction [scene's unit]; None without planted feet."""
 
 
 def pose_rig(rig: CharacterRig, frames: int, turns: Mapping[int, Floats], moved: tuple[int, Floats] | None) -> PosedRig:
-    """Pose a rig: some nodes are turned in the scene, all others stay in their parents as at rest.
+    """Pose a rig with given rotations of some nodes in the scene; all others keep their rest pose in their parents.
 
-    Below scales that differ by axis no rotation does exactly what is wanted; the nearest one is taken.
+    Below nodes with anisotropic scale no rotation is exact; the nearest one is used.
 
     Args:
-        rig: n nodes.
-        frames: F.
-        turns: By node: how it is turned (F, 3, 3) in the scene from its rest.
-        moved: A node and its place (F, 3) in the scene; its parent must stand still or be turned only.
+        rig: Rig with n nodes.
+        frames: Number F of frames.
+        turns: Maps nodes to their rotations (F, 3, 3) in the scene relative to the rest pose.
+        moved: A node and its position (F, 3) in the scene; its parent must not be translated.
+
+    Returns:
+        The poses of all nodes.
     """
     count = len(rig.parents)
     linear, position = np.zeros((frames, count, 3, 3)), np.zeros((frames, count, 3))
@@ -149,16 +155,16 @@ def pose_rig(rig: CharacterRig, frames: int, turns: Mapping[int, Floats], moved:
 
 
 def rest_joints(motion: BodyMotion) -> Floats:
-    """Give the joint centres (S, 3) of a motion's body in the rest posture, from the pelvis [m].
+    """Return the joint centres (S, 3) of a motion's body in the rest posture, relative to the pelvis [m].
 
-    They are fixed in the parent segment, so that every answered frame tells them.
+    They are fixed in the parent segment; the median over all frames with poses is used.
 
     Raises:
-        MareyError: No frame is answered, or a parent segment is missing.
+        MareyError: No frame has poses, or a parent segment is missing.
     """
     names, known = motion.segment_names, np.flatnonzero(motion.answered)
     if not len(known):
-        raise MareyError("The motion has no answered frame.")
+        raise MareyError("The motion has no frame with poses.")
     joints = np.zeros((len(names), 3))
     for k, name in enumerate(names):
         parent = PARENTS.get(name)
@@ -174,21 +180,21 @@ def rest_joints(motion: BodyMotion) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class _RestAlignment:
-    """How a rig at rest stands beside the motion's body at rest."""
+    """Alignment of a rig at rest with the motion's body at rest."""
 
     rig: CharacterRig
     motion: BodyMotion
     floor: float | None
-    """Height of the body's lowest skin above its pelvis at rest [m], below 0."""
+    """Height of the body's lowest vertex relative to its pelvis at rest [m], negative."""
 
     @cached_property
     def own(self) -> dict[str, Floats]:
-        """By segment: the body's joint centre at rest [m], from the pelvis."""
+        """The body's joint centre of each segment at rest, relative to the pelvis [m]."""
         return dict(zip(self.motion.segment_names, rest_joints(self.motion), strict=True))
 
     @cached_property
     def world_from_scene(self) -> Floats:
-        """The turn (3, 3) that stands the character upright, looking along -Y as the body does at rest."""
+        """The rotation (3, 3) that makes the character upright and face -Y, as the body does at rest."""
         place = {s: self.rig.at_rest.position[0, n] for s, n in self.rig.nodes.items()}
         pairs = [(place[f"left_{limb}"], place[f"right_{limb}"]) for limb in ("thigh", "upperarm")]
         left = np.sum([a - b for a, b in pairs], axis=0)
@@ -205,18 +211,18 @@ class _RestAlignment:
 
     @cached_property
     def their_floor(self) -> float | None:
-        """Height of the character's lowest skin, in the body's axes; None where nobody knows."""
+        """Height of the character's lowest vertex in the body's axes [scene's unit]; None if unknown."""
         skin = self.rig.skin
         return None if skin is None or not len(skin) else float((skin @ self.world_from_scene[2]).min())
 
     @cached_property
     def theirs(self) -> dict[str, Floats]:
-        """By segment: the character's joint centre at rest [scene's unit], in the body's axes."""
+        """The character's joint centre of each segment at rest, in the body's axes [scene's unit]."""
         return {s: self.world_from_scene @ self.rig.at_rest.position[0, n] for s, n in self.rig.nodes.items()}
 
     @cached_property
     def size(self) -> float:
-        """The character's legs beside the body's [scene's unit / m]."""
+        """Ratio of the character's leg length to the body's [scene's unit / m]."""
         lengths = [
             sum(np.linalg.norm(at[f"{s}_{b}"] - at[f"{s}_{a}"]) for s in ("left", "right") for a, b in _LEGS)
             for at in (self.theirs, self.own)
@@ -225,31 +231,31 @@ class _RestAlignment:
 
     @cached_property
     def turns(self) -> dict[str, Floats]:
-        """By segment: the turn (3, 3) from the character's rest posture to the body's.
+        """The rotation (3, 3) of each segment from the character's rest posture to the body's.
 
-        The bones of arms and legs are laid along the body's by the shortest turn of each; hands follow the forearms.
-        Feet stay flat and are headed as the body's. Trunk, head and clavicles stay as they are.
+        The bones of arms and legs are aligned with the body's by the shortest rotation; hands follow the forearms. Feet
+        stay flat and get the body's heading. Trunk, head and clavicles are unchanged.
         """
         found: dict[str, Floats] = {}
         for name, parent in PARENTS.items():
             if name not in self.rig.nodes:
                 continue
             side, _, kind = name.rpartition("_")
-            above = found.get(parent or "", np.eye(3))
+            parent_turn = found.get(parent or "", np.eye(3))
             if not side or kind == "clavicle":
                 found[name] = np.eye(3)
-            elif kind in _NEXT:
-                end = f"{side}_{_NEXT[kind]}"
+            elif kind in NEXT_DISTAL:
+                end = f"{side}_{NEXT_DISTAL[kind]}"
                 theirs, own = self.theirs[end] - self.theirs[name], self.own[end] - self.own[name]
-                found[name] = rotations.shortest(above @ theirs, own) @ above
+                found[name] = rotations.shortest(parent_turn @ theirs, own) @ parent_turn
             elif kind == "foot":
                 found[name] = self._heading(side)
             else:
-                found[name] = above
+                found[name] = parent_turn
         return found
 
     def _heading(self, side: str) -> Floats:
-        """Turn a foot about the vertical, so that it is headed as the body's."""
+        """Return the rotation of a foot about the vertical that gives it the body's heading."""
         if f"{side}_toes" not in self.theirs or f"{side}_toes" not in self.own:
             return np.eye(3)
         flat = np.array([1.0, 1.0, 0.0])
@@ -258,34 +264,37 @@ class _RestAlignment:
         return rotations.shortest(theirs, own) if shortest > 1e-9 else np.eye(3)
 
     def in_scene(self, turns: Floats, segment: str | None = None) -> Floats:
-        """Give how a node is turned (F, 3, 3) in the scene from its segment's rotations (F, 3, 3) in the world."""
-        laid = self.turns[segment] if segment is not None else np.eye(3)
-        return self.rig.scene_from_world @ turns @ laid @ self.world_from_scene
+        """Convert a segment's rotations (F, 3, 3) in the world to its node's rotations (F, 3, 3) in the scene."""
+        alignment = self.turns[segment] if segment is not None else np.eye(3)
+        return self.rig.scene_from_world @ turns @ alignment @ self.world_from_scene
 
 
 def retarget(
     motion: BodyMotion, rig: CharacterRig, *, floor: float | None = None, grounded: bool = True, planted: bool = False
 ) -> RigMotion:
-    """Carry a motion over to a rig.
+    """Transfer a motion to a rig.
 
-    Every joint that is one of our segments turns in the world as the segment does, counted from a common rest posture:
-    so the bones of arms and legs point where the body's do, whatever the character's own rest posture. Joints of the
-    spine and neck between two of ours share the turn between them evenly; where several joints turn a limb about its
-    axis, each takes its share of that; all others stay in their parents as they are. The hips go the body's way,
-    enlarged as the legs are long.
+    Every joint that corresponds to one of our segments has the segment's rotation in the world, relative to a common
+    rest posture: the bones of arms and legs have the body's directions, whatever the character's own rest posture.
+    Joints of the spine and neck between two of ours share the rotation between them equally; twist joints of a limb
+    take their share of its twist; all others keep their rest pose in their parents. The path of the hips is scaled by
+    the ratio of leg lengths.
 
     Args:
-        motion: The body's. Frames without an answer have no key.
-        rig: The character's.
-        floor: Height of the body's lowest skin above its pelvis at rest [m]; where it is not known, the character's
-            ankles stand above its soles in proportion as the body's do.
-        grounded: whether the character is shifted up or down in each frame until its lower foot is as high above the
-            floor as the body's, enlarged as the legs are long. It differs where thighs and shanks, or ankles and
-            toes, have other proportions.
-        planted: whether feet that stand still in the motion stand still on the character: legs bend for that.
+        motion: Motion of the body. Frames without poses have no key.
+        rig: Rig of the character.
+        floor: Height of the body's lowest vertex relative to its pelvis at rest [m]; if unknown, the height of the
+            character's ankles above its soles is assumed proportional to the body's.
+        grounded: Whether the character is shifted vertically in each frame so that its lower foot has the body's height
+            above the floor, scaled by leg length. This matters for other proportions of thighs and shanks, or of ankles
+            and toes.
+        planted: Whether feet that are planted in the motion are also planted on the character, by bending the legs.
+
+    Returns:
+        The animation of the rig.
 
     Raises:
-        MareyError: A joint is missing or out of order, or the character does not stand upright.
+        MareyError: A joint is missing or misplaced in the hierarchy, or the character is not upright at rest.
     """
     _check(rig)
     fit = _RestAlignment(rig, motion, floor)
@@ -293,7 +302,7 @@ def retarget(
     turns = _turns(fit, known)
     hips = _hips(fit, known)
     posed = _place(fit, turns, hips)
-    # Where the legs do not hang from the pelvis itself, its turn alone does not bring the hips to their place.
+    # Where the legs are not children of the pelvis, its rotation alone does not move the hips to their position.
     place = hips + (hips - posed.middle(_thighs(rig)))
     if grounded:
         place = place + _lift(fit, posed, hips, known)[:, None] * rig.scene_from_world[:, 2]
@@ -314,7 +323,7 @@ def retarget(
 
 
 def _check(rig: CharacterRig) -> None:
-    """Refuse a rig that lacks joints, or whose joints hang together otherwise than a body's."""
+    """Check that a rig has the required joints in the hierarchy of a body."""
     missing = [name for name in REQUIRED_SEGMENTS if name not in rig.nodes]
     if missing:
         raise MareyError(f"no joint is known for {', '.join(missing)}")
@@ -322,12 +331,12 @@ def _check(rig: CharacterRig) -> None:
         parent = PARENTS[name]
         while parent is not None and parent not in rig.nodes:
             parent = PARENTS[parent]
-        if parent is not None and rig.nodes[parent] not in rig.above(node):
-            raise MareyError(f"the joint of {name} does not hang from that of {parent}")
+        if parent is not None and rig.nodes[parent] not in rig.ancestors(node):
+            raise MareyError(f"the joint of {name} is not a descendant of that of {parent}")
 
 
 def _turns(fit: _RestAlignment, known: Integers) -> dict[int, Floats]:
-    """Give the rotations (K, 3, 3) in the scene of all nodes that are turned."""
+    """Return the rotations (K, 3, 3) in the scene of all rotated nodes."""
     motion, rig = fit.motion, fit.rig
     by_segment = {name: motion.segment(name)[known] for name in rig.nodes if name in motion.segment_names}
     turned = {rig.nodes[name]: fit.in_scene(turns, name) for name, turns in by_segment.items()}
@@ -335,12 +344,12 @@ def _turns(fit: _RestAlignment, known: Integers) -> dict[int, Floats]:
         parent = PARENTS[name]
         if name in by_segment and parent in motion.segment_names:
             side, _, kind = name.rpartition("_")
-            axis = fit.own[f"{side}_{_NEXT[kind]}"] - fit.own[name]
+            axis = fit.own[f"{side}_{NEXT_DISTAL[kind]}"] - fit.own[name]
             turns = reduce_twist(motion.segment(str(parent))[known], by_segment[name], axis, share)
             turned[node] = fit.in_scene(turns, name)
     trunk = [name for name in _TRUNK if name in by_segment]
     for lower, upper in pairwise(trunk):
-        path = rig.above(rig.nodes[upper])
+        path = rig.ancestors(rig.nodes[upper])
         between = path[: path.index(rig.nodes[lower])][::-1]
         first = by_segment[lower]
         vector = rotations.log(np.swapaxes(first, 1, 2) @ by_segment[upper])
@@ -351,21 +360,21 @@ def _turns(fit: _RestAlignment, known: Integers) -> dict[int, Floats]:
 
 
 def _feet(rig: CharacterRig, motion: BodyMotion) -> dict[str, str]:
-    """Give by side the joint on which a foot stands: the toes', or the ankle where one of the two lacks toes."""
+    """Return each side's supporting joint: the toes, or the ankle if rig or motion has no toes."""
     toes = {side: f"{side}_toes" for side in _SIDES}
     return {s: t if t in rig.nodes and t in motion.segment_names else f"{s}_foot" for s, t in toes.items()}
 
 
 def _stands(fit: _RestAlignment, known: Integers) -> dict[str, list[slice]]:
-    """Find by side when the body's foot stands still, as rows of the known frames."""
+    """Find each side's stances of the body's foot, as ranges of the known frames."""
     motion, feet = fit.motion, _feet(fit.rig, fit.motion)
     paths = {side: motion.segment_origin[known, motion.segment_names.index(name)] for side, name in feet.items()}
-    ground = min(float(np.quantile(path[:, 2], _LOWEST)) for path in paths.values())
+    ground = min(float(np.quantile(path[:, 2], _GROUND_QUANTILE)) for path in paths.values())
     return {side: standing(motion.time[known], path, ground) for side, path in paths.items()}
 
 
 def _slide(fit: _RestAlignment, posed: PosedRig, stands: Mapping[str, list[slice]]) -> float | None:
-    """Say how far standing feet slide from where they stand, root mean square; None where none stands."""
+    """Return the RMS sliding of planted feet [scene's unit]; None without planted feet."""
     off = [
         place[rows] - np.median(place[rows], axis=0)
         for side, name in _feet(fit.rig, fit.motion).items()
@@ -378,7 +387,7 @@ def _slide(fit: _RestAlignment, posed: PosedRig, stands: Mapping[str, list[slice
 def _planted(
     fit: _RestAlignment, posed: PosedRig, turns: Mapping[int, Floats], stands: Mapping[str, list[slice]]
 ) -> dict[int, Floats]:
-    """Give the legs' turns with which feet that stand still do so on the rig."""
+    """Return the rotations of the legs that keep planted feet in place on the rig."""
     rig = fit.rig
     changed: dict[int, Floats] = {}
     for side, name in _feet(rig, fit.motion).items():
@@ -394,16 +403,16 @@ def _planted(
 
 
 def _hips(fit: _RestAlignment, known: Integers) -> Floats:
-    """Give where the middle between the hips goes (K, 3) in the scene."""
+    """Return the path (K, 3) of the midpoint between the hips in the scene."""
     motion, size = fit.motion, fit.size
     middle = np.mean([motion.segment_origin[known, motion.segment_names.index(f"{s}_thigh")] for s in _SIDES], axis=0)
     ankles = _ankle_heights(fit)
     higher = ankles[0] - size * ankles[1] if ankles else 0.0
-    return (size * middle + np.array([0.0, 0.0, higher])) @ fit.rig.scene_from_world.T
+    return np.asarray((size * middle + np.array([0.0, 0.0, higher])) @ fit.rig.scene_from_world.T)
 
 
 def _ankle_heights(fit: _RestAlignment) -> tuple[float, float] | None:
-    """Give how high the ankles stand above the soles at rest, the character's and the body's, where both are known."""
+    """Return the heights of the ankles above the soles at rest, of character and body; None if one is unknown."""
     if fit.floor is None or fit.their_floor is None:
         return None
     theirs, own = (np.mean([at[f"{side}_foot"][2] for side in _SIDES]) for at in (fit.theirs, fit.own))
@@ -415,20 +424,20 @@ def _thighs(rig: CharacterRig) -> list[int]:
 
 
 def _place(fit: _RestAlignment, turns: dict[int, Floats], hips: Floats) -> PosedRig:
-    """Pose the rig with its pelvis where the middle between its hips would come to lie at places (K, 3)."""
+    """Pose the rig so that the midpoint between its hips would be at positions (K, 3)."""
     rig, root = fit.rig, fit.rig.nodes["pelvis"]
     away = rig.at_rest.middle(_thighs(rig))[0] - rig.at_rest.position[0, root]
     return pose_rig(rig, len(hips), turns, (root, hips - turns[root] @ away))
 
 
 def _lift(fit: _RestAlignment, posed: PosedRig, hips: Floats, known: Integers) -> Floats:
-    """Give how much higher (K,) the character must be for its lower foot to be as high as the body's.
+    """Return the vertical shift (K,) with which the character's lower foot has the height of the body's.
 
     Args:
         fit: The rig and the body.
-        posed: The rig with all its turns, somewhere.
-        hips: (K, 3) where the middle between the hips shall be in the scene.
-        known: (K,) frames.
+        posed: The rig with all its rotations, at an arbitrary position.
+        hips: (K, 3) wanted midpoint between the hips in the scene.
+        known: (K,) indices of the frames with poses.
     """
     motion, rig, size = fit.motion, fit.rig, fit.size
     names, up = motion.segment_names, rig.scene_from_world[:, 2]
@@ -438,7 +447,7 @@ def _lift(fit: _RestAlignment, posed: PosedRig, hips: Floats, known: Integers) -
     feet = [f"{side}_{part}" for side in _SIDES for part in ("foot", "toes")]
     feet = [name for name in feet if name in rig.nodes and name in names]
     thighs = posed.middle(_thighs(rig))
-    # How high each joint has risen above where it stands at rest, the character's and the body's, enlarged.
+    # Height of each joint relative to rest, of the character and of the scaled body.
     is_now = [(posed.position[:, rig.nodes[n]] - thighs + hips) @ up - fit.theirs[n][2] for n in feet]
     shall = [size * (motion.segment_origin[known, names.index(n), 2] - fit.own[n][2]) + both for n in feet]
     return np.asarray(np.min(shall, axis=0) - np.min(is_now, axis=0))

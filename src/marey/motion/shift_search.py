@@ -1,34 +1,37 @@
-"""How well two recordings agree at every shift of their clocks, all shifts at once by Fourier transforms."""
+"""Agreement of two recordings at every shift of their clocks, computed by Fourier transforms."""
 
 import numpy as np
 from scipy import fft
 
 from marey.arrays import Floats, Mask
 
-_FLOOR = 1e-9  # of the variance: equal recordings agree to rounding only
-_FLAT = 1e-3
-_NOTHING = 1e-12
+_VARIANCE_FLOOR = 1e-9
+"""Smallest remaining share of the variance; equal recordings agree up to rounding only."""
+MINIMUM_SINGULAR_RATIO = 1e-3
+"""Smallest ratio of the second to the first singular value that determines a rotation. Chosen by hand."""
+_NO_VARIANCE = 1e-12
+"""Ratio of the variance to the mean square below which a column is constant; numerical."""
 
 
 def agreement_by_lag(
     scalars: tuple[Floats, Floats], vectors: tuple[Floats, Floats], *, places: bool, least: int
 ) -> tuple[Floats, Floats]:
-    """Measure how badly two recordings agree at each lag: the logarithm of what is left of the variance.
+    """Compute the disagreement of two recordings at each lag: the logarithm of the remaining share of the variance.
 
-    Scalars may differ by a constant; vectors are carried onto each other by the best rotation, and translation where
-    they are places. Dividing by the variance keeps two spans in which nothing moves from passing for a good fit. The
-    mean over all numbers says how good a fit is; their sum, as in a likelihood, says how much speaks for it: where a
-    motion repeats itself, the lag that leaves more in common.
+    Scalars may differ by a constant; vectors are aligned by the best rotation, and translation if they are positions.
+    Normalisation by the variance prevents sections without motion from counting as a good fit. The mean over all
+    numbers measures the quality of the fit; the sum, as in a log likelihood, measures the evidence: for a periodic
+    motion it favours the lag with the longer overlap.
 
     Args:
-        scalars: (N, K) and (M, K) on one time step; NaN where unknown.
+        scalars: (N, K) and (M, K) with the same time step; NaN where unknown.
         vectors: (N, P, 3) and (M, P, 3).
-        places: whether a translation lies between the vectors, too.
-        least: Frames in common that a column must have to count.
+        places: Whether the vectors are positions, which may differ by a translation.
+        least: Fewest common frames of a column.
 
     Returns:
-        Mean and sum (N + M - 1,) for lags from -(N - 1) to M - 1: sample i of the first is beside sample i + lag of
-        the second. Infinite where nothing is in common.
+        Mean and sum (N + M - 1,) for lags from -(N - 1) to M - 1: sample i of the first corresponds to sample i + lag
+        of the second. Infinite without common data.
     """
     n, m = len(scalars[0]), len(scalars[1])
     total, weight = np.zeros(n + m - 1), np.zeros(n + m - 1)
@@ -44,7 +47,7 @@ def agreement_by_lag(
 
 
 def _of_scalar(a: Floats, b: Floats, least: int) -> tuple[Floats, Floats]:
-    """Give the logarithm and the count at each lag of one column; 0 of both where it tells nothing."""
+    """Return the logarithm and the count at each lag of one column; both 0 where it is not usable."""
     (a, seen_a), (b, seen_b) = (_centred(column) for column in (a, b))
     pair = _Lags(len(a), len(b))
     count = pair.counts(seen_a, seen_b)
@@ -57,9 +60,9 @@ def _of_scalar(a: Floats, b: Floats, least: int) -> tuple[Floats, Floats]:
 
 
 def _of_vectors(p: Floats, q: Floats, *, places: bool, least: int) -> tuple[Floats, Floats]:
-    """Give the logarithm and the count at each lag of all vectors together."""
+    """Return the logarithm and the count at each lag of all vectors together."""
     seen = [np.asarray(np.isfinite(x).all(-1)) for x in (p, q)]
-    p, q = (_level(x, known, places=places) for x, known in zip((p, q), seen, strict=True))
+    p, q = (_without_mean(x, known, places=places) for x, known in zip((p, q), seen, strict=True))
     pair = _Lags(len(p), len(q))
     lags = len(p) + len(q) - 1
     count, moved, squares = np.zeros(lags), np.zeros(lags), np.zeros(lags)
@@ -83,27 +86,28 @@ def _of_vectors(p: Floats, q: Floats, *, places: bool, least: int) -> tuple[Floa
     sizes = sizes * np.stack([np.ones(lags), np.ones(lags), np.sign(np.linalg.det(u @ vt))], 1)
     left = (squares - 2 * sizes.sum(1)) / safe
     logs, counts = _logarithm(left, moved / safe, count, least, float((p**2).mean() + (q**2).mean()))
-    turned = sizes[:, 1] > _FLAT * sizes[:, 0]
+    turned = sizes[:, 1] > MINIMUM_SINGULAR_RATIO * sizes[:, 0]
     return np.where(turned, logs, 0.0), np.where(turned, counts, 0.0)
 
 
 def _centred(column: Floats) -> tuple[Floats, Floats]:
-    """Give a column less its mean, 0 where unknown, and 1 where known."""
+    """Return a column minus its mean (0 where unknown), and 1 where it is known."""
     known = np.isfinite(column)
     middle = column[known].mean() if known.any() else 0.0
     return np.where(known, column - middle, 0.0), known.astype(float)
 
 
-def _level(vectors: Floats, known: Mask, *, places: bool) -> Floats:
-    """Give vectors less their common mean where they are places, 0 where unknown."""
+def _without_mean(vectors: Floats, known: Mask, *, places: bool) -> Floats:
+    """Return vectors minus their common mean if they are positions; 0 where unknown."""
     middle = vectors[known].mean(0) if places and known.any() else np.zeros(3)
     return np.where(known[..., None], vectors - middle, 0.0)
 
 
 def _logarithm(left: Floats, spread: Floats, count: Floats, least: int, size: float) -> tuple[Floats, Floats]:
-    told = (count >= least) & (spread > _NOTHING * max(size, _NOTHING))
-    share = np.maximum(left, 0.0) / np.where(told, spread, 1.0)
-    return np.where(told, np.log(share + _FLOOR), 0.0), np.where(told, count, 0.0)
+    """Return the logarithm of the remaining share of the variance, and the count; both 0 where it is not usable."""
+    usable = (count >= least) & (spread > _NO_VARIANCE * max(size, _NO_VARIANCE))
+    share = np.maximum(left, 0.0) / np.where(usable, spread, 1.0)
+    return np.where(usable, np.log(share + _VARIANCE_FLOOR), 0.0), np.where(usable, count, 0.0)
 
 
 class _Lags:
@@ -124,5 +128,5 @@ class _Lags:
         return np.asarray(fft.irfft(product, self._size)[: self._lags])
 
     def counts(self, a: Floats, b: Floats) -> Floats:
-        """The same for flags: whole numbers."""
+        """Compute the same for flags, rounded to integers."""
         return np.round(self.sums(a, b))

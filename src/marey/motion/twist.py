@@ -1,4 +1,4 @@
-"""Twist: the part of a limb's turn that goes about its own axis, shared along the joints a rig has for it."""
+"""Twist: the part of a limb's rotation about its own axis, distributed over the joints of a rig."""
 
 import numpy as np
 
@@ -7,14 +7,14 @@ from marey.geometry import rotations
 
 
 def twist_angles(relative: Floats, axis: Floats) -> Floats:
-    """Measure how far turns go about an axis, after the shortest turn that brings the axis where they bring it.
+    """Compute the twist of rotations about an axis, relative to the shortest rotation with the same final axis.
 
     Args:
-        relative: (K, 3, 3) turns of a segment on its parent, frame after frame.
-        axis: (3,) of the segment at rest, of any length.
+        relative: (K, 3, 3) rotations of a segment relative to its parent in successive frames.
+        axis: (3,) axis of the segment at rest, of any length.
 
     Returns:
-        (K,) without jumps [rad]. Where the axis comes to lie opposite to its rest nobody can tell.
+        (K,) continuous angles [rad]; undetermined where the axis is opposite to its direction at rest.
     """
     quaternion = rotations.to_quaternion(relative)
     along = quaternion[:, 1:] @ (axis / np.linalg.norm(axis))
@@ -23,16 +23,16 @@ def twist_angles(relative: Floats, axis: Floats) -> Floats:
 
 
 def reduce_twist(parent: Floats, segment: Floats, axis: Floats, share: float) -> Floats:
-    """Take from a segment's turns all but a share of their twist.
+    """Reduce the twist of a segment's rotations to a share of it.
 
     Args:
         parent: (K, 3, 3) rotations of the parent segment in the world, from rest.
-        segment: (K, 3, 3) likewise of the segment.
+        segment: (K, 3, 3) the same of the segment.
         axis: (3,) along the segment at rest.
-        share: Of the twist that is kept: 0 as the parent leaves it, 1 as the segment turns.
+        share: Share of the twist that is kept: 0 for the parent's orientation about the axis, 1 for the segment's.
 
     Returns:
-        (K, 3, 3) in the world.
+        (K, 3, 3) rotations in the world.
     """
     direction = axis / np.linalg.norm(axis)
     angles = twist_angles(np.swapaxes(parent, 1, 2) @ segment, direction)

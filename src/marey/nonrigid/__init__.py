@@ -1,1 +1,1 @@
-"""Shape and motion of what deforms, without a model of it: low-rank factorisation of tracks and of points in space."""
+"""Shape and motion of deforming surfaces without a model of the body: low-rank factorisation of tracks and points."""

@@ -1,1 +1,1 @@
-"""What was measured, predicted and how uncertain it is: one contract, one file a kind."""
+"""Observations: measurements with their prediction and uncertainty, under one interface with one module per kind."""

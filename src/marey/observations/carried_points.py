@@ -1,4 +1,4 @@
-"""Points that segments carry along: followed on the surface, they say how each segment moved."""
+"""Observations of points that are carried by segments, tracked on the surface."""
 
 from dataclasses import dataclass
 from typing import final
@@ -13,20 +13,20 @@ from marey.observations.observation import Linearization, Observation
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CarriedPoints(Observation):
-    """Points fastened to segments lie where they were measured ([Plaenkers1999] section 4.2).
+    """Points attached to segments, at their measured positions ([Plaenkers1999] section 4.2).
 
-    Unlike a point of the surface alone, one that was followed also tells of motion along the surface, a limb's turn
-    about itself among it.
+    Unlike an untracked surface point, a tracked one also constrains motion along the surface, such as a limb's rotation
+    about itself.
     """
 
     segments: Integers
-    """(n,) the segment that carries each point."""
+    """(n,) segment that carries each point."""
     places: Floats
-    """(n, 3) in the segment, from the joint centre about which it turns [m]."""
+    """(n, 3) position in the segment, from the joint centre about which it turns [m]."""
     points: Floats
-    """(n, 3) where they were measured, in the world [m]."""
+    """(n, 3) measured positions in the world [m]."""
     sigma_m: float
-    """Standard deviation of a coordinate: skin slides over bones [m]."""
+    """Standard deviation of a coordinate; skin slides over bones [m]."""
 
     @property
     def sigma(self) -> float:
@@ -34,7 +34,7 @@ class CarriedPoints(Observation):
         return self.sigma_m
 
     def linearize(self, posed: PosedBody, *, shape: bool = False) -> Linearization:
-        """Carry the points along with their segments."""
+        """Return the residuals of the points moved with their segments, and their Jacobian."""
         turned = np.einsum("nab,nb->na", posed.segment_rotation[self.segments], self.places)
         part = np.concatenate([self.places, np.ones((len(self.places), 1))], 1)[:, None]
         moved = posed.pose_jacobian(self.segments[:, None], part)
@@ -44,7 +44,7 @@ class CarriedPoints(Observation):
         return Linearization(residual.ravel(), moved.reshape(-1, moved.shape[2]))
 
 
-def fasten(posed: PosedBody, segments: Integers, points: Floats) -> Floats:
-    """Give the places (n, 3) in their segments of points (n, 3) of the world, in the pose in which they are seen."""
+def local_places(posed: PosedBody, segments: Integers, points: Floats) -> Floats:
+    """Return the positions (n, 3), in their segments, of points (n, 3) of the world [m]."""
     away = points - posed.segment_origin[segments]
     return np.einsum("nba,nb->na", posed.segment_rotation[segments], away)

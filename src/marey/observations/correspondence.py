@@ -1,4 +1,4 @@
-"""Correspondence: which point of the posed surface belongs to which point of an outline (section 2.2 of the paper)."""
+"""Correspondence between points of the posed surface and points of an outline ([Rosenhahn2006] section 2.2)."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -18,24 +18,27 @@ from marey.images.silhouettes.interior import InteriorEdges
 from marey.images.silhouettes.nearest import nearest_other, nearest_within, sort_into_cells
 from marey.kernels import kernel
 from marey.observations.silhouette import SilhouettePlanes, SilhouetteRays
-from marey.observations.votes import SLACK, elect
+from marey.observations.votes import SLACK, elect_limbs
 
 Residual = Literal["plane", "ray"]
+"""Residual of a matched contour pixel: from its tangent plane, or from its ray."""
 
 
 @dataclass(frozen=True, eq=False)
-class Sighting:
-    """A silhouette that one camera saw, ready to be matched."""
+class ObservedOutline:
+    """A silhouette in one camera, prepared for matching."""
 
     camera: Camera
+    """The camera."""
     contour: Contour
+    """Contour of the silhouette."""
     interior: InteriorEdges | None = None
-    """Edges of limbs inside of the silhouette, where the picture was looked at for them."""
+    """Edges of limbs inside the silhouette, if they were extracted."""
 
     @staticmethod
-    def of(camera: Camera, mask: Mask) -> "Sighting":
-        """Trace the silhouette that a camera saw: mask (height, width)."""
-        return Sighting(camera, trace_contour(mask))
+    def of(camera: Camera, mask: Mask) -> "ObservedOutline":
+        """Trace a camera's silhouette, given its mask (height, width)."""
+        return ObservedOutline(camera, trace_contour(mask))
 
     @cached_property
     def planes(self) -> tuple[Floats, Floats]:
@@ -44,25 +47,25 @@ class Sighting:
 
     @cached_property
     def seen(self) -> Mask:
-        """(n,) true where the contour's plane is known: the lens shows nothing beyond."""
+        """(n,) true where the contour's plane is known; elsewhere the pixel is outside the lens' range."""
         return np.isfinite(self.planes[1])
 
     @cached_property
     def rays(self) -> PluckerLines:
-        """The rays (n,) of the contour's pixels."""
+        """Rays (n,) of the contour's pixels."""
         return self.camera.rays(self.contour.pixels)
 
     @cached_property
     def radians_per_pixel(self) -> Floats:
-        """(n,) the angle by which a step of one pixel across the contour turns the ray."""
+        """(n,) angle of the ray per pixel across the contour [rad]."""
         return self.camera.ray_turns(self.contour.pixels, self.contour.inward)
 
     @cached_property
     def interior_planes(self) -> tuple[Floats, Floats, Floats]:
         """Unit normals (n, 3), towards the limb in front, and offsets (n,) of the interior edges' tangent planes.
 
-        The third is what `radians_per_pixel` is to the contour. A surface's rim is made of its outermost pixels, whose
-        centres lie half a pixel within the edge itself.
+        The third array corresponds to `radians_per_pixel` of the contour. A surface's rim consists of its outermost
+        pixels, whose centres are half a pixel inside the edge itself.
         """
         edges = self.interior or InteriorEdges.none()
         pixels = edges.pixels + 0.5 * edges.inward
@@ -71,44 +74,50 @@ class Sighting:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Matching:
-    """How far and how differently directed a match may be."""
+class OutlineMatchSettings:
+    """Limits of distance and direction of a match."""
 
     gate: float = 25.0
     """Greatest distance between a rim point and its contour pixel [px]."""
     cosine: float = 0.3
     """Least cosine between their normals."""
     sigma_px: float = 3.2
-    """Standard deviation of a match across the contour, its neighbours' likeness included [px]."""
+    """Standard deviation of a match across the contour, increased for the correlation of neighbours [px]."""
     residual: Residual = "plane"
-    """Whether rim points are drawn to the contour's tangent planes or, as the paper does, to its pixels' rays."""
+    """Whether the residual is the distance from the contour's tangent planes or, as in the paper, from its pixels'
+    rays."""
     vote: bool = False
-    """Whether neighbours decide where a contour pixel could belong to two limbs."""
+    """Whether neighbours decide to which of two limbs a contour pixel belongs."""
     interior: bool = False
-    """Whether edges inside of the silhouette are matched, too: they were found about the body, and are near it."""
+    """Whether edges inside the silhouette are matched. They are extracted near the body."""
     interior_gate: float = 5.0
+    """Greatest distance between an interior rim point and its edge pixel [px]."""
     interior_cosine: float = 0.8
+    """Least cosine between their normals."""
     interior_sigma_px: float = 3.2
+    """Standard deviation of an interior match across the edge [px]."""
 
 
 def view_of(posed: PosedBody, camera: Camera) -> View:
-    """Draw the posed surface as a camera sees it."""
+    """Draw the posed surface in a camera's picture."""
     projected = np.empty_like(posed.vertices)
     lens.project_points(camera.packed, posed.vertices, projected)
     return see(projected, posed.body.faces, camera.size)
 
 
-def match_outline(posed: PosedBody, view: View, sighting: Sighting, matching: Matching) -> SilhouettePlanes | None:
-    """Match the rim of the surface to an outline both ways: each rim point and each contour pixel looks for the other.
+def match_outline(
+    posed: PosedBody, view: View, sighting: ObservedOutline, matching: OutlineMatchSettings
+) -> SilhouettePlanes | None:
+    """Match the rim of the surface with an outline in both directions: rim points to contour pixels and vice versa.
 
     Args:
-        posed: the body that was drawn.
-        view: what the camera sees of it.
-        sighting: what the camera saw.
-        matching: what counts as a match.
+        posed: The drawn body.
+        view: Its drawing in the camera.
+        sighting: Outline in the camera.
+        matching: Limits of a match.
 
     Returns:
-        The matches as observations, or None where there are none.
+        The matches as observations, or None if there are none.
     """
     found = _matches(posed, view, sighting, matching)
     if found is None:
@@ -118,9 +127,13 @@ def match_outline(posed: PosedBody, view: View, sighting: Sighting, matching: Ma
 
 
 def as_planes(
-    sighting: Sighting, where: SurfacePoints, j: Integers, pixels_per_metre: Floats, matching: Matching
+    sighting: ObservedOutline,
+    where: SurfacePoints,
+    j: Integers,
+    pixels_per_metre: Floats,
+    matching: OutlineMatchSettings,
 ) -> SilhouettePlanes:
-    """Fasten surface points to the tangent planes of their contour pixels (n,)."""
+    """Return surface points as observations on the tangent planes of their contour pixels (n,)."""
     normals, offsets = sighting.planes
     return SilhouettePlanes(
         where=where, normals=normals[j], offsets=offsets[j], pixels_per_metre=pixels_per_metre,
@@ -129,9 +142,13 @@ def as_planes(
 
 
 def as_rays(
-    sighting: Sighting, where: SurfacePoints, j: Integers, pixels_per_metre: Floats, matching: Matching
+    sighting: ObservedOutline,
+    where: SurfacePoints,
+    j: Integers,
+    pixels_per_metre: Floats,
+    matching: OutlineMatchSettings,
 ) -> SilhouetteRays:
-    """Fasten surface points to the rays of their contour pixels (n,)."""
+    """Return surface points as observations on the rays of their contour pixels (n,)."""
     rays = sighting.rays
     return SilhouetteRays(
         where=where, directions=rays.directions[j], moments=rays.moments[j], pixels_per_metre=pixels_per_metre,
@@ -139,16 +156,19 @@ def as_rays(
     )  # fmt: skip
 
 
-class Outline(NamedTuple):
-    """Matches of an outline, each listed once."""
+class OutlineMatches(NamedTuple):
+    """Matches of an outline without duplicates."""
 
     match: SilhouettePlanes | SilhouetteRays
+    """The matches as observations."""
     counts: Floats
-    """(n,) two where rim point and contour pixel found each other, else one."""
+    """(n,) two where rim point and contour pixel were matched in both directions, else one."""
 
 
-def see_outline(posed: PosedBody, sighting: Sighting, matching: Matching) -> Outline | None:
-    """Draw the posed surface as a camera sees it and match its outline: `view_of` and `match_outline` in one go."""
+def outline_matches(
+    posed: PosedBody, sighting: ObservedOutline, matching: OutlineMatchSettings
+) -> OutlineMatches | None:
+    """Draw the posed surface and match its outline, as `view_of` and `match_outline` do, in one kernel."""
     body, camera, contour = posed.body, sighting.camera, sighting.contour
     if len(contour.pixels) == 0:
         return None
@@ -159,9 +179,9 @@ def see_outline(posed: PosedBody, sighting: Sighting, matching: Matching) -> Out
     )  # fmt: skip
     if len(j) == 0:
         return None
-    fasten = as_rays if matching.residual == "ray" else as_planes
-    match = fasten(sighting, SurfacePoints(face=face, barycentric=barycentric), j, scale, matching)
-    return Outline(match, counts)
+    observations_of = as_rays if matching.residual == "ray" else as_planes
+    match = observations_of(sighting, SurfacePoints(face=face, barycentric=barycentric), j, scale, matching)
+    return OutlineMatches(match, counts)
 
 
 @kernel
@@ -169,7 +189,7 @@ def draw_and_match(
     scratch, vertices, faces, limb, outlined, camera, width, height, centre, contour, inward, seen, radians_per_pixel,
     gate, cosine, vote,
 ):  # fmt: skip
-    """Do what `view_of` and `_matches` do without returning to Python in between; pairs found twice are counted."""
+    """Draw and match as `view_of` and `_matches` do, in one kernel, with the pairs found twice counted."""
     lens.project_points(camera, vertices, scratch.projected)
     left, top, _, face = draw_into(scratch, faces, width, height, MARGIN)
     pixels, rim_inward, rim_face, barycentric, _ = rim_pixels(face, scratch.projected, faces, left, top)
@@ -186,12 +206,14 @@ def draw_and_match(
 
 @kernel
 def merge_pairs(first, second, rims):
-    """List each pair once, and count (n,) how often it was found: `pair_both_ways` names a rim pixel's own match first.
+    """Remove duplicate pairs, and count (n,) how often each was found.
+
+    `pair_both_ways` lists the match of the rim pixel itself first.
 
     Args:
         first: (k,) rim pixels.
         second: (k,) contour pixels.
-        rims: number of rim pixels.
+        rims: Number of rim pixels.
     """
     place = np.full(rims, -1, np.int64)
     kept = np.empty(len(first), np.int64)
@@ -209,8 +231,10 @@ def merge_pairs(first, second, rims):
     return first[kept[:count]], second[kept[:count]], counts[:count]
 
 
-def match_rays(posed: PosedBody, view: View, sighting: Sighting, matching: Matching) -> SilhouetteRays | None:
-    """Match as `match_outline`, but draw each rim point to its contour pixel's ray, as the paper does."""
+def match_rays(
+    posed: PosedBody, view: View, sighting: ObservedOutline, matching: OutlineMatchSettings
+) -> SilhouetteRays | None:
+    """Match as `match_outline`, with the distance from the contour pixel's ray as the residual, as in the paper."""
     found = _matches(posed, view, sighting, matching)
     if found is None:
         return None
@@ -219,9 +243,9 @@ def match_rays(posed: PosedBody, view: View, sighting: Sighting, matching: Match
 
 
 def _matches(
-    posed: PosedBody, view: View, sighting: Sighting, matching: Matching
+    posed: PosedBody, view: View, sighting: ObservedOutline, matching: OutlineMatchSettings
 ) -> tuple[SurfacePoints, Integers, Floats] | None:
-    """Give the surface points that were matched, their contour pixels (n,), and the scale (n,) there [px/m]."""
+    """Return the matched surface points, their contour pixels (n,), and the scale (n,) there [px/m]."""
     body, contour = posed.body, sighting.contour
     rim = view.rim(body.faces)
     if len(rim.face) == 0 or len(contour.pixels) == 0:
@@ -239,7 +263,7 @@ def _matches(
 
 @kernel
 def distances(points, centre):
-    """Give how far points (n, 3) lie from a centre (3,): (n,)."""
+    """Return the distances (n,) of points (n, 3) from a centre (3,)."""
     out = np.empty(points.shape[0])
     for i in range(points.shape[0]):
         x, y, z = points[i, 0] - centre[0], points[i, 1] - centre[1], points[i, 2] - centre[2]
@@ -254,14 +278,14 @@ def pair_both_ways(rim, rim_inward, rim_limb, rim_counts, contour, contour_inwar
     Args:
         rim: (n, 2) pixels.
         rim_inward: (n, 2).
-        rim_limb: (n,) number of the limb that each belongs to.
+        rim_limb: (n,) index of the limb to which each belongs.
         rim_counts: (n,) false where a rim pixel may not be used; it still hides others from the contour.
-        contour: the contour's `Cells`.
+        contour: The contour's `Cells`.
         contour_inward: (m, 2).
         contour_counts: (m,).
-        gate: greatest distance [px].
-        cosine: least cosine between the normals.
-        vote: whether neighbours vote where a contour pixel could belong to two limbs, see `votes.elect`.
+        gate: Greatest distance [px].
+        cosine: Least cosine between the normals.
+        vote: Whether neighbours vote where a contour pixel could belong to two limbs, see `votes.elect_limbs`.
 
     Returns:
         Indices (k,) of rim pixels and (k,) of contour pixels.
@@ -277,14 +301,14 @@ def pair_both_ways(rim, rim_inward, rim_limb, rim_counts, contour, contour_inwar
                 k = nearest_other(rim_cells, rim_limb, i, contour.pixels[j, 0], contour.pixels[j, 1], gate, SLACK)
                 if k >= 0 and rim_counts[k] and _alike(rim_inward[k], contour_inward[j], cosine):
                     other[j] = k
-    taken, doubtful = elect(nearest, other, rim, rim_limb, contour, contour_inward)
+    taken, ambiguous = elect_limbs(nearest, other, rim, rim_limb, contour, contour_inward)
     first, second = np.empty(rim.shape[0] + size, np.int64), np.empty(rim.shape[0] + size, np.int64)
     count = 0
     for i in range(rim.shape[0]):
         j = nearest_within(contour, rim[i, 0], rim[i, 1], gate)
         if j < 0 or not rim_counts[i] or not contour_counts[j] or not _alike(rim_inward[i], contour_inward[j], cosine):
             continue
-        if not doubtful[j] or (taken[j] >= 0 and rim_limb[i] == rim_limb[taken[j]]):
+        if not ambiguous[j] or (taken[j] >= 0 and rim_limb[i] == rim_limb[taken[j]]):
             first[count], second[count] = i, j
             count += 1
     for j in range(size):

@@ -1,4 +1,4 @@
-"""Interior outlines: a limb's rim before another part of the body lies on the edge that the picture shows there."""
+"""Matching of limbs in front of another part of the body with the edges inside the silhouettes."""
 
 import numpy as np
 
@@ -8,38 +8,40 @@ from marey.cameras import lens
 from marey.cameras.visibility import JUMP, MARGIN, Scratch, draw_into, drawn_last, interior_rim_pixels
 from marey.kernels import kernel
 from marey.observations.correspondence import (
-    Matching,
-    Outline,
-    Sighting,
+    ObservedOutline,
+    OutlineMatches,
+    OutlineMatchSettings,
     distances,
     merge_pairs,
+    outline_matches,
     pair_both_ways,
-    see_outline,
 )
 from marey.observations.silhouette import SilhouettePlanes
 
 
-def see_all(posed: PosedBody, sighting: Sighting, matching: Matching) -> list[Outline]:
-    """Match the outline, and where they are asked for the edges inside of it; the surface is drawn once."""
-    outline = see_outline(posed, sighting, matching)
-    # Without an outline nothing was drawn; a silhouette that has none has no edges either.
-    inner = None if outline is None else see_interior(posed, sighting, matching, drawn=True)
+def all_matches(posed: PosedBody, sighting: ObservedOutline, matching: OutlineMatchSettings) -> list[OutlineMatches]:
+    """Match the outline and, if enabled, the edges inside it; the surface is drawn once."""
+    outline = outline_matches(posed, sighting, matching)
+    # Without an outline nothing was drawn; such a silhouette has no edges either.
+    inner = None if outline is None else interior_matches(posed, sighting, matching, drawn=True)
     return [found for found in (outline, inner) if found is not None]
 
 
-def see_interior(posed: PosedBody, sighting: Sighting, matching: Matching, *, drawn: bool = False) -> Outline | None:
-    """Draw the posed surface as a camera sees it and match its interior rims to the edges that the picture shows.
+def interior_matches(
+    posed: PosedBody, sighting: ObservedOutline, matching: OutlineMatchSettings, *, drawn: bool = False
+) -> OutlineMatches | None:
+    """Draw the posed surface in a camera, and match its interior rims with the edges of the picture.
 
-    A rim and an edge match when they are near each other, alike in direction, and of the same limb.
+    A rim and an edge match if they are near each other, similar in direction, and of the same limb.
 
     Args:
-        posed: the body.
-        sighting: with or without interior edges.
-        matching: what counts as a match.
-        drawn: whether this body in this camera is what this thread has drawn last.
+        posed: The body.
+        sighting: Outline with or without interior edges.
+        matching: Limits of a match.
+        drawn: Whether this body in this camera is the last one that this thread has drawn.
 
     Returns:
-        The matches, or None where there are none or none are asked for.
+        The matches, or None if there are none or interior edges are disabled.
     """
     body, camera, edges = posed.body, sighting.camera, sighting.interior
     if not matching.interior or edges is None or len(edges) == 0:
@@ -57,7 +59,7 @@ def see_interior(posed: PosedBody, sighting: Sighting, matching: Matching, *, dr
         where=SurfacePoints(face=face, barycentric=barycentric), normals=normals[j], offsets=offsets[j],
         pixels_per_metre=scale, sigma_px=matching.interior_sigma_px,
     )  # fmt: skip
-    return Outline(match, counts)
+    return OutlineMatches(match, counts)
 
 
 @kernel

@@ -1,4 +1,4 @@
-"""Joint centres in pictures: clicked by a person, or found by somebody else's detector."""
+"""Observations of joint centres in pictures, clicked or detected."""
 
 from dataclasses import dataclass
 from typing import final
@@ -14,15 +14,16 @@ from marey.observations.observation import Linearization, Observation
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
 class JointPoints(Observation):
-    """Joint centres appear where they were clicked: the collinearity equations of one camera."""
+    """Joint centres in one camera's picture, by the collinearity equations."""
 
     camera: Camera
+    """The camera."""
     segments: Integers
-    """(n,) segments whose proximal joint centres were clicked."""
+    """(n,) segments whose proximal joint centres are observed."""
     pixels: Floats
     """(n, 2) [px]."""
     sigma_px: float
-    """Standard deviation of a click; a joint hides under the skin [px]."""
+    """Standard deviation of a click; joints are hidden under the skin [px]."""
 
     @property
     def sigma(self) -> float:
@@ -30,7 +31,7 @@ class JointPoints(Observation):
         return self.sigma_px
 
     def linearize(self, posed: PosedBody, *, shape: bool = False) -> Linearization:
-        """Project the joint centres; those behind the camera say nothing."""
+        """Project the joint centres; those behind the camera have zero residual and Jacobian."""
         seen, by_point = self.camera.project_with_derivative(posed.segment_origin[self.segments])
         moved = posed.pose_jacobian(*posed.joint_parts(self.segments))
         if shape:

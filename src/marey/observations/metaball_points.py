@@ -1,6 +1,6 @@
-"""Points measured on a person's surface: each lies on the surface of the metaballs ([Plaenkers1999] section 4.3)."""
+"""Observations of points on a person's surface, modelled by metaballs ([Plaenkers1999] section 4.3)."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import final
 
@@ -16,15 +16,16 @@ from marey.observations.observation import Linearization, Observation
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PointsOnMetaballs(Observation):
-    """Measured points lie on the surface of the metaballs ([Plaenkers1999] eq. (13), (14)).
+    """Measured points on the surface of the metaballs ([Plaenkers1999] eq. (13), (14)).
 
     Unlike the paper, whose residual F - 1/2 has no unit, it is the distance from the surface in units of each point's
-    own standard deviation: that of the measurement along the surface's normal and of the model.
+    own standard deviation, that of the measurement along the surface's normal combined with that of the model.
 
     The body's numbers are those of the space, and its skeleton is the space's own.
     """
 
     space: MetaballSpace
+    """The metaballs."""
     points: Floats
     """(n, 3) in the world [m]."""
     limb: Integers
@@ -39,7 +40,7 @@ class PointsOnMetaballs(Observation):
             raise ValueError("every point needs a standard deviation above zero")
 
     def __len__(self) -> int:
-        """Count the points."""
+        """Return the number of points."""
         return len(self.points)
 
     @property
@@ -48,11 +49,11 @@ class PointsOnMetaballs(Observation):
         return 1.0
 
     def surface(self, posed: PosedBody) -> PosedMetaballs:
-        """Give the metaballs of a body in its pose."""
+        """Return the metaballs of a posed body."""
         return PosedMetaballs(self.balls(posed.body.numbers), posed.pose)
 
     def balls(self, numbers: Floats) -> Metaballs:
-        """Give the metaballs for numbers (N,); the same ones as long as the numbers stay."""
+        """Return the metaballs for numbers (N,), cached for the last numbers."""
         known = self._kept.get("numbers")
         if known is None or not np.array_equal(known, numbers):
             self._kept.update(numbers=np.array(numbers), balls=self.space.balls(numbers))
@@ -63,7 +64,7 @@ class PointsOnMetaballs(Observation):
         return {}
 
     def linearize(self, posed: PosedBody, *, shape: bool = False) -> Linearization:
-        """Give the distances from the surface, in standard deviations; `fit.point_equations` sums them up directly."""
+        """Return the distances from the surface in standard deviations; `fit.points` sums their equations directly."""
         surface = self.surface(posed)
         of = surface.distances(self.points, self.limb)
         jacobian = surface.by_pose(self.points, of)
@@ -75,24 +76,17 @@ class PointsOnMetaballs(Observation):
 def assign(
     space: MetaballSpace, posed: PosedBody, points: Floats, covariance: Floats, *, model_sd: Floats
 ) -> PointsOnMetaballs:
-    """Segment measured points by the nearest limb ([Plaenkers1999] section 3.3), and say how well each is known.
+    """Assign measured points to the nearest limbs ([Plaenkers1999] section 3.3), with their standard deviations.
 
     Args:
-        space: whose numbers the body's are.
-        posed: where the body is believed.
+        space: Metaballs of the body's numbers.
+        posed: Body in its current pose.
         points: (n, 3) in the world [m].
         covariance: (n, 3, 3) of the points [m2].
-        model_sd: (n,) how far the person's surface lies from any metaballs', as a standard deviation [m].
+        model_sd: (n,) standard deviation of the person's surface from that of the metaballs [m].
     """
     surface = PosedMetaballs(space.balls(posed.body.numbers), posed.pose)
     limb, outward = surface.nearest_limbs(points)
     own = np.einsum("na,nab,nb->n", outward, covariance, outward, optimize=True)
     spread = np.sqrt(np.maximum(own, 0.0) + model_sd**2)
     return PointsOnMetaballs(space=space, points=points, limb=limb, spread=spread)
-
-
-def thinned(observation: PointsOnMetaballs, which: Integers) -> PointsOnMetaballs:
-    """Keep only some of the points."""
-    return replace(
-        observation, points=observation.points[which], limb=observation.limb[which], spread=observation.spread[which]
-    )  # fmt: skip

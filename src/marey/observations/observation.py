@@ -1,4 +1,4 @@
-"""The contract that every measurement fulfils, whatever its unit."""
+"""Interface of all observations, whatever their unit."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
@@ -13,7 +13,14 @@ from marey.kernels import kernel
 
 @dataclass(frozen=True, eq=False)
 class Linearization:
-    """First-order model of an observation: r(x + d) = residual + jacobian d."""
+    """First-order model of an observation: r(x + d) = residual + jacobian d.
+
+    Example:
+        >>> import numpy as np
+        >>> import marey
+        >>> marey.Linearization(residual=np.array([0.02]), jacobian=np.zeros((1, 48))).jacobian.shape
+        (1, 48)
+    """
 
     residual: Floats
     """(m,) predicted minus measured, in the observation's own unit."""
@@ -22,7 +29,31 @@ class Linearization:
 
 
 class Observation(ABC):
-    """A batch of measurements of one kind, with their uncertainty and their prediction."""
+    """A batch of measurements of one kind in one frame, with their uncertainty and their prediction.
+
+    A new kind of observation is a subclass with `sigma` and `linearize`. It is given by frame to
+    `marey.capture(trial, observations={frame: [observation, ...]})`.
+
+    Example:
+        The height of a joint was measured, with a standard deviation of 5 mm:
+
+        >>> import numpy as np
+        >>> import marey
+        >>> class JointHeight(marey.Observation):
+        ...     sigma = 0.005
+        ...
+        ...     def __init__(self, segment, height_m):
+        ...         self.segment, self.height_m = segment, height_m
+        ...
+        ...     def linearize(self, posed, *, shape=False):
+        ...         residual = posed.segment_origin[self.segment][2:] - self.height_m
+        ...         jacobian = posed.pose_jacobian(*posed.joint_parts(np.array([self.segment])))[:, 2]
+        ...         if shape:
+        ...             jacobian = np.hstack([jacobian, posed.origin_shape_jacobian()[self.segment, 2:]])
+        ...         return marey.Linearization(residual, jacobian)
+        >>> JointHeight(segment=4, height_m=1.62).sigma
+        0.005
+    """
 
     @property
     @abstractmethod
@@ -31,25 +62,25 @@ class Observation(ABC):
 
     @abstractmethod
     def linearize(self, posed: PosedBody, *, shape: bool = False) -> Linearization:
-        """Predict the measurements, and how the prediction moves with the pose (and the shape)."""
+        """Predict the measurements, with the derivative of the prediction by the pose (and the shape)."""
 
     @final
     def whiten(self, posed: PosedBody, *, shape: bool = False) -> Linearization:
-        """Linearize in units of sigma, so that pixels, metres and radians may be added."""
+        """Linearise in units of sigma, so that residuals of different units can be combined."""
         raw = self.linearize(posed, shape=shape)
         return Linearization(raw.residual / self.sigma, raw.jacobian / self.sigma)
 
 
 class AngleObservation(Observation):
-    """Measurements of the joint angles, one of each: their Jacobian is a diagonal."""
+    """Measurements of the joint angles, one of each; their Jacobian is diagonal."""
 
     @abstractmethod
     def by_angle(self, posed: PosedBody) -> tuple[Floats, Floats]:
-        """Give the residuals (D - 6,) and how fast (D - 6,) each changes with its own angle."""
+        """Return the residuals (D - 6,) and their derivatives (D - 6,) by the angles."""
 
     @final
     def linearize(self, posed: PosedBody, *, shape: bool = False) -> Linearization:
-        """Write the diagonal out."""
+        """Return the linearisation with the full Jacobian."""
         residual, slope = self.by_angle(posed)
         jacobian = np.zeros((len(slope), 6 + len(slope) + (len(posed.body.space) if shape else 0)))
         jacobian[np.arange(len(slope)), 6 + np.arange(len(slope))] = slope
@@ -59,8 +90,23 @@ class AngleObservation(Observation):
 class SurfaceObservation(Observation):
     """Measurements that are linear in points of the body's surface: r = rows p - offsets.
 
-    They all enter the least squares through the same moments ([Rosenhahn2006] eq. (10), any kind
-    that is linear in the point), see `fit.moments`.
+    All of them enter the least squares through the same moments ([Rosenhahn2006] eq. (10), for any kind that is linear
+    in the point), see `fit.solver.moments`.
+
+    Example:
+        The heights of points of the surface were measured, with a standard deviation of 1 cm:
+
+        >>> import numpy as np
+        >>> import marey
+        >>> class PointHeights(marey.SurfaceObservation):
+        ...     sigma = 0.01
+        ...
+        ...     def __init__(self, where, heights_m):
+        ...         self.where, self.heights_m = where, heights_m
+        ...
+        ...     def constraints(self, posed):
+        ...         rows = np.tile([[[0.0, 0.0, 1.0]]], (len(self.where), 1, 1))
+        ...         return rows, self.heights_m[:, None]
     """
 
     where: SurfacePoints
@@ -68,17 +114,17 @@ class SurfaceObservation(Observation):
 
     @abstractmethod
     def constraints(self, posed: PosedBody) -> tuple[Floats, Floats]:
-        """Give rows (n, r, 3) and offsets (n, r), so that the residuals are rows p - offsets."""
+        """Return rows (n, r, 3) and offsets (n, r), so that the residuals are rows p - offsets."""
 
     @final
     def residuals(self, posed: PosedBody) -> Floats:
-        """Give the residuals (n, r)."""
+        """Return the residuals (n, r)."""
         rows, offsets = self.constraints(posed)
         return residuals(np.ascontiguousarray(rows), offsets, posed.points(self.where))
 
     @final
     def linearize(self, posed: PosedBody, *, shape: bool = False) -> Linearization:
-        """Chain the constraints with the motion of the surface points."""
+        """Combine the constraints with the derivatives of the surface points."""
         rows, offsets = self.constraints(posed)
         residual = residuals(np.ascontiguousarray(rows), offsets, posed.points(self.where))
         jacobian = posed.constraint_jacobian(self.where, rows, shape=shape)
@@ -87,7 +133,7 @@ class SurfaceObservation(Observation):
 
 @kernel
 def residuals(rows, offsets, points):
-    """Give rows p - offsets (n, r) for rows (n, r, 3), offsets (n, r) and points (n, 3)."""
+    """Return rows p - offsets (n, r) for rows (n, r, 3), offsets (n, r) and points (n, 3)."""
     out = np.empty(offsets.shape)
     for i in range(rows.shape[0]):
         for r in range(rows.shape[1]):

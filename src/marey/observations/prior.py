@@ -1,4 +1,4 @@
-"""What is known before looking: limits of joints, habits, the last motion, other people's shapes."""
+"""Priors of pose and shape: joint limits, usual angles, a predicted pose, and the shapes of people."""
 
 from dataclasses import dataclass
 from typing import final
@@ -18,10 +18,10 @@ def _columns(posed: PosedBody, shape: bool) -> int:
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
 class JointLimits(AngleObservation):
-    """Angles stay within the limits of their joints: only what lies beyond counts."""
+    """Prior that angles stay within the limits of their joints; only the excess counts."""
 
     sigma_rad: float = float(np.deg2rad(3.0))
-    """How far beyond a limit an angle may stray [rad]."""
+    """Standard deviation of an angle's excess over its limit [rad]."""
 
     @property
     def sigma(self) -> float:
@@ -29,7 +29,7 @@ class JointLimits(AngleObservation):
         return self.sigma_rad
 
     def by_angle(self, posed: PosedBody) -> tuple[Floats, Floats]:
-        """Give the overshoot of each angle, zero inside the limits."""
+        """Return the excess of each angle, zero within the limits."""
         low, high = posed.body.skeleton.limits.T
         angles = posed.pose.angles
         residual = np.minimum(angles - low, 0.0) + np.maximum(angles - high, 0.0)
@@ -39,10 +39,10 @@ class JointLimits(AngleObservation):
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Habit(AngleObservation):
-    """Angles lie where people's joints usually are."""
+    """Prior that angles are near those of usual postures."""
 
     share: float = 1.0
-    """How many such observations the habit is worth."""
+    """Weight, as a number of observations."""
 
     @property
     def sigma(self) -> float:
@@ -50,7 +50,7 @@ class Habit(AngleObservation):
         return 1.0 / np.sqrt(self.share)
 
     def by_angle(self, posed: PosedBody) -> tuple[Floats, Floats]:
-        """Give each angle's distance from its habit, in units of its spread."""
+        """Return each angle's difference from its usual value, in units of its standard deviation."""
         mean, sd = posed.body.skeleton.habit
         return (posed.pose.angles - mean) / sd, 1.0 / sd
 
@@ -58,11 +58,12 @@ class Habit(AngleObservation):
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
 class NearPose(Observation):
-    """The pose lies near another one: a prediction, or the middle of its neighbours in time."""
+    """Prior that the pose is near another one: a prediction, or the mean of its neighbours in time."""
 
     pose: Pose
+    """The other pose."""
     spread: Floats
-    """(D,) standard deviation of each coordinate [m, rad]; infinite where nothing is known."""
+    """(D,) standard deviation of each coordinate [m, rad]; infinite for no prior."""
 
     @property
     def sigma(self) -> float:
@@ -70,7 +71,7 @@ class NearPose(Observation):
         return 1.0
 
     def linearize(self, posed: PosedBody, *, shape: bool = False) -> Linearization:
-        """Give the change from the other pose, in units of the spread."""
+        """Return the change from the other pose, in units of the standard deviations."""
         change = self.pose.change_to(posed.pose)
         jacobian = np.zeros((len(change), _columns(posed, shape)))
         np.fill_diagonal(jacobian, 1.0 / self.spread)
@@ -81,10 +82,10 @@ class NearPose(Observation):
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ShapePrior(Observation):
-    """The shape numbers lie where other people's do."""
+    """Prior of the shape numbers from the variation among people."""
 
     share: float = 1.0
-    """How many such observations the prior is worth."""
+    """Weight, as a number of observations."""
 
     @property
     def sigma(self) -> float:
@@ -92,7 +93,7 @@ class ShapePrior(Observation):
         return 1.0 / np.sqrt(self.share)
 
     def linearize(self, posed: PosedBody, *, shape: bool = False) -> Linearization:
-        """Give the whitened distance of the numbers from the prior's mean."""
+        """Return the whitened difference of the numbers from the prior's mean."""
         space = posed.body.space
         whiten = np.linalg.inv(np.linalg.cholesky(space.prior_covariance))
         jacobian = np.zeros((len(space), _columns(posed, shape)))

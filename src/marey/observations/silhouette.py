@@ -1,4 +1,4 @@
-"""Outlines: a point of the body's rim lies on the contour that a camera saw."""
+"""Observations of outlines: points of the body's rim on the contour of a silhouette."""
 
 from dataclasses import dataclass
 from typing import final
@@ -13,21 +13,22 @@ from marey.observations.observation import SurfaceObservation
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SilhouettePlanes(SurfaceObservation):
-    """Rim points lie in the plane through the camera and the contour's tangent.
+    """Rim points in the plane through the camera and the contour's tangent.
 
-    Unlike the paper, which draws a point to the ray of one contour pixel ([Rosenhahn2006] eq. (10)),
-    the point may slide along the contour, about which a silhouette says nothing; see `SilhouetteRays`.
+    Unlike the paper, which moves a point to the ray of one contour pixel ([Rosenhahn2006] eq. (10)), the point is free
+    to slide along the contour, where a silhouette gives no information; see `SilhouetteRays`.
     """
 
     where: SurfacePoints
+    """The n rim points."""
     normals: Floats
     """(n, 3) unit normals of the planes."""
     offsets: Floats
     """(n,) distance of the planes from the world's origin [m]."""
     pixels_per_metre: Floats
-    """(n,) how far the point's image moves across the contour."""
+    """(n,) displacement of the point's image across the contour per metre."""
     sigma_px: float
-    """Standard deviation of the contour across itself [px]."""
+    """Standard deviation of the contour's position across itself [px]."""
 
     @property
     def sigma(self) -> float:
@@ -35,7 +36,7 @@ class SilhouettePlanes(SurfaceObservation):
         return self.sigma_px
 
     def constraints(self, posed: PosedBody) -> tuple[Floats, Floats]:
-        """Give one row a point: the distance from the plane in pixels."""
+        """Return one row per point: the distance from the plane in pixels."""
         scale = self.pixels_per_metre
         return (self.normals * scale[:, None])[:, None, :], (self.offsets * scale)[:, None]
 
@@ -43,17 +44,18 @@ class SilhouettePlanes(SurfaceObservation):
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SilhouetteRays(SurfaceObservation):
-    """Rim points lie on the ray of a contour pixel ([Rosenhahn2006] eq. (10))."""
+    """Rim points on the ray of a contour pixel ([Rosenhahn2006] eq. (10))."""
 
     where: SurfacePoints
+    """The n rim points."""
     directions: Floats
     """(n, 3) unit directions of the Plücker lines."""
     moments: Floats
-    """(n, 3) [m]."""
+    """(n, 3) moments of the Plücker lines [m]."""
     pixels_per_metre: Floats
     """(n,) scale at the point's depth."""
     sigma_px: float
-    """Standard deviation of the contour [px]."""
+    """Standard deviation of the contour's position [px]."""
 
     @property
     def sigma(self) -> float:
@@ -61,13 +63,13 @@ class SilhouetteRays(SurfaceObservation):
         return self.sigma_px
 
     def constraints(self, posed: PosedBody) -> tuple[Floats, Floats]:
-        """Give three rows a point, of rank two: p x n - m, in pixels."""
+        """Return three rows per point, of rank two: p x n - m, in pixels."""
         rows = self.pixels_per_metre[:, None, None] * _across(self.directions)
         return rows, self.moments * self.pixels_per_metre[:, None]
 
 
 def _across(directions: Floats) -> Floats:
-    """Give the matrices (n, 3, 3) with p x n = -[n]x p."""
+    """Return the matrices (n, 3, 3) with p x n = -[n]x p."""
     rows = np.zeros((len(directions), 3, 3))
     rows[:, 0, 1], rows[:, 0, 2], rows[:, 1, 2] = directions[:, 2], -directions[:, 1], directions[:, 0]
     rows[:, 1, 0], rows[:, 2, 0], rows[:, 2, 1] = -directions[:, 2], directions[:, 1], -directions[:, 0]

@@ -35,6 +35,7 @@ _SHOWN_NAMES = 8
 _SHOWN_LEFT_OVER = 12
 """Names of quantities without a counterpart that a warning lists at most."""
 _FILE = "compare.csv"
+"""The file with one row per compared quantity."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,6 +16,18 @@ class Progress(Protocol):
     """What a pipeline needs from a progress reporter.
 
     Subclass `RecordingProgress` to show the progress elsewhere, for example in a window.
+
+    Example:
+        >>> import marey
+        >>> def halve(values: list[float], progress: marey.Progress) -> list[float]:
+        ...     halves = []
+        ...     with progress.stage("Halving", len(values)) as step:
+        ...         for value in values:
+        ...             halves.append(0.5 * value)
+        ...             step()
+        ...     return halves
+        >>> halve([2.0, 4.0], marey.RecordingProgress())
+        [1.0, 2.0]
     """
 
     timings: dict[str, float]
@@ -45,6 +57,14 @@ class RecordingProgress:
     """Record timings and warnings, and show nothing.
 
     A subclass shows the progress by overriding `_show`, `report` and `warn`.
+
+    Example:
+        >>> import marey
+        >>> progress = marey.RecordingProgress()
+        >>> with progress.stage("Silhouettes", 2) as step:
+        ...     step()
+        >>> list(progress.timings)
+        ['Silhouettes']
     """
 
     def __init__(self) -> None:

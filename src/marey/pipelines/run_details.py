@@ -1,16 +1,14 @@
 """What a result knows about the run that made it, and the checkpoints of a run that can be resumed."""
 
-import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from marey.errors import FileProblem
 from marey.io.stages import file_fingerprint
 from marey.pipelines.progress import Progress, RecordingProgress
-from marey.pipelines.run_record import StageCache, recorded_run
+from marey.pipelines.run_record import StageCache, record_of
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -52,17 +50,18 @@ class RunDetails:
         )  # fmt: skip
 
     @staticmethod
-    def read(folder: Path, command: str) -> "RunDetails":
-        """Read the details of the run that left the files of a folder.
+    def read(folder: Path, command: str, *, file: str) -> "RunDetails":
+        """Read the details of the run that wrote a file.
 
         Args:
             folder: A folder of results.
-            command: Whose run.
+            command: The command that writes this file.
+            file: Name of the file in the folder.
 
         Returns:
             Empty details if the folder has no record of such a run.
         """
-        record = recorded_run(folder, command)
+        record = record_of(folder, file)
         return RunDetails(
             command=command, settings=record.get("settings", {}), root=folder,
             warnings=tuple(map(str, record.get("warnings", ()))), timings=record.get("timings_s", {}),
@@ -97,21 +96,18 @@ def checkpoints(out: Path | None, inputs: Sequence[Path]) -> Iterator[StageCache
         yield cache
 
 
-def copy_results(source: Path, folder: Path, command: str) -> None:
-    """Copy the files that one run left to another folder.
+@contextmanager
+def writable_folder(out: Path) -> Iterator[None]:
+    """Make sure, before the work begins, that results can be written to a folder.
 
     Args:
-        source: The folder of the results.
-        folder: Where they are copied to; it is made if it does not exist.
-        command: Whose files.
+        out: The folder; it is made if it does not exist, and removed again if nothing was written to it.
 
     Raises:
-        FileProblem: The folder has no record of such a run.
+        FileProblem: It cannot be written to.
     """
-    names = recorded_run(source, command).get("files", [])
-    if not names:
-        raise FileProblem(source, f"has no run.json of `marey {command}`", "Copy the folder as a whole.")
-    for name in names:
-        if (source / name).is_file() and (source / name).resolve() != (folder / name).resolve():
-            (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy2(source / name, folder / name)
+    cache = StageCache(out, ())
+    try:
+        yield
+    finally:
+        cache.clear()

@@ -1,4 +1,4 @@
-"""What was run on what, and how an interrupted run goes on: run.json, stages kept on disk, results all at once."""
+"""The record of a run (run.json), the checkpoints of an interrupted one, and results that appear all at once."""
 
 import hashlib
 import json
@@ -20,11 +20,13 @@ from marey.io.stages import Arrays, FrameLog, file_fingerprint, load_arrays, sav
 from marey.pipelines.progress import Progress
 
 WORK = ".work"
+"""Name of the folder for checkpoints inside of the folder of the results."""
 RECORD = "run.json"
+"""Name of the file that records what was run."""
 
 
 def fingerprint(*parts: object) -> str:
-    """Give 32 hexadecimal digits that change with any of the parts: numbers, texts, arrays, records, collections."""
+    """Return 32 hexadecimal digits that change with any of the parts: numbers, texts, arrays, records, collections."""
     digest = hashlib.blake2b(digest_size=16)
     for part in parts:
         _add(digest, part)
@@ -52,14 +54,14 @@ def _add(digest: "hashlib.blake2b", part: object) -> None:
 
 
 class StageCache:
-    """Results of the stages of a run, kept in the folder of its results while the run lasts.
+    """Checkpoints: the results of the stages of a run, stored in the folder of its results while the run lasts.
 
-    A stage's result is found again only for the same version, the same inputs and the same settings. Used as a
-    context, it forgets everything when the run has ended, or when the user must mend something first; what an
-    interruption or a fault of the program leaves is there for the next run.
+    The result of a stage is used again only for the same version, inputs and settings. As a context manager, it deletes
+    everything when the run has ended, or has failed by an error that the user must correct. After an interruption or an
+    error of the program, the checkpoints stay for the next run.
 
     Args:
-        out: Where the run's results go.
+        out: Folder for the results of the run.
         inputs: Fingerprints of the input files, and everything else that all stages depend on.
     """
 
@@ -69,12 +71,15 @@ class StageCache:
         _make_folder(self.folder)
 
     def arrays(self, name: str, compute: Callable[[], Mapping[str, np.ndarray]], *, depends: object = None) -> Arrays:
-        """Find a stage's result, or compute and keep it.
+        """Return the stored result of a stage, or compute and store it.
 
         Args:
-            name: The stage, as part of a file's name.
-            compute: Gives the result: arrays by name, none of them of Python objects.
+            name: Name of the stage, which becomes part of a file name.
+            compute: Returns the result: arrays by name, none of them of Python objects.
             depends: Settings on which this stage depends.
+
+        Returns:
+            Arrays by name.
         """
         path = self._path(name, depends, ".npz")
         if not path.exists():
@@ -82,11 +87,11 @@ class StageCache:
         return load_arrays(path)
 
     def frames(self, name: str, *, depends: object = None) -> FrameLog:
-        """Open the log of a stage that goes frame by frame; its length says how many frames are done."""
+        """Open the log of a stage that works frame by frame; its length is the number of finished frames."""
         return FrameLog(self._path(name, depends, ".log"))
 
     def clear(self) -> None:
-        """Forget everything, and leave no empty folder behind."""
+        """Delete all checkpoints, and the folder of the results if it is empty."""
         shutil.rmtree(self.folder, ignore_errors=True)
         with suppress(OSError):
             self.folder.parent.rmdir()
@@ -101,7 +106,7 @@ class StageCache:
     def _path(self, name: str, depends: object, ending: str) -> Path:
         path = self.folder / f"{name}-{fingerprint(self._key, name, depends)}{ending}"
         for other in self.folder.glob("*" + ending):
-            # Another version's, or of other settings: nobody will ask for it again.
+            # A checkpoint of another version or of other settings is never used again.
             if other.stem[:-33] == name and other != path:
                 other.unlink()
         return path
@@ -109,14 +114,14 @@ class StageCache:
 
 @contextmanager
 def finished_together(out: Path) -> Iterator[Path]:
-    """Let the results of a run appear all at once at its end, or not at all.
+    """Make the results of a run appear all at once at its end, or not at all.
 
     Args:
-        out: Where the results go.
+        out: Folder for the results.
 
     Yields:
-        A folder in which to write them. When the block ends well, they move to `out`, and what the last run
-        left there by other names goes; when it ends with an error, `out` stays as it was.
+        A folder in which to write them. If the block succeeds, they are moved to `out`, and further files of the last
+        run of the same command are deleted there; if it fails, `out` is not changed.
     """
     staging = out / WORK / "results"
     shutil.rmtree(staging, ignore_errors=True)
@@ -144,7 +149,7 @@ def _move_in(staging: Path, out: Path) -> None:
 
 
 def _carry_over(staging: Path, out: Path) -> set[Path]:
-    """Keep in the new record what other commands left in the folder; give the files of the same command's last run."""
+    """Copy the records of other commands to the new record; return files of the last run of the same command."""
     now, before = _record_in(staging), _record_in(out)
     earlier = before.pop("earlier", {})
     earlier[before.get("command")] = before
@@ -152,7 +157,7 @@ def _carry_over(staging: Path, out: Path) -> set[Path]:
     earlier = {command: record for command, record in earlier.items() if command}
     if earlier:
         _write_json(staging / RECORD, now | {"earlier": earlier})
-    # What two commands write, the last one owns; the others' files stay.
+    # A file that two commands write belongs to the later one; other files of the earlier one stay.
     kept = {name for record in earlier.values() for name in record.get("files", [])}
     names = {Path(name) for name in last.get("files", []) if name not in kept}
     return {name for name in names if not name.is_absolute() and ".." not in name.parts}
@@ -185,24 +190,6 @@ def _record_in(folder: Path) -> dict[str, Any]:
     return record if sound else {}
 
 
-def recorded_run(folder: Path, command: str) -> dict[str, Any]:
-    """Return what run.json holds about the last run of a command.
-
-    Args:
-        folder: A folder of results.
-        command: For example `markers`.
-
-    Returns:
-        The record; empty if the folder has none of this command.
-    """
-    record = _record_in(folder)
-    if record.get("command") == command:
-        return record
-    earlier = record.get("earlier", {})
-    found = earlier.get(command, {}) if isinstance(earlier, dict) else {}
-    return found if isinstance(found, dict) else {}
-
-
 def _write_json(path: Path, record: Mapping[str, object]) -> None:
     path.write_text(json.dumps(record, indent=2, ensure_ascii=False, default=str) + "\n", encoding="utf-8")
 
@@ -219,12 +206,12 @@ def write_record(
     """Write run.json: version, settings, inputs with their fingerprints, timings, and the results beside it.
 
     Args:
-        folder: Where all other results of the run stand already.
-        command: What was run, for example `capture`.
-        settings: By name; what JSON cannot hold is written as text.
+        folder: The folder that holds all other results of the run.
+        command: Name of the command, for example `capture`.
+        settings: Settings by name; values that JSON does not have are written as text.
         inputs: The files that were read.
-        root: The folder to which the inputs' names refer.
-        progress: Keeps the timings and warnings.
+        root: The folder to which the names of the inputs are relative.
+        progress: Progress reporter, with timings and warnings.
     """
     record = {
         "program": "marey",
@@ -256,5 +243,5 @@ def _make_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as problem:
-        wrong = f"cannot be made ({problem.strerror})"
+        wrong = f"cannot be created ({problem.strerror})"
         raise FileProblem(folder, wrong, "Give a folder that can be written to with --out.") from problem

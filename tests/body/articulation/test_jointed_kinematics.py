@@ -43,7 +43,7 @@ def test_the_twists_are_differences_of_places_at_any_scale_of_length(size):
         assert np.allclose(velocity + np.cross(spin, placed.origin), shift, atol=1e-8 * size)
 
 
-def test_coupled_coordinates_follow_and_hand_their_slope_on():
+def test_couplings_apply_the_chain_rule():
     body = leg()
     values = walking(body, 3)[2]
     function = body.couplings[0].function
@@ -56,7 +56,7 @@ def test_coupled_coordinates_follow_and_hand_their_slope_on():
     assert not body.free[patella]
 
 
-def test_what_does_not_fit_together_is_said():
+def test_inconsistent_models_are_refused():
     a, b = ModelCoordinate(name="a"), ModelCoordinate(name="b")
     root = ModelBody(name="root", parent=None, joint="j")
     with pytest.raises(MareyError, match="circle"):

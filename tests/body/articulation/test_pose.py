@@ -14,7 +14,7 @@ def posed(rng):
     return PosedBody(body, people.any_pose(rng, body))
 
 
-def test_at_rest_the_skin_is_where_the_shape_says(rng):
+def test_at_rest_the_skin_is_that_of_the_shape(rng):
     body = people.stick_person(rng)
     rest = people.any_pose(rng, body, spread=0.0)
     posed = PosedBody(body, rest)
@@ -56,7 +56,7 @@ def test_parts_add_up_to_the_point(posed, rng):
     np.testing.assert_allclose(total, posed.points(where), atol=1e-13)
 
 
-def test_points_move_with_pose_and_shape_as_the_derivative_says(posed, rng):
+def test_the_derivative_of_points_by_pose_and_shape_is_right(posed, rng):
     where, step = people.any_points(rng, posed.body, 30), 1e-6
     jacobian = np.concatenate([posed.pose_jacobian(*posed.parts(where)), posed.shape_jacobian(where)], 2)
     for column in range(jacobian.shape[2]):
@@ -75,7 +75,7 @@ def test_constraints_on_points_change_as_the_points_move(posed, rng):
     np.testing.assert_allclose(posed.constraint_jacobian(where, rows), expected[:, :, :degrees], atol=1e-12)
 
 
-def test_joint_centres_move_with_pose_and_shape_as_the_derivative_says(posed):
+def test_the_derivative_of_joint_centres_by_pose_and_shape_is_right(posed):
     segments, step = posed.body.joint_segments, 1e-6
     by_pose = posed.pose_jacobian(*posed.joint_parts(segments))
     jacobian = np.concatenate([by_pose, posed.origin_shape_jacobian()[segments]], 2)

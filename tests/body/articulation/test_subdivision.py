@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from marey.body.articulation.pose import Pose, PosedBody
-from marey.body.articulation.subdivision import divided_faces, edges_of, finer
+from marey.body.articulation.subdivision import divided_faces, edges_of, subdivided
 from marey.body.metaballs.metaball_person import metaball_body, metaball_space
 
 
@@ -24,7 +24,7 @@ def test_a_closed_surface_stays_closed(body):
 
 
 def test_old_vertices_stay_and_new_ones_lie_between(body, rng):
-    fine = finer(body)
+    fine = subdivided(body)
     np.testing.assert_array_equal(fine.vertices[: len(body.vertices)], body.vertices)
     edges, _ = edges_of(body.faces)
     np.testing.assert_allclose(fine.vertices[len(body.vertices) :], body.vertices[edges].mean(1))

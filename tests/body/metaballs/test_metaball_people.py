@@ -60,14 +60,14 @@ def test_both_levels_of_the_metaball_person_have_the_same_joints(rng):
     np.testing.assert_array_equal(reshaped(fine, numbers).joint_centres, reshaped(coarse, numbers).joint_centres)
 
 
-def test_joints_of_metaball_people_are_known_no_better_than_the_familys():
+def test_joints_of_metaball_people_are_at_least_as_uncertain_as_the_familys():
     """The least that both kinds of deviation add is what skin alone leaves open in the learned family."""
     body, family = metaball_person("full", "coarse"), person_body("coarse", numbers=16)
     assert np.all(body.joint_sd >= family.joint_sd)
     assert np.all(np.hypot(body.joint_sd, body.joint_offset_sd) < 0.04)
 
 
-def test_the_leading_directions_say_most_of_a_person_first(rng):
+def test_the_leading_directions_are_ordered_by_variation(rng):
     """Most of the difference between people's skins lies in a few directions, whose steps are independent."""
     space = metaball_person("simple", "coarse").space
     steps = space.leading

@@ -174,7 +174,7 @@ def test_pose_and_sizes_are_recovered_from_points_on_the_surface(space, rng):
     surface = surface[np.abs(true.distance(surface)) < 1e-6]
     points = surface + rng.normal(size=surface.shape) * sd
     pose = true.pose.step(np.append(rng.normal(size=3) * 0.01, rng.normal(size=len(true.pose.angles) + 3) * 0.02))
-    # First the points are believed to a centimetre only: what is near weighs no more than what is expected.
+    # First the points have a standard deviation of a centimetre, so that the prior has a similar weight.
     near, numbers, _ = fitted(space, PosedMetaballs(space.mean, pose), np.zeros(len(space)), points, 10 * sd, 20 * sd)
     found, numbers, covariance = fitted(space, near, numbers, points, sd, 5 * sd)
     # Hands and toes are as thin as the start is wrong, and may stay where points of one side are taken for the other's.
@@ -188,7 +188,7 @@ def test_pose_and_sizes_are_recovered_from_points_on_the_surface(space, rng):
     assert np.median(np.abs(found.distance(points))) < 0.8 * sd
 
 
-def test_people_of_the_family_are_expected(space):
+def test_the_prior_includes_the_family(space):
     """The family's spread of stature is found again in the numbers."""
     family, names = load_family("coarse"), space.names
     along = np.zeros(len(space))
@@ -216,7 +216,7 @@ def test_the_skin_is_made_anew_for_other_numbers(space, body, rng):
     np.testing.assert_array_equal(reshaped(body, numbers).numbers, numbers)
 
 
-def test_an_ordinary_body_takes_other_numbers_as_ever(rng):
+def test_a_body_without_metaballs_takes_other_numbers(rng):
     family = family_body("coarse")
     numbers = rng.normal(size=len(family.space))
     np.testing.assert_array_equal(reshaped(family, numbers).vertices, family.with_numbers(numbers).vertices)
@@ -285,6 +285,6 @@ def test_the_skin_follows_sharpness_to_first_order(sharpened, rng):
     assert off[0] / off[1] == pytest.approx(4.0, rel=0.3)
 
 
-def test_weights_may_stay_as_they_are():
+def test_weights_may_be_kept():
     space = single_radii(metaball_space("simple"), ["forearm"], sharpness_sd=None)
     assert not any(name.endswith("sharpness") for name in space.names)

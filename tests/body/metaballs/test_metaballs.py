@@ -7,14 +7,14 @@ import pytest
 from tests import people
 
 from marey.body.articulation.skeleton import LIMBS
-from marey.body.metaballs.metaballs import FLATTEST, THRESHOLD, Metaballs, PosedMetaballs
+from marey.body.metaballs.metaballs import LEAST_SLOPE, THRESHOLD, Metaballs, PosedMetaballs
 from marey.geometry import rotations
 
 STEP = 1e-6
 
 
 def any_metaballs(rng, *, on=None, count=2):
-    """Give balls on some segments of a person, all when None."""
+    """Return balls on some segments of a person, all when None."""
     body = people.stick_person(rng)
     names = on or body.skeleton.segment_names
     segment = np.repeat([body.skeleton.segment(name) for name in names], count)
@@ -95,7 +95,7 @@ def test_the_distance_is_metric_near_a_sphere(rng):
         read = posed.distance(posed.place + (reach + off) * outward)
         # Second order of the quadratic ln F, off^2 / (2 reach), and the bound of the slope.
         slope = 4 * reach / radius**2
-        np.testing.assert_allclose(read, off, atol=off**2 / reach + abs(off) * (FLATTEST / slope) ** 2)
+        np.testing.assert_allclose(read, off, atol=off**2 / reach + abs(off) * (LEAST_SLOPE / slope) ** 2)
 
 
 def test_a_heavier_ball_of_the_same_size_has_a_sharper_edge(rng):
@@ -117,7 +117,7 @@ def test_far_points_still_pull_towards_the_body(posed):
     assert posed.distance(nearer) < of.residual
 
 
-def test_one_leg_does_not_melt_into_the_other(rng):
+def test_one_leg_does_not_merge_with_the_other(rng):
     body = people.stick_person(rng)
     legs = [body.skeleton.segment(f"{side}_thigh") for side in ("left", "right")]
     apart = np.array([0.12, 0.0, 0.0])
@@ -133,7 +133,7 @@ def test_one_leg_does_not_melt_into_the_other(rng):
 
 
 @pytest.mark.parametrize("limb", [3, 4])
-def test_a_point_given_to_a_limb_feels_that_limb(rng, posed, points, limb):
+def test_a_point_of_a_limb_depends_on_that_limb_and_the_trunk(rng, posed, points, limb):
     kept = np.flatnonzero(np.isin(posed.balls.limb, [0, limb]))
     balls = posed.balls
     only = replace(
@@ -145,7 +145,7 @@ def test_a_point_given_to_a_limb_feels_that_limb(rng, posed, points, limb):
 
 
 def differences(posed, points, change, residual):
-    """Give the central difference of a residual by a change (posed, points, step) -> (posed, points)."""
+    """Return the central difference of a residual by a change (posed, points, step) -> (posed, points)."""
     up, down = (getattr(p, residual)(x).residual for p, x in (change(posed, points, s) for s in (STEP, -STEP)))
     return (up - down) / (2 * STEP)
 

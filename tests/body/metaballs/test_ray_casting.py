@@ -39,7 +39,7 @@ def test_a_ray_that_never_leaves_or_is_never_inside_has_no_exit(posed, knee):
     assert np.isnan(exits(posed, knee + [0.3, 0, 0], np.array([1.0, 0, 0]), reach=0.5)).all()
 
 
-def test_a_limb_alone_is_felt_as_all_limbs_are_where_it_is_the_strongest(posed, knee, rng):
+def test_a_single_limb_gives_the_field_of_all_where_it_is_strongest(posed, knee, rng):
     ways = rng.normal(size=(20, 3)) * [0.2, 1, 0]
     own, every = (exits(posed, knee, ways, limb, reach=0.3) for limb in (LEG, -1))
     np.testing.assert_allclose(own, every, atol=1e-8)

@@ -97,6 +97,6 @@ def test_standard_deviations_follow_the_numbers(space):
     assert found.mass[0] == pytest.approx(found.volume[0] * DENSITY["thigh"])
 
 
-def test_without_a_covariance_nobody_knows(whole):
+def test_without_a_covariance_standard_deviations_are_nan(whole):
     assert np.isnan(whole.volume_sd).all()
     assert np.isnan(whole.girth[whole.names.index("head")]).all()

@@ -46,7 +46,7 @@ def edges(faces):
 
 
 def in_hands(balls, skin):
-    """Tell which vertices lie beyond the wrists."""
+    """Return which vertices lie beyond the wrists."""
     names = balls.skeleton.segment_names
     beyond = np.zeros(len(skin.part), bool)
     for side in ("left", "right"):
@@ -167,7 +167,7 @@ def test_a_mesh_without_metaballs_has_no_cross_sections(rng):
         spline_body(people.stick_person(rng))
 
 
-def test_bones_that_lie_beside_the_balls_do_no_harm():
+def test_bones_may_lie_beside_the_balls():
     """The balls of the trunk moved forward until the spine stands out of the back, those of a forearm aside."""
     balls = person("simple", None)
     names = np.array(balls.skeleton.segment_names)[balls.segment]

@@ -105,7 +105,7 @@ def test_a_known_stature_gives_bodies_of_that_stature(family, known, rng):
     root = np.linalg.cholesky(space.prior_covariance + 1e-12 * np.eye(len(space)))
     statures = [of(family, known, space.prior_mean + root @ z)["stature"] for z in rng.normal(size=(400, len(space)))]
     assert np.std(statures) == pytest.approx(0.005, rel=4 / np.sqrt(2 * 400))
-    # what the stature does not tell stays open
+    # what the stature does not determine stays free
     assert np.linalg.eigvalsh(space.prior_covariance)[1] > 0.99
 
 
@@ -122,7 +122,7 @@ def test_nothing_given_changes_nothing(family, known):
     assert condition(space, known, {}) is space
 
 
-def test_wrong_sizes_are_told(family, known):
+def test_wrong_sizes_are_refused(family, known):
     with pytest.raises(SettingProblem, match="collar"):
         condition(space_of(family), known, {"collar": (0.4, 0.01)})
     with pytest.raises(SettingProblem, match="positive"):
@@ -140,7 +140,7 @@ def test_statures_of_men_and_women_are_within_the_family(family, known):
         assert abs(average - mean) + 2 * sd < 2.5 * spread
 
 
-# What docs/body.md tells of the rig's joints beside the literature: the family's mean less the published, in mm.
+# The distances of the rig's joints from published ones in docs/explanation/body.md: family mean less published [mm].
 AGREEING = ("upperarm_length", "thigh_length", "shank_length", "hip_height", "ankle_height")
 DEPARTING = {"hip_width": 51, "forearm_length": -27, "knee_height": 23, "shoulder_height": -38}
 

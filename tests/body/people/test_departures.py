@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from marey.body.articulation.surface import ShapeSpace
-from marey.body.people.departures import CLOTHED, departure_modes, wider
+from marey.body.people.departures import CLOTHED_SEGMENTS, departure_modes, extended_space
 from marey.body.people.family import LEVELS, distal_ends, load_family
 
 
@@ -86,7 +86,7 @@ def test_clothes_lie_outside_and_leave_head_and_hands_free(family, modes):
     bare = np.isin(family.vertex_segments[:, 0], [family.segment("head"), family.segment("left_hand")])
     whole = bare & (family.vertex_weights[:, 0] == 1)
     np.testing.assert_array_equal(vertices[whole], 0)
-    assert "head" not in CLOTHED
+    assert "head" not in CLOTHED_SEGMENTS
     skin, _ = mode(modes, "skin")
     np.testing.assert_allclose(np.linalg.norm(skin, axis=1), 1, atol=1e-12)
 
@@ -124,7 +124,7 @@ def test_a_wider_space_has_the_family_first_and_the_departures_after_it(family, 
         prior_covariance=2 * np.eye(4),
     )
     longer = modes.keep("thigh_length")
-    wide = wider(space, longer)
+    wide = extended_space(space, longer)
     assert wide.names == ("a", "b", "c", "d", "thigh_length")
     numbers = np.array([0.5, 0, -1, 0, 2.0])
     expected = family.joints(numbers[:4]) + 2 * longer.sd[0] * longer.joints[0]

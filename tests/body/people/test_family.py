@@ -113,7 +113,7 @@ def test_every_distal_end_lies_away_from_its_joint(family):
     assert np.all((length > 0.03) & (length < 0.5))
 
 
-def test_wrong_settings_are_told():
+def test_wrong_settings_are_refused():
     with pytest.raises(SettingProblem, match="level"):
         load_family("finest")
     with pytest.raises(SettingProblem, match="numbers"):
@@ -133,5 +133,5 @@ def test_more_numbers_leave_the_joints_less_room():
     spreads = [load_family("coarse", k).joints_sd for k in (0, 4, 8, 16)]
     means = [np.mean(spread[1:]) for spread in spreads]
     assert all(a > b for a, b in itertools.pairwise(means))
-    # docs/body.md: 4 mm of distance with 16 numbers, thus about 2 mm by axis
+    # docs/explanation/body.md: 4 mm of distance with 16 numbers, thus about 2 mm by axis
     assert 0.001 < means[-1] < 0.004

@@ -55,7 +55,7 @@ def test_the_full_body_is_followed_everywhere():
     assert person_body("coarse").followed_joints.all()
 
 
-def test_an_unknown_preset_is_told_with_the_known_ones():
+def test_the_error_for_an_unknown_preset_lists_the_known_ones():
     with pytest.raises(SettingProblem, match="full, upper"):
         person_body(preset="lower")
 
@@ -96,7 +96,7 @@ def test_its_surface_is_closed_and_looks_outwards():
         ("left_clavicle_protraction", "left_upperarm", 1, -1),
     ],
 )
-def test_a_positive_turn_goes_where_its_name_says(name, segment, axis, sign):
+def test_a_positive_rotation_has_the_direction_of_its_name(name, segment, axis, sign):
     body = family_body("coarse")
     moved = PosedBody(body, worlds.pose(body, {name: 10}))
     k = body.skeleton.segment(segment)

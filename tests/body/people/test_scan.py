@@ -77,7 +77,7 @@ def shares(body: Body) -> dict[str, np.ndarray]:
 
 
 @pytest.mark.parametrize("heading", [0.0, 2.0, -1.3])
-def test_a_scan_in_a_t_pose_is_laid_into_the_rest_posture(template: Body, somebody: Body, heading: float):
+def test_a_scan_in_a_t_pose_is_moved_to_the_rest_posture(template: Body, somebody: Body, heading: float):
     skin, joints = t_pose(somebody, heading)
     body = scanned_body(template, vertices=skin, faces=somebody.faces, joint_centres=joints, weights=shares(somebody))
     # The person's own limbs are not quite as straight as the template's, which is how the scan is laid.
@@ -119,7 +119,7 @@ def test_a_missing_limb_is_named_by_its_joint(template: Body, somebody: Body):
         scanned_body(template, vertices=skin, faces=somebody.faces, joint_centres=joints)
 
 
-def test_skin_that_nothing_carries_is_counted(template: Body, somebody: Body):
+def test_skin_without_weights_is_an_error(template: Body, somebody: Body):
     skin, joints = t_pose(somebody, 0.0)
     nothing = {name: np.zeros(len(skin)) for name in joints}
     with pytest.raises(MareyError, match="carried by no segment"):

@@ -36,7 +36,7 @@ def fitted(scene, order, iterations):
     return fit_points(given, generic, start, settings=LevenbergSettings(order=order, iterations=iterations, stop=1e-6))
 
 
-def test_an_arm_is_found_again_from_one_side_of_it(scene):
+def test_an_arm_is_recovered_from_one_side_of_it(scene):
     space, truth, body, poses, _, _ = scene
     fit = fitted(scene, "together", 50)
     index = [space.names.index(name) for name in ARM]
@@ -51,12 +51,12 @@ def test_an_arm_is_found_again_from_one_side_of_it(scene):
     assert fit.stopped
 
 
-def test_sizes_and_skeleton_in_turn_come_on_more_slowly(scene):
+def test_sizes_and_skeleton_in_turn_converge_more_slowly(scene):
     """Unlike the paper, which found turns to converge better; docs/accuracy.md has the figures."""
     assert fitted(scene, "together", 20).cost < fitted(scene, "in turn", 20).cost
 
 
-def test_without_points_people_stay_as_they_are_expected(scene):
+def test_without_points_the_prior_is_returned(scene):
     space, _, _, _, _, start = scene
     generic = world.person(space, 0.05 * np.ones(len(space)))
     fit = fit_points(PersonPoints(by_frame={}), generic, start)

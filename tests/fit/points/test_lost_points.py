@@ -40,7 +40,7 @@ def test_points_stretch_with_the_skin(points):
     np.testing.assert_allclose(places[:, 0], 1.1 * points[:, 0], atol=0.004 * 0.1)
 
 
-def test_nobody_knows_without_a_body_or_far_from_it(points):
+def test_no_prediction_without_a_body_or_far_from_it(points):
     expected = expected_by_skin(skin, FACES)
     assert np.isnan(expected(7, points, np.zeros(50, int))).all()
     assert np.isnan(expected(3, points, np.full(50, 7))).all()

@@ -1,4 +1,4 @@
-"""Followed points ride on their segments, at one place in all frames."""
+"""Tracked points that are carried by their segments, at one position in all frames."""
 
 from dataclasses import replace
 
@@ -42,68 +42,68 @@ def scene():
 
 def test_points_are_carried_by_the_segment_on_whose_skin_they_lie(scene):
     body, poses, tracks, segment = scene
-    fastened = tracks.fastened(poses, body)
-    known = fastened.segment >= 0
+    attached = tracks.attached(poses, body)
+    known = attached.segment >= 0
     assert known.mean() > 0.9
-    np.testing.assert_array_equal(fastened.segment[known], segment[known])
+    np.testing.assert_array_equal(attached.segment[known], segment[known])
     for frame, pose in poses.items():
-        _, residual = fastened.residuals(frame, PosedBody(body, pose))
+        _, residual = attached.residuals(frame, PosedBody(body, pose))
         assert np.sqrt(np.mean(residual**2)) == pytest.approx(NOISE * np.sqrt(5 / 6), rel=0.1)
 
 
 def test_the_sum_is_that_of_carried_points(scene):
     body, poses, tracks, _ = scene
-    fastened, posed = tracks.fastened(poses, body), PosedBody(body, poses[2].step(np.full(12, 1e-4)))
-    hessian, gradient = fastened.terms(2, posed)
-    which, residual = fastened.residuals(2, posed)
+    attached, posed = tracks.attached(poses, body), PosedBody(body, poses[2].step(np.full(12, 1e-4)))
+    hessian, gradient = attached.terms(2, posed)
+    which, residual = attached.residuals(2, posed)
     plain = CarriedPoints(
-        segments=fastened.segment[which], places=fastened.place[which], points=tracks.position[2, which], sigma_m=1.0
+        segments=attached.segment[which], places=attached.place[which], points=tracks.position[2, which], sigma_m=1.0
     )  # fmt: skip
     rows = plain.linearize(posed, shape=True)
     np.testing.assert_allclose(rows.residual, residual.ravel(), atol=1e-12)
-    weight = np.repeat(fastened.weights(2, which, residual), 3)
+    weight = np.repeat(attached.weights(2, which, residual), 3)
     size = rows.jacobian.shape[1]
     wanted = rows.jacobian.T @ (weight[:, None] * rows.jacobian)
     np.testing.assert_allclose(hessian[:size, :size], wanted, atol=1e-9 * np.abs(wanted).max())
     np.testing.assert_allclose(gradient[:size], rows.jacobian.T @ (weight * rows.residual), atol=1e-6)
 
 
-def test_the_places_of_a_segment_move_as_the_last_columns_say(scene):
+def test_the_last_columns_are_the_motion_of_a_segments_positions(scene):
     body, poses, tracks, _ = scene
-    fastened, posed = tracks.fastened(poses, body), PosedBody(body, poses[1])
-    _, gradient = fastened.terms(1, posed)
+    attached, posed = tracks.attached(poses, body), PosedBody(body, poses[1])
+    _, gradient = attached.terms(1, posed)
     first = len(body.skeleton) + len(body.space)
     k, step = body.skeleton.segment("right_forearm"), 1e-6
-    which, residual = fastened.residuals(1, posed)
-    weight = fastened.weights(1, which, residual)
+    which, residual = attached.residuals(1, posed)
+    weight = attached.weights(1, which, residual)
     for column in range(6):
-        place = fastened.place.copy()
-        own = fastened.segment == k
+        place = attached.place.copy()
+        own = attached.segment == k
         if column < 3:
             place[own, column] += step
         else:
             place[own] += step * np.cross(np.eye(3)[column - 3], place[own])
-        _, moved = replace(fastened, place=place).residuals(1, posed)
+        _, moved = replace(attached, place=place).residuals(1, posed)
         change = np.sum(weight[:, None] * residual * (moved - residual)) / step
         assert gradient[first + 6 * k + column] == pytest.approx(change, rel=1e-3, abs=1e-2)
 
 
-def test_a_frame_without_points_says_nothing(scene):
+def test_a_frame_without_points_contributes_nothing(scene):
     body, poses, tracks, _ = scene
-    hessian, gradient = tracks.fastened(poses, body).terms(99, PosedBody(body, poses[0]))
+    hessian, gradient = tracks.attached(poses, body).terms(99, PosedBody(body, poses[0]))
     assert not hessian.any()
     assert not gradient.any()
 
 
-def test_trajectories_of_other_frames_say_nothing(scene):
+def test_trajectories_of_other_frames_contribute_nothing(scene):
     body, poses, tracks, _ = scene
     other = replace(tracks, frames=tracks.frames + 100)
-    fastened = other.fastened(poses, body)
-    assert (fastened.segment == -1).all()
-    assert fastened.reestimated({f: PosedBody(body, pose) for f, pose in poses.items()}).skin_sd_m == other.skin_sd_m
+    attached = other.attached(poses, body)
+    assert (attached.segment == -1).all()
+    assert attached.reestimated({f: PosedBody(body, pose) for f, pose in poses.items()}).skin_sd_m == other.skin_sd_m
 
 
-def test_trajectories_are_taken_without_those_that_were_removed():
+def test_removed_trajectories_are_skipped():
     covariance = np.broadcast_to(np.eye(3) * 4e-8, (2, 3, 3, 3)).copy()
     covariance[0, 2] = np.nan
     nothing = np.full((2, 3, 3), np.nan)
@@ -118,19 +118,19 @@ def test_trajectories_are_taken_without_those_that_were_removed():
     np.testing.assert_allclose(found.variance, [[4e-8, 0.0], [4e-8, 4e-8]], rtol=1e-6)
 
 
-def test_how_far_skin_moves_about_is_found_again(scene):
+def test_the_standard_deviation_of_the_skin_is_recovered(scene):
     body, poses, tracks, _ = scene
     rng = np.random.default_rng(2)
     moving = replace(tracks, position=tracks.position + rng.normal(size=tracks.position.shape) * 0.001)
     bodies = {f: PosedBody(body, pose) for f, pose in poses.items()}
     found = moving
     for _ in range(4):
-        found = found.fastened(poses, body).reestimated(bodies)
+        found = found.attached(poses, body).reestimated(bodies)
     assert found.skin_sd_m == pytest.approx(0.001, rel=0.15)
 
 
-def test_only_people_of_metaballs_are_fitted(scene):
+def test_a_body_without_metaballs_is_refused(scene):
     body, poses, tracks, _ = scene
     bare = replace(body, metaballs=None)
     with pytest.raises(ValueError, match="metaballs"):
-        tracks.fastened(poses, bare).terms(0, PosedBody(bare, poses[0]))
+        tracks.attached(poses, bare).terms(0, PosedBody(bare, poses[0]))

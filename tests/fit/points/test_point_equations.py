@@ -32,7 +32,7 @@ def test_the_sum_is_that_of_the_plain_rows(scene, scale):
     rows = observed.linearize(posed, shape=True)
     distance = rows.residual * observed.spread
     weight = geman_mcclure(distance, scale)
-    # Balls with less than a millionth of the field are passed over.
+    # Balls with less than a millionth of the field are ignored.
     np.testing.assert_allclose(found.residual, distance, atol=1e-7)
     np.testing.assert_allclose(found.weight, weight, atol=1e-4)
     hessian = rows.jacobian.T @ (weight[:, None] * rows.jacobian)
@@ -53,12 +53,12 @@ def test_the_papers_residual_is_the_field_less_the_threshold(scene):
     np.testing.assert_allclose(found.hessian, hessian, atol=1e-4 * np.abs(hessian).max())
 
 
-def test_distances_alone_are_the_same(scene):
+def test_distances_agree_with_the_residuals(scene):
     posed, observed = scene
     np.testing.assert_allclose(distances_of(posed, observed), point_equations(posed, observed).residual, atol=1e-7)
 
 
-def test_points_belong_to_the_limb_on_which_they_lie(scene):
+def test_points_are_assigned_to_the_nearest_limb(scene):
     posed, observed = scene
     names = posed.body.skeleton.segment_names
     hand = posed.segment_origin[names.index("right_hand")]

@@ -1,4 +1,4 @@
-"""The recipe: a person's metaballs from measured points and silhouettes together."""
+"""Estimation of a person's metaballs from measured points and silhouettes together."""
 
 from dataclasses import replace
 
@@ -13,19 +13,19 @@ from marey.body.people.person import family_body, person_body
 from marey.errors import SettingProblem
 from marey.fit.points.person_tracks import PersonTracks
 from marey.fit.points.shape import (
-    OnSurface,
-    Shaped,
+    ShapeEstimate,
     ShapeSettings,
-    evenly,
-    freed,
+    SurfaceMeasurements,
+    evenly_spaced,
+    final_covariances,
+    has_simple_limbs,
     metaballs_like,
     more_detailed,
     refine_shape,
-    simplified,
-    stated,
     with_coordinates,
+    with_free_trunk,
 )
-from marey.fit.points.shape_start import begun_from_clicks
+from marey.fit.points.shape_start import start_from_clicked_joints
 from marey.fit.points.surface_points import PersonPoints
 from marey.fit.recipes.sequence import refine_sequence
 from marey.fit.recipes.start_joints import clicked_joints
@@ -37,8 +37,8 @@ def arm():
     return person_body("fine", preset="right_arm")
 
 
-def test_the_trunk_of_an_arms_preset_may_turn(arm):
-    whole = freed(arm)
+def test_the_trunk_of_an_arms_preset_is_freed(arm):
+    whole = with_free_trunk(arm)
     names = {c.name for c in whole.skeleton.coordinates}
     assert {c.name for c in arm.skeleton.coordinates} < names
     assert "lumbar_flexion" in names
@@ -48,8 +48,10 @@ def test_the_trunk_of_an_arms_preset_may_turn(arm):
     np.testing.assert_allclose(PosedBody(whole, moved).vertices, PosedBody(arm, pose).vertices, atol=1e-12)
 
 
-def test_metaballs_take_over_a_learned_persons_numbers_and_preset(arm, rng):
-    body = freed(arm.with_numbers(0.5 * rng.normal(size=len(arm.space)) * np.sqrt(np.diag(arm.space.prior_covariance))))
+def test_metaballs_keep_a_learned_persons_numbers_and_preset(arm, rng):
+    body = with_free_trunk(
+        arm.with_numbers(0.5 * rng.normal(size=len(arm.space)) * np.sqrt(np.diag(arm.space.prior_covariance)))
+    )
     balls = metaballs_like(body)
     np.testing.assert_array_equal(balls.numbers, body.numbers)
     np.testing.assert_allclose(balls.joint_centres, body.joint_centres, atol=1e-9)
@@ -61,8 +63,8 @@ def test_metaballs_take_over_a_learned_persons_numbers_and_preset(arm, rng):
     assert metaballs_like(balls) is balls
 
 
-def test_simple_metaballs_come_as_near_as_lengths_and_widths_can(arm):
-    body = freed(arm)
+def test_simple_metaballs_approximate_a_body_by_lengths_and_widths(arm):
+    body = with_free_trunk(arm)
     balls = metaballs_like(body, "simple")
     assert "upperarm_width" in balls.space.names
     for name in ("right_forearm", "right_hand"):
@@ -70,19 +72,19 @@ def test_simple_metaballs_come_as_near_as_lengths_and_widths_can(arm):
         assert np.linalg.norm(balls.joint_centres[k] - body.joint_centres[k]) < 0.03
 
 
-def test_a_scan_has_no_numbers_to_share():
+def test_a_scan_without_numbers_is_refused():
     with pytest.raises(SettingProblem, match="without --body"):
         metaballs_like(family_body("coarse"))
 
 
-def test_details_come_in_turn_and_change_nothing_by_themselves(arm):
-    simple = metaballs_like(freed(arm), "simple")
+def test_more_detail_keeps_the_shape(arm):
+    simple = metaballs_like(with_free_trunk(arm), "simple")
     full = more_detailed(simple, "full")
     assert len(full.metaballs.mean) > len(simple.metaballs.mean)
     used = np.unique(arm.faces)
     assert np.median(np.linalg.norm((full.vertices - simple.vertices)[used], axis=1)) < 0.012
-    assert simplified(simple)
-    assert not simplified(full)
+    assert has_simple_limbs(simple)
+    assert not has_simple_limbs(full)
     assert more_detailed(full, "full") is full
     single = more_detailed(full, "single")
     assert len(single.space) > 3 * len(full.space)
@@ -109,9 +111,9 @@ def test_single_radii_move_one_ball_on_both_sides():
     )
 
 
-def test_frames_are_chosen_evenly():
-    assert evenly([3, 4, 5, 6, 7], 3) == [3, 5, 7]
-    assert evenly([3], 60) == [3]
+def test_frames_are_evenly_spaced():
+    assert evenly_spaced([3, 4, 5, 6, 7], 3) == [3, 5, 7]
+    assert evenly_spaced([3], 60) == [3]
 
 
 @pytest.fixture(scope="module")
@@ -131,7 +133,7 @@ def scene():
 
 
 @pytest.mark.parametrize("outlines", [False, True], ids=["points", "points and silhouettes"])
-def test_shape_and_motion_are_found_again(scene, outlines):
+def test_shape_and_motion_are_recovered(scene, outlines):
     space, truth, body, poses, points, start = scene
     cameras = worlds.ring(3)
     posed = [PosedBody(body, pose) for pose in poses.values()]
@@ -139,8 +141,9 @@ def test_shape_and_motion_are_found_again(scene, outlines):
     blank = FrameLevels(cameras, lambda f: [np.zeros((240, 200), bool) for _ in cameras], 1.0)
     generic = replace(metaball_body(space), skeleton=space.mean.skeleton)
     found = refine_shape(
-        Shaped(generic, start, 0.004, 3.2), seen if outlines else blank,
-        OnSurface(PersonPoints(by_frame=points)), rate=30.0, repeats=3, settings=ShapeSettings(), scale_m=0.02,
+        ShapeEstimate(generic, start, 0.004, 3.2), seen if outlines else blank,
+        SurfaceMeasurements(PersonPoints(by_frame=points)), rate=30.0, repeats=3, settings=ShapeSettings(),
+        scale_m=0.02,
     )  # fmt: skip
     numbers, covariance = found.body.numbers, found.body.numbers_covariance
     for name in ("upperarm_length", "forearm_width"):
@@ -169,7 +172,7 @@ def carried(posed, count, rng, noise=3e-4):
     return np.array(position) + rng.normal(size=(len(posed), count, 3)) * noise
 
 
-def test_followed_points_show_a_limbs_turn_about_itself(scene):
+def test_tracked_points_determine_a_limbs_rotation_about_itself(scene):
     space, _, body, poses, points, start = scene
     rng = np.random.default_rng(4)
     position = carried([PosedBody(body, pose) for pose in poses.values()], 300, rng)
@@ -182,27 +185,28 @@ def test_followed_points_show_a_limbs_turn_about_itself(scene):
     change = []
     for followed in (None, tracks):
         found = refine_shape(
-            Shaped(generic, start, 0.004, 3.2), blank, OnSurface(PersonPoints(by_frame=points), followed), rate=30.0,
-            repeats=2, settings=ShapeSettings(), scale_m=0.02,
+            ShapeEstimate(generic, start, 0.004, 3.2), blank,
+            SurfaceMeasurements(PersonPoints(by_frame=points), followed),
+            rate=30.0, repeats=2, settings=ShapeSettings(), scale_m=0.02,
         )  # fmt: skip
         off = np.array([found.poses[f].change_to(pose)[turn] for f, pose in poses.items()])
         change.append(np.std(off))
-        assert found.skin_sd_m < 0.003 if followed else found.skin_sd_m == Shaped.skin_sd_m
+        assert found.skin_sd_m < 0.003 if followed else found.skin_sd_m == ShapeEstimate.skin_sd_m
     # What all frames have in common, points alone must tell; how the limb turns from frame to frame, tracks do.
     assert change[1] < 0.75 * change[0]
     assert change[1] < np.deg2rad(0.1)
 
 
-def test_what_is_stated_counts_points_that_lie_off_alike_as_one(scene):
+def test_the_final_covariance_counts_correlated_points_as_one(scene):
     space, truth, body, poses, points, _ = scene
     blank = FrameLevels(worlds.ring(2), lambda f: [np.zeros((240, 200), bool)] * 2, 1.0)
-    found = Shaped(body, poses, 0.002, 3.2)
-    measured = OnSurface(PersonPoints(by_frame=points)).believed(found)
+    found = ShapeEstimate(body, poses, 0.002, 3.2)
+    measured = SurfaceMeasurements(PersonPoints(by_frame=points)).with_uncertainty(found)
     plain = refine_sequence(
         list(poses), list(poses.values()), body, blank, rate=30.0, rounds=1, shape_frames=list(poses),
-        settings=ShapeSettings().sequence, also=measured.of_round,
+        settings=ShapeSettings().sequence, extra_terms=measured.terms_of_round,
     )  # fmt: skip
-    said = list(stated(found, blank, measured, rate=30.0, settings=ShapeSettings()))
+    said = list(final_covariances(found, blank, measured, rate=30.0, settings=ShapeSettings()))
     assert [p for fit in said for p in fit.poses] == list(poses.values())
     np.testing.assert_array_equal(said[-1].body.numbers, truth)
     at = space.names.index("forearm_width")
@@ -210,9 +214,9 @@ def test_what_is_stated_counts_points_that_lie_off_alike_as_one(scene):
     assert 1.5 * sds[0] < sds[1] < np.sqrt(space.prior_covariance[at, at])
 
 
-def test_clicked_joints_hold_a_start_that_points_of_one_side_leave_open(arm):
+def test_clicked_joints_determine_what_points_of_one_side_do_not(arm):
     rng, cameras = np.random.default_rng(6), worlds.ring(3)
-    whole = freed(arm)
+    whole = with_free_trunk(arm)
     truth = PosedBody(whole, Pose(np.zeros(3), np.eye(3), 0.3 * rng.normal(size=len(whole.skeleton) - 6)))
     joints = ("right_shoulder", "right_elbow", "right_wrist")
     segments = [whole.skeleton.segment(f"right_{name}") for name in ("upperarm", "forearm", "hand")]
@@ -222,6 +226,6 @@ def test_clicked_joints_hold_a_start_that_points_of_one_side_leave_open(arm):
         away = np.linalg.norm(truth.segment_origin.mean(0) - camera.centre)
         assert own.sigma_px == pytest.approx(0.01 * camera.matrix[0, 0] / away)
     points = {7: world.measured(metaballs_like(whole), truth.pose, 400, 1e-3, rng, side=np.array([0, -1.0, 0]))}
-    begun = begun_from_clicks(truth, {7: clicked}, points, ShapeSettings())
+    begun = start_from_clicked_joints(truth, {7: clicked}, points, ShapeSettings())
     moved = PosedBody(begun.body, begun.poses[7]).segment_origin[segments] - truth.segment_origin[segments]
     assert np.linalg.norm(moved, axis=1).max() < 0.01

@@ -1,25 +1,25 @@
-"""Points of a take: how many are alike, and how well the model fits them."""
+"""Points of a take: patches, and the model's standard deviation."""
 
 import numpy as np
 import pytest
 from tests.fit import metaball_worlds as world
 
 from marey.body.articulation.pose import PosedBody
-from marey.fit.points.surface_points import FramePoints, PersonPoints, alike, spread_over
+from marey.fit.points.surface_points import FramePoints, PersonPoints, patch_counts, thinned_evenly
 
 
 def test_points_of_one_patch_count_together():
     points = np.array([[0.001, 0.0, 0.0], [0.004, 0.002, 0.0], [0.5, 0.0, 0.0]])
-    np.testing.assert_array_equal(alike(points, 0.01), [2, 2, 1])
-    assert len(alike(np.zeros((0, 3)), 0.01)) == 0
+    np.testing.assert_array_equal(patch_counts(points, 0.01), [2, 2, 1])
+    assert len(patch_counts(np.zeros((0, 3)), 0.01)) == 0
 
 
 def test_too_many_points_are_thinned_evenly():
     points = FramePoints(np.arange(300.0).reshape(100, 3), np.zeros((100, 3, 3)))
-    few = spread_over(points, 10)
+    few = thinned_evenly(points, 10)
     assert len(few) == 10
     np.testing.assert_array_equal(few.points[[0, -1], 0], [0, 297])
-    assert spread_over(points, 1000) is points
+    assert thinned_evenly(points, 1000) is points
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +32,7 @@ def scene():
 
 
 @pytest.mark.parametrize("scale", [np.inf, 0.02])
-def test_the_models_standard_deviation_is_found_again(scene, scale):
+def test_the_models_standard_deviation_is_recovered(scene, scale):
     """Points a millimetre off by measurement, three by the model."""
     body, pose, points = scene
     rng = np.random.default_rng(2)
@@ -44,7 +44,7 @@ def test_the_models_standard_deviation_is_found_again(scene, scale):
     assert found.scale_m <= scale
 
 
-def test_a_frame_without_points_says_nothing(scene):
+def test_a_frame_without_points_contributes_nothing(scene):
     body, pose, points = scene
     person = PersonPoints(by_frame={4: points})
     assert person.observed(5, PosedBody(body, pose)) is None
@@ -54,7 +54,7 @@ def test_a_frame_without_points_says_nothing(scene):
     assert PersonPoints(by_frame={}).reestimated({5: PosedBody(body, pose)}).model_sd_m == person.model_sd_m
 
 
-def test_points_are_fitted_to_metaballs_only(scene):
+def test_points_need_a_body_of_metaballs(scene):
     from dataclasses import replace
 
     body, pose, points = scene

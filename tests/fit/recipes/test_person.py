@@ -1,4 +1,4 @@
-"""The recipe for a person: which frames are chosen, and the whole way on a small take."""
+"""Capture of a person: choice of frames, and the complete estimate on a small take."""
 
 from dataclasses import replace
 
@@ -9,18 +9,18 @@ from tests import worlds
 from marey.body.articulation.pose import PosedBody
 from marey.fit.recipes.person import (
     PersonSettings,
-    Take,
-    bridged,
-    mend_person,
+    SilhouetteTake,
+    interpolated_poses,
     promising_frames,
     refine_person,
+    repair_person,
     shape_frames,
     start_person,
     track_person,
-    unseen,
+    unsupported_frames,
     with_shape,
 )
-from marey.fit.recipes.sequence import joined
+from marey.fit.recipes.sequence import join_pieces
 from marey.fit.search.search import Candidate
 
 
@@ -36,7 +36,7 @@ def boxes(*spans, size=(60, 80)):
 
 
 def take_of(masks):
-    return Take(worlds.ring(2, size=(80, 60)), lambda frame: masks[frame], tuple(range(len(masks))), 30.0)
+    return SilhouetteTake(worlds.ring(2, size=(80, 60)), lambda frame: masks[frame], tuple(range(len(masks))), 30.0)
 
 
 def test_frames_are_chosen_that_show_all_of_the_person_in_every_camera():
@@ -45,7 +45,7 @@ def test_frames_are_chosen_that_show_all_of_the_person_in_every_camera():
     assert set(promising_frames(take, 3)) <= {2, 5, 9}
 
 
-def test_chosen_frames_lie_apart():
+def test_chosen_frames_are_spread_over_time():
     take = take_of([boxes((20, 40), (30, 50))] * 120)
     chosen = sorted(promising_frames(take, 3))
     assert len(chosen) == 3
@@ -56,7 +56,7 @@ def test_a_take_of_one_frame_is_tried_at_that_frame():
     assert promising_frames(take_of([boxes((20, 40), (30, 50))]), 3) == [0]
 
 
-def test_the_shape_is_learned_from_good_frames_all_over_the_take():
+def test_the_shape_is_estimated_from_good_frames_of_the_whole_take():
     scores = {f: 0.5 if 30 <= f < 50 else 0.9 + 1e-4 * f for f in range(100)}
     chosen = shape_frames(scores, 10)
     assert len(chosen) == 10
@@ -66,7 +66,7 @@ def test_the_shape_is_learned_from_good_frames_all_over_the_take():
     assert shape_frames({7: 0.9, 8: 0.9}, 10) == [7, 8]
 
 
-def test_a_takes_levels_are_as_high_as_asked():
+def test_the_levels_of_a_take_have_the_requested_height():
     body = worlds.person()
     take = worlds.take([PosedBody(body, worlds.pose(body))], worlds.ring(size=(400, 480), focal=600.0))
     height = max(np.count_nonzero(mask.any(1)) for mask in take.masks_of(0))
@@ -74,7 +74,7 @@ def test_a_takes_levels_are_as_high_as_asked():
     assert take.levels(2 * height).factor == 1.0
 
 
-def test_a_body_of_another_level_takes_the_shape_over(rng):
+def test_a_body_of_another_level_gets_the_same_shape(rng):
     fine, coarse = worlds.person("fine"), worlds.person("coarse")
     covariance = np.eye(6)
     found = replace(fine, numbers=rng.normal(size=6), numbers_covariance=covariance)
@@ -85,7 +85,7 @@ def test_a_body_of_another_level_takes_the_shape_over(rng):
     np.testing.assert_allclose(taken.joint_centres, found.joint_centres, atol=1e-9)
 
 
-def test_a_start_that_is_remembered_is_not_sought_again(monkeypatch):
+def test_a_start_in_the_checkpoint_is_reused(monkeypatch):
     body = worlds.person()
     posed = PosedBody(body, worlds.pose(body))
     take = worlds.take([posed] * 3, worlds.ring())
@@ -96,41 +96,41 @@ def test_a_start_that_is_remembered_is_not_sought_again(monkeypatch):
         return Candidate(posed, 0.8)
 
     monkeypatch.setattr("marey.fit.recipes.person.find_start", find)
-    memory = {1: Candidate(posed, 0.9)}
-    assert start_person(take, body, body, PersonSettings(), memory=memory) == (1, memory[1])
+    checkpoint = {1: Candidate(posed, 0.9)}
+    assert start_person(take, body, body, PersonSettings(), checkpoint=checkpoint) == (1, checkpoint[1])
     assert len(asked) == 2
     monkeypatch.setattr("marey.fit.recipes.person.find_start", lambda *_: None)
     assert start_person(take, body, body, PersonSettings()) is None
 
 
 @pytest.mark.parametrize("cameras", [4, 3])
-def test_a_person_is_followed_both_ways_and_refined_with_its_shape(cameras):
+def test_a_person_is_tracked_in_both_directions_and_refined_with_its_shape(cameras):
     mean = worlds.person("coarse", 3)
     person = mean.with_numbers(np.array([1.0, -0.7, 0.5]))
     truth = [PosedBody(person, pose) for pose in worlds.swing(person, 9)]
     take = worlds.take(truth, worlds.ring()[:cameras])
-    settings, told = PersonSettings(), []
+    settings, finished = PersonSettings(), []
     start = (4, truth[4].pose.step(np.full(len(mean.skeleton), 0.01)))
-    found = track_person(take, mean, mean, start, settings, done=told.append)
+    found = track_person(take, mean, mean, start, settings, progress=finished.append)
     assert list(found) == list(range(9))
-    assert sorted(told) == list(range(9))
+    assert sorted(finished) == list(range(9))
     good = shape_frames({f: c.score for f, c in found.items()}, 6)
     poses = {f: c.posed.pose for f, c in found.items()}
-    fit = joined(list(refine_person(take, mean, poses, good, settings, height=160, rounds=12)))
+    fit = join_pieces(list(refine_person(take, mean, poses, good, settings, height=160, rounds=12)))
     errors = [worlds.joint_errors(PosedBody(fit.body, p), t).mean() for p, t in zip(fit.poses, truth, strict=True)]
     assert np.mean(errors) < 0.012
     assert np.abs(fit.body.numbers - person.numbers).max() < 0.5
 
 
-def test_single_frames_are_mended_once_the_body_is_known():
+def test_single_frames_are_repaired_with_a_better_body():
     body = worlds.person("coarse", 3)
     truth = [PosedBody(body, pose) for pose in worlds.swing(body, 9)]
     poses = {f: t.pose for f, t in enumerate(truth)}
     poses[4] = worlds.pose(body, dict(worlds.ARMS_AND_KNEES) | {"left_shoulder_lift": -35})
-    mended = mend_person(worlds.take(truth, worlds.ring()), body, body, poses, PersonSettings())
-    assert list(mended) == list(range(9))
-    assert worlds.joint_errors(PosedBody(body, mended[4]), truth[4]).max() < 0.03
-    assert mended[0] is poses[0]
+    repaired = repair_person(worlds.take(truth, worlds.ring()), body, body, poses, PersonSettings())
+    assert list(repaired) == list(range(9))
+    assert worlds.joint_errors(PosedBody(body, repaired[4]), truth[4]).max() < 0.03
+    assert repaired[0] is poses[0]
 
 
 def test_a_good_start_is_enough(monkeypatch):
@@ -147,24 +147,24 @@ def test_a_good_start_is_enough(monkeypatch):
     assert len(asked) == 1
 
 
-def test_moments_without_an_answer_are_filled_from_both_sides():
+def test_short_gaps_are_interpolated():
     body = worlds.person("coarse", 3)
     poses = dict(enumerate(worlds.swing(body, 30)))
     known = {f: pose for f, pose in poses.items() if f not in (4, 5, *range(10, 20), 29)}
-    filled = bridged(known, longest=5.9)
+    filled = interpolated_poses(known, longest=5.9)
     assert sorted(filled) == [4, 5]
     for frame in filled:
         apart = worlds.joint_errors(PosedBody(body, filled[frame]), PosedBody(body, poses[frame])).max()
         # A leg of .9 m that swings by 25 degrees in 30 frames lies up to .44 (2 pi / 30)^2 = .02 rad off the chord.
         assert apart < 0.02
     np.testing.assert_allclose(known[3].change_to(filled[4]), known[3].change_to(known[6]) / 3, atol=1e-9)
-    assert bridged({}, longest=5) == {}
+    assert interpolated_poses({}, longest=5) == {}
 
 
-def test_filled_poses_that_silhouettes_bear_out_are_told_from_others():
+def test_interpolated_poses_that_disagree_with_silhouettes_are_listed():
     body = worlds.person("coarse", 3)
     truth = [PosedBody(body, pose) for pose in worlds.swing(body, 3)]
     take = worlds.take(truth, worlds.ring())
     wrong = worlds.pose(body, at=(0.5, 0.0, 0.0))
     poses = {0: truth[0].pose, 1: wrong, 2: wrong}
-    assert unseen(take, body, poses, (0, 1), PersonSettings(), usual=0.95) == {1}
+    assert unsupported_frames(take, body, poses, (0, 1), PersonSettings(), usual=0.95) == {1}

@@ -1,4 +1,4 @@
-"""The whole sequence in one system: a motion found again with honest bounds, in windows and after an interruption."""
+"""Refinement of a sequence: recovered motion and stated uncertainty, in windows and after an interruption."""
 
 from dataclasses import replace
 
@@ -13,7 +13,7 @@ from marey.body.people.person import person_body
 from marey.fit.recipes import sequence
 from marey.fit.recipes.sequence import (
     DISTINCT_FRAMES,
-    RefineMemory,
+    RefineCheckpoint,
     SequenceSettings,
     acceleration_spread,
     refine_sequence,
@@ -21,7 +21,7 @@ from marey.fit.recipes.sequence import (
 from marey.fit.solver.banded import windows
 
 
-def test_joints_accelerate_more_than_the_trunk_and_shorter_frames_allow_less():
+def test_limbs_accelerate_more_than_the_trunk():
     skeleton, settings = worlds.person().skeleton, SequenceSettings()
     spread = acceleration_spread(skeleton, settings)
     assert len(spread) == len(skeleton)
@@ -66,10 +66,10 @@ def test_a_motion_is_refined_and_its_covariance_is_honest(motion):
     assert fit.covariance.shape == (9, len(body.skeleton), len(body.skeleton))
 
 
-def test_neighbours_make_a_motion_smoother_and_its_frames_more_certain(motion):
+def test_neighbours_smooth_the_motion_and_reduce_its_uncertainty(motion):
     body, _, levels, start = motion
     together = refine_sequence(range(9), start, body, levels, rate=30, rounds=3)
-    # Frames whose numbers do not follow each other know nothing of each other.
+    # Frames whose numbers are not consecutive are independent.
     apart = refine_sequence(range(0, 9, 2), start[::2], body, levels, rate=30, rounds=3)
 
     def roughness(poses):
@@ -79,11 +79,11 @@ def test_neighbours_make_a_motion_smoother_and_its_frames_more_certain(motion):
     assert roughness(together.poses) < 0.5 * roughness(start)
     alone = np.trace(apart.covariance[2])
     assert np.trace(together.covariance[4]) < alone
-    # What a frame alone says, with nothing from its neighbours, inverts to its covariance.
+    # Without neighbours, the inverse of a frame's own information is its covariance.
     np.testing.assert_allclose(apart.covariance[2], np.linalg.inv(apart.information[2]), rtol=1e-2, atol=1e-7)
 
 
-def test_shape_and_motion_are_found_together():
+def test_shape_and_motion_are_estimated_together():
     rng = np.random.default_rng(7)
     mean = worlds.person("fine", 4)
     person = mean.with_numbers(np.array([1.2, -0.8, 0.6, 0.5]))
@@ -104,7 +104,7 @@ def test_shape_and_motion_are_found_together():
     np.testing.assert_allclose(fit.body.numbers_covariance, stated, rtol=1e-5)
 
 
-def test_sizes_of_metaballs_are_found_and_an_interruption_changes_nothing():
+def test_metaball_sizes_are_estimated_and_an_interruption_changes_nothing():
     """The skin is made anew for the sizes of every round, the same way whether the run went through or went on."""
     rng = np.random.default_rng(3)
     mean = metaball_person("simple", "coarse")
@@ -113,8 +113,8 @@ def test_sizes_of_metaballs_are_found_and_an_interruption_changes_nothing():
     truth = [PosedBody(person, pose) for pose in worlds.swing(person, 6)]
     levels = worlds.levels(truth, worlds.ring())
     asked = {"rate": 30, "rounds": 5, "shape_frames": range(0, 6, 2)}
-    memory = RefineMemory()
-    fit = refine_sequence(range(6), [t.pose for t in truth], mean, levels, memory=memory, **asked)
+    checkpoint = RefineCheckpoint()
+    fit = refine_sequence(range(6), [t.pose for t in truth], mean, levels, checkpoint=checkpoint, **asked)
     lying = np.abs(mean.metaballs.balls(fit.body.numbers).at_rest().distance(fit.body.vertices))
     assert np.quantile(lying, 0.95) < 1e-6
     scale = np.sqrt(np.diag(mean.space.prior_covariance))
@@ -123,12 +123,12 @@ def test_sizes_of_metaballs_are_found_and_an_interruption_changes_nothing():
         np.mean([worlds.joint_errors(PosedBody(body, true.pose), true) for true in truth]) for body in (mean, fit.body)
     )
     assert after < 0.4 * before
-    again = RefineMemory(rounds={k: v for k, v in memory.rounds.items() if k < 2})
-    went_on = refine_sequence(range(6), [t.pose for t in truth], mean, levels, memory=again, **asked)
+    again = RefineCheckpoint(rounds={k: v for k, v in checkpoint.rounds.items() if k < 2})
+    went_on = refine_sequence(range(6), [t.pose for t in truth], mean, levels, checkpoint=again, **asked)
     np.testing.assert_array_equal(went_on.body.vertices, fit.body.vertices)
 
 
-def test_the_shape_stays_within_three_spreads_of_other_people():
+def test_the_shape_stays_within_three_standard_deviations_of_the_prior():
     mean = worlds.person("coarse", 2)
     giant = mean.with_numbers(np.array([6.0, 0.0]))
     truth = [PosedBody(giant, worlds.pose(giant)) for _ in range(3)]
@@ -139,32 +139,32 @@ def test_the_shape_stays_within_three_spreads_of_other_people():
     assert fit.body.numbers[0] == pytest.approx(3.0)
 
 
-def test_a_sequence_of_one_frame_is_refined_and_done_is_told(motion):
+def test_a_sequence_of_one_frame_is_refined_and_progress_is_reported(motion):
     body, truth, levels, start = motion
-    told = []
-    fit = refine_sequence([4], [start[4]], body, levels, rate=30, rounds=3, done=told.append)
-    assert told == [4, 4, 4]
+    finished = []
+    fit = refine_sequence([4], [start[4]], body, levels, rate=30, rounds=3, progress=finished.append)
+    assert finished == [4, 4, 4]
     assert worlds.joint_errors(PosedBody(body, fit.poses[0]), truth[4]).mean() < 0.015
 
 
-def test_frames_without_anybody_are_bridged_by_their_neighbours(motion):
+def test_frames_without_a_person_follow_their_neighbours(motion):
     body, truth, levels, start = motion
     nobody = levels.at(4)
-    blind = replace(nobody, sightings=(), masks=(), cameras=())
+    ignored_frames = replace(nobody, sightings=(), masks=(), cameras=())
 
     class Gap:
-        """Levels of which one frame shows nobody."""
+        """Levels in one frame of which no person is detected."""
 
         def at(self, frame):
-            return blind if frame == 4 else levels.at(frame)
+            return ignored_frames if frame == 4 else levels.at(frame)
 
     fit = refine_sequence(range(9), start, body, Gap(), rate=30, rounds=4)
     assert worlds.joint_errors(PosedBody(body, fit.poses[4]), truth[4]).mean() < 0.02
-    seen, unseen = (np.trace(fit.covariance[f][:3, :3]) for f in (3, 4))
-    assert unseen > 2 * seen
+    seen, unsupported_frames = (np.trace(fit.covariance[f][:3, :3]) for f in (3, 4))
+    assert unsupported_frames > 2 * seen
 
 
-def test_no_rounds_are_no_fit(motion):
+def test_zero_rounds_are_refused(motion):
     body, _, levels, start = motion
     with pytest.raises(ValueError, match="one round"):
         refine_sequence(range(9), start, body, levels, rate=30, rounds=0)
@@ -179,7 +179,7 @@ def test_a_scan_keeps_its_shape():
     assert worlds.joint_errors(PosedBody(fit.body, fit.poses[1]), truth[1]).mean() < 0.003
 
 
-def test_intervals_of_joint_centres_hold_the_truth_also_where_the_shape_is_found_with_them():
+def test_intervals_of_joint_centres_contain_the_truth_also_with_a_free_shape():
     rng = np.random.default_rng(5)
     mean = worlds.person("fine", 4)
     person = mean.with_numbers(np.array([1.2, -0.8, 0.6, 0.5]))
@@ -217,7 +217,7 @@ def refined(long_motion, **more):
     return refine_sequence(range(40), start, mean, levels, rate=30, rounds=3, shape_frames=range(0, 40, 4), **more)
 
 
-def test_windows_give_the_answer_of_the_one_system(long_motion, monkeypatch):
+def test_windows_give_the_solution_of_a_single_system(long_motion, monkeypatch):
     whole = refined(long_motion)
     monkeypatch.setattr(sequence, "windows", lambda count, length, overlap: windows(count, 10, 8))
     parts = refined(long_motion)
@@ -233,7 +233,7 @@ def test_windows_give_the_answer_of_the_one_system(long_motion, monkeypatch):
 
 
 class Broken(dict):
-    """A memory of a run that is interrupted once it holds so much."""
+    """A checkpoint of a run that is interrupted once it contains so much."""
 
     def __init__(self, most, content=()):
         super().__init__(content)
@@ -246,12 +246,12 @@ class Broken(dict):
 
 
 @pytest.mark.parametrize(("rounds", "parts"), [(1, 99), (99, 3), (2, 99)])
-def test_an_interrupted_refinement_goes_on_where_it_was(long_motion, monkeypatch, rounds, parts):
+def test_an_interrupted_refinement_is_resumed(long_motion, monkeypatch, rounds, parts):
     monkeypatch.setattr(sequence, "windows", lambda count, length, overlap: windows(count, 10, 8))
     whole = refined(long_motion)
-    memory = RefineMemory(Broken(rounds), Broken(parts))
+    checkpoint = RefineCheckpoint(Broken(rounds), Broken(parts))
     with pytest.raises(KeyboardInterrupt):
-        refined(long_motion, memory=memory)
+        refined(long_motion, checkpoint=checkpoint)
     matched, match = [], sequence.match_all
 
     def count(*arguments):
@@ -259,17 +259,21 @@ def test_an_interrupted_refinement_goes_on_where_it_was(long_motion, monkeypatch
         return match(*arguments)
 
     monkeypatch.setattr(sequence, "match_all", count)
-    told = []
-    again = refined(long_motion, memory=RefineMemory(dict(memory.rounds), dict(memory.parts)), done=told.append)
-    assert len(told) == 120
+    finished = []
+    again = refined(
+        long_motion,
+        checkpoint=RefineCheckpoint(dict(checkpoint.rounds), dict(checkpoint.parts)),
+        progress=finished.append,
+    )
+    assert len(finished) == 120
     # Each remembered round spares 40 frames, each remembered window ten, less those that its neighbours lend.
-    assert len(matched) <= 120 - 40 * len(memory.rounds) - (10 * parts - 8 if parts < 99 else 0)
+    assert len(matched) <= 120 - 40 * len(checkpoint.rounds) - (10 * parts - 8 if parts < 99 else 0)
     for one, other in zip(whole.poses, again.poses, strict=True):
         np.testing.assert_allclose(one.change_to(other), 0.0, atol=1e-9)
     np.testing.assert_allclose(again.covariance, whole.covariance, rtol=1e-6, atol=1e-12)
 
 
-def test_a_frame_whose_silhouettes_are_not_believed_follows_its_neighbours(motion):
+def test_a_frame_whose_silhouettes_are_ignored_follows_its_neighbours(motion):
     body, truth, levels, start = motion
     posed = [levels.at(f) for f in range(9)]
 
@@ -279,16 +283,18 @@ def test_a_frame_whose_silhouettes_are_not_believed_follows_its_neighbours(motio
         def at(self, frame):
             return posed[0] if frame == 6 else posed[frame]
 
-    fit = refine_sequence(range(9), start, body, Wrong(), rate=30, rounds=4, blind={6})
+    fit = refine_sequence(range(9), start, body, Wrong(), rate=30, rounds=4, ignored_frames={6})
     assert worlds.joint_errors(PosedBody(body, fit.poses[6]), truth[6]).mean() < 0.02
-    seen, unseen = (np.trace(fit.covariance[f][:3, :3]) for f in (5, 6))
-    assert unseen > 2 * seen
+    seen, unsupported_frames = (np.trace(fit.covariance[f][:3, :3]) for f in (5, 6))
+    assert unsupported_frames > 2 * seen
 
 
-def test_a_round_moves_numbers_of_every_unit_by_their_own_spread():
+def test_steps_of_numbers_scale_with_their_own_standard_deviation():
     """Shares of a length and numbers of unit variance are held alike; what hardly varies is not held the more."""
     space = person_body("coarse").space
-    np.testing.assert_allclose(sequence._trusted(space), sequence.TRUST_SHAPE**2)
+    np.testing.assert_allclose(sequence._step_variance(space), sequence.STEP_SD_SHAPE**2)
     mixed = replace(space, prior_covariance=np.diag(np.where(np.arange(len(space)) < 10, 1.0, 0.01)))
-    np.testing.assert_allclose(sequence._trusted(mixed) / np.diag(mixed.prior_covariance), sequence.TRUST_SHAPE**2)
-    assert len(sequence._trusted(space.keep(range(0)))) == 0
+    np.testing.assert_allclose(
+        sequence._step_variance(mixed) / np.diag(mixed.prior_covariance), sequence.STEP_SD_SHAPE**2
+    )
+    assert len(sequence._step_variance(space.keep(range(0)))) == 0

@@ -7,7 +7,7 @@ from tests import worlds
 from marey.body.articulation.pose import PosedBody
 from marey.body.people.person import person_body
 from marey.errors import MareyError
-from marey.fit.recipes.person import PersonSettings, Take
+from marey.fit.recipes.person import PersonSettings, SilhouetteTake
 from marey.fit.recipes.start_joints import start_from_joints
 
 YAW = 2.6
@@ -30,7 +30,7 @@ def clicks(truth, cameras, joints, rng, *, sigma=2.0):
     )
 
 
-def test_pose_and_facing_come_from_joints_and_silhouettes(scene, rng):
+def test_pose_and_facing_are_estimated_from_joints_and_silhouettes(scene, rng):
     truth, take = scene
     names = truth.body.joint_names
     pixels = clicks(truth, take.cameras, names, rng)
@@ -41,7 +41,7 @@ def test_pose_and_facing_come_from_joints_and_silhouettes(scene, rng):
     assert found.score > 0.85
 
 
-def test_a_few_joints_in_some_cameras_are_enough_to_face_the_right_way(scene, rng):
+def test_a_few_joints_in_some_cameras_determine_the_facing(scene, rng):
     truth, take = scene
     names = ("left_hip", "right_hip", "left_shoulder", "right_shoulder", "left_wrist", "right_ankle")
     pixels = clicks(truth, take.cameras, names, rng)
@@ -52,23 +52,23 @@ def test_a_few_joints_in_some_cameras_are_enough_to_face_the_right_way(scene, rn
     assert np.median(worlds.joint_errors(found.posed, truth)) < 0.06
 
 
-def test_joints_alone_start_where_there_are_no_silhouettes(scene, rng):
+def test_joints_alone_give_a_start_without_silhouettes(scene, rng):
     truth, take = scene
     empty = [np.zeros_like(mask) for mask in take.masks_of(0)]
-    blind = Take(take.cameras, lambda frame: empty, (0,), take.rate)
+    ignored_frames = SilhouetteTake(take.cameras, lambda frame: empty, (0,), take.rate)
     names = truth.body.joint_names
     pixels = clicks(truth, take.cameras, names, rng, sigma=0.5)
-    _, found = start_from_joints(blind, 0, names, pixels, truth.body, PersonSettings())
+    _, found = start_from_joints(ignored_frames, 0, names, pixels, truth.body, PersonSettings())
     # A click counts three hundredths of the person's height: about five centimetres each, habits pull within that.
     assert worlds.joint_errors(found.posed, truth).mean() < 0.05
 
 
-def test_joints_that_two_cameras_do_not_share_are_too_few(scene, rng):
+def test_too_few_joints_in_two_cameras_are_refused(scene, rng):
     truth, take = scene
     names = ("left_hip", "right_hip", "left_shoulder")
     pixels = clicks(truth, take.cameras, names, rng)
     pixels[1:, 0] = np.nan
-    with pytest.raises(MareyError, match="at least three joints in two cameras"):
+    with pytest.raises(MareyError, match="at least three joints that are given in two cameras"):
         start_from_joints(take, 0, names, pixels, truth.body, PersonSettings())
 
 

@@ -1,4 +1,4 @@
-"""A person followed from frame to frame through motions that are known."""
+"""Frame-to-frame tracking of known motions."""
 
 import cv2
 import numpy as np
@@ -7,7 +7,7 @@ from tests import worlds
 
 from marey.body.articulation.pose import Pose, PosedBody
 from marey.fit.recipes import track as track_module
-from marey.fit.recipes.track import TrackSettings, prediction_spread, repair, track, unexplained
+from marey.fit.recipes.track import TrackSettings, prediction_spread, repair, track, uncovered_share
 from marey.fit.search.levels import FrameLevels
 from marey.fit.search.search import Candidate, Search, StartSettings
 
@@ -28,32 +28,32 @@ def errors(found, truth):
     return np.array([worlds.joint_errors(found[f].posed, truth[f]).max() for f in sorted(found)])
 
 
-def test_a_motion_is_followed_to_its_end(motion):
+def test_a_motion_is_tracked_to_its_end(motion):
     truth, fine, rough = motion
     start = truth[0].pose.step(np.full(len(truth[0].body.skeleton), 0.02))
-    told = []
-    found = track(truth[0].body, start, range(FRAMES), fine, rough, rate=30, done=told.append)
-    assert list(found) == told == list(range(FRAMES))
+    finished = []
+    found = track(truth[0].body, start, range(FRAMES), fine, rough, rate=30, progress=finished.append)
+    assert list(found) == finished == list(range(FRAMES))
     # A pixel is eleven millimetres; the whole outline fixes a joint to a part of it, and toes to about two.
     assert errors(found, truth).max() < 0.03
     assert np.mean([worlds.joint_errors(found[f].posed, truth[f]).mean() for f in found]) < 0.008
     assert min(c.score for c in found.values()) > 0.9
 
 
-def test_a_motion_is_followed_backwards_too(motion):
+def test_a_motion_is_tracked_backwards(motion):
     truth, fine, rough = motion
     found = track(truth[0].body, truth[-1].pose, reversed(range(FRAMES)), fine, rough, rate=30)
     assert errors(found, truth).max() < 0.03
 
 
-def test_fewer_frames_in_a_second_are_followed_as_well(motion):
+def test_a_lower_frame_rate_is_tracked(motion):
     truth, fine, rough = motion
     found = track(truth[0].body, truth[0].pose, range(0, FRAMES, 3), fine, rough, rate=10)
     assert list(found) == [0, 3, 6, 9]
     assert max(worlds.joint_errors(found[f].posed, truth[f]).max() for f in found) < 0.04
 
 
-def test_who_leaves_the_pictures_is_lost_and_not_invented(motion):
+def test_a_person_who_leaves_the_pictures_is_lost(motion):
     truth, fine, _ = motion
     cameras = fine.at(0).cameras
     masks = [list(fine.at(f).masks) for f in range(FRAMES)]
@@ -64,13 +64,13 @@ def test_who_leaves_the_pictures_is_lost_and_not_invented(motion):
 
 
 def without(levels, gone):
-    """The same silhouettes, but nobody in some frames."""
+    """The same silhouettes, with no person in some frames."""
     cameras = levels.at(0).cameras
     empty = [np.zeros_like(m) for m in levels.at(0).masks]
     return FrameLevels(cameras, lambda frame: empty if frame in gone else levels.at(frame).masks, 1.0)
 
 
-def test_who_is_lost_for_a_moment_is_found_again(motion):
+def test_a_person_who_is_lost_briefly_is_found_again(motion):
     truth, fine, rough = motion
     levels, small = without(fine, (4, 5, 6)), without(rough, (4, 5, 6))
     found = track(truth[0].body, truth[0].pose, range(FRAMES), levels, small, rate=30)
@@ -79,7 +79,7 @@ def test_who_is_lost_for_a_moment_is_found_again(motion):
 
 
 @pytest.mark.parametrize(("rate", "expected"), [(30, [0, 1, 2, 8, 9, 10, 11]), (10, [0, 1, 2])])
-def test_a_hole_longer_than_half_a_second_ends_a_track(motion, rate, expected):
+def test_a_gap_longer_than_half_a_second_ends_a_track(motion, rate, expected):
     truth, fine, rough = motion
     frames = [0, 1, 2, 8, 9, 10, 11]
     found = track(truth[0].body, truth[0].pose, frames, fine, rough, rate=rate)
@@ -87,16 +87,16 @@ def test_a_hole_longer_than_half_a_second_ends_a_track(motion, rate, expected):
     assert errors(found, truth).max() < 0.03
 
 
-def test_no_motion_is_repeated_across_a_hole(motion, monkeypatch):
+def test_no_motion_is_repeated_across_a_gap(motion, monkeypatch):
     truth, fine, rough = motion
     predictions = {}
-    follow = track_module._follow
+    follow = track_module._fit_prediction
 
     def spy(predicted, levels, frame, spread, settings):
         predictions[frame] = predicted.pose, spread
         return follow(predicted, levels, frame, spread, settings)
 
-    monkeypatch.setattr(track_module, "_follow", spy)
+    monkeypatch.setattr(track_module, "_fit_prediction", spy)
     found = track(truth[0].body, truth[0].pose, [0, 1, 2, 6, 7, 8], fine, rough, rate=30)
     np.testing.assert_array_equal(predictions[6][0].angles, found[2].posed.pose.angles)
     np.testing.assert_array_equal(predictions[7][0].angles, found[6].posed.pose.angles)
@@ -104,16 +104,16 @@ def test_no_motion_is_repeated_across_a_hole(motion, monkeypatch):
     np.testing.assert_allclose(predictions[6][1], 3 * predictions[7][1])
 
 
-def test_what_is_remembered_is_not_sought_again(motion):
+def test_candidates_in_the_checkpoint_are_reused(motion):
     truth, fine, rough = motion
-    memory = {f: Candidate(truth[f], 0.99) for f in range(4)}
-    found = track(truth[0].body, truth[0].pose, range(6), fine, rough, rate=30, memory=memory)
+    checkpoint = {f: Candidate(truth[f], 0.99) for f in range(4)}
+    found = track(truth[0].body, truth[0].pose, range(6), fine, rough, rate=30, checkpoint=checkpoint)
     assert all(found[f].posed is truth[f] for f in range(4))
-    assert set(memory) == set(range(6))
+    assert set(checkpoint) == set(range(6))
     assert errors(found, truth).max() < 0.03
 
 
-def test_a_limb_that_jumps_is_found_again(motion):
+def test_a_limb_that_jumps_is_found(motion):
     truth, fine, _ = motion
     body, cameras = truth[0].body, fine.at(0).cameras
     raised = dict(worlds.ARMS_AND_KNEES) | {"left_shoulder_lift": -35, "left_elbow_flexion": 10}
@@ -125,50 +125,50 @@ def test_a_limb_that_jumps_is_found_again(motion):
     assert worlds.joint_errors(found[2].posed, jumped[2])[wrist] < 0.05
 
 
-def test_a_frame_that_went_wrong_is_mended_by_its_neighbours(motion):
+def test_a_wrong_frame_is_repaired_from_its_neighbours(motion):
     truth, fine, rough = motion
     search = [Search(fine.at(f), StartSettings()) for f in range(9)]
     found = {f: search[f].judge(truth[f]) for f in range(9)}
     wrong = worlds.pose(truth[4].body, dict(worlds.ARMS_AND_KNEES) | {"left_shoulder_lift": -35})
     found[4] = search[4].judge(PosedBody(truth[4].body, wrong))
-    mended = repair(found, fine, rough, coarse=truth[0].body, rate=30)
+    repaired = repair(found, fine, rough, coarse=truth[0].body, rate=30)
     assert worlds.joint_errors(found[4].posed, truth[4]).max() > 0.3
-    assert worlds.joint_errors(mended[4].posed, truth[4]).max() < 0.03
-    assert all(mended[f] is found[f] for f in (0, 1, 7, 8))
-    assert found[4] is not mended[4]
+    assert worlds.joint_errors(repaired[4].posed, truth[4]).max() < 0.03
+    assert all(repaired[f] is found[f] for f in (0, 1, 7, 8))
+    assert found[4] is not repaired[4]
 
 
-def test_few_frames_are_left_as_they_are(motion):
+def test_short_sequences_are_not_repaired(motion):
     truth, fine, rough = motion
     found = {f: Candidate(truth[f], 0.5) for f in range(4)}
     assert repair(found, fine, rough, coarse=truth[0].body, rate=30) == found
 
 
-def test_the_prediction_is_wider_where_frames_lie_farther_apart():
+def test_the_prediction_is_less_certain_at_a_lower_frame_rate():
     skeleton, settings = worlds.person().skeleton, TrackSettings()
     usual = prediction_spread(skeleton, settings, rate=30)
     assert usual[6 + worlds.column(skeleton, "left_elbow_flexion")] == settings.limb_turn
     assert usual[6 + worlds.column(skeleton, "neck_flexion")] == settings.trunk_turn
     np.testing.assert_allclose(prediction_spread(skeleton, settings, rate=15), 2 * usual)
-    # But nobody is anywhere after a second, nor nowhere within a thousandth.
+    # The factor is bounded for very low and very high rates.
     np.testing.assert_allclose(prediction_spread(skeleton, settings, rate=1), 3 * usual)
     np.testing.assert_allclose(prediction_spread(skeleton, settings, rate=1000), 0.25 * usual)
 
 
-def test_what_a_body_leaves_uncovered_is_told_but_for_thin_edges(motion):
+def test_the_uncovered_share_excludes_thin_edges(motion):
     truth, fine, _ = motion
     body, level = truth[0].body, fine.at(0)
-    assert unexplained(truth[0], level) == 0.0
+    assert uncovered_share(truth[0], level) == 0.0
     thin = level.at_size(level.cameras, [cv2.dilate(m.astype(np.uint8), np.ones((3, 3))) > 0 for m in level.masks])
-    assert unexplained(truth[0], thin) == 0.0
+    assert uncovered_share(truth[0], thin) == 0.0
     elsewhere = PosedBody(body, worlds.pose(body, dict(worlds.ARMS_AND_KNEES) | {"left_shoulder_lift": -35}))
     # A forearm and a hand are some hundredths of a person.
-    assert unexplained(elsewhere, level) > 0.02
+    assert uncovered_share(elsewhere, level) > 0.02
     nobody = level.at_size(level.cameras, [np.zeros_like(m) for m in level.masks])
-    assert unexplained(truth[0], nobody) == 0.0
+    assert uncovered_share(truth[0], nobody) == 0.0
 
 
-def test_a_run_of_wrong_frames_is_mended_from_both_ends(motion):
+def test_a_run_of_wrong_frames_is_repaired_from_both_ends(motion):
     truth, fine, rough = motion
     search = [Search(fine.at(f), StartSettings()) for f in range(FRAMES)]
     found = {f: search[f].judge(truth[f]) for f in range(FRAMES)}
@@ -177,7 +177,7 @@ def test_a_run_of_wrong_frames_is_mended_from_both_ends(motion):
         angles[worlds.column(truth[f].body.skeleton, "left_elbow_flexion")] = np.deg2rad(130)
         wrong = Pose(truth[f].pose.translation, truth[f].pose.rotation, angles)
         found[f] = search[f].judge(PosedBody(truth[f].body, wrong))
-    mended = repair(found, fine, rough, coarse=truth[0].body, rate=30)
-    before, after = (max(worlds.joint_errors(c[f].posed, truth[f]).max() for f in (4, 5, 6)) for c in (found, mended))
+    repaired = repair(found, fine, rough, coarse=truth[0].body, rate=30)
+    before, after = (max(worlds.joint_errors(c[f].posed, truth[f]).max() for f in (4, 5, 6)) for c in (found, repaired))
     assert before > 0.2
     assert after < 0.03

@@ -6,7 +6,7 @@ from tests import worlds
 
 from marey.body.articulation.pose import Pose, PosedBody
 from marey.fit.search import cover, placements
-from marey.fit.search.levels import Level
+from marey.fit.search.levels import SilhouetteLevel
 from marey.fit.search.search import Search, StartSettings, limb_directions
 
 
@@ -15,7 +15,7 @@ def scene():
     cameras = worlds.ring(size=(100, 120), focal=150.0)
     body = worlds.person()
     truth = PosedBody(body, worlds.pose(body))
-    return body, cameras, Level.at_size(cameras, worlds.silhouettes(truth, cameras))
+    return body, cameras, SilhouetteLevel.at_size(cameras, worlds.silhouettes(truth, cameras))
 
 
 def overlap(body, poses, level):
@@ -37,15 +37,15 @@ def test_scores_are_the_mean_overlap_of_what_the_cameras_see(scene, rng):
     assert scores[0] == 1.0
 
 
-def test_somebody_out_of_all_pictures_scores_nothing_and_nobody_at_all_scores_one(scene):
+def test_a_body_outside_all_pictures_scores_zero_and_empty_pictures_score_one(scene):
     body, cameras, level = scene
     away = worlds.pose(body, at=(0, 0, 50))
     assert Search(level, StartSettings()).score(body, [away])[0] == 0.0
-    empty = Level.at_size(cameras, [np.zeros_like(mask) for mask in level.masks])
+    empty = SilhouetteLevel.at_size(cameras, [np.zeros_like(mask) for mask in level.masks])
     assert Search(empty, StartSettings()).score(body, [away])[0] == 1.0
 
 
-@pytest.mark.parametrize("name", placements.LIMBS)
+@pytest.mark.parametrize("name", placements.SEARCHED_LIMBS)
 def test_a_moved_limb_scores_as_the_whole_moved_body(scene, rng, name):
     body, _, level = scene
     search = Search(level, StartSettings())

@@ -5,7 +5,15 @@ import pytest
 from tests import worlds
 
 from marey.body.articulation.pose import PosedBody
-from marey.fit.search.hull import Grid, common_parts, filled, largest_part, meeting_point, room_between, visual_hull
+from marey.fit.search.hull import (
+    HullGrid,
+    common_parts,
+    filled,
+    largest_part,
+    meeting_point,
+    room_between,
+    visual_hull,
+)
 
 CELL = 0.04
 
@@ -21,7 +29,7 @@ def ball_masks(cameras, centre, radius):
     return masks
 
 
-def test_the_hull_of_a_ball_holds_it_and_little_else():
+def test_the_hull_of_a_ball_contains_it_closely():
     cameras, centre, radius = worlds.ring(8), np.array([0.1, -0.05, 0.2]), 0.3
     hull = visual_hull(cameras, ball_masks(cameras, centre, radius), cell=CELL)
     distance = np.linalg.norm(hull - centre, axis=1)
@@ -41,7 +49,7 @@ def test_every_cell_of_a_hull_lies_in_every_silhouette_that_has_it_in_view():
             assert mask[y, x]
 
 
-def test_a_persons_hull_holds_the_skeleton():
+def test_a_persons_hull_contains_the_skeleton():
     cameras, body = worlds.ring(), worlds.person()
     posed = PosedBody(body, worlds.pose(body))
     hull = visual_hull(cameras, worlds.silhouettes(posed, cameras))
@@ -51,7 +59,7 @@ def test_a_persons_hull_holds_the_skeleton():
     assert away.max() < 0.08
 
 
-def test_an_empty_silhouette_says_nothing_and_a_contradiction_leaves_nothing():
+def test_an_empty_silhouette_is_ignored_and_a_contradiction_gives_no_hull():
     cameras = worlds.ring()
     masks = ball_masks(cameras, np.zeros(3), 0.25)
     nobody = [*masks[:3], np.zeros_like(masks[3])]
@@ -61,7 +69,7 @@ def test_an_empty_silhouette_says_nothing_and_a_contradiction_leaves_nothing():
     assert len(visual_hull(cameras, elsewhere)) == 0
 
 
-def test_what_one_camera_alone_has_in_view_is_not_filled():
+def test_cells_in_view_of_one_camera_alone_are_not_filled():
     cameras = worlds.ring(2)
     masks = [np.ones((c.height, c.width), bool) for c in cameras]
     for cell in visual_hull(cameras, masks, cell=0.1):
@@ -78,7 +86,7 @@ def test_lines_of_sight_meet_where_the_ball_is():
 def test_the_filled_cells_are_those_of_the_plain_formula(rng, witnesses):
     cameras = worlds.ring(3, size=(160, 120), focal=500.0)
     masks = [rng.random((120, 160)) < 0.7 for _ in cameras]
-    grid = Grid.about(np.array([0.02, 0.05, -0.03]), 0.9, 0.09)
+    grid = HullGrid.about(np.array([0.02, 0.05, -0.03]), 0.9, 0.09)
     inside, seen = np.ones(grid.counts, bool), np.zeros(grid.counts, int)
     every = grid.centres(inside)
     for camera, mask in zip(cameras, masks, strict=True):
@@ -94,7 +102,7 @@ def test_the_filled_cells_are_those_of_the_plain_formula(rng, witnesses):
     assert 0 < expected.sum() < expected.size
 
 
-def test_the_common_parts_leave_out_what_one_camera_alone_takes_for_the_person():
+def test_the_common_parts_exclude_objects_of_a_single_camera():
     cameras, centre = worlds.ring(4), np.array([0.1, -0.05, 0.2])
     masks = ball_masks(cameras, centre, 0.3)
     cluttered = [mask.copy() for mask in masks]
@@ -106,7 +114,7 @@ def test_the_common_parts_leave_out_what_one_camera_alone_takes_for_the_person()
         assert np.count_nonzero(kept & ~mask) < 0.1 * np.count_nonzero(mask)
 
 
-def test_of_two_things_the_larger_one_is_kept():
+def test_the_larger_of_two_objects_is_kept():
     cameras = worlds.ring(4)
     large, small = (ball_masks(cameras, np.array([x, 0.0, 0.0]), r) for x, r in ((-0.35, 0.3), (0.45, 0.12)))
     kept = common_parts(cameras, [a | b for a, b in zip(large, small, strict=True)])
@@ -118,14 +126,14 @@ def test_of_two_things_the_larger_one_is_kept():
         assert np.count_nonzero(part & mask) > 0.98 * np.count_nonzero(mask)
 
 
-def test_silhouettes_with_nothing_in_common_leave_nothing():
+def test_silhouettes_without_a_common_part_become_empty():
     cameras = worlds.ring(3)
     masks = [np.zeros((camera.height, camera.width), bool) for camera in cameras]
     masks[0][:20], masks[1][-20:], masks[2][:20] = True, True, True
     assert not any(mask.any() for mask in common_parts(cameras, masks))
 
 
-def test_a_single_silhouette_stays_as_it_is():
+def test_a_single_silhouette_is_kept():
     cameras = worlds.ring(3)
     masks = [np.zeros((camera.height, camera.width), bool) for camera in cameras]
     masks[0][:20] = True

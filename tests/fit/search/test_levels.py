@@ -7,7 +7,7 @@ import pytest
 from tests import worlds
 
 from marey.body.articulation.pose import PosedBody
-from marey.fit.search.levels import FrameLevels, Level, level_factor, shrink
+from marey.fit.search.levels import FrameLevels, SilhouetteLevel, level_factor, shrink
 from marey.images.silhouettes.contours import trace_contour
 
 
@@ -24,7 +24,7 @@ def test_a_shrunken_silhouette_is_what_the_shrunken_camera_sees_neither_thinner_
     poses = [worlds.pose(body, yaw=yaw, at=(0.01 * yaw, 0.02, 0)) for yaw in (0.0, 0.7, 1.9)]
     more = outline = 0
     for posed in (PosedBody(body, pose) for pose in poses):
-        level = Level.of(cameras, worlds.silhouettes(posed, cameras), factor)
+        level = SilhouetteLevel.of(cameras, worlds.silhouettes(posed, cameras), factor)
         for small, mask, seen in zip(level.cameras, level.masks, worlds.silhouettes(posed, level.cameras), strict=True):
             assert mask.shape == seen.shape == (small.height, small.width)
             more += np.count_nonzero(mask) - np.count_nonzero(seen)
@@ -35,7 +35,7 @@ def test_a_shrunken_silhouette_is_what_the_shrunken_camera_sees_neither_thinner_
     assert abs(more) / outline < 3 * 0.5 / np.sqrt(outline)
 
 
-def test_a_pixel_is_inside_where_most_of_what_it_stands_for_is():
+def test_a_pixel_is_inside_if_most_of_its_area_is():
     mask = np.zeros((4, 4), bool)
     mask[0, 0] = mask[0, 2:] = mask[1, 2] = True
     np.testing.assert_array_equal(shrink(mask, (2, 2)), [[False, True], [False, False]])
@@ -53,13 +53,13 @@ def test_the_factor_is_the_power_of_two_nearest_to_the_wanted_height(height, wan
     assert level_factor([np.zeros_like(mask), mask], wanted) == factor
 
 
-def test_pictures_are_never_enlarged_and_empty_ones_do_no_harm():
+def test_pictures_are_never_enlarged_and_may_be_empty():
     assert level_factor([np.zeros((40, 50), bool)], 80) == 1.0
 
 
 def test_packing_pads_masks_of_different_sizes_with_nothing(scene):
     cameras, _, masks = scene
-    level = Level.at_size([cameras[0], cameras[1].scaled(0.5)], [masks[0], shrink(masks[1], (100, 120))])
+    level = SilhouetteLevel.at_size([cameras[0], cameras[1].scaled(0.5)], [masks[0], shrink(masks[1], (100, 120))])
     packed, widths, heights, padded = level.packed()
     assert packed.shape[0] == 2
     np.testing.assert_array_equal(widths, [200, 100])
@@ -70,7 +70,7 @@ def test_packing_pads_masks_of_different_sizes_with_nothing(scene):
     assert not padded[1, :, 100:].any()
 
 
-def test_frames_are_traced_when_they_are_asked_for_and_only_once(scene):
+def test_frames_are_traced_once_on_demand(scene):
     cameras, _, masks = scene
     asked = []
 
@@ -85,7 +85,7 @@ def test_frames_are_traced_when_they_are_asked_for_and_only_once(scene):
     assert levels.at(7).cameras[0].size == (100, 120)
 
 
-def test_only_so_many_frames_are_kept_as_there_is_room_for(scene):
+def test_frames_are_kept_within_the_memory_limit(scene):
     cameras, _, masks = scene
     asked = []
 
@@ -103,7 +103,7 @@ def test_only_so_many_frames_are_kept_as_there_is_room_for(scene):
     assert asked == [*range(40), *range(3, 40)]
 
 
-def test_levels_that_are_forgotten_leave_their_room(scene):
+def test_released_levels_free_their_memory(scene):
     cameras, _, masks = scene
     one = FrameLevels(cameras, lambda frame: masks, 0.5).at(0).size
     levels = FrameLevels(cameras, lambda frame: masks, 0.5, room=2 * one)

@@ -26,7 +26,7 @@ def spread_of(body, rate=10.0):
     return prediction_spread(body.skeleton, TrackSettings(), rate=rate)
 
 
-def test_the_silhouettes_middles_tell_how_far_the_person_moved(leap):
+def test_the_silhouettes_centroids_give_the_persons_shift(leap):
     _, after, fine, _ = leap
     elsewhere = replace(after.pose, translation=after.pose.translation - [0.3, -0.2, 0.1])
     moved = PosedBody(after.body, elsewhere)
@@ -35,13 +35,13 @@ def test_the_silhouettes_middles_tell_how_far_the_person_moved(leap):
     np.testing.assert_allclose(shift_to_silhouettes(after, fine), 0.0, atol=1e-12)
 
 
-def test_nobody_in_all_cameras_but_one_moves_nobody(leap):
+def test_a_silhouette_in_one_camera_alone_gives_no_shift(leap):
     _, after, fine, _ = leap
     blank = fine.at_size(fine.cameras, [fine.masks[0], *[np.zeros_like(m) for m in fine.masks[1:]]])
     np.testing.assert_array_equal(shift_to_silhouettes(after, blank), 0.0)
 
 
-def test_samples_hold_the_predictions_and_are_the_same_in_every_run(leap):
+def test_samples_include_the_predictions_and_are_reproducible(leap):
     before, after, _, rough = leap
     step = np.full(len(after.body.skeleton), 0.05)
     first, second = (sampled_poses(after.body, before, step, spread_of(after.body), rough, SETTINGS) for _ in range(2))

@@ -1,4 +1,4 @@
-"""Postures to try: turns that carry, angles that split, and limits that hold."""
+"""Initial postures: rotations, their angles, and joint limits."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def handed_axes(rng, hand):
 
 
 @pytest.mark.parametrize("hand", [1.0, -1.0], ids=["right-handed", "left-handed"])
-def test_ball_angles_make_the_rotation_again(rng, hand):
+def test_ball_angles_reproduce_the_rotation(rng, hand):
     axes = handed_axes(rng, hand)
     wanted = rotations.exp(rng.normal(size=(50, 3)))
     angles = placements.ball_angles(axes, wanted)
@@ -39,7 +39,7 @@ def test_ball_angles_are_those_that_made_the_rotation(rng, hand):
 
 
 def test_every_ball_joint_of_the_body_has_axes_at_right_angles(body):
-    for name in placements.LIMBS:
+    for name in placements.SEARCHED_LIMBS:
         axes = body.skeleton.axes[placements.limb_of(body.skeleton, name).ball]
         np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-12)
 
@@ -71,9 +71,9 @@ def test_the_shortest_turn_to_itself_is_none_and_to_its_opposite_a_half():
     np.testing.assert_allclose(half @ half.T, np.eye(3), atol=1e-12)
 
 
-def test_limbs_own_their_coordinates_and_no_other(body):
+def test_limbs_have_their_own_coordinates_only(body):
     limbs = placements.limbs_of(body.skeleton)
-    assert set(limbs) == set(placements.LIMBS)
+    assert set(limbs) == set(placements.SEARCHED_LIMBS)
     for limb in limbs.values():
         own = {body.skeleton.coordinates[i].segment for i in limb.columns}
         assert own == set(limb.segments)
@@ -86,8 +86,8 @@ def test_a_preset_has_the_limbs_that_it_follows():
     assert set(placements.limbs_of(person_body("coarse", preset="upper").skeleton)) == {"left_arm", "right_arm"}
 
 
-@pytest.mark.parametrize("name", placements.LIMBS)
-def test_placements_keep_to_the_limits_and_point_where_they_say(body, name):
+@pytest.mark.parametrize("name", placements.SEARCHED_LIMBS)
+def test_placements_respect_the_limits_and_their_direction(body, name):
     skeleton, limb = body.skeleton, placements.limb_of(body.skeleton, name)
     arm, leg = limb_directions(body)
     side = np.array([1.0 if name.startswith("left") else -1.0, 1.0, 1.0])

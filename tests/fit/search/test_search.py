@@ -1,4 +1,4 @@
-"""The steps of the search: exchanges that undo themselves, proposals that hold the truth, fits that mend."""
+"""Steps of the search: exchanges, proposals of limbs, and fits."""
 
 from dataclasses import replace
 
@@ -10,8 +10,8 @@ from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.people.person import person_body
 from marey.fit.search import placements
 from marey.fit.search import search as steps
-from marey.fit.search.levels import Level
-from marey.fit.search.search import Search, StartSettings, about_face, exchanged, pose_from_rotations
+from marey.fit.search.levels import SilhouetteLevel
+from marey.fit.search.search import Search, StartSettings, exchanged, pose_from_rotations, turned_about
 from marey.geometry import rotations
 
 GATE = (16.0, 5.0)
@@ -21,7 +21,7 @@ GATE = (16.0, 5.0)
 def scene():
     cameras, body = worlds.ring(size=(100, 120), focal=150.0), worlds.person()
     truth = PosedBody(body, worlds.pose(body))
-    return truth, Search(Level.at_size(cameras, worlds.silhouettes(truth, cameras)), StartSettings())
+    return truth, Search(SilhouetteLevel.at_size(cameras, worlds.silhouettes(truth, cameras)), StartSettings())
 
 
 def within_limits(rng, body, share=0.8):
@@ -65,10 +65,10 @@ def test_a_pose_is_read_back_from_the_rotations_of_its_segments(rng):
             np.testing.assert_allclose(found, wanted, atol=1e-9)
 
 
-def test_about_face_looks_the_other_way_and_keeps_the_sides_of_the_picture():
+def test_a_reversed_pose_faces_the_other_way_with_the_same_outline():
     body = worlds.person()
     posed = PosedBody(body, worlds.pose(body, {"left_shoulder_lift": 40, "right_hip_abduction": 20}, yaw=0.4))
-    turned = PosedBody(body, about_face(posed))
+    turned = PosedBody(body, turned_about(posed))
     np.testing.assert_allclose(turned.pose.rotation[:, 1], -posed.pose.rotation[:, 1], atol=1e-12)
     at = {name: k for k, name in enumerate(body.skeleton.segment_names)}
     for left, right in (("left_forearm", "right_forearm"), ("left_shank", "right_shank")):
@@ -77,7 +77,7 @@ def test_about_face_looks_the_other_way_and_keeps_the_sides_of_the_picture():
         assert np.linalg.norm(turned.segment_origin[at[right]] - posed.segment_origin[at[left]]) < 0.08
 
 
-def test_about_face_twice_gives_the_pose_back(rng):
+def test_reversing_a_pose_twice_restores_it(rng):
     body = worlds.person()
     skeleton = body.skeleton
     segment = skeleton.coordinate_segment
@@ -85,7 +85,7 @@ def test_about_face_twice_gives_the_pose_back(rng):
     # What bends one way only, and what turns about two axes, has no counterpart behind itself.
     angles = np.where(free, rng.uniform(-0.15, 0.15, len(free)), 0.0)
     posed = PosedBody(body, Pose(rng.normal(size=3), rotations.exp(rng.normal(size=3)), angles))
-    again = about_face(replace(posed, pose=about_face(posed)))
+    again = turned_about(replace(posed, pose=turned_about(posed)))
     np.testing.assert_allclose(posed.pose.change_to(again), 0, atol=1e-9)
 
 
@@ -146,7 +146,7 @@ def test_a_score_is_the_overlap_less_what_the_posture_costs(scene):
 
 
 @pytest.mark.parametrize(("lean", "ways"), [(0, 1), (20, 2), (45, 3), (85, 4)])
-def test_who_leans_is_tried_upright_and_along_the_hulls_axis(rng, lean, ways):
+def test_a_leaning_person_is_searched_upright_and_along_the_hulls_axis(rng, lean, ways):
     trunk = rng.normal(size=(500, 3)) * [0.15, 0.15, 0.5]
     turn = rotations.exp(np.array([np.deg2rad(lean), 0, 0]))
     found = steps.standing_ways(trunk @ turn.T)

@@ -31,7 +31,7 @@ def test_pose_shape_and_facing_are_found_from_one_frame(posture, yaw):
     assert len(found.posed.body.vertices) == len(fine.vertices)
 
 
-def test_nobody_and_views_of_different_people_are_no_start():
+def test_empty_or_contradictory_silhouettes_give_no_start():
     cameras, body = worlds.ring(2, distance=6.0), worlds.person()
     nobody = [np.zeros((c.height, c.width), bool) for c in cameras]
     one, other = (worlds.silhouettes(PosedBody(body, worlds.pose(body, at=(0, 0, z))), cameras) for z in (-1.2, 1.2))
@@ -39,7 +39,7 @@ def test_nobody_and_views_of_different_people_are_no_start():
     assert find_start(cameras, nobody, body, body, QUICK) is None
 
 
-def test_of_candidates_that_face_alike_only_some_are_kept():
+def test_only_some_candidates_of_the_same_facing_are_kept():
     body = worlds.person()
     turned = [PosedBody(body, worlds.pose(body, yaw=yaw)) for yaw in (0.0, 0.1, 0.2, 2.0)]
     candidates = [Candidate(posed, score) for posed, score in zip(turned, (0.9, 0.8, 0.7, 0.1), strict=True)]
@@ -48,7 +48,7 @@ def test_of_candidates_that_face_alike_only_some_are_kept():
 
 
 @pytest.mark.parametrize("kept", [(0, 1, 2), (1, 2, 3)], ids=["without the last", "without the first"])
-def test_three_cameras_are_enough_to_face_the_right_way(kept):
+def test_three_cameras_determine_the_facing(kept):
     body = worlds.person("coarse")
     truth = PosedBody(body, worlds.pose(body, POSTURES["bent"], yaw=1.2))
     cameras = [worlds.ring()[k] for k in kept]
@@ -57,7 +57,7 @@ def test_three_cameras_are_enough_to_face_the_right_way(kept):
     assert np.median(worlds.joint_errors(found.posed, truth)) < 0.04
 
 
-def test_who_is_cut_at_the_hips_is_found_by_the_upper_preset():
+def test_a_person_cut_at_the_hips_is_found_with_the_upper_preset():
     whole, body = worlds.person("coarse"), person_body("coarse", preset="upper")
     posture = {"left_elbow_flexion": 80, "right_shoulder_lift": 30, "right_elbow_flexion": 30}
     truth = PosedBody(whole, worlds.pose(whole, posture, yaw=0.8))
@@ -79,7 +79,7 @@ def test_a_scan_starts_with_the_shape_that_it_has():
     assert worlds.joint_errors(found.posed, truth).max() < 0.1
 
 
-def test_who_lies_is_found_lying():
+def test_a_lying_person_is_found():
     body = worlds.person("coarse")
     standing = worlds.pose(body, POSTURES["bent"])
     lying = Pose(np.array([0.0, 0, -0.3]), rotations.about(np.array([1.0, 0, 0]), np.array(np.pi / 2)), standing.angles)
@@ -90,7 +90,7 @@ def test_who_lies_is_found_lying():
     assert abs(trunk[2]) < 0.3
 
 
-def test_who_hangs_head_down_is_found_hanging():
+def test_a_person_hanging_head_down_is_found():
     body = worlds.person("coarse")
     arms_up = worlds.pose(body, {"left_shoulder_lift": 50, "left_elbow_flexion": 60, "right_hip_abduction": 30})
     truth = PosedBody(body, Pose(np.zeros(3), rotations.about(np.array([1.0, 0, 0]), np.array(np.pi)), arms_up.angles))

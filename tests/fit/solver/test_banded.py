@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from marey.fit.solver.banded import System, Window, windows, with_shape_covariance
+from marey.fit.solver.banded import BandedSystem, Window, windows, with_shape_covariance
 from marey.fit.solver.body_solver import bounded_step
 
 FRAMES, DEGREES, NUMBERS = 6, 4, 3
@@ -12,7 +12,7 @@ NO_TRUST = np.full(DEGREES, np.inf)
 
 def random_system(rng, numbers=NUMBERS, frames=FRAMES):
     """A random positive system of the shape that poses, smoothness and a border give, and the same one dense."""
-    system = System.empty(frames, DEGREES, numbers)
+    system = BandedSystem.empty(frames, DEGREES, numbers)
     size = frames * DEGREES + numbers
     dense, gradient = np.zeros((size, size)), np.zeros(size)
     shape = list(range(frames * DEGREES, size))
@@ -52,7 +52,7 @@ def add_smoothness(rng, system, dense, gradient):
 
 
 def shape_of(dense, gradient):
-    """What all frames together say of the shape alone."""
+    """The information about the shape alone from all frames."""
     return dense[-NUMBERS:, -NUMBERS:], gradient[-NUMBERS:]
 
 
@@ -83,7 +83,7 @@ def test_the_covariances_are_blocks_of_the_dense_inverse(rng, numbers):
         np.testing.assert_allclose(covariance[f], inverse[np.ix_(own, own)], atol=1e-7 * np.abs(inverse).max())
 
 
-def test_poses_that_know_nothing_of_the_shape_have_no_share_in_it(rng):
+def test_poses_independent_of_the_shape_leave_it_unchanged(rng):
     blocks, shape = np.tile(np.eye(DEGREES), (2, 1, 1)), 0.1 * np.eye(NUMBERS)
     whole = with_shape_covariance(blocks, np.zeros((2, DEGREES, 0)), shape)
     np.testing.assert_array_equal(whole[:, :DEGREES, :DEGREES], blocks)

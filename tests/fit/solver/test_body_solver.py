@@ -7,12 +7,12 @@ import pytest
 from tests import worlds
 
 from marey.body.articulation.pose import PosedBody
-from marey.fit.search.levels import Level
+from marey.fit.search.levels import SilhouetteLevel
 from marey.fit.solver.body_solver import bounded_body_step, bounded_step, dense_equations, fit_body, shape_reach
 from marey.fit.solver.moments import gather_moments
 from marey.fit.solver.normal_equations import normal_equations
 from marey.fit.solver.pose_solver import Schedule, add_dense, match_all
-from marey.observations.correspondence import Matching
+from marey.observations.correspondence import OutlineMatchSettings
 from marey.observations.prior import Habit, JointLimits, ShapePrior
 
 PRIORS = (JointLimits(), Habit(share=0.01), ShapePrior())
@@ -24,13 +24,13 @@ def scene():
     person = worlds.person("fine", 5).with_numbers(np.array([1.0, -1.2, 0.7, 0.4, -0.5]))
     truth = PosedBody(person, worlds.pose(person))
     cameras = worlds.ring(size=(400, 480), focal=600.0)
-    return truth, Level.of(cameras, worlds.silhouettes(truth, cameras), 0.5)
+    return truth, SilhouetteLevel.of(cameras, worlds.silhouettes(truth, cameras), 0.5)
 
 
 def test_the_poses_part_of_the_dense_equations_is_that_of_the_moments(scene, rng):
     truth, level = scene
     posed = replace(truth, pose=truth.pose.step(rng.normal(size=len(truth.body.skeleton)) * 0.02))
-    found, weights = match_all(posed, level.sightings, Matching(), 5.0)
+    found, weights = match_all(posed, level.sightings, OutlineMatchSettings(), 5.0)
     others = PRIORS[:2]
     dense, slope, _ = dense_equations(posed, found, weights, others)
     hessian, gradient, cost = normal_equations(posed, gather_moments(posed, found, weights))
@@ -45,7 +45,7 @@ def test_the_poses_part_of_the_dense_equations_is_that_of_the_moments(scene, rng
 def test_the_gradient_is_half_the_slope_of_the_cost(scene, rng):
     truth, level = scene
     posed = truth.moved(rng.normal(size=len(truth.body.skeleton) + len(truth.body.space)) * 0.01)
-    found, weights = match_all(posed, level.sightings, Matching(), 5.0)
+    found, weights = match_all(posed, level.sightings, OutlineMatchSettings(), 5.0)
     _, gradient, _ = dense_equations(posed, found, weights, PRIORS)
     for column in rng.permutation(len(gradient))[:15]:
         change = np.zeros(len(gradient))
@@ -60,7 +60,7 @@ def test_shape_and_pose_are_found_from_one_frame(scene):
     rng = np.random.default_rng(1)
     start = PosedBody(mean, truth.pose.step(rng.normal(size=len(mean.skeleton)) * 0.03))
     fitted = fit_body(start, level.sightings, PRIORS, schedule=SCHEDULE)
-    found, weights = match_all(fitted, level.sightings, Matching(gate=5.0), 3.0)
+    found, weights = match_all(fitted, level.sightings, OutlineMatchSettings(gate=5.0), 3.0)
     hessian, _, _ = dense_equations(fitted, found, weights, PRIORS)
     sd = np.sqrt(np.diag(np.linalg.inv(hessian))[-5:])
     assert (np.abs(fitted.body.numbers - truth.body.numbers) < 3 * sd).all()
@@ -72,7 +72,7 @@ def test_shape_and_pose_are_found_from_one_frame(scene):
 
 def test_without_silhouettes_the_shape_goes_to_its_prior(scene):
     truth, level = scene
-    nobody = Level.at_size(level.cameras, [np.zeros_like(mask) for mask in level.masks])
+    nobody = SilhouetteLevel.at_size(level.cameras, [np.zeros_like(mask) for mask in level.masks])
     priors = (Habit(), ShapePrior())
     # Where nothing is known of the place, the step there is none.
     fitted = fit_body(truth, nobody.sightings, priors, schedule=Schedule(iterations=8))
@@ -81,7 +81,7 @@ def test_without_silhouettes_the_shape_goes_to_its_prior(scene):
     np.testing.assert_allclose(fitted.pose.angles, truth.body.skeleton.habit[0], atol=1e-6)
 
 
-def test_no_number_leaves_the_reach_that_is_allowed(scene):
+def test_no_number_leaves_its_bounds(scene):
     truth, level = scene
     start = truth.body.with_numbers(np.zeros(5))
     fitted = fit_body(PosedBody(start, truth.pose), level.sightings, PRIORS, schedule=SCHEDULE, clip=0.5)

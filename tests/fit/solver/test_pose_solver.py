@@ -8,10 +8,10 @@ from tests import worlds
 
 from marey.body.articulation.pose import PosedBody
 from marey.body.people.person import person_body
-from marey.fit.search.levels import Level
+from marey.fit.search.levels import SilhouetteLevel
 from marey.fit.solver.moments import gather_moments
 from marey.fit.solver.pose_solver import (
-    LONGEST_TURN,
+    LONGEST_STEP_RAD,
     Schedule,
     add_dense,
     agreement,
@@ -22,7 +22,7 @@ from marey.fit.solver.pose_solver import (
     solve_pose_step_by_step,
     solve_step,
 )
-from marey.observations.correspondence import Matching, view_of
+from marey.observations.correspondence import OutlineMatchSettings, view_of
 from marey.observations.prior import Habit, JointLimits, NearPose
 
 SCHEDULE = Schedule(iterations=10)
@@ -35,7 +35,7 @@ def scene():
     body = worlds.person("fine")
     truth = PosedBody(body, worlds.pose(body))
     cameras = worlds.ring(size=(400, 480), focal=600.0)
-    return truth, Level.of(cameras, worlds.silhouettes(truth, cameras), 0.5)
+    return truth, SilhouetteLevel.of(cameras, worlds.silhouettes(truth, cameras), 0.5)
 
 
 def joint_sd(posed, hessian):
@@ -71,21 +71,21 @@ def test_another_level_of_the_body_fits_the_same_silhouettes(scene):
     assert worlds.joint_errors(fit.posed, PosedBody(coarse, truth.pose)).mean() < 0.008
 
 
-def test_contours_with_noise_are_fitted_as_well_as_they_say(scene):
+def test_noisy_contours_are_fitted_within_the_stated_uncertainty(scene):
     """The stated 3.2 px of a match stand for outlines that err by a tenth of it, alike over some ten pixels."""
     truth, level = scene
     share = []
     for seed in range(6):
         rng = np.random.default_rng(seed)
         masks = [worlds.rough(mask, rng, spread=0.35) for mask in level.masks]
-        noisy = Level.at_size(level.cameras, masks)
+        noisy = SilhouetteLevel.at_size(level.cameras, masks)
         fit = fit_pose(truth, noisy.sightings, PRIORS, schedule=SCHEDULE)
         share.append(worlds.joint_errors(fit.posed, truth) / joint_sd(fit.posed, fit.hessian))
     assert 0.2 < np.sqrt(np.mean(np.square(share))) < 1.0
     assert np.max(share) < 3
 
 
-def test_a_camera_fewer_still_finds_the_pose(scene):
+def test_one_camera_fewer_still_gives_the_pose(scene):
     truth, level = scene
     start = replace(truth, pose=truth.pose.step(np.full(len(truth.body.skeleton), 0.02)))
     fit = fit_pose(start, level.sightings[:3], PRIORS, schedule=SCHEDULE)
@@ -103,7 +103,7 @@ def test_a_person_cut_by_the_border_is_fitted_by_what_shows():
     assert all(mask[-1].any() for mask in masks)
     start = replace(truth, pose=truth.pose.step(np.full(len(body.skeleton), 0.02)))
     near = NearPose(pose=start.pose, spread=np.full(len(body.skeleton), 0.3))
-    fit = fit_pose(start, Level.at_size(cameras, masks).sightings, (*PRIORS, near), schedule=SCHEDULE)
+    fit = fit_pose(start, SilhouetteLevel.at_size(cameras, masks).sightings, (*PRIORS, near), schedule=SCHEDULE)
     errors, sd = worlds.joint_errors(fit.posed, truth), joint_sd(fit.posed, fit.hessian)
     assert (errors < 3 * sd).all()
     shown = [i for i, name in enumerate(body.joint_names) if name.endswith(("shoulder", "elbow", "wrist", "neck"))]
@@ -119,7 +119,7 @@ def test_the_upper_preset_fits_the_arms_of_a_person_without_legs():
     cameras = worlds.ring(size=(200, 135), target=(0, 0, 0.32))
     start = worlds.pose(body, {k: v for k, v in worlds.ARMS_AND_KNEES.items() if "shoulder" in k or "elbow" in k})
     away = np.full(len(body.skeleton), 0.03)
-    level = Level.at_size(cameras, worlds.silhouettes(truth, cameras))
+    level = SilhouetteLevel.at_size(cameras, worlds.silhouettes(truth, cameras))
     fit = fit_pose(PosedBody(body, start.step(away)), level.sightings, PRIORS, schedule=SCHEDULE)
     errors = worlds.joint_errors(fit.posed, truth)
     arms = [i for i, name in enumerate(body.joint_names) if name.endswith(("shoulder", "elbow", "wrist"))]
@@ -128,7 +128,7 @@ def test_the_upper_preset_fits_the_arms_of_a_person_without_legs():
 
 def test_without_silhouettes_the_priors_decide(scene):
     truth, level = scene
-    nobody = Level.at_size(level.cameras, [np.zeros_like(mask) for mask in level.masks])
+    nobody = SilhouetteLevel.at_size(level.cameras, [np.zeros_like(mask) for mask in level.masks])
     near = NearPose(pose=truth.pose, spread=np.full(len(truth.body.skeleton), 0.1))
     start = replace(truth, pose=truth.pose.step(np.full(len(truth.body.skeleton), 0.02)))
     fit = fit_pose(start, nobody.sightings, (near,), schedule=SCHEDULE)
@@ -139,7 +139,7 @@ def test_without_silhouettes_the_priors_decide(scene):
 def test_a_solved_pose_is_a_stationary_point_of_its_cost(scene):
     truth, level = scene
     start = replace(truth, pose=truth.pose.step(np.full(len(truth.body.skeleton), 0.01)))
-    found, weights = match_all(start, level.sightings, Matching(), 5.0)
+    found, weights = match_all(start, level.sightings, OutlineMatchSettings(), 5.0)
     moments = gather_moments(start, found, weights)
     near = NearPose(pose=start.pose, spread=np.full(len(truth.body.skeleton), 0.5))
     posed, _ = solve_pose(start, moments, (near,), steps=30, stop=1e-12)
@@ -163,7 +163,7 @@ def test_a_step_solves_the_system_and_no_joint_turns_too_far(rng):
     hessian, gradient = root @ root.T + np.eye(9), rng.normal(size=9) * 0.01
     np.testing.assert_allclose(hessian @ solve_step(hessian, gradient), -gradient, atol=1e-8)
     long = solve_step(hessian, gradient * 1e4)
-    assert np.abs(long[3:]).max() == pytest.approx(LONGEST_TURN)
+    assert np.abs(long[3:]).max() == pytest.approx(LONGEST_STEP_RAD)
     whole = np.linalg.solve(hessian, -gradient)
     np.testing.assert_allclose(long / np.linalg.norm(long), whole / np.linalg.norm(whole), atol=1e-6)
     # Shape numbers behind the pose's degrees may go as far as they like.
@@ -191,7 +191,7 @@ def test_the_schedule_narrows_from_its_first_to_its_last_value():
     assert Schedule(iterations=1).at(0)[0].gate == 25.0
 
 
-def test_agreement_is_one_where_all_agrees_and_unknown_where_nobody_is(scene):
+def test_agreement_is_one_for_equal_masks_and_nan_for_empty_ones(scene):
     truth, level = scene
     views = [view_of(truth, camera) for camera in level.cameras]
     np.testing.assert_array_equal(agreement(views, [view.mask() for view in views]), 1.0)
@@ -206,7 +206,7 @@ def test_the_kernel_does_what_the_steps_one_by_one_do(scene, count):
     truth, level = scene
     degrees = len(truth.body.skeleton)
     start = replace(truth, pose=truth.pose.step(np.full(degrees, 0.05)))
-    found, weights = match_all(start, level.sightings, Matching(), 5.0)
+    found, weights = match_all(start, level.sightings, OutlineMatchSettings(), 5.0)
     moments = gather_moments(start, found, weights)
     # One angle begins beyond its limit.
     angles = start.pose.angles.copy()
@@ -225,7 +225,7 @@ def test_the_kernel_does_what_the_steps_one_by_one_do(scene, count):
     np.testing.assert_allclose(once.pose.change_to(twice.pose), 0, atol=1e-9)
 
 
-def test_a_coordinate_that_nothing_fixes_is_told_of(scene):
+def test_an_undetermined_coordinate_is_an_error(scene):
     truth, _ = scene
     with pytest.raises(np.linalg.LinAlgError, match="prior"):
         solve_pose(truth, gather_moments(truth, []), ())

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from marey.fit.solver.weights import component, geman_mcclure
+from marey.fit.solver.weights import component_sd, geman_mcclure
 
 
-def test_a_weight_is_one_on_the_spot_a_quarter_at_the_scale_and_fades_with_the_fourth_power():
+def test_a_weight_is_one_at_zero_and_a_quarter_at_the_scale():
     np.testing.assert_allclose(geman_mcclure(np.array([0.0, 2.0, -2.0]), 2.0), [1.0, 0.25, 0.25])
     far = geman_mcclure(np.array([200.0, 400.0]), 2.0)
     np.testing.assert_allclose(far[0] / far[1], 16.0, rtol=1e-3)
@@ -32,25 +32,25 @@ def test_a_standard_deviation_on_top_of_known_ones_is_found_again(rng):
     known = rng.uniform(0.0, 2.0, 20000) ** 2
     residual = rng.normal(size=len(known)) * np.sqrt(known + 1.5**2)
     # A standard deviation from n squares is known to 1 / sqrt(2 n) of itself, here at most thrice as far.
-    assert component(residual, known) == pytest.approx(1.5, rel=3 * 3 / np.sqrt(2 * len(known)))
+    assert component_sd(residual, known) == pytest.approx(1.5, rel=3 * 3 / np.sqrt(2 * len(known)))
 
 
 def test_it_is_the_root_mean_square_where_nothing_is_known(rng):
     residual = rng.normal(size=500)
-    assert component(residual, np.zeros(500)) == pytest.approx(np.sqrt(np.mean(residual**2)), rel=1e-5)
+    assert component_sd(residual, np.zeros(500)) == pytest.approx(np.sqrt(np.mean(residual**2)), rel=1e-5)
 
 
 def test_known_deviations_that_explain_all_leave_nothing(rng):
-    assert component(0.5 * rng.normal(size=1000), np.ones(1000)) == 0.0
+    assert component_sd(0.5 * rng.normal(size=1000), np.ones(1000)) == 0.0
 
 
-def test_nothing_observed_says_nothing():
-    assert np.isnan(component(np.zeros(0), np.zeros(0)))
+def test_without_observations_the_result_is_nan():
+    assert np.isnan(component_sd(np.zeros(0), np.zeros(0)))
 
 
-def test_what_parameters_took_is_left_out(rng):
+def test_estimated_parameters_reduce_the_redundancy(rng):
     """Five observations about each of many means: a fifth of them went into the means."""
     values = rng.normal(size=(4000, 5)) * 0.3
     residual = (values - values.mean(1, keepdims=True)).ravel()
-    found = component(residual, np.zeros(len(residual)), left=4 / 5)
+    found = component_sd(residual, np.zeros(len(residual)), left=4 / 5)
     assert found == pytest.approx(0.3, rel=3 / np.sqrt(2 * 16000))

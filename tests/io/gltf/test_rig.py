@@ -370,6 +370,6 @@ def test_a_character_that_lies_or_hangs_together_wrongly_is_refused(tmp_path, mo
         write_retargeted(tmp_path / "b.glb", *read_rig(tmp_path / "a.glb"), motion, floor=None)
     rigs.write_rig(tmp_path / "a.glb", rigs.SMPL, segments(rigs.SMPL))
     gltf, rig = read_rig(tmp_path / "a.glb", {"left_shank": "L_Elbow", "left_forearm": "L_Knee"})
-    with pytest.raises(FileProblem, match="left_forearm does not hang from that of left_upperarm"):
+    with pytest.raises(FileProblem, match="left_forearm is not a descendant of that of left_upperarm"):
         write_retargeted(tmp_path / "b.glb", gltf, rig, motion, floor=None)
     assert not (tmp_path / "b.glb").exists()

@@ -17,5 +17,5 @@ def test_the_centre_of_pressure_is_where_the_force_acts():
     middle = CORNERS.mean(0)
     plate = ForcePlate(name="p", corners=CORNERS, rate=100.0, force=force, moment=np.cross(at - middle, force))
     np.testing.assert_allclose(plate.centre_of_pressure[0], at, atol=1e-12)
-    assert np.isnan(plate.centre_of_pressure[1]).all()  # 5 N tell no place
+    assert np.isnan(plate.centre_of_pressure[1]).all()  # 5 N do not determine a position
     np.testing.assert_allclose(plate.vertical, [700, 5])

@@ -140,9 +140,9 @@ def test_a_frame_without_an_estimate_stays_empty(rng):
     rotation = moving.rotation.copy()
     rotation[1] = np.nan
     holed = replace(moving, rotation=rotation, covariance=None)
-    carried = holed.apply(np.ones((2, 3)))
-    assert np.isnan(carried[1]).all()
-    assert np.isfinite(carried[[0, 2]]).all()
+    transformed = holed.apply(np.ones((2, 3)))
+    assert np.isnan(transformed[1]).all()
+    assert np.isfinite(transformed[[0, 2]]).all()
     np.testing.assert_array_equal(holed.at(0).rotation, rotation[0])
 
 

@@ -90,7 +90,7 @@ def test_the_centre_of_the_joint_is_found_where_it_is(rng):
     centres = guess
     for _ in range(3):
         centres = refined_centres(joint, clusters, np.zeros((60, 2, 6)), centres, guess[0])
-    # Along the hinge's axis nothing tells where it is.
+    # The position along the hinge's axis is not determined.
     for centre in centres:
         assert np.abs(centre[:2]).max() < 2e-3
 

@@ -93,4 +93,4 @@ def test_the_hip_of_the_functional_trial_is_transferred_into_walking(shared):
     centre = score(trial.select(pelvis).points, trial.select(thigh).points)
     hip = transfer_point(centre.parent_shape, centre.in_parent, walk.select(pelvis).points)
     off = np.linalg.norm(hip - walk.select(["LeftHipCenterScore"]).points[:, 0], axis=-1)
-    assert np.median(off) < 0.010  # 8.6 mm; asked: 15 mm
+    assert np.median(off) < 0.010  # 8.6 mm; required: 15 mm

@@ -1,4 +1,4 @@
-"""Bones' frames where nobody gave them, or where another trial did."""
+"""Calibrations from the clusters' own axes, and calibrations transferred from another trial."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The banded solver gives what the dense one does."""
+"""The banded solver agrees with a dense one."""
 
 import numpy as np
 

@@ -1,10 +1,10 @@
-"""The model before several cameras: its derivatives are right, and of a camera that sees nothing it learns nothing."""
+"""The model before several cameras: derivatives, and frames that a camera does not see."""
 
 import numpy as np
 import pytest
 
 from marey.geometry import rotations
-from marey.nonrigid.core.deforming_model import begin, improve, residuals_and_jacobians
+from marey.nonrigid.core.deforming_model import initial_model, refine, residuals_and_jacobians
 
 FRAMES, POINTS = 12, 7
 
@@ -20,7 +20,7 @@ def made(rng):
     shapes = rng.normal(size=(3, POINTS)) + swing * rng.normal(size=(3, POINTS))
     tracks = projection @ path @ shapes + rng.normal(size=(FRAMES, 4, 1))
     seen = np.asarray(rng.random((FRAMES, 2, POINTS)) < 0.8, float)
-    return begin(tracks, seen, path, shapes, 2, 0.01, projection), tracks, seen
+    return initial_model(tracks, seen, path, shapes, 2, 0.01, projection), tracks, seen
 
 
 def test_the_derivatives_are_those_of_the_residuals(made):
@@ -38,9 +38,9 @@ def test_the_derivatives_are_those_of_the_residuals(made):
         np.testing.assert_allclose(-(sides[0] - sides[1]) / 2e-6, jacobian[..., unknown], atol=1e-7)
 
 
-def test_a_camera_that_sees_nothing_for_a_while_takes_no_part(made):
+def test_frames_that_a_camera_does_not_see_do_not_affect_it(made):
     model, tracks, seen = made
     seen[3:6, 1] = 0
-    improve(model, np.where(np.repeat(seen, 2, axis=1) > 0, tracks, 1e3), seen, 3)
+    refine(model, np.where(np.repeat(seen, 2, axis=1) > 0, tracks, 1e3), seen, 3)
     assert np.isfinite(model.cost)
     assert np.abs(model.shift[3:6, 2:]).max() < 10

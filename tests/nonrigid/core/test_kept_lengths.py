@@ -1,10 +1,10 @@
-"""Distances that are kept: the pairs are found, derivatives agree with differences, and depth gains by them."""
+"""Constant distances: selection of pairs, derivatives, and a gain in depth."""
 
 import numpy as np
 import pytest
 
 from marey.geometry import rotations
-from marey.nonrigid.core.deforming_model import begin, improve
+from marey.nonrigid.core.deforming_model import initial_model, refine
 from marey.nonrigid.core.kept_lengths import (
     choose_lengths,
     cost,
@@ -28,7 +28,7 @@ def scissors(rng):
     return shapes - shapes.mean(2, keepdims=True)
 
 
-def test_the_pairs_of_one_rigid_part_are_taken(scissors):
+def test_the_pairs_of_one_rigid_part_are_selected(scissors):
     kept = choose_lengths(scissors)
     assert (kept.pairs[:, 0] < 8).tolist() == (kept.pairs[:, 1] < 8).tolist()
     np.testing.assert_allclose(departures(kept, scissors)[0], 0, atol=1e-9)
@@ -54,7 +54,7 @@ def test_right_sides_are_minus_the_costs_gradient(scissors, rng):
         assert found == pytest.approx(-slope, rel=1e-5)
 
 
-def test_depth_before_a_slow_camera_gains_by_kept_distances(scissors, rng):
+def test_constant_distances_improve_depth_before_a_slow_camera(scissors, rng):
     path = rotations.exp(0.012 * np.arange(len(scissors))[:, None] * np.array([0.1, 0.2, 1.0]))
     tracks = (path @ scissors)[:, :2] + 0.01 * rng.normal(size=(len(scissors), 2, 16))
     tracks = tracks - tracks.mean(2, keepdims=True)
@@ -62,9 +62,9 @@ def test_depth_before_a_slow_camera_gains_by_kept_distances(scissors, rng):
     rough = scissors + 0.15 * (scissors.mean(0) - scissors) + 0.05 * rng.normal(size=(3, 16))
     errors = []
     for held in (False, True):
-        model = begin(tracks, seen, path, rough, 4, 0.01)
-        improve(model, tracks, seen, 6)
+        model = initial_model(tracks, seen, path, rough, 4, 0.01)
+        refine(model, tracks, seen, 6)
         model.lengths = choose_lengths(model.shapes) if held else None
-        improve(model, tracks, seen, 10)
+        refine(model, tracks, seen, 10)
         errors.append(np.sqrt(np.mean((model.rotation @ model.shapes - path @ scissors) ** 2)))
     assert errors[1] < 0.9 * errors[0]

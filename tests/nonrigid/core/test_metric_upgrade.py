@@ -1,4 +1,4 @@
-"""Rotations are found from the tracks of a rigid and of a deforming shape."""
+"""Rotations from the tracks of a rigid and of a deforming shape."""
 
 import numpy as np
 import pytest

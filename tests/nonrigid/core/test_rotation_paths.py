@@ -1,9 +1,9 @@
-"""Paths of rotations: derivatives, steadier paths, and mirror images that explain rigid tracks as well."""
+"""Paths of rotations: derivatives, smoothing, and mirrored paths of rigid objects."""
 
 import numpy as np
 
 from marey.geometry import rotations
-from marey.nonrigid.core.rotation_paths import acceleration_jacobians, accelerations, mirrored_after, steadier
+from marey.nonrigid.core.rotation_paths import acceleration_jacobians, accelerations, mirrored_after, smoothed_path
 
 
 def turning(frames, degrees):
@@ -22,19 +22,19 @@ def test_the_derivatives_of_accelerations_agree_with_differences(rng):
             np.testing.assert_allclose(change, jacobians[k][0][:, axis], atol=0.06)
 
 
-def test_a_steady_turn_has_no_acceleration_and_is_its_own_steadier_path():
+def test_a_steady_rotation_has_no_acceleration_and_is_not_changed_by_smoothing():
     path = turning(40, 5)
     np.testing.assert_allclose(accelerations(path), 0, atol=1e-12)
-    np.testing.assert_allclose(steadier(path, 1e8), path, atol=1e-8)
+    np.testing.assert_allclose(smoothed_path(path, 1e8), path, atol=1e-8)
 
 
-def test_noise_about_a_steady_turn_is_taken_away(rng):
+def test_smoothing_removes_noise_about_a_steady_rotation(rng):
     path = turning(200, 5)
     noisy = rotations.exp(0.05 * rng.normal(size=(200, 3))) @ path
-    steady = steadier(noisy, 1e8)
+    steady = smoothed_path(noisy, 1e8)
     assert np.abs(accelerations(steady)).max() < 1e-4
     assert np.linalg.norm(rotations.log(steady @ np.swapaxes(path, 1, 2)), axis=1).max() < 0.03
-    np.testing.assert_array_equal(steadier(noisy, 0), noisy)
+    np.testing.assert_array_equal(smoothed_path(noisy, 0), noisy)
 
 
 def test_rigid_tracks_look_the_same_from_the_mirrored_path(rng):

@@ -1,4 +1,4 @@
-"""Tracks of calibrated cameras find their partners, and those without one stay alone."""
+"""Tracks of calibrated cameras are matched, and those without a partner remain single."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ def views(rng):
     return tracks, which
 
 
-def test_nearly_all_partners_are_found_and_none_is_wrong(views):
+def test_nearly_all_pairs_are_found_and_none_is_wrong(views):
     tracks, which = views
     cameras = three_cameras().cameras
     found = match_calibrated(tracks[0], tracks[1], cameras[:2])
@@ -50,7 +50,7 @@ def test_three_cameras_are_joined(views):
     assert joined.tracks.shape == (3, FRAMES, 2, labels.shape[1])
 
 
-def test_the_low_rank_settles_what_lines_leave_open(rng):
+def test_the_low_rank_resolves_ambiguous_epipolar_lines(rng):
     """Points along a line that stays in one epipolar plane: the cameras see the same, their depths move apart."""
     time = np.arange(FRAMES)
     mean = 0.15 * rng.normal(size=(30, 3))
@@ -64,7 +64,7 @@ def test_the_low_rank_settles_what_lines_leave_open(rng):
     assert np.mean(found.pairs[:, 0] == found.pairs[:, 1]) >= 0.9
 
 
-def test_looks_may_forbid_a_pair(views):
+def test_appearance_can_exclude_a_pair(views):
     tracks, _ = views
     cameras = three_cameras().cameras
     looks = np.zeros((50, 50))
@@ -72,14 +72,14 @@ def test_looks_may_forbid_a_pair(views):
     assert 7 not in match_calibrated(tracks[0], tracks[1], cameras[:2], looks).pairs[:, 1]
 
 
-def test_what_does_not_fit_together_is_said(views):
+def test_arrays_that_do_not_match_are_an_error(views):
     tracks, _ = views
     rig = three_cameras()
     with pytest.raises(SettingProblem, match="same instants"):
         match_calibrated(tracks[0][:5], tracks[1], rig.cameras[:2])
     with pytest.raises(SettingProblem, match="calibration has 3"):
         join_calibrated(tracks[:2], rig)
-    with pytest.raises(SettingProblem, match="likeness"):
+    with pytest.raises(SettingProblem, match="appearance"):
         match_calibrated(tracks[0], tracks[1], rig.cameras[:2], np.zeros((2, 2)))
     with pytest.raises(MareyError, match="one place"):
         match_calibrated(tracks[0], tracks[1], (rig.cameras[0], rig.cameras[0]))

@@ -1,4 +1,4 @@
-"""From the pictures of calibrated cameras to shapes in the laboratory."""
+"""From the images of calibrated cameras to shapes in the laboratory."""
 
 import numpy as np
 import pytest
@@ -46,8 +46,8 @@ def test_videos_become_shapes_in_the_laboratory(filmed):
     assert np.nanquantile(away[found.views >= 2], 0.95) < 4e-3
 
 
-def test_what_does_not_fit_is_said(filmed):
-    with pytest.raises(SettingProblem, match="3 videos, and the calibration has 2"):
+def test_videos_that_do_not_match_are_an_error(filmed):
+    with pytest.raises(SettingProblem, match="3 videos, but the calibration has 2"):
         track_calibrated_views(filmed, Rig(rig().cameras[:2]))
     with pytest.raises(MareyError, match="No other camera shares"):
         track_calibrated_views([filmed[0], [image[::-1, ::-1] for image in filmed[1]]], Rig(rig().cameras[:2]))

@@ -20,7 +20,7 @@ def exact(score):
     return chance / total
 
 
-def test_who_would_lower_the_score_stays_alone():
+def test_elements_that_would_lower_the_score_have_no_partner():
     rows, columns = best_pairs(np.array([[3.0, 2.0, -1.0], [2.5, -1.0, -2.0], [-3.0, -2.0, -1.0]]))
     assert list(zip(rows, columns, strict=True)) == [(0, 1), (1, 0)]
 
@@ -38,6 +38,6 @@ def test_a_single_pair_has_the_odds_of_its_score():
     np.testing.assert_allclose(pair_probabilities(np.array([[1.5]])), 1 / (1 + np.exp(-1.5)), atol=1e-4)
 
 
-def test_equal_rivals_share():
+def test_equal_rivals_share_their_probability():
     chance = pair_probabilities(np.full((2, 2), 20.0))
     np.testing.assert_allclose(chance, 0.5, atol=0.01)

@@ -34,7 +34,7 @@ def test_the_same_points_are_followed_in_all_cameras(filmed, middle):
     assert np.nanmin(found.probability) >= 0.5
 
 
-def test_points_may_be_given_and_the_frame_too(filmed):
+def test_points_and_frame_can_be_given(filmed):
     random = np.random.default_rng(0)
     points = random.uniform(60, 140, (25, 2))
     found = track_views(filmed[:2], points=points, frame=6)
@@ -49,7 +49,7 @@ def test_another_surface_shares_no_points(filmed, middle):
         track_views([filmed[0], other], count=40, within=middle)
 
 
-def test_videos_that_do_not_fit_are_refused(filmed):
+def test_videos_of_different_lengths_are_an_error(filmed):
     with pytest.raises(SettingProblem, match="10, 9 frames"):
         track_views([filmed[0], filmed[1][1:]])
     with pytest.raises(SettingProblem, match="two videos"):

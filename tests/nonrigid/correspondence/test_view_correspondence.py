@@ -39,7 +39,7 @@ def test_all_points_find_their_partners_from_motion_alone(random):
     assert found.notes == ()
 
 
-def test_points_that_one_camera_sees_stay_alone(random):
+def test_points_of_one_camera_have_no_partner(random):
     views, seen = two_views(random, lone=4)
     found = match_tracks(*views)
     assert len(found.pairs) == 16
@@ -55,7 +55,7 @@ def test_exact_tracks_are_matched(random):
     assert right(found, seen).all()
 
 
-def test_gaps_are_no_obstacle(random):
+def test_tracks_with_gaps_are_matched(random):
     views, seen = two_views(random)
     for view in views:
         for point in range(view.shape[2]):
@@ -92,10 +92,10 @@ def test_two_points_that_move_alike_share_their_probability(random):
     twins = np.isin(found.pairs[:, 0], (0, 1))
     assert found.probability[twins].max() < 0.95
     assert found.probability[~twins].min() > 0.95
-    assert "not sure" in found.notes[0]
+    assert "ambiguous" in found.notes[0]
 
 
-def test_appearance_tells_points_apart_that_move_alike(random):
+def test_appearance_distinguishes_points_that_move_alike(random):
     surface = moving_surface(random)
     surface[:, 1] = surface[:, 0]
     views = [filmed(surface, camera, noise=0.005, random=random) for camera in CAMERAS[:2]]
@@ -106,13 +106,13 @@ def test_appearance_tells_points_apart_that_move_alike(random):
     assert found.probability.min() > 0.95
 
 
-def test_arrays_that_do_not_fit_are_refused(random):
+def test_arrays_of_wrong_shape_are_an_error(random):
     views, _ = two_views(random)
     with pytest.raises(SettingProblem, match="same instants"):
         match_tracks(views[0], views[1][1:])
     with pytest.raises(SettingProblem, match="one view"):
         match_tracks(views[0][0], views[1])
-    with pytest.raises(SettingProblem, match="look"):
+    with pytest.raises(SettingProblem, match="appearance"):
         match_tracks(*views, np.zeros((3, 3)))
 
 
@@ -120,10 +120,10 @@ def test_too_few_points_give_no_pairs(random):
     views, _ = two_views(random)
     found = match_tracks(views[0][:, :, :4], views[1])
     assert len(found.pairs) == 0
-    assert "No 6 points" in found.notes[0]
+    assert "Fewer than 6 points" in found.notes[0]
 
 
-def test_points_seen_for_a_part_of_the_time_are_matched_by_that_part(random):
+def test_points_seen_for_part_of_the_time_are_matched(random):
     views, seen = two_views(random)
     late = np.arange(4)
     for view, own in zip(views, seen, strict=True):

@@ -11,7 +11,7 @@ def evidence(surface, noise, pairs):
     return pair_evidence(PairTracks(*few, np.arange(pairs), np.arange(pairs)))
 
 
-def test_true_pairs_stand_out_also_those_that_were_not_given():
+def test_true_pairs_have_the_largest_evidence_even_if_not_given():
     score = evidence(moving_surface(np.random.default_rng(0), points=30), 0.005, 20)
     assert np.diag(score).min() > 5
     assert np.array_equal(score.argmax(axis=1), np.arange(30))

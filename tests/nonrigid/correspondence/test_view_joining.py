@@ -28,16 +28,16 @@ def test_three_cameras_join_to_one_array():
     assert len(joined.shared()) == 26
 
 
-def test_a_camera_that_shows_nothing_moving_stands_alone():
+def test_a_camera_without_motion_shares_no_points():
     random = np.random.default_rng(6)
     views = three_views(random, [np.arange(20)] * 3)
     views[1] = np.repeat(views[1][:1], 60, axis=0)
     joined = join_views(views)
     assert len(joined.shared()) == 20
     assert not (joined.points[:, joined.shared()][1] >= 0).any()
-    assert any("Camera 2 could not be tied" in note for note in joined.notes)
+    assert any("Camera 2 shares no points" in note for note in joined.notes)
 
 
-def test_one_camera_is_not_joined():
+def test_one_camera_is_an_error():
     with pytest.raises(SettingProblem, match="two cameras"):
         join_views([np.zeros((5, 2, 8))])

@@ -1,4 +1,4 @@
-"""Shapes before calibrated cameras: what was made and its motion in the laboratory, with gaps, slips and one view."""
+"""Calibrated cameras: shapes and motion in the laboratory, with gaps, outliers and points of one camera."""
 
 import numpy as np
 import pytest
@@ -49,7 +49,7 @@ def test_exact_pixels_give_the_shapes_and_their_absolute_motion(points):
     assert found.camera_names == rig.names
 
 
-def test_gaps_slips_and_points_of_one_camera_are_borne_and_the_deviations_hold(points, rng):
+def test_gaps_outliers_and_points_of_one_camera_keep_the_standard_deviations_valid(points, rng):
     rig = three_cameras()
     tracks = tracks_of(rig, points)
     tracks += 0.5 * rng.normal(size=tracks.shape)
@@ -72,7 +72,7 @@ def test_gaps_slips_and_points_of_one_camera_are_borne_and_the_deviations_hold(p
     assert np.median(found.residuals_px[slipped]) > 10
 
 
-def test_stated_deviations_of_tracks_count_against_each_other(points, rng):
+def test_given_standard_deviations_are_relative(points, rng):
     rig = three_cameras()
     tracks = tracks_of(rig, points)
     sd = np.where(np.arange(POINTS) < POINTS // 2, 0.2, 4.0) * np.ones(tracks.shape)
@@ -84,7 +84,7 @@ def test_stated_deviations_of_tracks_count_against_each_other(points, rng):
     assert np.std((found.points - points)[good]) < 0.8 * np.std((blind.points - points)[good])
 
 
-def test_what_does_not_suit_is_said(points):
+def test_unsuitable_tracks_are_an_error(points):
     rig = three_cameras()
     tracks = tracks_of(rig, points)
     with pytest.raises(MareyError, match=r"\(cameras, frames, 2, points\)"):
@@ -101,7 +101,7 @@ def test_what_does_not_suit_is_said(points):
         factorise_calibrated(tracks, rig, tracks_sd=tracks[:, :, 0])
 
 
-def test_an_empty_frame_has_no_answer_and_is_said(points):
+def test_an_empty_frame_has_no_estimate_and_a_note(points):
     rig = three_cameras()
     tracks = tracks_of(rig, points)
     tracks[:, 7] = np.nan

@@ -1,4 +1,4 @@
-"""Deforming points in space: what was made is found again, missing points too, and the stated deviations hold."""
+"""Deforming points in space: reconstruction, missing points, and coverage of the standard deviations."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ def made(rng):
     return rotation, translation, shape, np.einsum("fij,fpj->fpi", rotation, shape) + translation[:, None]
 
 
-def test_exact_data_are_found_again_with_their_motion(made):
+def test_exact_data_are_reconstructed_with_their_motion(made):
     rotation, translation, shape, points = made
     found = factorise_points(points, 3)
     np.testing.assert_allclose(found.points, points, atol=1e-6)
@@ -48,7 +48,7 @@ def test_missing_points_are_predicted(made, rng):
     assert np.isnan(found.residuals[missing]).all()
 
 
-def test_the_stated_deviations_hold_the_truth(made, rng):
+def test_the_standard_deviations_are_valid(made, rng):
     rotation, translation, shape, points = made
     noise = 0.01
     given = points + noise * rng.normal(size=points.shape)
@@ -66,7 +66,7 @@ def test_the_stated_deviations_hold_the_truth(made, rng):
     assert np.mean(score**2) == pytest.approx(1, abs=0.35)
 
 
-def test_the_number_of_shapes_is_chosen_with_its_curve_and_foretold_places_state_how_far_off_they_may_be(made, rng):
+def test_the_number_of_shapes_is_chosen_and_predictions_have_valid_standard_deviations(made, rng):
     points = made[3]
     noise = 0.02
     given = points + noise * rng.normal(size=points.shape)
@@ -85,7 +85,7 @@ def test_the_number_of_shapes_is_chosen_with_its_curve_and_foretold_places_state
     assert np.sqrt(np.mean(score**2)) > 0.5
 
 
-def test_what_the_shapes_leave_and_is_no_noise_is_stated(made, rng):
+def test_unmodelled_deformation_is_part_of_the_standard_deviation(made, rng):
     points = made[3] + 1e-3 * rng.normal(size=made[3].shape)
     slow = np.sin(2 * np.pi * np.arange(FRAMES) / FRAMES)[:, None, None] * 0.01 * rng.normal(size=(POINTS, 3))
     found = factorise_points(points + np.einsum("fij,fpj->fpi", made[0], slow), 3)
@@ -93,7 +93,7 @@ def test_what_the_shapes_leave_and_is_no_noise_is_stated(made, rng):
     assert np.sqrt(np.mean(found.shape_sd**2)) == pytest.approx(left, rel=0.3)
 
 
-def test_rigid_points_are_said_to_be_so(made, rng):
+def test_rigid_points_have_one_basis_shape_and_a_note(made, rng):
     rotation, translation, shape, _ = made
     points = np.einsum("fij,pj->fpi", rotation, shape[0]) + translation[:, None]
     found = factorise_points(points + 0.01 * rng.normal(size=points.shape))
@@ -101,7 +101,7 @@ def test_rigid_points_are_said_to_be_so(made, rng):
     assert "rigid" in found.notes[-1]
 
 
-def test_too_few_points_to_hold_any_back_are_a_rigid_shape(made):
+def test_too_few_points_for_cross_validation_are_a_rigid_shape(made):
     found = factorise_points(made[3][:, :4])
     assert found.rank == 1
     assert np.isnan(found.choice.held_out_rms).all()
@@ -109,7 +109,7 @@ def test_too_few_points_to_hold_any_back_are_a_rigid_shape(made):
         factorise_points(made[3][:, :2])
 
 
-def test_the_displacements_carry_no_motion_of_the_mean(made, rng):
+def test_the_modes_contain_no_motion_of_the_mean(made, rng):
     points = made[3] + 0.05 * rng.normal(size=made[3].shape)
     found = factorise_points(points, 4, reference=7)
     np.testing.assert_allclose(found.rotation[7], np.eye(3), atol=1e-12)
@@ -131,13 +131,13 @@ def test_one_basis_shape_is_the_rigid_fit_to_the_mean_shape(made):
     assert mean.shape == (POINTS, 3)
 
 
-def test_more_basis_shapes_leave_less(made, rng):
+def test_more_basis_shapes_lower_the_residual(made, rng):
     points = made[3] + 0.02 * rng.normal(size=made[3].shape)
     left = [np.sqrt(np.mean(factorise_points(points, rank).residuals ** 2)) for rank in (1, 2, 3)]
     assert left[0] > left[1] > left[2]
 
 
-def test_a_frame_with_too_few_points_has_no_answer(made):
+def test_a_frame_with_too_few_points_has_no_estimate(made):
     points = made[3].copy()
     points[0, 2:] = np.nan
     points[5] = np.nan
@@ -153,19 +153,19 @@ def test_a_frame_with_too_few_points_has_no_answer(made):
     assert "1 of 12 points" in found.notes[1]
 
 
-def test_points_on_a_line_tell_no_rotation():
+def test_points_on_a_line_determine_no_rotation():
     points = np.arange(5.0)[:, None] * np.array([1.0, 2.0, 3.0]) + np.zeros((10, 1, 1))
     with pytest.raises(MareyError, match="one line"):
         factorise_points(points, 1)
 
 
 @pytest.mark.parametrize(("rank", "message"), [(0, "at least 1"), (60, "too many")])
-def test_a_rank_that_does_not_suit_is_refused(made, rank, message):
+def test_an_impossible_rank_is_an_error(made, rank, message):
     with pytest.raises(MareyError, match=message):
         factorise_points(made[3], rank)
 
 
-def test_points_of_another_layout_are_refused(made):
+def test_points_of_wrong_shape_are_an_error(made):
     with pytest.raises(MareyError, match=r"\(frames, points, 3\)"):
         factorise_points(np.moveaxis(made[3], 1, 2), 2)
     with pytest.raises(MareyError, match="reference"):

@@ -1,4 +1,4 @@
-"""Pixels as equations of places: against their plain meaning and differences of the projection."""
+"""Pixels as equations of points, compared with a direct computation and finite differences."""
 
 import numpy as np
 import pytest
@@ -44,7 +44,7 @@ def plainly(rig, pixels, model, variance, sigma):
     return mixed @ normal, mixed @ pull
 
 
-def test_the_equations_are_the_sums_over_the_cameras_seen_through_the_spread(rig, points, pixels, rng):
+def test_the_equations_are_sums_over_the_cameras_with_the_variance_about_the_model(rig, points, pixels, rng):
     pixels[0, 0, 0] += 40  # an outlier
     model, variance = points + 0.003 * rng.normal(size=points.shape), 1e-5
     information, pull = PixelPlaces(rig.cameras, pixels, np.full(pixels.shape[:3], 0.5)).equations(model, variance)
@@ -55,7 +55,7 @@ def test_the_equations_are_the_sums_over_the_cameras_seen_through_the_spread(rig
             np.testing.assert_allclose(pull[frame, point], expected[1], rtol=1e-4, atol=1e-3)
 
 
-def test_places_say_what_is_known_of_them(rig, points, pixels):
+def test_known_positions_and_their_accuracy(rig, points, pixels):
     places = PixelPlaces(rig.cameras, pixels, np.full(pixels.shape[:3], 0.5))
     assert not places.seen[4, 1]
     assert places.seen[2, 3]
@@ -71,7 +71,7 @@ def test_places_say_what_is_known_of_them(rig, points, pixels):
     assert np.nanmean(places.squares(points)) == pytest.approx(2 * 0.5**2, rel=0.4)
 
 
-def test_departures_of_points_are_certain_and_those_of_pixels_are_not(rig, points, pixels):
+def test_departures_of_points_are_exact_and_those_of_pixels_are_not(rig, points, pixels):
     away, unsure = departures(PointsInSpace(points), points - 0.01, 1e-4)
     np.testing.assert_allclose(away, 0.01)
     np.testing.assert_allclose(unsure, 0, atol=1e-15)
@@ -82,7 +82,7 @@ def test_departures_of_points_are_certain_and_those_of_pixels_are_not(rig, point
     assert 0 < unsure[0, 0] < 1e-5
 
 
-def test_a_point_of_one_camera_is_placed_by_the_objects_motion_and_a_frame_begins_from_its_neighbour(rig, rng):
+def test_points_of_one_camera_and_frames_without_pose_are_initialised(rig, rng):
     mean = 0.2 * rng.normal(size=(6, 3))
     rotation = rotations.exp(np.linspace(0, 0.8, 20)[:, None] * [0.0, 0.0, 1.0])
     points = np.einsum("fij,pj->fpi", rotation, mean)

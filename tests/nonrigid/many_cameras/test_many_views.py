@@ -1,4 +1,4 @@
-"""Several cameras: shapes, motion and how the cameras stand are found again; what cannot be used or told is said."""
+"""Several cameras: shapes, motion and relative orientations of synthetic sequences, and errors for bad input."""
 
 import numpy as np
 import pytest
@@ -61,7 +61,7 @@ def test_exact_tracks_of_two_cameras_give_shapes_and_cameras(made):
     assert found.point_rms.max() < 1
 
 
-def test_gaps_noise_and_points_of_one_camera_are_borne_and_said(made, rng):
+def test_gaps_noise_and_points_of_one_camera_are_reported(made, rng):
     path, shapes, cameras, _, tracks = made
     noise = np.array([0.5, 1.0, 0.5])
     tracks = tracks + noise[:, None, None, None] * rng.normal(size=tracks.shape)
@@ -84,7 +84,7 @@ def test_gaps_noise_and_points_of_one_camera_are_borne_and_said(made, rng):
     assert np.mean(np.abs(wrong) < 1.96 * sd) > 0.85
 
 
-def test_a_rigid_object_is_said_to_be_rigid(made):
+def test_a_rigid_object_has_one_basis_shape_and_a_note(made):
     path, shapes, cameras, scale, _ = made
     shape = np.asarray(shapes[0])
     tracks = np.einsum("cij,fjp->cfip", scale[:, None, None] * cameras[:, :2], path @ shape)
@@ -102,9 +102,9 @@ def test_a_rigid_object_is_said_to_be_rigid(made):
         (lambda tracks: tracks[..., :3], "too few"),
         (lambda tracks: np.where(np.arange(FRAMES)[:, None, None] == 7, np.nan, tracks), "frame 7"),
         (lambda tracks: np.where(np.arange(POINTS) == 5, np.nan, tracks), "Point 5"),
-        (lambda tracks: tracks * np.array([1, 0, 1])[:, None, None, None], "nothing to see"),
+        (lambda tracks: tracks * np.array([1, 0, 1])[:, None, None, None], "no shape to estimate"),
         (lambda tracks: np.stack([tracks[0], 0.8 * tracks[0]]), "same side"),
-        (lambda tracks: np.stack([tracks[0], tracks[2][:, :, ::-1]]), "do not go with"),
+        (lambda tracks: np.stack([tracks[0], tracks[2][:, :, ::-1]]), "do not match"),
         (
             lambda tracks: np.where(
                 (np.arange(POINTS) < 6) == np.array([True, False])[:, None, None, None], tracks[:2], np.nan
@@ -113,6 +113,6 @@ def test_a_rigid_object_is_said_to_be_rigid(made):
         ),
     ],
 )
-def test_what_cannot_be_used_is_said(made, spoil, message):
+def test_unsuitable_tracks_are_an_error(made, spoil, message):
     with pytest.raises(MareyError, match=message):
         factorise_views(spoil(made[4]))

@@ -1,4 +1,4 @@
-"""Cameras that do not fit each other are found out: out of step, other points, another object."""
+"""Cameras that do not fit each other are detected: lags, wrong partners, another object."""
 
 import numpy as np
 import pytest
@@ -20,21 +20,21 @@ def tracks(rng):
     return np.einsum("cij,fjp->cfip", cameras[:, :2], points) + 0.005 * rng.normal(size=(2, FRAMES, 2, POINTS))
 
 
-def test_what_fits_stays_as_it_is(tracks):
+def test_consistent_tracks_are_not_changed(tracks):
     checked, notes = checked_views(tracks)
     assert notes == ()
     np.testing.assert_array_equal(checked, tracks)
 
 
 @pytest.mark.parametrize(("late", "told"), [(3, "f + 3 of camera 0"), (-4, "f - 4 of camera 0")])
-def test_cameras_out_of_step_are_said_with_the_lag(tracks, late, told):
+def test_the_lag_of_unsynchronised_cameras_is_reported(tracks, late, told):
     first, second = (tracks[0, :-late], tracks[1, late:]) if late > 0 else (tracks[0, -late:], tracks[1, :late])
     _, notes = checked_views(np.stack([first, second]))
     assert len(notes) == 1
     assert told in notes[0]
 
 
-def test_a_wrong_partner_is_left_out_of_the_later_camera_and_said(tracks):
+def test_a_wrong_partner_is_removed_and_reported(tracks):
     tracks[1, ..., 3] = tracks[1, ..., 4] + np.sin(np.arange(FRAMES) / 3)[:, None]
     checked, notes = checked_views(tracks)
     assert "numbers 3:" in notes[0]
@@ -44,5 +44,5 @@ def test_a_wrong_partner_is_left_out_of_the_later_camera_and_said(tracks):
 
 
 def test_tracks_of_other_points_are_an_error(tracks):
-    with pytest.raises(MareyError, match="do not go with"):
+    with pytest.raises(MareyError, match="do not match"):
         checked_views(np.stack([tracks[0], tracks[1, ..., ::-1]]))

@@ -1,10 +1,10 @@
-"""Two cameras' roll and scale come out of the tracks alone; a camera is placed before known points."""
+"""Roll and scale of two cameras from tracks alone, and placement of a camera before known points."""
 
 import numpy as np
 import pytest
 
 from marey.geometry import rotations
-from marey.nonrigid.many_cameras.view_geometry import pair_of, place_camera, rows_of
+from marey.nonrigid.many_cameras.view_geometry import place_camera, rows_of, view_pair
 
 FRAMES, POINTS = 12, 9
 
@@ -19,9 +19,9 @@ def seen(rng):
     return cameras, points, tracks
 
 
-def test_two_cameras_tell_all_but_the_angle_between_their_sights(seen):
+def test_two_cameras_determine_all_but_the_angle_between_their_lines_of_sight(seen):
     cameras, _, tracks = seen
-    pair = pair_of(*tracks)
+    pair = view_pair(*tracks)
     relative = cameras[1] @ cameras[0].T
     angle = np.arccos(relative[2, 2])
     wrong = [np.linalg.norm(rotations.log(pair.second_from_first(sign * angle) @ relative.T)) for sign in (1, -1)]
@@ -31,10 +31,10 @@ def test_two_cameras_tell_all_but_the_angle_between_their_sights(seen):
     assert not pair.outlying.any()
 
 
-def test_too_few_common_frames_tell_nothing(seen):
+def test_too_few_common_frames_give_no_pair(seen):
     tracks = seen[2].copy()
     tracks[1, 5:] = np.nan
-    assert pair_of(*tracks) is None
+    assert view_pair(*tracks) is None
 
 
 def test_a_camera_is_placed_before_known_points_with_gaps(seen, rng):

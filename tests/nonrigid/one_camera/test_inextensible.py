@@ -1,4 +1,4 @@
-"""Depths from distances between neighbours that stay: a bent sheet, lost tracks, gaps."""
+"""Depths from constant distances between neighbours: a bent sheet, lost tracks, gaps."""
 
 import numpy as np
 import pytest
@@ -43,7 +43,7 @@ def test_a_bent_sheet_is_found_with_its_sign_of_depth(sheet):
     np.testing.assert_allclose(distance, lengths / lengths.mean(), rtol=0.1)
 
 
-def test_points_that_are_not_seen_get_no_depth_and_spoil_nothing(sheet, rng):
+def test_points_that_are_not_seen_have_no_depth_and_no_effect(sheet, rng):
     seen = rng.random((FRAMES, sheet.shape[2])) > 0.15
     rays = np.where(seen[:, None], rays_of(sheet), 7.0)
     depth = inextensible_depths(rays, seen, neighbours(rays[:, :2], seen, 8))[0]
@@ -51,7 +51,7 @@ def test_points_that_are_not_seen_get_no_depth_and_spoil_nothing(sheet, rng):
     assert depth_error(depth, sheet) < 0.015
 
 
-def test_one_lost_track_bends_nothing_else(sheet):
+def test_one_lost_track_does_not_affect_others(sheet):
     rays, seen = rays_of(sheet), np.ones((FRAMES, sheet.shape[2]), bool)
     rays[3, :2, 20] += 0.15
     depth = inextensible_depths(rays, seen, neighbours(rays[:, :2], seen, 8))[0]
@@ -59,7 +59,7 @@ def test_one_lost_track_bends_nothing_else(sheet):
     assert depth_error(depth[:, others], sheet[:, :, others]) < 0.015
 
 
-def test_points_seen_apart_from_all_others_get_no_depth(sheet):
+def test_points_seen_apart_from_all_others_have_no_depth(sheet):
     rays, seen = rays_of(sheet), np.ones((FRAMES, sheet.shape[2]), bool)
     pairs = neighbours(rays[:, :2], seen, 8)
     seen[5] = np.arange(sheet.shape[2]) % 7 < 3
@@ -72,7 +72,7 @@ def test_points_seen_apart_from_all_others_get_no_depth(sheet):
     assert np.isfinite(depth[5]).sum() == 18
 
 
-def test_two_things_that_never_hang_together_both_get_depths(sheet):
+def test_two_unconnected_objects_both_have_depths(sheet):
     both = np.concatenate([sheet, sheet + np.array([3.0, 0, 0])[:, None]], 2)
     rays, seen = rays_of(both), np.ones((FRAMES, both.shape[2]), bool)
     seen[4, :5] = False
@@ -80,7 +80,7 @@ def test_two_things_that_never_hang_together_both_get_depths(sheet):
     np.testing.assert_array_equal(np.isfinite(depth), seen)
 
 
-def test_neighbours_are_near_in_every_frame_and_named_once():
+def test_neighbours_are_near_in_every_frame_and_listed_once():
     place = np.array([[0.0, 1, 2.2, 3.5], [0, 0, 0, 0]])
     tracks = np.stack([place, place, place])
     assert neighbours(tracks, np.ones((3, 4), bool), 1).tolist() == [[0, 1], [1, 2], [2, 3]]

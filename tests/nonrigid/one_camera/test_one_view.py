@@ -1,4 +1,4 @@
-"""One camera: shapes and motion of made sequences are found again, gaps and noise too; bad input is said."""
+"""One orthographic camera: shapes and motion of synthetic sequences, with gaps and noise, and errors for bad input."""
 
 import numpy as np
 import pytest
@@ -45,7 +45,7 @@ def test_exact_tracks_give_the_shapes(made):
     assert 3 <= found.rank <= 8
 
 
-def test_gaps_and_noise_are_borne_and_said(made, rng):
+def test_gaps_and_noise_are_reported(made, rng):
     tracks = made[2] + rng.normal(size=made[2].shape)
     missing = rng.random((FRAMES, POINTS)) < 0.2
     tracks[np.broadcast_to(missing[:, None], tracks.shape)] = np.nan
@@ -66,7 +66,7 @@ def test_gaps_and_noise_are_borne_and_said(made, rng):
     assert np.isnan(found.residuals[missing]).all()
 
 
-def test_a_rigid_object_is_said_to_be_rigid(made):
+def test_a_rigid_object_has_one_basis_shape_and_a_note(made):
     shape = np.asarray(made[1][0])
     found = factorise_tracks((made[0] @ shape)[:, :2])
     assert found.rank == 1
@@ -84,14 +84,14 @@ def test_noise_and_gaps_do_not_make_a_rigid_object_deform(made, rng, share):
     assert any("rigid" in note for note in found.notes)
 
 
-def test_a_basis_shape_of_fewer_dimensions_is_said(made, rng):
+def test_a_basis_shape_of_fewer_dimensions_is_reported(made, rng):
     flat = np.outer([0.3, 0.2, 0.4], rng.normal(size=POINTS))
     shapes = made[1][0] + 100 * np.sin(np.arange(FRAMES) / 9)[:, None, None] * flat
     found = factorise_tracks((made[0] @ (shapes - shapes.mean(2, keepdims=True)))[:, :2])
     assert any("rank 4" in note for note in found.notes)
 
 
-def test_a_camera_that_does_not_go_round_tells_no_depth(made, rng):
+def test_a_camera_that_sees_one_side_is_an_error(made, rng):
     flat = np.tile(made[1][0][:2], (FRAMES, 1, 1)) + rng.normal(size=(FRAMES, 2, 1))
     with pytest.raises(MareyError, match="one side only"):
         factorise_tracks(flat)
@@ -107,9 +107,9 @@ def test_a_camera_that_does_not_go_round_tells_no_depth(made, rng):
         (lambda tracks: np.moveaxis(tracks, 1, 2), r"\(frames, 2, points\)"),
         (lambda tracks: np.where(np.arange(FRAMES)[:, None, None] == 7, np.nan, tracks), "frame 7"),
         (lambda tracks: np.where(np.arange(POINTS) == 5, np.nan, tracks), "Point 5"),
-        (lambda tracks: 0 * tracks, "nothing to see"),
+        (lambda tracks: 0 * tracks, "no shape to estimate"),
     ],
 )
-def test_what_cannot_be_used_is_said(made, spoil, message):
+def test_unsuitable_tracks_are_an_error(made, spoil, message):
     with pytest.raises(MareyError, match=message):
         factorise_tracks(spoil(made[2]))

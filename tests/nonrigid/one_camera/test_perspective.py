@@ -1,4 +1,4 @@
-"""One camera in full perspective: bent sheets and bodies are found again, with the sign of depth; bad input is said."""
+"""One camera in full perspective: bent sheets and bodies, the sign of depth, and errors for bad input."""
 
 import numpy as np
 import pytest
@@ -61,7 +61,7 @@ def test_a_bent_sheet_is_found_with_noise_and_gaps(found, sheet):
     np.testing.assert_array_equal(answer.predicted, np.isnan(tracks[:, 0]))
 
 
-def test_the_answer_agrees_with_itself_and_its_gauge(found):
+def test_the_result_is_consistent_and_in_its_gauge(found):
     tracks, answer = found
     np.testing.assert_allclose(answer.rotation[0], np.eye(3), atol=1e-12)
     assert answer.translation[:, 2].mean() == pytest.approx(500)
@@ -73,7 +73,7 @@ def test_the_answer_agrees_with_itself_and_its_gauge(found):
     assert (answer.shape_sd > 0).all()
 
 
-def test_a_rigid_body_is_found_and_said_to_be_rigid(rng):
+def test_a_rigid_body_has_one_basis_shape_and_a_note(rng):
     shape = rng.normal(size=(3, 16)) * np.array([[1.0], [0.8], [0.6]])
     turn = rotations.exp(np.outer(2.5 * TIME + np.sin(4 * TIME), [0.2, 0.9, 0.1]))
     points = turn @ (shape - shape.mean(1)[:, None]) + np.array([0.2, 0.1, 6.0])[:, None]
@@ -84,7 +84,7 @@ def test_a_rigid_body_is_found_and_said_to_be_rigid(rng):
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.3])
-def test_a_picture_that_only_shifts_turns_and_scales_is_refused(rng, noise):
+def test_a_flat_picture_is_an_error(rng, noise):
     flat = rng.normal(size=(2, 20))
     angle, scale = np.sin(3 * TIME), 50 + 10 * TIME
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]).transpose(2, 0, 1)
@@ -101,10 +101,10 @@ def test_a_picture_that_only_shifts_turns_and_scales_is_refused(rng, noise):
         (lambda tracks: np.moveaxis(tracks, 1, 2), r"\(frames, 2, points\)"),
         (lambda tracks: np.where(np.arange(FRAMES)[:, None, None] == 7, np.nan, tracks), "frame 7"),
         (lambda tracks: np.where(np.arange(30) == 5, np.nan, tracks), "Point 5"),
-        (lambda tracks: 0 * tracks, "nothing to see"),
+        (lambda tracks: 0 * tracks, "no shape to estimate"),
     ],
 )
-def test_tracks_that_cannot_be_used_are_said(sheet, spoil, message):
+def test_unsuitable_tracks_are_an_error(sheet, spoil, message):
     with pytest.raises(MareyError, match=message):
         factorise_perspective(spoil(project(sheet)), MATRIX)
 
@@ -112,6 +112,6 @@ def test_tracks_that_cannot_be_used_are_said(sheet, spoil, message):
 @pytest.mark.parametrize(
     "matrix", [np.eye(4), np.full((3, 3), np.nan), MATRIX.T, np.diag([-500.0, 500, 1]), np.diag([500.0, 500, 0])]
 )
-def test_a_matrix_of_no_camera_is_said(sheet, matrix):
+def test_an_impossible_matrix_is_an_error(sheet, matrix):
     with pytest.raises(MareyError, match="camera matrix"):
         factorise_perspective(project(sheet), matrix)

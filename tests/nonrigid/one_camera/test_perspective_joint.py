@@ -1,4 +1,4 @@
-"""Motion and shapes together: equations that are symmetric and those of differences, steps that gain, random draws."""
+"""Joint equations of motion and shapes: symmetry, agreement with differences, lower costs, and random draws."""
 
 from copy import copy
 
@@ -6,8 +6,14 @@ import numpy as np
 import pytest
 
 from marey.geometry import rotations
-from marey.nonrigid.one_camera.perspective_joint import _random_beliefs, draws, improve_jointly, joint_equations
-from marey.nonrigid.one_camera.perspective_model import MOTION, begin, frame_equations, improve, residuals_and_jacobians
+from marey.nonrigid.one_camera.perspective_joint import _random_priors, joint_equations, posterior_draws, refine_jointly
+from marey.nonrigid.one_camera.perspective_model import (
+    MOTION,
+    frame_equations,
+    initial_model,
+    refine,
+    residuals_and_jacobians,
+)
 from marey.nonrigid.one_camera.shape_equations import in_rows, in_shapes
 
 FRAMES, POINTS, MODES = 14, 9, 2
@@ -24,10 +30,10 @@ def made(rng):
     shift = np.stack([0.3 * TIME, 0.1 * TIME, 6 + np.sin(4 * TIME)], 1)
     points = rotation @ shapes + shift[:, :, None]
     pairs = np.array([[0, 1], [1, 2], [3, 5]])
-    return begin(rotation, shift, shapes, MODES, 0.01, pairs), points[:, :2] / points[:, 2:]
+    return initial_model(rotation, shift, shapes, MODES, 0.01, pairs), points[:, :2] / points[:, 2:]
 
 
-def test_the_left_side_is_symmetric_and_its_solution_solves_it(made, rng):
+def test_the_matrix_is_symmetric_and_the_solution_satisfies_the_equations(made, rng):
     equations = joint_equations(*made, SEEN)
     sizes = (FRAMES, MOTION + MODES), (POINTS, 3 + 3 * MODES)
     (x, y), (u, v) = ([rng.normal(size=size) for size in sizes] for _ in range(2))
@@ -38,9 +44,10 @@ def test_the_left_side_is_symmetric_and_its_solution_solves_it(made, rng):
         assert np.linalg.norm(side - wanted) < 1e-2 * np.linalg.norm(wanted)
 
 
-def test_what_shapes_do_to_the_image_reaches_the_frames(made, rng):
+def test_changes_of_the_shapes_couple_to_the_frames(made, rng):
     model, tracks = made
-    model.pairs, model.distance, model.stretch = model.pairs[:0], model.distance[:0], model.stretch[:0]
+    model.pairs, model.distance = model.pairs[:0], model.distance[:0]
+    model.distance_variance = model.distance_variance[:0]
     equations = joint_equations(model, tracks, SEEN)
     step = 1e-6 * rng.normal(size=(1 + MODES, 3, POINTS))
     moved = copy(model)
@@ -52,32 +59,32 @@ def test_what_shapes_do_to_the_image_reaches_the_frames(made, rng):
     np.testing.assert_array_equal(in_shapes(in_rows(step)), step)
 
 
-def test_rounds_together_gain_more_than_rounds_in_turns(made, rng):
+def test_joint_rounds_lower_the_cost_more_than_alternating_ones(made, rng):
     model, tracks = made
     noisy = tracks + 1e-3 * rng.normal(size=tracks.shape)
     model.rotation = rotations.exp(0.05 * rng.normal(size=(FRAMES, 3))) @ model.rotation
-    improve(model, noisy, SEEN, 3, 1e-4)
+    refine(model, noisy, SEEN, 3, 1e-4)
     other = copy(model)
     other.processes = copy(model.processes)
-    improve(other, noisy, SEEN, 5, 1e-4)
-    improve_jointly(model, noisy, SEEN, 5, 1e-4)
+    refine(other, noisy, SEEN, 5, 1e-4)
+    refine_jointly(model, noisy, SEEN, 5, 1e-4)
     assert model.cost < other.cost
 
 
-def test_random_beliefs_vary_as_the_equations_say(made, rng):
+def test_random_priors_have_the_variance_of_the_equations(made, rng):
     model, tracks = made
     beliefs = frame_equations(model, tracks, 0 * SEEN)[0]
-    drawn = np.stack([_random_beliefs(model, rng) for _ in range(1500)])
+    drawn = np.stack([_random_priors(model, rng) for _ in range(1500)])
     of_distances = joint_equations(model, tracks, SEEN).by_weight
     wanted = np.einsum("fdd->fd", beliefs)
     wanted[:, MOTION:] -= (of_distances**2).sum(1)
     np.testing.assert_allclose((drawn**2).mean(0), wanted, rtol=0.25)
 
 
-def test_draws_spread_more_than_the_frames_alone_and_stay_near_the_image(made, rng):
+def test_draws_vary_more_than_the_frames_alone_and_fit_the_image(made, rng):
     model, tracks = made
-    improve(model, tracks + 1e-3 * rng.normal(size=tracks.shape), SEEN, 10, 1e-3)
-    drawn = list(draws(model, tracks, SEEN, 10, rng))
+    refine(model, tracks + 1e-3 * rng.normal(size=tracks.shape), SEEN, 10, 1e-3)
+    drawn = list(posterior_draws(model, tracks, SEEN, 10, rng))
     spread = np.mean([(draw.shapes - model.shapes) ** 2 for draw in drawn])
     own = np.einsum("mip,fmn,nip->fip", model.modes, model.covariance[0][:, MOTION:, MOTION:], model.modes)
     assert spread > own.mean()

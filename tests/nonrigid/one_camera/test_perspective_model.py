@@ -1,4 +1,4 @@
-"""The Gaussian model in perspective: derivatives against differences, the gauge, and its equations' solution."""
+"""The Gaussian model in perspective: derivatives, gauge, and the solution of its equations."""
 
 import numpy as np
 import pytest
@@ -6,11 +6,11 @@ import pytest
 from marey.geometry import rotations
 from marey.nonrigid.one_camera.perspective_model import (
     MOTION,
-    _moved,
-    begin,
+    _motion_products,
     distance_jacobians,
-    give_up_modes,
-    improve,
+    initial_model,
+    refine,
+    remove_small_modes,
     residuals_and_jacobians,
     set_gauge,
     solve_frames,
@@ -30,10 +30,10 @@ def made(rng):
     shift = np.stack([0.3 * time, 0.1 * time, 6 + np.sin(4 * time)], 1)
     pairs = np.array([[0, 1], [1, 2], [3, 5]])
     points = rotation @ shapes + shift[:, :, None]
-    return begin(rotation, shift, shapes, MODES, 0.01, pairs), points[:, :2] / points[:, 2:]
+    return initial_model(rotation, shift, shapes, MODES, 0.01, pairs), points[:, :2] / points[:, 2:]
 
 
-def test_the_start_explains_the_tracks_it_was_made_from(made):
+def test_the_initial_model_explains_its_tracks(made):
     model, tracks = made
     residual, _ = residuals_and_jacobians(model, tracks, np.ones((FRAMES, POINTS)))
     np.testing.assert_allclose(residual, 0, atol=1e-12)
@@ -44,18 +44,18 @@ def test_derivatives_are_those_of_differences(made, rng):
     model, tracks = made
     seen = np.ones((FRAMES, POINTS))
     residual, jacobian = residuals_and_jacobians(model, tracks, seen)
-    lacking, by_weight = distance_jacobians(model)
+    missing, by_weight = distance_jacobians(model)
     step = 1e-6 * rng.normal(size=(FRAMES, MOTION + MODES))
     model.rotation = rotations.exp(step[:, :3]) @ model.rotation
     model.shift = model.shift + step[:, 3:MOTION]
     model.weights = model.weights + step[:, MOTION:]
     moved = residual - residuals_and_jacobians(model, tracks, seen)[0]
     np.testing.assert_allclose(moved, np.einsum("fkpd,fd->fkp", jacobian, step), atol=1e-10)
-    stretched = lacking - distance_jacobians(model)[0]
+    stretched = missing - distance_jacobians(model)[0]
     np.testing.assert_allclose(stretched, np.einsum("fem,fm->fe", by_weight, step[:, MOTION:]), atol=1e-10)
 
 
-def test_the_gauge_leaves_the_image_and_takes_motions_from_the_modes(made, rng):
+def test_the_gauge_preserves_the_image_and_removes_motion_from_the_modes(made, rng):
     model, tracks = made
     set_gauge(model)
     turn = np.array([0.2, -0.1, 0.3])
@@ -69,19 +69,19 @@ def test_the_gauge_leaves_the_image_and_takes_motions_from_the_modes(made, rng):
     np.testing.assert_allclose(moments, 0, atol=1e-10)
 
 
-def test_rounds_find_poses_and_shapes_from_a_start_that_is_off(made, rng):
+def test_rounds_converge_from_a_wrong_start(made, rng):
     model, tracks = made
     true = model.points
     model.rotation = rotations.exp(0.05 * rng.normal(size=(FRAMES, 3))) @ model.rotation
     model.mean = model.mean + 0.05 * rng.normal(size=model.mean.shape)
     noisy = tracks + 1e-4 * rng.normal(size=tracks.shape)
-    improve(model, noisy, np.ones((FRAMES, POINTS)), 20, 1e-5)
+    refine(model, noisy, np.ones((FRAMES, POINTS)), 20, 1e-5)
     ratio = (true**2).sum() / (true * model.points).sum()
     assert np.sqrt(((ratio * model.points - true) ** 2).mean()) < 0.02 * model.shift[:, 2].mean()
     assert np.sqrt(model.variance) < 5e-4
 
 
-def test_what_is_not_known_of_weights_and_motion_moves_the_points_together(made):
+def test_errors_of_weights_and_motion_are_correlated(made):
     model, tracks = made
     solve_frames(model, tracks, np.ones((FRAMES, POINTS)))
     wanted = np.zeros((FRAMES, 1 + MODES, 3, POINTS))
@@ -90,10 +90,10 @@ def test_what_is_not_known_of_weights_and_motion_moves_the_points_together(made)
         carried = np.cross(column[:, None, :3], np.swapaxes(model.rotation @ model.shapes, 1, 2))
         carried = (carried + column[:, None, 3:MOTION]) @ model.rotation
         wanted[:, 1:] += column[:, MOTION:, None, None] * np.swapaxes(carried, 1, 2)[:, None]
-    np.testing.assert_allclose(_moved(model), wanted, atol=1e-12)
+    np.testing.assert_allclose(_motion_products(model), wanted, atol=1e-12)
 
 
-def test_modes_that_do_nothing_are_given_up(made):
+def test_negligible_modes_are_removed(made):
     model, tracks = made
     seen = np.ones((FRAMES, POINTS))
     solve_frames(model, tracks, seen)
@@ -104,17 +104,17 @@ def test_modes_that_do_nothing_are_given_up(made):
     model.covariance = tuple(
         part[:, [*range(MOTION + 1), 7, 7]][:, :, [*range(MOTION + 1), 7, 7]] for part in model.covariance
     )
-    give_up_modes(model)
-    assert model.modes.shape[0] == model.weights.shape[1] == len(model.processes.spread) == MODES
+    remove_small_modes(model)
+    assert model.modes.shape[0] == model.weights.shape[1] == len(model.processes.weight_variance) == MODES
     assert model.covariance[0].shape[1] == MOTION + MODES
     np.testing.assert_allclose(model.points, before, atol=1e-9)
 
 
-def test_many_rounds_do_not_leave_the_answer_again(made, rng):
+def test_many_rounds_do_not_diverge(made, rng):
     model, tracks = made
     noisy = tracks + 1e-3 * rng.normal(size=tracks.shape)
-    model = begin(
+    model = initial_model(
         model.rotation, model.shift, model.shapes + 0.01 * rng.normal(size=model.shapes.shape), 6, 0.01, model.pairs
     )
-    improve(model, noisy, np.ones((FRAMES, POINTS)), 150, 1e-4)
+    refine(model, noisy, np.ones((FRAMES, POINTS)), 150, 1e-4)
     assert np.sqrt(model.variance) < 2e-3

@@ -1,4 +1,4 @@
-"""The plain method finds what is rigid exactly, and says what it cannot take."""
+"""The plain method: exact for rigid objects, with errors for unsuitable tracks."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def test_a_rigid_object_is_found_exactly(rng):
     assert found.rank == 1
 
 
-def test_more_basis_shapes_take_the_same_form(rng):
+def test_results_with_more_basis_shapes_are_consistent(rng):
     found = factorise_plainly(rng.normal(size=(30, 2, 12)), 3)
     assert (found.basis.shape, found.coefficients.shape) == ((3, 3, 12), (30, 3))
     np.testing.assert_allclose(np.einsum("fk,kip->fip", found.coefficients, found.basis), found.shape)
@@ -29,7 +29,7 @@ def test_more_basis_shapes_take_the_same_form(rng):
     )
 
 
-def test_gaps_and_ranks_that_do_not_suit_are_refused(rng):
+def test_gaps_and_impossible_ranks_are_an_error(rng):
     tracks = rng.normal(size=(30, 2, 12))
     with pytest.raises(MareyError, match="suit"):
         factorise_plainly(tracks, 5)

@@ -7,7 +7,7 @@ from tests.warped_video import picture, place, texture, video
 from marey.errors import SettingProblem
 from marey.images.matching.feature_tracks import follow_points
 from marey.images.matching.features import good_features
-from marey.nonrigid.tracking.rank_tracking import RankSettings, refine_tracks
+from marey.nonrigid.tracking.rank_tracking import RankTrackingSettings, refine_tracks
 
 FRAMES = 24
 
@@ -32,7 +32,7 @@ def made():
     return pictures, followed, truth
 
 
-def test_refined_tracks_are_whole_and_the_covered_point_is_predicted(made):
+def test_refined_tracks_are_complete_and_the_covered_point_is_predicted(made):
     pictures, followed, truth = made
     result = refine_tracks(pictures, followed)
     tracks = result.tracks
@@ -47,14 +47,14 @@ def test_refined_tracks_are_whole_and_the_covered_point_is_predicted(made):
     assert result.curve.shape[1] == 2
 
 
-def test_stated_deviations_hold_the_truth(made):
+def test_the_standard_deviations_are_valid(made):
     pictures, followed, truth = made
     tracks = refine_tracks(pictures, followed).tracks
     inside = np.abs(tracks.tracks - truth)[1:] < 1.96 * tracks.tracks_sd[1:]
     assert 0.85 < inside.mean() <= 1
 
 
-def test_points_on_an_edge_are_held_by_the_corners():
+def test_points_on_an_edge_are_constrained_by_corners():
     grey = texture()
     grey[60:105] = 60
     grey[60:82] = 190
@@ -73,7 +73,7 @@ def test_points_on_an_edge_are_held_by_the_corners():
     assert np.mean(away) < 0.5 * np.mean(start)
 
 
-def test_drift_of_younger_references_is_recovered():
+def test_drift_of_later_references_is_corrected():
     one, other = texture(), texture(seed=5)
     points = good_features(one, count=40, spacing=8, within=inner(one))
     rows, columns = np.mgrid[: one.shape[0], : one.shape[1]]
@@ -94,7 +94,7 @@ def test_drift_of_younger_references_is_recovered():
     assert np.mean(after**2) < np.mean(before**2)
 
 
-def test_a_point_that_slid_off_is_found_out_by_its_neighbours(made):
+def test_a_point_that_slid_off_is_detected_by_its_neighbours(made):
     pictures, followed, truth = made
     tracks, used = np.array(followed.found.tracks), followed.used.copy()
     tracks[12:, :, 5] += 12.0
@@ -104,10 +104,10 @@ def test_a_point_that_slid_off_is_found_out_by_its_neighbours(made):
     assert away[:, 5].max() < 1.0
 
 
-def test_too_few_points_for_a_rank_are_refused(made):
+def test_too_few_points_for_a_rank_are_an_error(made):
     pictures, _, truth = made
     followed = follow_points(pictures, truth[0].T[:4])
     with pytest.raises(SettingProblem, match="too few"):
-        refine_tracks(pictures, followed, settings=RankSettings(rank=5))
+        refine_tracks(pictures, followed, settings=RankTrackingSettings(rank=5))
     with pytest.raises(SettingProblem, match="rank 0"):
-        RankSettings(rank=0)
+        RankTrackingSettings(rank=0)

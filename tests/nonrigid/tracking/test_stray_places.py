@@ -9,7 +9,7 @@ def views(random, points=24):
     return np.stack([filmed(surface, camera, scale=60, noise=0.1, random=random) for camera in CAMERAS])
 
 
-def test_strays_go_and_the_rest_stays():
+def test_outliers_are_removed_and_other_positions_kept():
     random = np.random.default_rng(0)
     tracks = views(random)
     strays = np.zeros((3, 60, 24), bool)
@@ -22,7 +22,7 @@ def test_strays_go_and_the_rest_stays():
     assert kept[~strays].mean() > 0.98
 
 
-def test_glimpses_and_nearly_empty_frames_go():
+def test_short_appearances_and_nearly_empty_frames_are_removed():
     tracks = views(np.random.default_rng(1))
     tracks[0, 20:, :, 5] = np.nan
     tracks[0, 40:42, :, 5] = 300.0

@@ -45,7 +45,7 @@ def test_pictures_and_page_of_a_capture(trial, tmp_path, rng):
     )
     text = (out / "report.html").read_text(encoding="utf-8")
     assert f"{tmp_path.name} · P01" in text
-    assert "border cuts the person" in text
+    assert "border of the image cuts the person" in text
     assert "Overlays" in text
     data = json.loads(re.search(r'<script id="data" type="application/json">(.*?)</script>', text, re.DOTALL)[1])
     assert data["frames"] == FRAMES

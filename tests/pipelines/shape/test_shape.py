@@ -13,7 +13,7 @@ from marey.body.metaballs import segment_measures
 from marey.body.metaballs.metaball_people import metaball_person
 from marey.body.metaballs.metaballs import PosedMetaballs
 from marey.cameras.rig import Rig
-from marey.fit.points.shape import Shaped
+from marey.fit.points.shape import ShapeEstimate
 from marey.fit.points.surface_points import FramePoints
 from marey.geometry.rigid import RigidTransform
 from marey.io.calibration.readers import write_cameras_toml
@@ -85,7 +85,7 @@ class Calibrated:
     rig: Rig
 
 
-def test_cameras_that_the_surface_corrected_are_used_and_it_is_said(tmp_path):
+def test_cameras_that_the_surface_corrected_are_used_and_it_is_reported(tmp_path):
     cameras = worlds.ring(3)
     rig = Rig(tuple(replace(camera, name=name) for camera, name in zip(cameras, "abc", strict=True)))
     shift = RigidTransform(rotation=np.eye(3), translation=np.array([0.01, 0.0, 0.0]))
@@ -114,7 +114,7 @@ def test_the_measured_surface_stays_among_the_results(tmp_path):
 
 
 def test_the_table_has_a_row_for_each_segment_that_is_followed(tmp_path, body, monkeypatch):
-    monkeypatch.setattr(segment_measures, "SAMPLES", 4)
+    monkeypatch.setattr(segment_measures, "COVARIANCE_DRAWS", 4)
     known = replace(body, numbers_covariance=1e-4 * np.eye(len(body.space)))
     write_table(tmp_path, known)
     with (tmp_path / "segments.csv").open(newline="") as file:
@@ -134,7 +134,7 @@ def followed_with(monkeypatch, tmp_path, body, poses, *, names):
     asked, warned = {}, []
     monkeypatch.setattr(shape, "follow_measured", lambda *given, **named: asked.update(named, parts=given[2]))
     monkeypatch.setattr(shape, "write_tracks", lambda *given: None)
-    monkeypatch.setattr(shape, "told", lambda result: "")
+    monkeypatch.setattr(shape, "tracks_text", lambda result: "")
     none = MeasuredPoints(
         frame=np.zeros(1, int), points=np.zeros((1, 3)), covariance=np.eye(3)[None] * 1e-6, camera_names=("a", "b"),
         pixels=np.zeros((1, 2, 2)), correlation=np.ones((1, 2)), residual_px=np.zeros(1),
@@ -146,7 +146,7 @@ def followed_with(monkeypatch, tmp_path, body, poses, *, names):
         progress=SimpleNamespace(warn=warned.append, report=lambda text: None), cache=None,
     )  # fmt: skip
     skin = posed_skin(body, poses)
-    find_lost_points(run, tmp_path, skin, Fitted(body, poses, [], Shaped(body, poses, 0.001, 1.0)))
+    find_lost_points(run, tmp_path, skin, Fitted(body, poses, [], ShapeEstimate(body, poses, 0.001, 1.0)))
     return asked, warned, skin
 
 

@@ -9,7 +9,14 @@ from marey.cameras.rig import Rig
 from marey.io.stages import FrameLog
 from marey.io.video.take import Take, open_take
 from marey.pipelines.progress import RecordingProgress
-from marey.pipelines.surface.tracks import TracksSettings, drawn, fastest_frame, follow_surface, told, tracks_settings
+from marey.pipelines.surface.tracks import (
+    TracksSettings,
+    drawn,
+    fastest_frame,
+    follow_surface,
+    tracks_settings,
+    tracks_text,
+)
 from marey.surface.points.measured import MeasuredPoints, no_points
 from marey.surface.tracks.following import ViewPatchSettings
 
@@ -39,14 +46,14 @@ def run(take: Take, folder: Path, seeds=seeds, **given):
         )
 
 
-def test_a_take_is_followed_and_told_of(take, tmp_path):
+def test_a_take_is_followed_and_described(take, tmp_path):
     result = run(take, tmp_path)
     trajectories = result.trajectories
     assert trajectories.rate == 50.0
     assert trajectories.frames.tolist() == list(range(FRAMES))
     assert len(trajectories.kept) > 80
     assert trajectories.measured[:, trajectories.kept].sum(axis=0).mean() > 10
-    assert told(result).startswith(f"Tracks: {len(trajectories.kept)} trajectories over 1")
+    assert tracks_text(result).startswith(f"Tracks: {len(trajectories.kept)} trajectories of 1")
     picture = drawn(trajectories, take, RIG)
     assert picture is not None
     assert picture.shape == (120, 150, 3)
@@ -88,5 +95,5 @@ def test_boxes_fit_the_size_of_the_pictures():
 def test_where_nothing_was_measured_nothing_is_followed(take, tmp_path):
     result = run(take, tmp_path, lambda frame: no_points(RIG.names))
     assert len(result.trajectories) == 0
-    assert told(result) == "Tracks: no point could be followed from one frame to the next."
+    assert tracks_text(result) == "Tracks: no point could be followed from one frame to the next."
     assert drawn(result.trajectories, take, RIG) is None

@@ -9,7 +9,7 @@ from marey.surface.points.dense import match_tuples
 from marey.surface.points.intersection import drawn_aside, intersect
 from marey.surface.points.seeds import corners, find_seeds
 from marey.surface.points.settings import SurfaceSettings
-from marey.surface.points.views import Comparison, views_of
+from marey.surface.points.views import TemplateSearch, views_of
 
 SETTINGS = SurfaceSettings(spacing=4, seeds=200, enlarged=(1.6, 2.4))
 
@@ -26,7 +26,7 @@ def triplet():
 
 @pytest.fixture(scope="module")
 def points(triplet):
-    return measured(*triplet, Comparison(1, (0, 2)))
+    return measured(*triplet, TemplateSearch(1, (0, 2)))
 
 
 def test_points_lie_on_the_surface_and_cover_it(triplet, points):
@@ -72,7 +72,7 @@ def test_the_template_is_the_middle_and_its_patches_lie_on_the_grid(points):
 def test_two_cameras_suffice(triplet):
     rig, images = scenes.rig(-7, 7), None
     images = scenes.films(rig, np.random.default_rng(6))
-    points = measured(rig, images, Comparison(0, (1,)))
+    points = measured(rig, images, TemplateSearch(0, (1,)))
     assert len(points) > 300
     assert np.median(np.abs(beside_ball(points.points))) < 0.6e-3
     assert (points.views == 2).all()
@@ -82,7 +82,7 @@ def test_a_mask_keeps_the_rest_out(triplet, points):
     rig, images = triplet
     mask = np.zeros(images[0].shape[:2], bool)
     mask[:, :125] = True
-    points = measured(rig, images, Comparison(1, (0, 2)), masks=[None, mask, None])
+    points = measured(rig, images, TemplateSearch(1, (0, 2)), masks=[None, mask, None])
     assert len(points) > 50
     assert points.pixels[:, 1, 0].max() < 125
 
@@ -96,7 +96,7 @@ def test_no_surface_is_made_up(rng, kind):
         images = scenes.films(rig, rng, shortest=0.6, longest=2.0)
     else:
         images = [scenes.Ball.draw(rng).filmed(camera, rng) for camera in rig]
-    points = measured(rig, images, Comparison(1, (0, 2)))
+    points = measured(rig, images, TemplateSearch(1, (0, 2)))
     assert len(points) < 10
 
 
@@ -127,7 +127,7 @@ def test_corners_come_from_all_over_the_picture(triplet):
 
 def test_clicks_are_brought_to_the_true_place_and_wrong_ones_are_told(triplet, rng):
     rig, images = triplet
-    views, compared = views_of(rig, images), (Comparison(1, (0, 2)),)
+    views, compared = views_of(rig, images), (TemplateSearch(1, (0, 2)),)
     ahead = rig.cameras[1].centre / np.linalg.norm(rig.cameras[1].centre)
     places = scenes.RADIUS * np.array([ahead + 0.2 * rng.normal(0, 1, 3) for _ in range(4)])
     places *= scenes.RADIUS / np.linalg.norm(places, axis=1, keepdims=True)
@@ -144,6 +144,6 @@ def test_clicks_are_brought_to_the_true_place_and_wrong_ones_are_told(triplet, r
 
 def test_points_further_apart_are_found_by_half_steps(triplet):
     rig, images = triplet
-    few = measured(rig, images, Comparison(1, (0, 2)), settings=SurfaceSettings(spacing=10, seeds=200))
+    few = measured(rig, images, TemplateSearch(1, (0, 2)), settings=SurfaceSettings(spacing=10, seeds=200))
     assert len(few) > 40
     assert np.median(np.abs(beside_ball(few.points))) < 0.6e-3

@@ -2,16 +2,16 @@ import numpy as np
 import pytest
 from tests import scenes
 
-from marey.surface.points.views import Comparison, View, comparisons, view_angles
+from marey.surface.points.views import TemplateSearch, View, comparisons, view_angles
 
 
 def test_of_three_cameras_the_middle_one_is_the_template():
-    assert comparisons(scenes.rig(-12, 0, 12), angle=0.7) == (Comparison(1, (0, 2)),)
-    assert comparisons(scenes.rig(0, 12, -12), angle=0.7) == (Comparison(0, (1, 2)),)
+    assert comparisons(scenes.rig(-12, 0, 12), angle=0.7) == (TemplateSearch(1, (0, 2)),)
+    assert comparisons(scenes.rig(0, 12, -12), angle=0.7) == (TemplateSearch(0, (1, 2)),)
 
 
 def test_of_two_cameras_the_first_is_the_template_however_far_they_are_apart():
-    assert comparisons(scenes.rig(0, 80), angle=0.7) == (Comparison(0, (1,)),)
+    assert comparisons(scenes.rig(0, 80), angle=0.7) == (TemplateSearch(0, (1,)),)
 
 
 def test_cameras_all_around_all_take_part_with_their_neighbours():

@@ -1,1 +1,1 @@
-"""Skeleton, skin and pose: the articulated body and its kinematics."""
+"""The articulated body: skeleton, skin, pose and kinematics."""

@@ -1,4 +1,4 @@
-"""Functions of one coordinate, as models of joints have them: all are polynomials in pieces."""
+"""Functions of one coordinate in joint models, as piecewise polynomials."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -11,12 +11,12 @@ from marey.errors import MareyError
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PiecewisePolynomial:
-    """A polynomial for each piece of the line; the first piece reaches to minus infinity, the last to infinity."""
+    """A piecewise polynomial on the real line; the first piece extends to minus infinity, the last to infinity."""
 
     starts: Floats
-    """(P,) where each piece begins, ascending; that of the first is only where its powers are counted from."""
+    """(P,) start of each piece, ascending; that of the first piece is only the origin of its powers."""
     coefficients: Floats
-    """(P, K) of the powers 0, 1, ... of the distance from the piece's start."""
+    """(P, K) coefficients of the powers 0, 1, ... of the distance from the piece's start."""
 
     def __post_init__(self) -> None:
         freeze_fields(self, "starts", "coefficients")
@@ -26,7 +26,7 @@ class PiecewisePolynomial:
             raise MareyError("A function has numbers that are not finite.")
 
     def at(self, x: Floats | float) -> tuple[Floats, Floats]:
-        """Give value and slope at x (...)."""
+        """Return value and slope at x (...)."""
         x = np.asarray(x, float)
         piece = np.clip(np.searchsorted(self.starts, x, "right") - 1, 0, None)
         distance = x - self.starts[piece]
@@ -38,7 +38,7 @@ class PiecewisePolynomial:
 
     @property
     def fixed(self) -> bool:
-        """Whether the function is the same everywhere."""
+        """Whether the function is constant."""
         return not self.coefficients[:, 1:].any() and bool((self.coefficients[:, 0] == self.coefficients[0, 0]).all())
 
 
@@ -46,7 +46,7 @@ class PackedFunctions(NamedTuple):
     """Several functions as plain arrays, for the kernels."""
 
     first: Integers
-    """(G + 1,) first piece of each."""
+    """(G + 1,) first piece of each function."""
     starts: Floats
     """(P,)."""
     coefficients: Floats
@@ -54,7 +54,7 @@ class PackedFunctions(NamedTuple):
 
 
 def pack(functions: list[PiecewisePolynomial]) -> PackedFunctions:
-    """Put functions behind each other."""
+    """Concatenate functions into plain arrays."""
     powers = max((f.coefficients.shape[1] for f in functions), default=1)
     first = np.concatenate([[0], np.cumsum([len(f.starts) for f in functions])]).astype(np.int64)
     coefficients = np.zeros((int(first[-1]), powers))
@@ -65,12 +65,12 @@ def pack(functions: list[PiecewisePolynomial]) -> PackedFunctions:
 
 
 def constant(value: float) -> PiecewisePolynomial:
-    """Give the function that has one value everywhere."""
+    """Return a constant function."""
     return PiecewisePolynomial(starts=np.zeros(1), coefficients=np.array([[value]]))
 
 
 def polynomial(highest_first: Floats) -> PiecewisePolynomial:
-    """Give a polynomial from its coefficients, that of the highest power first.
+    """Return a polynomial from its coefficients, that of the highest power first.
 
     Raises:
         MareyError: There is no coefficient.
@@ -82,17 +82,17 @@ def polynomial(highest_first: Floats) -> PiecewisePolynomial:
 
 
 def linear(slope: float, intercept: float = 0.0) -> PiecewisePolynomial:
-    """Give a straight line."""
+    """Return a linear function."""
     return polynomial(np.array([slope, intercept]))
 
 
 def scaled(function: PiecewisePolynomial, factor: float) -> PiecewisePolynomial:
-    """Multiply a function by a number."""
+    """Return a function multiplied by a factor."""
     return PiecewisePolynomial(starts=function.starts, coefficients=function.coefficients * factor)
 
 
 def piecewise_linear(x: Floats, y: Floats) -> PiecewisePolynomial:
-    """Join points by straight lines; beyond the ends the last lines go on.
+    """Interpolate points linearly; beyond the ends the last lines are continued.
 
     Args:
         x: (n,) ascending.
@@ -106,10 +106,10 @@ def piecewise_linear(x: Floats, y: Floats) -> PiecewisePolynomial:
 
 
 def simm_spline(x: Floats, y: Floats) -> PiecewisePolynomial:
-    """Lay SIMM's cubic spline through points, as OpenSim's SimmSpline does.
+    """Interpolate points by SIMM's cubic spline, as OpenSim's SimmSpline does.
 
     Its third derivative in the first and in the last piece is that of the cubic through the four points there
-    ([Forsythe1977] chapter 4); beyond the ends it goes on straight. Two points give a line, three a parabola.
+    ([Forsythe1977] chapter 4); beyond the ends it is continued linearly. Two points give a line, three a parabola.
 
     Args:
         x: (n,) ascending.
@@ -145,7 +145,7 @@ def simm_spline(x: Floats, y: Floats) -> PiecewisePolynomial:
 
 
 def _third_difference(x: Floats, y: Floats) -> float:
-    """Give the third divided difference of four points."""
+    """Return the third divided difference of four points."""
     for order in range(1, 4):
         y = np.diff(y) / (x[order:] - x[:-order])
     return float(y[0])

@@ -1,4 +1,4 @@
-"""A body whose joints move about axes by functions of its coordinates, as OpenSim's models have it."""
+"""A body whose joints move about axes by functions of its coordinates, as in OpenSim's models."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -14,41 +14,46 @@ from marey.geometry.rigid import RigidTransform
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ModelCoordinate:
-    """One number of a posture."""
+    """One coordinate of a jointed body."""
 
     name: str
+    """Name in the model."""
     rotational: bool = True
     """Whether it is an angle [rad]; else a length [m]."""
     default: float = 0.0
-    """[rad or m]."""
+    """Value in the default posture [rad or m]."""
     lower: float = -np.inf
+    """Lower limit [rad or m]; infinite if the model does not enforce it."""
     upper: float = np.inf
-    """Limits that are kept [rad or m]; infinite where the model does not keep them."""
+    """Upper limit [rad or m]; infinite if the model does not enforce it."""
     locked: bool = False
-    """Whether it stays at its default."""
+    """Whether it is fixed at its default."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Coupling:
-    """A coordinate that follows another one."""
+    """A coordinate that is a function of another one."""
 
     dependent: str
+    """Name of the coordinate that follows."""
     independent: str
+    """Name of the coordinate that is followed."""
     function: PiecewisePolynomial
+    """Value of the dependent coordinate as a function of the independent one."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class JointMotion:
-    """One turn or shift of a joint: a twist whose size is a function of a coordinate."""
+class JointTwist:
+    """One rotation or translation of a joint: a twist whose size is a function of a coordinate."""
 
     turns: bool
-    """Turn about the axis through the joint's origin; else shift along the axis."""
+    """Whether it is a rotation about the axis through the joint's origin; else it is a translation along the axis."""
     axis: Floats
-    """(3,) unit vector, in the frame that the motions before this one have moved."""
+    """(3,) unit vector, in the frame moved by the twists before this one."""
     coordinate: str | None
-    """None where the size is fixed."""
+    """Name of the coordinate; None if the size is fixed."""
     function: PiecewisePolynomial
-    """Gives the angle [rad] or the way [m]."""
+    """Size as a function of the coordinate: angle [rad] or distance [m]."""
 
     def __post_init__(self) -> None:
         freeze_fields(self, "axis")
@@ -58,16 +63,18 @@ class JointMotion:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ModelBody:
-    """A rigid body and the joint on which it hangs."""
+    """A rigid body and the joint that connects it with its parent."""
 
     name: str
+    """Name in the model."""
     parent: str | None
     """None for the ground."""
     joint: str
+    """Name of the joint."""
     before: RigidTransform = field(default_factory=RigidTransform.identity)
     """Parent from the joint's frame."""
-    motions: tuple[JointMotion, ...] = ()
-    """The joint, from the parent's side to the body's."""
+    motions: tuple[JointTwist, ...] = ()
+    """Twists of the joint, from the parent's side to the body's."""
     after: RigidTransform = field(default_factory=RigidTransform.identity)
     """The joint's moved frame from the body."""
 
@@ -77,6 +84,7 @@ class ModelMarker:
     """A marker on a body."""
 
     label: str
+    """Label of the marker."""
     body: str | None
     """None for the ground."""
     place: Floats
@@ -92,25 +100,29 @@ class PackedBody(NamedTuple):
     parents: Integers
     """(B,) -1 for the ground."""
     before_rotation: Floats
+    """(B, 3, 3) rotation of `ModelBody.before`."""
     before_translation: Floats
+    """(B, 3) translation of `ModelBody.before` [m]."""
     after_rotation: Floats
+    """(B, 3, 3) rotation of `ModelBody.after`."""
     after_translation: Floats
+    """(B, 3) translation of `ModelBody.after` [m]."""
     first: Integers
-    """(B + 1,) first motion of each body."""
+    """(B + 1,) first twist of each body."""
     turns: Mask
-    """(E,)."""
+    """(E,) true for rotations."""
     axes: Floats
     """(E, 3)."""
     coordinate: Integers
-    """(E,) -1 where fixed."""
+    """(E,) index of the coordinate, -1 for a fixed size."""
     motion_functions: PackedFunctions
     """E functions."""
     source: Integers
-    """(N,) the coordinate that each follows, -1 where it follows none."""
+    """(N,) coordinate that each coordinate follows, -1 for none."""
     coupling_functions: PackedFunctions
-    """N functions; of a coordinate that follows none it is not read."""
+    """N functions; that of a coordinate that follows none is unused."""
     order: Integers
-    """(N,) coordinates in an order in which each comes after the one it follows."""
+    """(N,) coordinates, ordered so that each comes after the one it follows."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -118,8 +130,9 @@ class JointedBody:
     """B bodies in a tree whose root is the ground, N coordinates, their couplings, and markers."""
 
     name: str
+    """Name of the model."""
     bodies: tuple[ModelBody, ...]
-    """Parents stand before their children."""
+    """Bodies, parents before their children."""
     coordinates: tuple[ModelCoordinate, ...]
     couplings: tuple[Coupling, ...] = ()
     markers: tuple[ModelMarker, ...] = ()
@@ -144,12 +157,12 @@ class JointedBody:
 
     @property
     def body_names(self) -> tuple[str, ...]:
-        """B names."""
+        """Names of the B bodies."""
         return tuple(body.name for body in self.bodies)
 
     @property
     def coordinate_names(self) -> tuple[str, ...]:
-        """N names."""
+        """Names of the N coordinates."""
         return tuple(c.name for c in self.coordinates)
 
     @property
@@ -159,18 +172,18 @@ class JointedBody:
 
     @property
     def defaults(self) -> Floats:
-        """(N,) the default posture, couplings kept [rad or m]."""
+        """(N,) default posture, with couplings applied [rad or m]."""
         values = np.array([c.default for c in self.coordinates], float)
         return self.coupled(values)
 
     @property
     def free(self) -> Mask:
-        """(N,) true for coordinates that are neither locked nor follow another one."""
+        """(N,) true for coordinates that are neither locked nor coupled to another one."""
         follows = {c.dependent for c in self.couplings}
         return np.array([not c.locked and c.name not in follows for c in self.coordinates], bool)
 
     def coordinate(self, name: str) -> int:
-        """Find a coordinate's index.
+        """Return a coordinate's index.
 
         Raises:
             MareyError: There is no such coordinate.
@@ -180,7 +193,7 @@ class JointedBody:
         return self.coordinate_names.index(name)
 
     def coupled(self, values: Floats) -> Floats:
-        """Set the coordinates that follow others in postures (..., N)."""
+        """Apply the couplings to postures (..., N)."""
         values = np.array(values, float)
         packed = self.packed
         functions = {c.dependent: c.function for c in self.couplings}
@@ -204,7 +217,7 @@ class JointedBody:
 
     @cached_property
     def packed(self) -> PackedBody:
-        """The body as arrays."""
+        """The body as plain arrays."""
         names = self.body_names
         motions = [m for body in self.bodies for m in body.motions]
         source = np.full(len(self.coordinates), -1, np.int64)

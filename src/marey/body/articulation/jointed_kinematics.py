@@ -1,4 +1,4 @@
-"""Where the bodies of a jointed body are, and how its markers move with every coordinate."""
+"""Forward kinematics of a jointed body, with the derivatives by every coordinate."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ from marey.kernels import kernel
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Placed:
+class PlacedBodies:
     """A jointed body in one posture."""
 
     rotation: Floats
@@ -20,18 +20,19 @@ class Placed:
     origin: Floats
     """(B, 3) in the ground [m]."""
     twists: Floats
-    """(B, N, 6) how each body moves with each coordinate: velocity of the ground's origin, then turn ([rad] or [m])."""
+    """(B, N, 6) derivative of each body's motion by each coordinate: velocity of the ground's origin, then angular
+    velocity, per [rad] or [m]."""
 
 
-def place(body: JointedBody, values: Floats) -> Placed:
-    """Place the bodies; the plain meaning of the kernel `place_bodies`, with its derivative as twists.
+def place(body: JointedBody, values: Floats) -> PlacedBodies:
+    """Compute the position of each body; the reference implementation of the kernel `place_bodies`.
 
     Each joint is a chain of twists whose sizes are functions of the coordinates ([Lu1999], in the exponentials of
-    [Rosenhahn2006] eq. (12)); a coordinate that follows another one hands its slope on.
+    [Rosenhahn2006] eq. (12)). Twists are the derivatives, with couplings by the chain rule.
 
     Args:
         body: The body.
-        values: (N,) the coordinates, couplings kept [rad or m].
+        values: (N,) the coordinates, with couplings applied [rad or m].
     """
     count, number = len(body.bodies), len(body.coordinates)
     rotation, origin = np.empty((count, 3, 3)), np.empty((count, 3))
@@ -57,11 +58,11 @@ def place(body: JointedBody, values: Floats) -> Placed:
                 start = start + axis * size
         origin[k] = start + turn @ part.after.translation
         rotation[k] = turn @ part.after.rotation
-    return Placed(rotation=rotation, origin=origin, twists=moved)
+    return PlacedBodies(rotation=rotation, origin=origin, twists=moved)
 
 
 def coordinate_slopes(body: JointedBody, values: Floats) -> Floats:
-    """Give how each coordinate (N,) changes with each (N,) that follows none: (N, N)."""
+    """Return the derivatives (N, N) of the coordinates by those that are not coupled to another one."""
     packed = body.packed
     functions = {c.dependent: c.function for c in body.couplings}
     slopes = np.eye(len(body.coordinates))
@@ -73,7 +74,7 @@ def coordinate_slopes(body: JointedBody, values: Floats) -> Floats:
 
 @kernel
 def function_at(functions, which, x):
-    """Give value and slope of one of several packed functions at x."""
+    """Return value and slope of one of several packed functions at x."""
     begin, end = functions.first[which], functions.first[which + 1]
     piece = begin
     while piece + 1 < end and functions.starts[piece + 1] <= x:
@@ -88,7 +89,7 @@ def function_at(functions, which, x):
 
 @kernel
 def follow(packed, values, variable, slope):
-    """Set the coordinates that follow others, and tell of each which it hangs on in the end (N,) and its slope (N,)."""
+    """Apply the couplings, and write for each coordinate the free one it depends on (N,) and its slope (N,)."""
     for n in range(packed.order.shape[0]):
         c = packed.order[n]
         source = packed.source[c]
@@ -145,7 +146,7 @@ def _product(left, right, out):
 
 
 def marker_bodies(body: JointedBody, labels: tuple[str, ...]) -> tuple[Integers, Floats]:
-    """Give body (M,), -1 for the ground, and place (M, 3) in it [m] of some of a body's markers."""
+    """Return the bodies (M,), -1 for the ground, and positions (M, 3) [m] of some of a body's markers."""
     known = {m.label: m for m in body.markers}
     chosen = [known[label] for label in labels]
     index = [-1 if m.body is None else body.body_names.index(m.body) for m in chosen]

@@ -1,4 +1,4 @@
-"""Kernels of the posed body: segments, skin, and how they move with every coordinate."""
+"""Kernels of the posed body: segments and skin, with their derivatives by every coordinate."""
 
 import numpy as np
 
@@ -11,8 +11,8 @@ def pose_segments(parents, coordinate_segment, axes, joints, root_rotation, root
     """Place the segments ([Rosenhahn2006] eq. (12)).
 
     Returns:
-        rotation (S, 3, 3) world from segment, origin (S, 3) of the joint centres in the world,
-        world_axes (D - 6, 3) of the joint coordinates.
+        rotation (S, 3, 3) world from segment, origin (S, 3) of the joint centres in the world, world_axes (D - 6, 3) of
+        the joint coordinates.
     """
     count = parents.shape[0]
     rotation = np.empty((count, 3, 3))
@@ -51,7 +51,7 @@ def pose_segments(parents, coordinate_segment, axes, joints, root_rotation, root
 
 @kernel
 def turned(rotation, turn):
-    """Turn a rotation (3, 3) by a vector (3,) about the world's axes: exp(turn) rotation, kept orthonormal."""
+    """Rotate a rotation (3, 3) by a vector (3,) about the world's axes: exp(turn) rotation, kept orthonormal."""
     angle = np.sqrt(turn[0] ** 2 + turn[1] ** 2 + turn[2] ** 2)
     if angle == 0.0:
         return rotation.copy()
@@ -77,7 +77,7 @@ def turned(rotation, turn):
 
 @kernel
 def blend_skin(vertices, vertex_segments, vertex_weights, joints, rotation, origin):
-    """Carry the rest vertices (V, 3) along with their segments by blended weights: (V, 3) in the world."""
+    """Return the vertices (V, 3) at rest moved with their segments by blended weights (linear blend skinning)."""
     count = vertices.shape[0]
     segments = rotation.shape[0]
     shift = np.empty((segments, 3))
@@ -106,7 +106,7 @@ def blend_skin(vertices, vertex_segments, vertex_weights, joints, rotation, orig
 
 @kernel
 def points_on_faces(vertices, faces, face, barycentric):
-    """Place points (n, 3) given by faces (n,) and barycentric weights (n, 3)."""
+    """Return the points (n, 3) of faces (n,) with barycentric weights (n, 3)."""
     points = np.empty((face.shape[0], 3))
     for i in range(face.shape[0]):
         a, b, c = faces[face[i], 0], faces[face[i], 1], faces[face[i], 2]
@@ -118,22 +118,22 @@ def points_on_faces(vertices, faces, face, barycentric):
 
 @kernel
 def gather_parts(faces, corners, vertices, vertex_segments, vertex_weights, joints, face, barycentric, segment, part):
-    """Split surface points into the shares that their segments carry.
+    """Decompose surface points into the parts carried by their segments.
 
-    A point p = sum over its segments k of T_k y_k, where y_k (4,) gathers the weighted rest positions
-    (relative to the segment's joint centre) of the face's three corners, the weight last.
+    A point p = sum over its segments k of T_k y_k, where y_k (4,) gathers the weighted rest positions (relative to the
+    segment's joint centre) of the face's three corners, the weight last.
 
     Args:
         faces: (T, 3).
-        corners: at most this many segments a point are kept; no more than four weights a vertex.
+        corners: Largest number of segments per point that are kept; there are at most four weights per vertex.
         vertices: (V, 3) at rest.
         vertex_segments: (V, 4).
         vertex_weights: (V, 4).
         joints: (S, 3) at rest.
         face: (n,) the face of each point.
         barycentric: (n, 3).
-        segment: (n, corners) written: the segments, -1 where there are fewer.
-        part: (n, corners, 4) written.
+        segment: (n, corners) output: the segments, -1 where there are fewer.
+        part: (n, corners, 4) output.
     """
     for i in range(face.shape[0]):
         split_point(
@@ -145,7 +145,7 @@ def gather_parts(faces, corners, vertices, vertex_segments, vertex_weights, join
 def split_point(
     faces, corners, vertices, vertex_segments, vertex_weights, joints, face, barycentric, i, segment, part, row
 ):  # fmt: skip
-    """Split one surface point, that of barycentric weights i, into a row of segment and part, see `gather_parts`."""
+    """Decompose surface point i, of barycentric weights i, into a row of segment and part, see `gather_parts`."""
     used = 0
     for n in range(corners):
         segment[row, n] = -1
@@ -176,7 +176,7 @@ def split_point(
 
 @kernel
 def share_faces(faces, vertex_segments, vertex_weights):
-    """Tell for each face which segments carry its corners, in rising order, and by what weights.
+    """Return for each face the segments that carry its corners, in ascending order, and their weights.
 
     Returns:
         count (T,) of segments, segment (T, N), weight (T, N, 3) of the three corners; N is the largest count.
@@ -208,9 +208,9 @@ def share_faces(faces, vertex_segments, vertex_weights):
 
 @kernel
 def point_jacobian(parents, coordinate_segment, rotation, origin, world_axes, segment, part, jacobian):
-    """Write how points move with the pose: (n, 3, D), the root's translation and turn (world axes) first.
+    """Write the derivatives of points by the pose: (n, 3, D), the root's translation and rotation (world axes) first.
 
-    The root's turn is about the pelvis' own centre.
+    The root rotates about the pelvis' own centre.
     """
     coordinates = world_axes.shape[0]
     first = np.zeros(rotation.shape[0] + 1, np.int64)
@@ -255,12 +255,12 @@ def point_jacobian(parents, coordinate_segment, rotation, origin, world_axes, se
 
 @kernel
 def origin_modes(parents, rotation, joint_modes):
-    """Give how the segments' origins move with the shape, less the turned motion of their own joint centres.
+    """Return the derivatives of the segments' origins by the shape, and the same less the motion of their joints.
 
     Args:
         parents: (S,).
         rotation: (S, 3, 3).
-        joint_modes: (M, S, 3) motion of the joint centres at rest by each shape number.
+        joint_modes: (M, S, 3) motion of the joint centres at rest per shape number.
 
     Returns:
         moved: (S, M, 3) of the origins; anchored: (S, M, 3) = moved - R_k times the joint's own motion.
@@ -286,7 +286,7 @@ def origin_modes(parents, rotation, joint_modes):
 def shape_jacobian(
     faces, vertex_segments, vertex_weights, vertex_modes, rotation, anchored, face, barycentric, jacobian
 ):
-    """Write how surface points move with the shape numbers: (n, 3, M); vertex_modes is (V, M, 3)."""
+    """Write the derivatives of surface points by the shape numbers: (n, 3, M); vertex_modes is (V, M, 3)."""
     modes = vertex_modes.shape[1]
     blend = np.empty((3, 3))
     for i in range(face.shape[0]):
@@ -314,9 +314,9 @@ def shape_jacobian(
 
 @kernel
 def pose_rows(parents, coordinate_segment, rotation, origin, world_axes, segment, part, rows, jacobian):
-    """Add how rows (n, r, 3) of points change with the pose to the first D columns of jacobian (n, r, ...).
+    """Add the derivatives of rows (n, r, 3) of points by the pose to the first D columns of jacobian (n, r, ...).
 
-    A force a on the share y of segment k turns a joint by axis . ((y - w o) x a): `point_jacobian`, multiplied out.
+    A force a on the part y of segment k rotates a joint by axis . ((y - w o) x a): `point_jacobian`, multiplied out.
     """
     segments, coordinates = rotation.shape[0], world_axes.shape[0]
     first = np.zeros(segments + 1, np.int64)
@@ -358,9 +358,9 @@ def shape_rows(
     faces, vertex_segments, vertex_weights, vertex_modes, rotation, anchored, face, barycentric, segment, part,
     rows, degrees, jacobian,
 ):  # fmt: skip
-    """Add how rows (n, r, 3) of surface points change with the shape to jacobian (n, r, D + M) from column D on.
+    """Add the derivatives of rows (n, r, 3) of surface points by the shape to jacobian (n, r, D + M) from column D on.
 
-    `shape_jacobian`, multiplied out; vertex_modes is (V, 3, M) and anchored (S, 3, M).
+    It is `shape_jacobian`, multiplied out; vertex_modes is (V, 3, M) and anchored (S, 3, M).
     """
     modes = vertex_modes.shape[2]
     for i in range(face.shape[0]):

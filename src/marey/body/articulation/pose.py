@@ -1,4 +1,4 @@
-"""A pose, and the body in it: where everything is and how it moves with every parameter."""
+"""Poses, and the body in a pose: positions with their derivatives by every parameter."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
@@ -14,12 +14,12 @@ from marey.body.articulation.surface import Body
 from marey.geometry import rotations
 
 PARTS = 6
-"""Segments that may share a surface point: three corners of a face, whose weights overlap."""
+"""Largest number of segments that carry a surface point: three corners of a face, whose segments overlap."""
 
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """Where the pelvis is, how it is turned, and the angles of the joints."""
+    """Position and orientation of the pelvis, and the joint angles."""
 
     translation: Floats
     """(3,) the pelvis' centre in the world [m]."""
@@ -32,23 +32,23 @@ class Pose:
         freeze_fields(self, "translation", "rotation", "angles")
 
     def step(self, change: Floats) -> "Pose":
-        """Move by a change (D,): translation [m], turn about the world's axes [rad], joint angles [rad]."""
+        """Apply a change (D,): translation [m], rotation about the world's axes [rad], joint angles [rad]."""
         turned = kinematics.turned(self.rotation, np.ascontiguousarray(change[3:6], float))
         return Pose(self.translation + change[:3], turned, self.angles + change[6:])
 
     def change_to(self, other: "Pose") -> Floats:
-        """Give the change (D,) with self.step(change) = other."""
+        """Return the change (D,) with self.step(change) = other."""
         turn = rotations.turn_between(self.rotation, other.rotation)
         return np.concatenate([other.translation - self.translation, turn, other.angles - self.angles])
 
     def between(self, other: "Pose", share: float) -> "Pose":
-        """Go a share of the way to another pose; a share above 1 goes beyond it."""
+        """Interpolate to another pose; a share above 1 extrapolates."""
         return self.step(share * self.change_to(other))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SurfacePoints:
-    """Points fastened to the body's surface."""
+    """Points attached to the body's surface."""
 
     face: Integers
     """(n,) index of the face."""
@@ -56,12 +56,12 @@ class SurfacePoints:
     """(n, 3) weights of the face's corners."""
 
     def __len__(self) -> int:
-        """Count the points."""
+        """Return the number of points."""
         return len(self.face)
 
 
 class Jointed(Protocol):
-    """What has segments that turn on each other: a body, or metaballs."""
+    """Anything with segments that rotate on each other: a body, or metaballs."""
 
     @property
     def packed(self) -> PackedSkeleton:
@@ -73,14 +73,15 @@ class Jointed(Protocol):
 
 
 class PosedSegments(ABC):
-    """Segments in a pose, whatever they carry."""
+    """Segments in a pose."""
 
     pose: Pose
+    """The pose."""
 
     @property
     @abstractmethod
     def carrier(self) -> Jointed:
-        """Whose segments are posed."""
+        """The body or metaballs whose segments are posed."""
 
     @cached_property
     def _segments(self) -> tuple[Floats, Floats, Floats]:
@@ -97,7 +98,7 @@ class PosedSegments(ABC):
 
     @property
     def segment_origin(self) -> Floats:
-        """(S, 3) the joint centre about which each segment turns [m, world]."""
+        """(S, 3) joint centre about which each segment rotates [m, world]."""
         return self._segments[1]
 
     @property
@@ -128,11 +129,11 @@ class PosedBody(PosedSegments):
         )  # fmt: skip
 
     def points(self, where: SurfacePoints) -> Floats:
-        """Place points (n, 3) of the surface in the world."""
+        """Return the positions (n, 3) of surface points in the world."""
         return kinematics.points_on_faces(self.vertices, self.body.faces, where.face, where.barycentric)
 
     def parts(self, where: SurfacePoints) -> tuple[Integers, Floats]:
-        """Split surface points into the shares that their segments carry, see `kinematics.gather_parts`."""
+        """Decompose surface points into the parts carried by their segments, see `kinematics.gather_parts`."""
         body = self.body
         segment = np.empty((len(where), PARTS), np.int64)
         part = np.empty((len(where), PARTS, 4))
@@ -143,7 +144,7 @@ class PosedBody(PosedSegments):
         return segment, part
 
     def joint_parts(self, segments: Integers) -> tuple[Integers, Floats]:
-        """Give joint centres, named by their segments, in the form of `parts`."""
+        """Return the joint centres of segments in the form of `parts`."""
         segment = np.full((len(segments), 1), -1, np.int64)
         segment[:, 0] = segments
         part = np.zeros((len(segments), 1, 4))
@@ -151,12 +152,12 @@ class PosedBody(PosedSegments):
         return segment, part
 
     def constraint_jacobian(self, where: SurfacePoints, rows: Floats, *, shape: bool = False) -> Floats:
-        """Give how rows p of surface points p change with the pose, and with the shape.
+        """Return the derivatives of rows p, for surface points p, by the pose and the shape.
 
         Args:
             where: n points.
             rows: (n, r, 3).
-            shape: whether the shape numbers' columns follow.
+            shape: Whether the columns of the shape numbers are appended.
 
         Returns:
             (n, r, D) or (n, r, D + M).
@@ -180,7 +181,7 @@ class PosedBody(PosedSegments):
         return jacobian
 
     def pose_jacobian(self, segment: Integers, part: Floats) -> Floats:
-        """Give how points move with the pose.
+        """Return the derivatives of points by the pose.
 
         Args:
             segment: (n, parts) from `parts` or `joint_parts`.
@@ -208,7 +209,7 @@ class PosedBody(PosedSegments):
         return np.ascontiguousarray(np.swapaxes(self._origin_modes[1], 1, 2))
 
     def shape_jacobian(self, where: SurfacePoints) -> Floats:
-        """Give how surface points move with the shape numbers: (n, 3, M) [m by standard unit]."""
+        """Return the derivatives of surface points by the shape numbers: (n, 3, M) [m by unit of the number]."""
         body = self.body
         jacobian = np.empty((len(where), 3, len(body.space)))
         kinematics.shape_jacobian(
@@ -218,11 +219,11 @@ class PosedBody(PosedSegments):
         return jacobian
 
     def origin_shape_jacobian(self) -> Floats:
-        """Give how the segments' origins move with the shape numbers: (S, 3, M)."""
+        """Return the derivatives of the segments' origins by the shape numbers: (S, 3, M)."""
         return np.swapaxes(self._origin_modes[0], 1, 2)
 
     def moved(self, change: Floats) -> "PosedBody":
-        """Change the pose by (D,) or pose and shape by (D + M,)."""
+        """Apply a change (D,) of the pose or (D + M,) of pose and shape."""
         degrees = 6 + len(self.pose.angles)
         body = self.body
         if len(change) > degrees:

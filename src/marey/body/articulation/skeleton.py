@@ -1,4 +1,4 @@
-"""The skeleton: segments in a tree, joints of single degree, their limits and habits."""
+"""The skeleton: a tree of segments, joints of single degrees of freedom, their limits and usual angles."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,10 +12,12 @@ from marey.errors import SettingProblem
 from marey.geometry import rotations
 
 ROOT_COORDINATES = ("pelvis_tx", "pelvis_ty", "pelvis_tz", "pelvis_turn", "pelvis_list", "pelvis_tilt")
+"""Names of the root's coordinates: translations, then rotations in the order of `ROOT_AXES`."""
 ROOT_AXES = ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0))
-"""The root turns about Z, then Y, then X of the rest posture (Z up, Y backward, X to the left)."""
+"""Axes of the root's rotations: Z, then Y, then X of the rest posture (Z up, Y backward, X to the left)."""
 
 PARENTS = {"pelvis": None, "abdomen": "pelvis", "thorax": "abdomen", "neck": "thorax", "head": "neck"}
+"""Parent of each segment, parents before their children."""
 for _side in ("left", "right"):
     for _child, _parent in (
         ("clavicle", "thorax"), ("upperarm", "clavicle"), ("forearm", "upperarm"), ("hand", "forearm"),
@@ -31,52 +33,61 @@ JOINT_OF_SEGMENT = {"neck": "neck", "head": "head"} | {
         ("upperarm", "shoulder"), ("forearm", "elbow"), ("hand", "wrist"),
     )
 }  # fmt: skip
-"""The joint centre (a name of the results) about which a segment turns on its parent."""
+"""Name in the results of the joint centre about which a segment rotates on its parent."""
 
 LIMBS = ("trunk", "left_arm", "right_arm", "left_leg", "right_leg")
-"""What hides each other or is taken for each other: the trunk, with head and clavicles, counts as one of them."""
+"""Parts that may hide or be mistaken for each other; the trunk, with head and clavicles, is one of them."""
 _LIMB_KINDS = {"upperarm": "arm", "forearm": "arm", "hand": "arm"} | dict.fromkeys(
     ("thigh", "shank", "foot", "toes"), "leg"
 )
+"""Kind of limb of a segment, by its name without the side."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Coordinate:
-    """One degree of freedom: a turn about an axis fixed in the parent."""
+    """One degree of freedom: a rotation about an axis fixed in the parent."""
 
     name: str
+    """Name of the coordinate."""
     segment: str
+    """Segment that it rotates."""
     axis: tuple[float, float, float]
     """Unit axis in the rest posture."""
     mean: float = 0.0
-    """Habitual angle [rad]."""
+    """Mean angle over many postures [rad]."""
     sd: float
-    """Spread of the habitual angle over many postures [rad]."""
+    """Standard deviation of the angle over many postures [rad]."""
     lower: float = -np.inf
+    """Lower limit [rad]."""
     upper: float = np.inf
+    """Upper limit [rad]."""
 
 
 class PackedSkeleton(NamedTuple):
     """The skeleton as plain arrays, for the kernels."""
 
     parents: Integers
+    """(S,) see `Skeleton.parents`."""
     coordinate_segment: Integers
+    """(D - 6,) see `Skeleton.coordinate_segment`."""
     axes: Floats
+    """(D - 6, 3) see `Skeleton.axes`."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Skeleton:
-    """Segments, each turning on its parent about one centre by coordinates of one degree each.
+    """Segments, each rotating on its parent about one centre by coordinates of one degree of freedom each.
 
-    The rotation of a segment is that of its parent times the turns of its coordinates, in their
-    order ([Rosenhahn2006] eq. (12)); at rest every rotation is the identity.
+    The rotation of a segment is that of its parent times the rotations of its coordinates, in their order
+    ([Rosenhahn2006] eq. (12)); at rest every rotation is the identity.
     """
 
     segment_names: tuple[str, ...]
+    """S names."""
     parents: Integers
-    """(S,) index of each segment's parent, -1 for the root; parents stand before their children."""
+    """(S,) index of each segment's parent, -1 for the root; parents come before their children."""
     coordinates: tuple[Coordinate, ...]
-    """The joints' coordinates, ordered by segment; the root's six come before them in every vector."""
+    """The joints' coordinates, ordered by segment; the root's six precede them in every vector."""
 
     def __post_init__(self) -> None:
         freeze_fields(self, "parents", dtype=np.int64)
@@ -91,7 +102,7 @@ class Skeleton:
 
     @cached_property
     def coordinate_segment(self) -> Integers:
-        """(D - 6,) index of the segment that each joint coordinate turns."""
+        """(D - 6,) index of the segment that each joint coordinate rotates."""
         return frozen([self.segment_names.index(c.segment) for c in self.coordinates], np.int64)
 
     @cached_property
@@ -122,17 +133,21 @@ class Skeleton:
         return frozen([c.mean for c in self.coordinates]), frozen([c.sd for c in self.coordinates])
 
     def __len__(self) -> int:
-        """Count the coordinates, the root's six among them."""
+        """Return the number D of coordinates, including the root's six."""
         return 6 + len(self.coordinates)
 
     def segment(self, name: str) -> int:
-        """Find a segment's index by its name."""
+        """Return a segment's index.
+
+        Raises:
+            SettingProblem: There is no segment of this name.
+        """
         if name not in self.segment_names:
             raise SettingProblem(f"There is no segment '{name}'; the skeleton has {', '.join(self.segment_names)}.")
         return self.segment_names.index(name)
 
     def above(self) -> Floats:
-        """Tell which segments stand on the way from the root to each segment, itself included: (S, S) of bool."""
+        """Return the segments between the root and each segment, itself included: (S, S) of bool."""
         chain = np.eye(len(self.segment_names), dtype=bool)
         for k, parent in enumerate(self.parents):
             if parent >= 0:
@@ -140,9 +155,9 @@ class Skeleton:
         return chain
 
     def mirrored(self) -> tuple[Integers, Integers]:
-        """Give for each segment and each joint coordinate the index of its counterpart on the other side.
+        """Return for each segment and each joint coordinate the index of its counterpart on the other side.
 
-        A coordinate whose counterpart is not free is its own.
+        A coordinate whose counterpart is not free is its own counterpart.
         """
 
         def other(name: str) -> str:
@@ -160,7 +175,7 @@ class Skeleton:
 def _degrees(
     name: str, segment: str, axis: Sequence[float], mean: float, sd: float, lower: float, upper: float
 ) -> Coordinate:
-    """Make a coordinate from degrees."""
+    """Make a coordinate from values in degrees."""
     unit = np.asarray(axis, float) / np.linalg.norm(axis)
     low, high = np.deg2rad(lower), np.deg2rad(upper)
     return Coordinate(
@@ -177,14 +192,17 @@ _TRUNK = {
     "neck": ("neck", (12, 8, 12), (40, 30, 45)),
     "head": ("head", (12, 8, 15), (40, 30, 50)),
 }
+"""For each trunk segment the joint's name, and standard deviations and limits of flexion, bending and rotation
+[deg]. Chosen by hand to cover sport and daily life, deliberately wide."""
 _TRUNK_AXES = {"flexion": (1, 0, 0), "bending": (0, 1, 0), "rotation": (0, 0, 1)}
+"""Axes of the trunk's coordinates in the rest posture."""
 
 
 def _shoulder_axes(arm: Floats) -> tuple[Floats, Floats]:
-    """Give the first two axes of the left shoulder; the third is the arm's own.
+    """Return the first two axes of the left shoulder; the third is the arm's own.
 
-    Three successive turns lock where the arm points along the first axis, forward, medial and
-    down or its opposite. An arm that hangs, reaches forward, sideways or up stays 50 degrees away.
+    Three successive rotations are singular where the arm points along the first axis, forward, medial and down or its
+    opposite. An arm that hangs, reaches forward, sideways or up is 50 degrees away from it.
     """
     first = np.array([-0.6, -0.5, -0.6])
     first -= (first @ arm) * arm
@@ -193,7 +211,7 @@ def _shoulder_axes(arm: Floats) -> tuple[Floats, Floats]:
 
 
 def _left_arm(arm: Floats, elbow: Floats, palm: Floats) -> list[tuple]:
-    """List the left arm's coordinates: name, segment, axis, mean, sd, limits."""
+    """List the left arm's coordinates: name, segment, axis, mean, sd, limits [deg]."""
     sweep, lift = _shoulder_axes(arm)
     hand_side = np.cross(arm, palm)
     return [
@@ -220,10 +238,12 @@ _LEFT_LEG = [
     ("ankle_inversion", "foot", (0, -1, 0), 0, 8, -30, 30),
     ("toe_extension", "toes", (-1, 0, 0), 0, 12, -30, 70),
 ]
+"""Coordinates of the left leg: name, segment, axis, mean, standard deviation and limits [deg]. Chosen by hand to
+cover sport and daily life, deliberately wide."""
 
 
 def _both_sides(left: list[tuple]) -> list[Coordinate]:
-    """Make the coordinates of both sides; a turn mirrored in the plane X = 0 keeps its sign."""
+    """Make the coordinates of both sides; a rotation mirrored in the plane X = 0 keeps its sign."""
     coordinates = []
     for side in ("left", "right"):
         for name, segment, axis, *numbers in left:
@@ -234,12 +254,12 @@ def _both_sides(left: list[tuple]) -> list[Coordinate]:
 
 
 def full_skeleton(*, arm: Floats, elbow: Floats, palm: Floats) -> Skeleton:
-    """Build the skeleton of 54 degrees of freedom.
+    """Return the skeleton of 54 degrees of freedom.
 
     Args:
-        arm: (3,) direction of the left arm at rest, shoulder to wrist.
-        elbow: (3,) axis about which the left forearm flexes.
-        palm: (3,) direction, across the arm, in which the left palm looks at rest.
+        arm: (3,) direction of the left arm at rest, from shoulder to wrist.
+        elbow: (3,) flexion axis of the left forearm.
+        palm: (3,) direction, across the arm, that the left palm faces at rest.
     """
     arm = np.asarray(arm, float) / np.linalg.norm(arm)
     elbow = elbow - (elbow @ arm) * arm
@@ -257,7 +277,7 @@ def full_skeleton(*, arm: Floats, elbow: Floats, palm: Floats) -> Skeleton:
 
 
 def root_angles(rotation: Floats) -> Floats:
-    """Read the root's three turns (turn, list, tilt) from its rotation: rotation = Rz Ry Rx.
+    """Return the root's three angles (turn, list, tilt) from its rotation: rotation = Rz Ry Rx.
 
     Args:
         rotation: (..., 3, 3).
@@ -273,7 +293,7 @@ def root_angles(rotation: Floats) -> Floats:
 
 
 def root_rotation(angles: Floats) -> Floats:
-    """Build the root's rotation from its three turns: the inverse of `root_angles`."""
+    """Return the root's rotation from its three angles: the inverse of `root_angles`."""
     angles = np.asarray(angles, float)
     turns = [rotations.about(np.array(axis), angles[..., i]) for i, axis in enumerate(ROOT_AXES)]
     return turns[0] @ turns[1] @ turns[2]

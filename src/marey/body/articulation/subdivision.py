@@ -1,4 +1,4 @@
-"""A finer skin: every triangle of a body divided into four, its corners where they were."""
+"""Subdivision of a body's skin: every triangle is divided into four, and its corners stay in place."""
 
 from dataclasses import replace
 
@@ -15,7 +15,7 @@ def edges_of(faces: Integers) -> tuple[Integers, Integers]:
         faces: (T, 3).
 
     Returns:
-        (E, 2) vertices of each edge; (T, 3) the edges opposite to none: of corners 0-1, 1-2 and 2-0.
+        (E, 2) vertices of each edge; (T, 3) the edges of each triangle, between corners 0-1, 1-2 and 2-0.
     """
     pairs = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     edges, which = np.unique(pairs, axis=0, return_inverse=True)
@@ -23,7 +23,7 @@ def edges_of(faces: Integers) -> tuple[Integers, Integers]:
 
 
 def divided_faces(faces: Integers, count: int) -> Integers:
-    """Divide triangles (T, 3) of so many vertices into four each; the edges' middles come after the vertices."""
+    """Divide triangles (T, 3) of `count` vertices into four each; the edges' midpoints follow the vertices."""
     _, middle = edges_of(faces)
     a, b, c = faces.T
     ab, bc, ca = (middle + count).T
@@ -32,8 +32,8 @@ def divided_faces(faces: Integers, count: int) -> Integers:
     )  # fmt: skip
 
 
-def finer(body: Body) -> Body:
-    """Give a body a skin of four times as many triangles, and no numbers: it is posed, not fitted."""
+def subdivided(body: Body) -> Body:
+    """Return a body with four times as many triangles and no shape numbers, for drawing."""
     edges, _ = edges_of(body.faces)
     vertices = np.concatenate([body.vertices, body.vertices[edges].mean(1)])
     segments, weights = _with_middles(body, edges)
@@ -49,7 +49,7 @@ def finer(body: Body) -> Body:
 
 
 def _with_middles(body: Body, edges: Integers) -> tuple[Integers, Floats]:
-    """Give segments and weights (V + E, 4) of vertices and the middles of edges (E, 2)."""
+    """Return segments and weights (V + E, 4) of the vertices and the midpoints of edges (E, 2)."""
     whole = np.zeros((len(body.vertices), len(body.skeleton.segment_names)))
     np.put_along_axis(whole, body.vertex_segments, 0.0, 1)
     for column in range(body.vertex_segments.shape[1]):

@@ -1,4 +1,4 @@
-"""A person's body: a skinned surface and its skeleton, and the shapes it may take."""
+"""A person's body: a skinned surface on a skeleton, and the space of its shapes."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -29,25 +29,25 @@ class SkinModel(Protocol):
 
 
 class FaceShares(NamedTuple):
-    """Which segments carry each face, for the kernels."""
+    """The segments that carry each face, for the kernels."""
 
     number: Integers
-    """(T,) how many."""
+    """(T,) number of segments."""
     segment: Integers
-    """(T, N) in rising order."""
+    """(T, N) in ascending order."""
     weight: Floats
     """(T, N, 3) for the three corners."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ShapeSpace:
-    """The shapes a body may take: vertices and joint centres move together, linearly in a few numbers.
+    """Space of a body's shapes: vertices and joint centres are linear in a few numbers.
 
     vertices = mean + sum over i of number_i mode_i, and the joint centres with the same numbers.
     """
 
     names: tuple[str, ...]
-    """(M,) what each number means."""
+    """(M,) meaning of each number."""
     vertex_mean: Floats
     """(V, 3) [m]."""
     vertex_modes: Floats
@@ -55,13 +55,13 @@ class ShapeSpace:
     joint_mean: Floats
     """(S, 3) [m]."""
     joint_modes: Floats
-    """(M, S, 3)."""
+    """(M, S, 3) [m by unit of the number]."""
     prior_mean: Floats
-    """(M,) what to expect of a person of whom nothing is known."""
+    """(M,) mean of the numbers for an unknown person."""
     prior_covariance: Floats
-    """(M, M)."""
+    """(M, M) covariance of the numbers for an unknown person."""
     ranked: bool = True
-    """Whether the first numbers say most of a person, so that a rough fit may leave out the others."""
+    """Whether the first numbers explain most of the variation, so that a rough fit may omit the others."""
 
     def __post_init__(self) -> None:
         freeze_fields(
@@ -69,25 +69,25 @@ class ShapeSpace:
         )
 
     def __len__(self) -> int:
-        """Count the numbers."""
+        """Return the number of shape numbers."""
         return len(self.names)
 
     @cached_property
     def modes_by_vertex(self) -> Floats:
-        """(V, M, 3): the vertices' modes, for kernels that walk over vertices."""
+        """(V, M, 3) the vertices' modes, for kernels that iterate over vertices."""
         return frozen(np.swapaxes(self.vertex_modes, 0, 1))
 
     @cached_property
     def modes_by_number_last(self) -> Floats:
-        """(V, 3, M): the vertices' modes, for kernels that sum over many numbers at once."""
+        """(V, 3, M) the vertices' modes, for kernels that sum over many numbers at once."""
         return frozen(np.moveaxis(self.vertex_modes, 0, 2))
 
     @cached_property
     def leading(self) -> Floats:
-        """(M, M): directions of the numbers, one a row, of which the first ones say most of a person.
+        """(M, M) directions of the numbers, one per row, of which the first ones explain most of the variation.
 
-        The numbers themselves where they are ranked; else independent directions of unit variance, those first in
-        which the people that the prior expects differ most in their skin.
+        If the numbers are ranked, these are the numbers themselves; else independent directions of unit variance,
+        ordered by the variation of the skin under the prior.
         """
         if self.ranked:
             return frozen(np.eye(len(self)))
@@ -98,7 +98,7 @@ class ShapeSpace:
 
     @cached_property
     def by_rank(self) -> "ShapeSpace":
-        """The same shapes, by the steps along the `leading` directions: numbers (M,) are leading.T @ steps."""
+        """The same shapes as functions of steps along the `leading` directions: numbers (M,) = leading.T @ steps."""
         if self.ranked:
             return self
         steps = np.linalg.inv(self.leading.T)
@@ -115,7 +115,7 @@ class ShapeSpace:
         return self.keep(range(numbers))
 
     def keep(self, which: "range | list[int] | Integers") -> "ShapeSpace":
-        """Keep only some of the numbers; the others stay at the mean that the prior expects."""
+        """Keep only some of the numbers; the others are fixed at the prior's mean."""
         index = np.asarray(which, dtype=np.int64)
         rest = np.setdiff1d(np.arange(len(self)), index)
         return ShapeSpace(
@@ -130,42 +130,43 @@ class ShapeSpace:
         )
 
     def vertices(self, numbers: Floats) -> Floats:
-        """Give the vertices (V, 3) at rest for shape numbers (M,)."""
+        """Return the vertices (V, 3) at rest for shape numbers (M,) [m]."""
         return self.vertex_mean + np.tensordot(numbers, self.vertex_modes, 1)
 
     def joints(self, numbers: Floats) -> Floats:
-        """Give the joint centres (S, 3) at rest for shape numbers (M,)."""
+        """Return the joint centres (S, 3) at rest for shape numbers (M,) [m]."""
         return self.joint_mean + np.tensordot(numbers, self.joint_modes, 1)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Body:
-    """One person's body at rest: skeleton, skin, and the shape numbers that made them."""
+    """One person's body at rest: skeleton, skin, and its shape numbers."""
 
     skeleton: Skeleton
+    """The skeleton."""
     space: ShapeSpace
-    """The shapes this body may take; of a scan, a space of no numbers."""
+    """The shapes this body may take; a scan has a space without numbers."""
     numbers: Floats
-    """(M,) this person's."""
+    """(M,) this person's shape numbers."""
     faces: Integers
     """(T, 3) corners counter-clockwise as seen from outside."""
     vertex_segments: Integers
     """(V, 4) segments that carry each vertex."""
     vertex_weights: Floats
-    """(V, 4) their shares, of sum one; zero where fewer carry it."""
+    """(V, 4) their weights, of sum one; zero where fewer carry it."""
     outlined: Mask | None = None
-    """(T,) faces whose outline counts; all when None. A preset leaves out the segments that it does not follow."""
+    """(T,) faces whose outline is used; all if None. A preset leaves out the segments that it does not follow."""
     followed: Mask | None = None
-    """(S,) segments whose motion is measured; all when None. A preset leaves out what it does not follow."""
+    """(S,) segments whose motion is measured; all if None. A preset leaves out the segments that it does not follow."""
     joint_sd: Floats | None = None
-    """(S,) how far, by axis, a joint centre lies from where skin and numbers say, in one posture and another [m]; None
-    where nobody knows."""
+    """(S,) standard deviation, per axis, of a joint centre from where skin and numbers place it, independent between
+    postures [m]; None if unknown."""
     joint_offset_sd: Floats | None = None
-    """(S,) how far, by axis, it lies from there in every posture [m]; None where nobody knows."""
+    """(S,) standard deviation, per axis, of its constant offset from there in all postures [m]; None if unknown."""
     numbers_covariance: Floats | None = None
-    """(M, M) of the numbers, once they were estimated."""
+    """(M, M) covariance of the numbers, once they have been estimated."""
     metaballs: SkinModel | None = None
-    """The metaballs whose surface the skin is, of the same numbers; None where the skin is a mesh of its own."""
+    """Metaballs of the same numbers whose surface is the skin; None if the skin is a mesh of its own."""
 
     def __post_init__(self) -> None:
         freeze_fields(self, "numbers", "vertex_weights")
@@ -173,22 +174,22 @@ class Body:
 
     @property
     def packed(self) -> PackedSkeleton:
-        """The skeleton as arrays."""
+        """The skeleton as plain arrays."""
         return self.skeleton.packed
 
     @cached_property
     def vertices(self) -> Floats:
-        """(V, 3) the skin at rest [m]."""
+        """(V, 3) skin at rest [m]."""
         return frozen(self.space.vertices(self.numbers))
 
     @cached_property
     def joint_centres(self) -> Floats:
-        """(S, 3) the centre about which each segment turns on its parent, at rest [m]."""
+        """(S, 3) centre about which each segment rotates on its parent, at rest [m]."""
         return frozen(self.space.joints(self.numbers))
 
     @cached_property
     def face_segment(self) -> Integers:
-        """(T,) the segment that carries most of each face."""
+        """(T,) segment that carries most of each face."""
         votes = np.zeros((len(self.faces), len(self.skeleton.segment_names)))
         for corner in range(3):
             v = self.faces[:, corner]
@@ -198,23 +199,23 @@ class Body:
 
     @cached_property
     def followed_joints(self) -> Mask:
-        """(J,) the named joints that are measured: those about which a segment turns on one that is followed."""
+        """(J,) named joints that are measured: those of segments whose parent is followed."""
         on = np.maximum(self.skeleton.parents, 0)[self.joint_segments]
         return frozen(np.ones(len(on)) if self.followed is None else self.followed[on], np.bool_)
 
     @cached_property
     def face_limb(self) -> Integers:
-        """(T,) the limb to which each face belongs, see `Skeleton.segment_limb`."""
+        """(T,) limb to which each face belongs, see `Skeleton.segment_limb`."""
         return frozen(self.skeleton.segment_limb[self.face_segment], np.int64)
 
     @cached_property
     def outline_counts(self) -> Mask:
-        """(T,) whether the outline of each face counts."""
+        """(T,) whether the outline of each face is used."""
         return frozen(np.ones(len(self.faces)) if self.outlined is None else self.outlined, np.bool_)
 
     @cached_property
     def face_shares(self) -> FaceShares:
-        """Which segments carry each face."""
+        """The segments that carry each face."""
         return FaceShares(*share_faces(self.faces, self.vertex_segments, self.vertex_weights))
 
     @property
@@ -224,11 +225,11 @@ class Body:
 
     @property
     def joint_segments(self) -> Integers:
-        """(J,) the segment whose centre each reported joint is."""
+        """(J,) segment whose centre each reported joint is."""
         return np.array([k for k, s in enumerate(self.skeleton.segment_names) if s in JOINT_OF_SEGMENT])
 
     def with_numbers(self, numbers: Floats) -> "Body":
-        """Give the body other shape numbers."""
+        """Return the body with other shape numbers."""
         other = replace(self, numbers=numbers)
         # What depends on the skin's topology alone goes along.
         for name in ("face_segment", "outline_counts", "face_shares"):

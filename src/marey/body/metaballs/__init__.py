@@ -1,1 +1,1 @@
-"""Bodies of metaballs: the implicit surface, its skin, and what follows from it."""
+"""Bodies of metaballs: the implicit surface, its skin, and measurements of segments."""

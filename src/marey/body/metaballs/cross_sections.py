@@ -1,4 +1,4 @@
-"""Cross-sections of metaballs at rest: rays of one person, and points spread evenly on an outline."""
+"""Cross-sections of metaballs at rest: rays, and points evenly spaced on an outline."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -12,21 +12,31 @@ from marey.body.metaballs.metaballs import ANY_LIMB, THRESHOLD, PosedMetaballs
 from marey.body.metaballs.ray_casting import exits
 from marey.errors import MareyError
 
-AROUND_TRUNK, AROUND_LIMB = 12, 8
-"""Units around the trunk, from the front by the left side, and around a limb. A skin has so many columns a unit."""
+AROUND_TRUNK = 12
+"""Number of units around the trunk, from the front by the left side. A skin has `FINENESS` columns per unit."""
+AROUND_LIMB = 8
+"""Number of units around a limb."""
 OPENINGS = {"left_arm": (2, 4), "right_arm": (8, 10)}
-"""The columns [units] of the trunk between which an arm begins; the opening is as many units high as wide."""
+"""Columns of the trunk between which an arm begins [units]; the opening is as high as wide."""
 OPENING_ROWS = 2
+"""Rows of the trunk across an opening [units]."""
 SIDES = {"left": 1.0, "right": -1.0}
+"""Sign of the X axis by side."""
 FINE = 48
-"""Rays by which the length of a cross-section's outline is measured before samples are spread evenly on it."""
+"""Number of rays that measure the length of a cross-section's outline before samples are spaced evenly on it. By
+hand."""
 _TRUNK_LENGTH = 0.54
-"""Pelvis to neck of the generic person [m]; distances below are this person's, and grow with the trunk."""
+"""Distance from pelvis to neck of the generic person [m]; distances in the sections are scaled by the trunk's
+length."""
 _WELL_INSIDE = 1.2 * THRESHOLD
-DOWN, BACK = np.array([0.0, 0.0, -1.0]), np.array([0.0, 1.0, 0.0])
+"""Field above which a point counts as well inside the surface. Chosen by hand."""
+DOWN = np.array([0.0, 0.0, -1.0])
+"""Downward direction of the rest posture."""
+BACK = np.array([0.0, 1.0, 0.0])
+"""Backward direction of the rest posture."""
 
 Ring = Callable[[Floats], Floats]
-"""Gives the points (n, 3) of a cross-section at angles (n,)."""
+"""Returns the points (n, 3) of a cross-section at angles (n,) [rad]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,10 +44,11 @@ class Caster:
     """Rays on the metaballs of one person at rest."""
 
     posed: PosedMetaballs
+    """The metaballs at rest."""
     samples: int
-    """A unit."""
+    """Samples per unit."""
     joints: dict[str, Floats] = field(init=False)
-    """By segment."""
+    """Joint centres (3,) by segment [m]."""
 
     def __post_init__(self) -> None:
         names = self.posed.balls.skeleton.segment_names
@@ -45,11 +56,11 @@ class Caster:
 
     @cached_property
     def size(self) -> float:
-        """The trunk's length beside the generic person's."""
+        """The trunk's length relative to the generic person's."""
         return float(np.linalg.norm(self.joints["neck"] - self.joints["pelvis"]) / _TRUNK_LENGTH)
 
     def cast(self, part: str, origins: Floats, directions: Floats, limb: str = "", *, reach: float) -> Floats:
-        """Cast rays as `exits` does, and name the part that has no surface there."""
+        """Cast rays as `exits` does, with an error that names the part if there is no surface."""
         of = LIMBS.index(limb) if limb else ANY_LIMB
         found = exits(self.posed, origins, directions, of, reach=reach * self.size)
         if not np.isfinite(found).all():
@@ -57,12 +68,12 @@ class Caster:
         return found
 
     def deepest(self, point: Floats, way: Floats, limb: str, *, reach: float = 0.05) -> Floats:
-        """Give the point (3,) of greatest field on a line through a point, as far as some way off to either side."""
+        """Return the point (3,) of greatest field on a line through a point, within a distance on both sides."""
         tried = point + np.linspace(-reach, reach, 101)[:, None] * self.size * way
         return tried[np.argmax(self.posed.field(tried, LIMBS.index(limb)))]
 
     def innermost(self, point: Floats, plane: Floats, limb: str, *, reach: float = 0.04) -> Floats:
-        """Give a point (3,) well inside, near a point in a plane (2, 3): the point itself, unless it lies outside."""
+        """Return a point (3,) well inside, near a point in a plane (2, 3); the point itself if it is well inside."""
         of = LIMBS.index(limb)
         if self.posed.field(point[None], of)[0] > _WELL_INSIDE:
             return point
@@ -73,7 +84,7 @@ class Caster:
 
 
 def even_arc(ring: Ring, first: float, last: float, count: int) -> Floats:
-    """Give count + 1 points (n, 3) of a cross-section from one angle to another, evenly spaced on its outline."""
+    """Return count + 1 points (n, 3) of a cross-section between two angles, evenly spaced on its outline."""
     angles = np.linspace(first, last, FINE + 1)
     steps = np.linalg.norm(np.diff(ring(angles), axis=0), axis=1)
     length = np.concatenate([[0.0], np.cumsum(steps)])
@@ -81,16 +92,16 @@ def even_arc(ring: Ring, first: float, last: float, count: int) -> Floats:
 
 
 def between(first: Floats, last: Floats, share: Floats) -> Floats:
-    """Go shares (n,) of the way from first (..., 3) to last (..., 3): (n, ..., 3)."""
+    """Interpolate by shares (n,) between first (..., 3) and last (..., 3): (n, ..., 3)."""
     share = np.asarray(share).reshape(-1, *(1,) * np.ndim(first))
     return (1.0 - share) * first + share * last
 
 
 def smooth(share: Floats) -> Floats:
-    """Rise from 0 to 1 with level ends."""
+    """Return a cubic step from 0 to 1 with zero slope at its ends."""
     return share * share * (3.0 - 2.0 * share)
 
 
 def unit(vector: Floats) -> Floats:
-    """Give a vector (..., 3) the length one."""
+    """Return a vector (..., 3) scaled to length one."""
     return vector / np.linalg.norm(vector, axis=-1, keepdims=True)

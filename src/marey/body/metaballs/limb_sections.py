@@ -1,4 +1,4 @@
-"""Cross-sections of arms and legs: from the trunk along the bones to the tips of hands and feet."""
+"""Cross-sections of arms and legs, from the trunk along the bones to the tips of hands and feet."""
 
 from dataclasses import dataclass
 
@@ -25,31 +25,35 @@ from marey.body.metaballs.trunk_sections import TrunkSections
 from marey.errors import MareyError
 from marey.geometry import rotations
 
-_HAND, _CELL = 0.12, 0.005
-"""Half the breadth in which a hand is looked for, and the grain of its sections [m]."""
+_HAND = 0.12
+"""Half the width of the area in which a hand's section is measured [m]."""
+_CELL = 0.005
+"""Grid step of a hand's sections [m]."""
 _LEAST_SECTION = 2e-4
-"""Area of the thinnest section of a hand [m2]."""
+"""Area of the smallest section of a hand [m2]. Chosen by hand."""
 _HAND_ROUNDS = 2
-"""How often neighbouring sections of a hand are averaged."""
+"""Number of times that neighbouring sections of a hand are averaged. Chosen by hand."""
 _PALM = (0.02, 0.06)
-"""From the wrist, where rays give way to ellipses [m]."""
+"""Range of distances from the wrist in which sections change from rays to ellipses [m]. Chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Limb:
+class LimbSections:
     """Sections of one limb across its centre line."""
 
     caster: Caster
+    """Rays on the metaballs."""
     name: str
+    """Name of the limb."""
     inner: Floats
-    """(3,) the direction from which angles count: that of the armpit, or of the other leg."""
+    """(3,) direction of angle zero: that of the armpit, or of the other leg."""
     inner_at: int
-    """The column [units] that lies there."""
+    """Column in that direction [units]."""
     reach: float
-    """[m]."""
+    """Length of the rays [m]."""
 
     def section(self, centre: Floats, normal: Floats) -> Floats:
-        """Give the section (8 s, 3) about a centre that is moved into its middle, across a direction."""
+        """Return the section (8 s, 3) across a direction, about a centre that is moved into its middle."""
         plane = self._plane(normal)
 
         def ring(angles: Floats) -> Floats:
@@ -65,7 +69,7 @@ class Limb:
         return self.caster.cast(self.name.replace("_", " "), origins, directions, self.name, reach=self.reach)
 
     def within(self, centre: Floats, normal: Floats) -> tuple[Floats, Floats, float]:
-        """Measure all that lies inside across a direction, near a point: middle, second moments (3, 3) and area."""
+        """Measure the area inside across a direction, near a point: middle, second moments (3, 3) and area."""
         plane = self._plane(normal)
         side = np.arange(-_HAND, _HAND + 1e-9, _CELL) * self.caster.size
         flat = np.stack(np.meshgrid(side, side, indexing="ij"), -1).reshape(-1, 2)
@@ -77,7 +81,7 @@ class Limb:
         return centre + middle @ plane, plane.T @ moments @ plane, total * (side[1] - side[0]) ** 2
 
     def ellipse(self, centre: Floats, moments: Floats, area: float, normal: Floats, drawn: float) -> Floats:
-        """Give points (8 s, 3) of the ellipse of an area with the proportions of moments, drawn in by a factor."""
+        """Return points (8 s, 3) of the ellipse of given area with the proportions of moments, scaled by a factor."""
         plane = self._plane(normal)
         values, axes = np.linalg.eigh(plane @ moments @ plane.T)
         half = axes * np.sqrt(np.maximum(values, 1e-12)) @ axes.T
@@ -89,17 +93,17 @@ class Limb:
         return self._spread(ring)
 
     def _plane(self, normal: Floats) -> Floats:
-        """Give the directions (2, 3) from which and towards which angles count."""
+        """Return the directions (2, 3) of angle zero and of a quarter turn."""
         inner = unit(self.inner - (self.inner @ normal) * normal)
         return np.stack([inner, np.cross(normal, inner)])
 
     def _spread(self, ring: Ring) -> Floats:
-        """Give points (8 s, 3) of a section, evenly spaced, in the order of a limb's rows."""
+        """Return points (8 s, 3) of a section, evenly spaced, in the order of a limb's rows."""
         s = self.caster.samples
         return np.roll(even_arc(ring, 0.0, 2 * np.pi, AROUND_LIMB * s)[:-1], self.inner_at * s, axis=0)
 
     def along(self, line: Floats, steps: Floats) -> list[Floats]:
-        """Give the sections at distances (n,) along a broken line (k, 3), turned evenly where it bends."""
+        """Return the sections at distances (n,) along a polyline (k, 3), with normals interpolated where it bends."""
         length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
         straight = unit(np.diff(line, axis=0))
         middle = 0.5 * (length[1:] + length[:-1])
@@ -111,14 +115,14 @@ class Limb:
         return found
 
     def onset(self, rim: Floats, section: Floats, start: Floats, rows: int) -> Floats:
-        """Lead from a rim to a section (8 s, 3) by rows between them, with rays from a point towards its middle."""
+        """Return the rows between a rim and a section (8 s, 3), by rays from a point towards its middle."""
         share = np.linspace(0.0, 1.0, rows + 1)[1:-1]
         middle = between(start, section.mean(0), share)[:, None]
         aims = between(rim, section, share)
         return self.cast(middle, aims - middle)
 
     def tip(self, section: Floats, normal: Floats, rows: int) -> Floats:
-        """Close a limb beyond a section (8 s, 3): rays from its middle turn forward until they meet in one point."""
+        """Close a limb beyond a section (8 s, 3): rays from its middle rotate forward until they meet in one point."""
         middle = section.mean(0)
         turn = np.linspace(0.0, np.pi / 2, rows + 1)[1:, None, None]
         ways = np.cos(turn) * unit(section - middle) + np.sin(turn) * normal
@@ -128,11 +132,11 @@ class Limb:
 
 
 def sample_arm(sections: TrunkSections, name: str) -> Floats:
-    """Sample an arm (B, 8 s, 3) from the opening of the trunk to the tips of the fingers."""
+    """Sample an arm (B, 8 s, 3) from the opening of the trunk to the fingertips."""
     caster = sections.caster
     s, size, side = caster.samples, caster.size, name.partition("_")[0]
     start, _, armpit = sections.shoulder(name)
-    limb = Limb(caster=caster, name=name, inner=armpit, inner_at=3, reach=0.2)
+    limb = LimbSections(caster=caster, name=name, inner=armpit, inner_at=3, reach=0.2)
     elbow, wrist = caster.joints[f"{side}_forearm"], caster.joints[f"{side}_hand"]
     forward = unit(wrist - elbow)
     line = np.stack([start, elbow, wrist, wrist + 0.4 * size * forward])
@@ -146,11 +150,11 @@ def sample_arm(sections: TrunkSections, name: str) -> Floats:
     return np.concatenate([rim[None], onset, np.array(rows), _hand(limb, wrist, forward)])
 
 
-def _hand(limb: Limb, wrist: Floats, forward: Floats) -> Floats:
+def _hand(limb: LimbSections, wrist: Floats, forward: Floats) -> Floats:
     """Sample a hand (B, 8 s, 3) beyond the wrist as a mitten.
 
-    Unlike the paper, which does not say how it treats hands, beyond the palm each section is the ellipse of the same
-    area and the same proportions: the balls of thumb and fingers fall apart, and no ray reaches all of them.
+    Unlike the paper, which does not describe hands, each section beyond the palm is the ellipse of the same area and
+    proportions: the balls of thumb and fingers are separate, and no ray reaches all of them.
     """
     caster, s = limb.caster, limb.caster.samples
     steps = np.linspace(0.0, 0.3, 31) * caster.size
@@ -177,7 +181,7 @@ def _hand(limb: Limb, wrist: Floats, forward: Floats) -> Floats:
 
 
 def _at(steps: Floats, values: Floats, step: float) -> Floats:
-    """Interpolate values (n, ...) at rising steps (n,)."""
+    """Interpolate values (n, ...) at ascending steps (n,)."""
     k = int(np.clip(np.searchsorted(steps, step) - 1, 0, len(steps) - 2))
     share = (step - steps[k]) / (steps[k + 1] - steps[k])
     return (1.0 - share) * values[k] + share * values[k + 1]
@@ -219,7 +223,7 @@ def sample_leg(sections: TrunkSections, name: str, waist: Floats, seam: Floats) 
         rim = np.concatenate([half[n::-1], seam[1:-1]])
     else:
         rim = np.concatenate([half[: n - 1 : -1], seam[-2:0:-1]])
-    limb = Limb(caster=caster, name=name, inner=np.array([-SIDES[side], 0.0, 0.0]), inner_at=7, reach=0.3)
+    limb = LimbSections(caster=caster, name=name, inner=np.array([-SIDES[side], 0.0, 0.0]), inner_at=7, reach=0.3)
     hip, knee, ankle, toes = (caster.joints[f"{side}_{part}"] for part in ("thigh", "shank", "foot", "toes"))
     line = np.stack([hip, knee, ankle])
     length = np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))
@@ -230,8 +234,8 @@ def sample_leg(sections: TrunkSections, name: str, waist: Floats, seam: Floats) 
     return np.concatenate([rim[None], onset, np.array(rows), _foot(limb, rows[-1], unit(ankle - knee), ankle, toes)])
 
 
-def _foot(limb: Limb, above: Floats, down: Floats, ankle: Floats, toes: Floats) -> Floats:
-    """Sample the foot (B, 8 s, 3) beyond the section above the ankle: round the heel, and on to the toes."""
+def _foot(limb: LimbSections, above: Floats, down: Floats, ankle: Floats, toes: Floats) -> Floats:
+    """Sample the foot (B, 8 s, 3) beyond the section above the ankle: round the heel, and to the toes."""
     caster, s = limb.caster, limb.caster.samples
     forward = unit((toes - ankle) * [1, 1, 0])
     start, instep = above.mean(0), 0.5 * (ankle + toes)

@@ -1,23 +1,23 @@
-"""Kernels of the metaballs' field: its logarithm, the distance to the surface, and what changes both."""
+"""Kernels of the metaballs' field: its logarithm, the distance to the surface, and their derivatives."""
 
 import numpy as np
 
 from marey.kernels import kernel
 
 THRESHOLD = 0.5
-"""The field on the surface ([Plaenkers1999] section 3.4.3)."""
-FLATTEST = 2.0
-"""Least slope by which the logarithm of the field is divided for a distance [1/m]; 0.15 m from the axis of the thickest
-limb it is above 9."""
+"""Value of the field on the surface ([Plaenkers1999] section 3.4.3)."""
+LEAST_SLOPE = 2.0
+"""Least slope by which the logarithm of the field is divided for a distance [1/m]; 0.15 m from the axis of the
+thickest limb it is above 9."""
 CORE = 500.0
-"""How strongly the logarithm of the field is taken to curve inside the surface [1/m2]: that of a limb 0.075 m thick."""
+"""Assumed curvature of the logarithm of the field inside the surface [1/m2]: that of a limb 0.075 m thick."""
 _FAR = -40.0
-"""exp() of less, beside 1, is below the last digit."""
+"""Exponent below which a term is negligible beside 1: exp(-40) is 4e-18."""
 
 
 @kernel(inline="always")
 def log_field(m, point, place, axes, radii, log_weight, local):
-    """Give ln w - 2 d of one ball at a point ([Plaenkers1999] eq. (6), (7)); write where it lies along its axes."""
+    """Return ln w - 2 d of one ball at a point ([Plaenkers1999] eq. (6), (7)); write its coordinates along the axes."""
     d = 0.0
     for a in range(3):
         y = 0.0
@@ -30,18 +30,18 @@ def log_field(m, point, place, axes, radii, log_weight, local):
 
 @kernel
 def _weigh(point, limb, ball_limb, place, axes, radii, weight, local, share, top, total):
-    """Fill in where a point lies in each ball and each ball's share of the field.
+    """Compute where a point lies in each ball, and each ball's share of the field.
 
     Args:
         point: (3,).
-        limb: of the point; below 1 the one whose field is greatest.
+        limb: Limb of the point; below 1 the one whose field is greatest.
         ball_limb: (M,).
         place: (M, 3).
         axes: (M, 3, 3).
         radii: (M, 3).
         weight: (M,).
-        local: (M, 3) written: along the ball's axes.
-        share: (M,) written.
+        local: (M, 3) output: coordinates along the ball's axes.
+        share: (M,) output.
         top: (L,) scratch, by limb.
         total: (L,) scratch.
 
@@ -63,14 +63,14 @@ def _weigh(point, limb, ball_limb, place, axes, radii, weight, local, share, top
     high, low = max(top[0], top[limb]), min(top[0], top[limb])
     level = high + np.log1p(np.exp(max(low - high, _FAR)))
     for m in range(radii.shape[0]):
-        feels = ball_limb[m] == 0 or ball_limb[m] == limb
-        share[m] = np.exp(share[m] - level) if feels and share[m] - level > _FAR else 0.0
+        contributes = ball_limb[m] == 0 or ball_limb[m] == limb
+        share[m] = np.exp(share[m] - level) if contributes and share[m] - level > _FAR else 0.0
     return level - np.log(THRESHOLD)
 
 
 @kernel
 def levels(points, limbs, limb_count, ball_limb, place, axes, radii, weight):
-    """Give ln(F / T) (n,) at points (n, 3), see `_weigh`."""
+    """Return ln(F / T) (n,) at points (n, 3), see `_weigh`."""
     local, share = np.empty((radii.shape[0], 3)), np.empty(radii.shape[0])
     top, total = np.empty(limb_count), np.empty(limb_count)
     level = np.empty(points.shape[0])
@@ -81,7 +81,7 @@ def levels(points, limbs, limb_count, ball_limb, place, axes, radii, weight):
 
 @kernel
 def shares(points, limbs, limb_count, ball_limb, place, axes, radii, weight):
-    """Give each ball's share of the field (n, M) at points (n, 3), see `_weigh`."""
+    """Return each ball's share of the field (n, M) at points (n, 3), see `_weigh`."""
     local, top, total = np.empty((radii.shape[0], 3)), np.empty(limb_count), np.empty(limb_count)
     share = np.empty((points.shape[0], radii.shape[0]))
     for i in range(points.shape[0]):
@@ -91,7 +91,7 @@ def shares(points, limbs, limb_count, ball_limb, place, axes, radii, weight):
 
 @kernel
 def _slope(axes, radii, local, share, gradient):
-    """Write the gradient (3,) of ln F at the point for which local and share were filled in."""
+    """Write the gradient (3,) of ln F at the point of `local` and `share`."""
     gradient[:] = 0.0
     for m in range(radii.shape[0]):
         if share[m] > 0.0:
@@ -103,11 +103,11 @@ def _slope(axes, radii, local, share, gradient):
 
 @kernel
 def distance_of_level(level, square):
-    """Give the distance from L = ln(F / T) and |grad L|^2, and what dL and grad L . d(grad L) do to it.
+    """Return the distance from L = ln(F / T) and |grad L|^2, with its derivatives by L and by grad L . d(grad L).
 
     With g = sqrt(|grad L|^2 + k^2) it is -L / g outside, and inside -L / ((g + q) / 2), q = sqrt(g^2 + 4 c L).
     """
-    g = np.sqrt(square + FLATTEST**2)
+    g = np.sqrt(square + LEAST_SLOPE**2)
     if level <= 0.0:
         return -level / g, -1.0 / g, level / g**3
     q = np.sqrt(g * g + 4.0 * CORE * level)
@@ -117,7 +117,7 @@ def distance_of_level(level, square):
 
 @kernel
 def distances(points, limbs, limb_count, ball_limb, place, axes, radii, weight):
-    """Give how far points (n, 3) lie outside the surface, see `distance_of_level`."""
+    """Return the distances (n,) of points (n, 3) outside the surface, see `distance_of_level`."""
     local, share = np.empty((radii.shape[0], 3)), np.empty(radii.shape[0])
     top, total, slope = np.empty(limb_count), np.empty(limb_count), np.empty(3)
     distance = np.empty(points.shape[0])
@@ -133,7 +133,7 @@ def distances(points, limbs, limb_count, ball_limb, place, axes, radii, weight):
 def bring_onto(
     points, limbs, limb_count, ball_limb, place, axes, radii, weight, steps, longest, close
 ):  # fmt: skip
-    """Move points (n, 3) along the surface's normals until they lie close to it, by steps no longer than given."""
+    """Move points (n, 3) along the surface's normals until they are close to it, by steps of limited length."""
     local, share = np.empty((radii.shape[0], 3)), np.empty(radii.shape[0])
     top, total, slope = np.empty(limb_count), np.empty(limb_count), np.empty(3)
     for i in range(points.shape[0]):
@@ -150,7 +150,7 @@ def bring_onto(
 
 @kernel
 def nearest_limbs(points, limb_count, ball_limb, place, axes, radii, weight):
-    """Give for points (n, 3) the limb (n,) whose own field is greatest there, and the unit normal (n, 3) outwards."""
+    """Return for points (n, 3) the limb (n,) whose own field is greatest there, and the outward unit normal (n, 3)."""
     local, share = np.empty((radii.shape[0], 3)), np.empty(radii.shape[0])
     top, total, slope = np.empty(limb_count), np.empty(limb_count), np.empty(3)
     limb, outward = np.empty(points.shape[0], np.int64), np.zeros((points.shape[0], 3))
@@ -169,11 +169,11 @@ def linearize(
     points, limbs, limb_count, ball_limb, place, axes, radii, weight, segment, rotation, as_distance,
     residual, by_point, by_centre, by_radii, by_weight, by_shift, by_turn,
 ):  # fmt: skip
-    """Write the residual and its derivatives, see `metaballs.Linearized`; all outputs come filled with zeros.
+    """Write the residual and its derivatives, see `metaballs.Linearized`; all outputs are initialised with zeros.
 
     With L = ln(F / T), G its gradient and p_m the share of ball m, whose logarithm of the field is f_m, any change t of
-    ball m gives dL = p_m f_mt and G.dG = p_m (G.grad f_mt + f_mt (G.grad f_m - |G|^2)), by which the
-    distance changes as `distance_of_level` says.
+    ball m gives dL = p_m f_mt and G.dG = p_m (G.grad f_mt + f_mt (G.grad f_m - |G|^2)), by which the distance changes
+    according to `distance_of_level`.
     """
     local, share = np.empty((radii.shape[0], 3)), np.empty(radii.shape[0])
     top, total, slope = np.empty(limb_count), np.empty(limb_count), np.empty(3)
@@ -227,10 +227,10 @@ def _linearize_ball(
 
 @kernel
 def by_pose(parents, coordinate_segment, origin, world_axes, points, by_shift, by_turn, jacobian):
-    """Write how residuals of points (n, 3) change with the pose: (n, D), the root's translation and turn first.
+    """Write the derivatives (n, D) of residuals of points (n, 3) by the pose, the root's translation and turn first.
 
-    A joint carries all segments beyond it: their shifts and turns add up from the ends of the tree to its root, and a
-    turn about the joint at o is one about the point p and a shift by the axis x (p - o).
+    A joint moves all segments beyond it: their shifts and rotations are summed from the ends of the tree to its root,
+    and a rotation about the joint at o is one about the point p and a shift by the axis x (p - o).
     """
     segments = parents.shape[0]
     shift, turn = np.empty((segments, 3)), np.empty((segments, 3))

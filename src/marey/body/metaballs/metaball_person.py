@@ -1,4 +1,4 @@
-"""The metaballs of a person of generic size, the numbers in which people differ, and the skin as a body to fit."""
+"""Metaballs of a generic person, the numbers in which people differ, and their skin as a body that can be fitted."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -16,51 +16,54 @@ from marey.body.people.person import family_body
 from marey.errors import SettingProblem
 
 Detail = Literal["simple", "full"]
+"""Detail of the metaballs."""
 DETAILS: tuple[Detail, ...] = ("simple", "full")
+"""Available details: the paper's simplified limbs, and all balls."""
 
 SINGLE_SD = 0.08
-"""How much a single ball's radii are believed to depart from those of its segment, as a share."""
+"""Prior standard deviation of a single ball's radii from those of its segment, as a share. Chosen by hand."""
 SHARPNESS_SD = 0.1
-"""How much steeper or flatter a single ball's edge is believed to be than the generic one's, as a logarithm."""
+"""Prior standard deviation of a single ball's sharpness from the generic one, as a logarithm. Chosen by hand."""
 OWN_SD = 0.05
-"""How much lengths and widths of a person's segments are believed to depart from the learned family's, as a share."""
+"""Prior standard deviation of a segment's length and widths from those of the learned family, as a share. Chosen by
+hand."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MetaballSpace:
-    """The metaballs that a person may have: centres, radii and joint centres, linear in a few numbers.
+    """The metaballs of people: centres, radii and joint centres are linear in a few numbers.
 
-    The numbers are the sizes of [Plaenkers1999] section 3.3, shares of the generic size: of a segment's length, with
-    which its balls and the joints beyond it move out along it, and of its width, or breadth and depth, which all its
-    balls have in common. Unlike the paper, a ball beside the bone also moves out with the width.
+    The numbers are the sizes of [Plaenkers1999] section 3.3, shares of the generic size: a segment's length, with which
+    its balls and the joints beyond it move along it, and its width, or breadth and depth, which all its balls have in
+    common. Unlike the paper, a ball beside the bone also moves outwards with the width.
 
-    A ball's weight w ([Plaenkers1999] eq. (5)) and its radii both make it larger, so that points tell the two apart
-    badly. Unlike the paper, the number that changes the weight is therefore the ball's sharpness t: the logarithm of
-    its field falls exp(t) times as far from its centre to its skin, and the radii shrink by exp(-t / 2), so that the
-    skin stays, to first order and in the mean over the generic person, where it was. A sharper ball weighs more.
+    A ball's weight w ([Plaenkers1999] eq. (5)) and its radii both enlarge it, so that points hardly distinguish them.
+    Unlike the paper, the number that changes the weight is therefore the ball's sharpness t: the logarithm of its field
+    decreases exp(t) times as much from its centre to its skin, and the radii shrink by exp(-t / 2), so that the skin
+    stays in place, to first order and in the mean over the generic person. A sharper ball has a larger weight.
     """
 
     names: tuple[str, ...]
-    """(N,)."""
+    """(N,) meaning of each number."""
     mean: Metaballs
-    """Where all numbers are zero."""
+    """The metaballs at which all numbers are zero."""
     centre_modes: Floats
     """(N, M, 3) [m by unit of the number], in the segments."""
     radii_modes: Floats
-    """(N, M, 3)."""
+    """(N, M, 3) [m by unit of the number]."""
     joint_modes: Floats
-    """(N, S, 3) of the joint centres at rest."""
+    """(N, S, 3) of the joint centres at rest [m by unit of the number]."""
     prior_covariance: Floats
     """(N, N) of the numbers among people."""
     prior_mean: Floats = field(default_factory=lambda: np.zeros(0))
-    """(N,) what to expect of a person of whom nothing is known; zeros when empty."""
+    """(N,) mean of the numbers for an unknown person; zeros when empty."""
     ranked: bool = False
-    """Whether the first numbers say most of a person."""
+    """Whether the first numbers explain most of the variation."""
     sharpness_modes: Floats = field(default_factory=lambda: np.zeros((0, 0)))
-    """(N, M) the sharpness of each ball by unit of the number; zeros when empty."""
+    """(N, M) change of each ball's sharpness by unit of the number; zeros when empty."""
     fall: Floats = field(default_factory=lambda: np.zeros(0))
-    """(M,) how far the logarithm of each ball's field falls from its centre to the generic skin; when empty, that of a
-    lone ball."""
+    """(M,) decrease of the logarithm of each ball's field from its centre to the generic skin; when empty, that of a
+    single ball."""
 
     def __post_init__(self) -> None:
         if not len(self.prior_mean):
@@ -81,7 +84,7 @@ class MetaballSpace:
         )
 
     def __len__(self) -> int:
-        """Count the numbers."""
+        """Return the number of shape numbers."""
         return len(self.names)
 
     def with_skeleton(self, skeleton: Skeleton) -> "MetaballSpace":
@@ -89,7 +92,7 @@ class MetaballSpace:
         return replace(self, mean=replace(self.mean, skeleton=skeleton))
 
     def balls(self, numbers: Floats) -> Metaballs:
-        """Give the balls of a person with numbers (N,).
+        """Return the balls of a person with numbers (N,).
 
         Raises:
             ValueError: A ball would have no size.
@@ -106,20 +109,20 @@ class MetaballSpace:
         )
 
     def growth(self, balls: Metaballs) -> Floats:
-        """Give how the balls' radii change with the numbers while their sharpness stays (N, M, 3)."""
+        """Return the derivatives (N, M, 3) of the balls' radii by the numbers at constant sharpness."""
         return np.asarray(self.radii_modes / np.sqrt(self._steepness(balls))[:, None])
 
     def rates(self, balls: Metaballs) -> tuple[Floats, Floats]:
-        """Give how the radii (N, M, 3) and the logarithms of the weights (N, M) of balls change with the numbers."""
+        """Return the derivatives of the balls' radii (N, M, 3) and logarithmic weights (N, M) by the numbers."""
         shrinks = 0.5 * self.sharpness_modes[:, :, None] * balls.radii
         return self.growth(balls) - shrinks, self.sharpness_modes * self.fall * self._steepness(balls)
 
     def _steepness(self, balls: Metaballs) -> Floats:
-        """Give how many times as far (M,) the logarithms of the balls' fields fall as the generic ones', exp(t)."""
+        """Return the decrease (M,) of the logarithms of the balls' fields relative to the generic ones', exp(t)."""
         return np.asarray(1.0 + np.log(balls.weight / self.mean.weight) / self.fall)
 
     def by_numbers(self, posed: PosedMetaballs, of: Linearized) -> Floats:
-        """Give how the residual of points fixed in the world changes with the numbers: (n, N)."""
+        """Return the derivatives of the residual of points fixed in the world by the numbers: (n, N)."""
         count, flat = len(self), (len(of.residual), -1)
         by_radii, by_weight = self.rates(posed.balls)
         by_balls = of.by_centre.reshape(flat) @ self.centre_modes.reshape(count, -1).T
@@ -146,7 +149,7 @@ def required_metaballs(body: Body) -> MetaballSpace:
 
 
 def generic_metaballs(detail: Detail = "full") -> Metaballs:
-    """The metaballs that `bodies/fit_metaballs.py` fitted to the mean skin of the learned family.
+    """Return the metaballs that `bodies/fit_metaballs.py` fitted to the mean skin of the learned family.
 
     Args:
         detail: "simple", with three balls for a segment of arm or leg, or "full".
@@ -171,13 +174,13 @@ def generic_metaballs(detail: Detail = "full") -> Metaballs:
 
 @lru_cache(maxsize=1)
 def _stored() -> dict[str, np.ndarray]:
-    """The arrays of metaballs.npz, described in bodies/README.md."""
+    """Load the arrays of metaballs.npz, described in bodies/README.md."""
     with files("marey.body").joinpath("metaballs.npz").open("rb") as file, np.load(file) as arrays:
         return {name: arrays[name] for name in arrays.files}
 
 
 def metaball_space(detail: Detail = "full") -> MetaballSpace:
-    """Give the generic person's metaballs with the lengths and widths in which people differ, both sides alike.
+    """Return the generic person's metaballs with lengths and widths as shape numbers, equal on both sides.
 
     Args:
         detail: "simple" has one width for a segment, "full" a breadth and a depth.
@@ -205,9 +208,9 @@ def metaball_space(detail: Detail = "full") -> MetaballSpace:
 
 
 def _family_covariance(space: MetaballSpace) -> Floats:
-    """Give the covariance (N, N) of the numbers among the people of the learned family.
+    """Return the covariance (N, N) of the numbers among the people of the learned family.
 
-    Those numbers are taken for a person that bring skin and joint centres nearest to the person's.
+    A person's numbers are those that bring skin and joint centres nearest to the person's.
     """
     family = family_body("fine")
     own, theirs = (
@@ -221,17 +224,17 @@ def _family_covariance(space: MetaballSpace) -> Floats:
 def single_radii(
     space: MetaballSpace, segments: Sequence[str], *, sd: float = SINGLE_SD, sharpness_sd: float | None = SHARPNESS_SD
 ) -> MetaballSpace:
-    """Give every ball of some segments its own radii, and its own weight, as further numbers.
+    """Add numbers for the radii and the weight of every single ball of some segments.
 
-    [Plaenkers1999] section 4 fits the radii themselves; unlike the paper, they are shares of the generic ones, held to
-    the sizes that the balls of a segment have in common by a standard deviation. So is the weight, by the ball's
+    [Plaenkers1999] section 4 fits the radii themselves; unlike the paper, they are shares of the generic ones, with a
+    prior standard deviation from the sizes that the balls of a segment have in common. So is the weight, by the ball's
     sharpness, see `MetaballSpace`.
 
     Args:
-        space: of lengths and widths.
-        segments: names without a side; both sides stay alike.
-        sd: how far a radius is believed to depart, as a share of it.
-        sharpness_sd: how much steeper or flatter a ball's edge is believed to be, as a logarithm; None keeps weights.
+        space: Space of lengths and widths.
+        segments: Names without a side; both sides remain equal.
+        sd: Prior standard deviation of a radius, as a share of it.
+        sharpness_sd: Prior standard deviation of a ball's sharpness, as a logarithm; None keeps the weights.
     """
     mean = space.mean
     added = [f"ball_{{}}_{axis}" for axis in ("breadth", "depth", "length")]
@@ -263,7 +266,7 @@ def single_radii(
 
 
 def _single_balls(mean: Metaballs, segments: Sequence[str]) -> Iterator[tuple[str, int, list[int]]]:
-    """Name the balls of some segments, each with its twin on the other side: segment, number in it, indices."""
+    """Yield the balls of some segments, each with its counterpart: segment, number in it, indices."""
     plain = np.array([name.rpartition("_")[2] for name in mean.skeleton.segment_names])
     for segment in dict.fromkeys(segments):
         sides = [np.flatnonzero(mean.segment == k) for k in np.flatnonzero(plain == segment)]
@@ -272,10 +275,10 @@ def _single_balls(mean: Metaballs, segments: Sequence[str]) -> Iterator[tuple[st
 
 
 def _fall(balls: Metaballs) -> Floats:
-    """Give how far (M,) the logarithm of each ball's field falls from its centre to the skin, in the mean over it.
+    """Return the mean decrease (M,) of the logarithm of each ball's field from its centre to the skin.
 
-    At a place of the skin where a ball has the share p of the field 1/2, it has fallen by ln w + ln 2 - ln p; the
-    places count by that share. A ball alone has p = 1.
+    At a point of the skin where a ball has the share p of the field 1/2, it has decreased by ln w + ln 2 - ln p; the
+    points are weighted by that share. A ball alone has p = 1.
     """
     posed, body = balls.at_rest(), family_body("coarse")
     limb = vertex_limbs(body)
@@ -286,14 +289,14 @@ def _fall(balls: Metaballs) -> Floats:
 
 
 def _stretched(balls: Metaballs, segments: Integers, axes: tuple[int, ...]) -> tuple[Floats, Floats]:
-    """Give the motion of centres and radii (M, 3) by the relative stretch of some segments' balls along some axes."""
+    """Return the motion of centres and radii (M, 3) by the relative stretch of some segments' balls along some axes."""
     stretch = np.isin(balls.segment, segments)[:, None] * np.isin(np.arange(3), axes)
     local = np.einsum("mba,mb->ma", balls.rotation, balls.centre)
     return np.einsum("mab,mb->ma", balls.rotation, stretch * local), stretch * balls.radii
 
 
 def _lengthened(balls: Metaballs, segments: Integers) -> Floats:
-    """Give the motion of the joint centres (S, 3) by the relative length of some segments."""
+    """Return the motion of the joint centres (S, 3) by the relative length of some segments."""
     joints, parents = balls.joint_centres, balls.skeleton.parents
     moved = np.zeros_like(joints)
     for k, parent in enumerate(parents):
@@ -312,24 +315,24 @@ def metaball_body(
     settle: bool = True,
     keep_weights: bool = False,
 ) -> Body:
-    """Make the skin over metaballs, as a body that can be posed, drawn and fitted like any other.
+    """Make the skin of metaballs as a body that can be posed, drawn and fitted like any other.
 
-    The vertices of a template come to lie on the surface at rest. They move with the numbers as material points do:
-    with the balls that make up their share of the field, and, to first order, so that they stay on the surface. The
-    body's shapes are therefore right near the numbers for which it was made; `reshaped` makes it anew for others.
-    With the pose the skin is blended; only at rest is it the metaballs' own surface.
+    The vertices of a template are projected onto the surface at rest. They move with the numbers as material points do:
+    with the balls weighted by their share of the field, and, to first order, so that they stay on the surface. The
+    body's shapes are therefore accurate near the numbers for which it was made; `reshaped` makes it again for others.
+    With the pose the skin is blended; it is the metaballs' own surface only at rest.
 
-    Unlike the paper, whose skin is sampled along cross-sections, the triangles are the template's, so that the same
-    vertex is the same place on everybody.
+    Unlike the paper, whose skin is sampled along cross-sections, the triangles are the template's, so that vertices
+    correspond between people.
 
     Args:
-        space: of the metaballs.
-        numbers: (N,) of this person, the generic one's when None.
-        template: the body whose skin is brought onto the surface, the family's mean when None. What it follows, and
-            which outlines count, stays.
-        settle: whether its vertices are brought onto the surface; else they lie where they shall.
-        keep_weights: whether the skin is blended by the template's weights, which suit people better where they were
-            learned, instead of the balls' shares.
+        space: Metaballs.
+        numbers: (N,) of this person, the generic one's if None.
+        template: Body whose skin is projected onto the surface, the family's mean if None. Its followed segments and
+            its outlines are kept.
+        settle: Whether its vertices are projected onto the surface; else they stay in place.
+        keep_weights: Whether the template's skin weights are kept, which are more accurate if they were learned,
+            instead of the balls' shares.
     """
     at = np.zeros(len(space)) if numbers is None else np.asarray(numbers, float)
     given = family_body("fine") if template is None else template
@@ -353,9 +356,9 @@ def metaball_body(
 
 
 def reshaped(body: Body, numbers: Floats) -> Body:
-    """Give a body other shape numbers; where its skin lies over metaballs, it is made anew for them.
+    """Return a body with other shape numbers; a skin over metaballs is made again for them.
 
-    What is known of the numbers and of the joints stays.
+    The uncertainty of the numbers and of the joints is kept.
     """
     changed = body.with_numbers(numbers)
     space = metaballs_of(body)
@@ -369,14 +372,14 @@ def reshaped(body: Body, numbers: Floats) -> Body:
 
 
 def vertex_limbs(body: Body) -> Integers:
-    """Give the limb (V,) to which the skin's vertices belong, `ANY_LIMB` on the trunk."""
+    """Return the limb (V,) to which the skin's vertices belong, `ANY_LIMB` on the trunk."""
     strongest = np.argmax(body.vertex_weights, 1)
     limb = body.skeleton.segment_limb[body.vertex_segments[np.arange(len(strongest)), strongest]]
     return np.where(limb == 0, ANY_LIMB, limb)
 
 
 def _skin_modes(space: MetaballSpace, posed: PosedMetaballs, vertices: Floats, limb: Integers) -> Floats:
-    """Give how vertices on the surface at rest move with the numbers: (N, V, 3)."""
+    """Return the derivatives (N, V, 3) of vertices on the surface at rest by the numbers."""
     balls, share = posed.balls, posed.shares(vertices, limb)
     local = np.einsum("mab,vmb->vma", posed.axes, vertices[:, None] - posed.place)
     stretch = share[:, :, None] * local / balls.radii
@@ -395,7 +398,7 @@ def _skin_modes(space: MetaballSpace, posed: PosedMetaballs, vertices: Floats, l
 
 
 def _strongest(posed: PosedMetaballs, vertices: Floats, limb: Integers) -> tuple[Integers, Floats]:
-    """Give the four segments (V, 4) whose balls have most share in each vertex, and these shares, of sum one."""
+    """Return the four segments (V, 4) with the largest share of each vertex, and these shares, of sum one."""
     count = len(posed.balls.skeleton.segment_names)
     by_segment = np.eye(count)[posed.balls.segment]
     shares = posed.shares(vertices, limb) @ by_segment

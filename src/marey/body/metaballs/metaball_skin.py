@@ -1,4 +1,4 @@
-"""The skin of a person of metaballs in any pose: on their surface there, not only blended from that at rest."""
+"""Skin of a person of metaballs in any pose, on their surface in that pose instead of blended from the rest posture."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -7,21 +7,22 @@ import numpy as np
 
 from marey.arrays import Floats, Integers
 from marey.body.articulation.pose import Pose, PosedBody
-from marey.body.articulation.subdivision import finer
+from marey.body.articulation.subdivision import subdivided
 from marey.body.articulation.surface import Body
 from marey.body.metaballs.metaball_person import required_metaballs, vertex_limbs
 from marey.body.metaballs.metaballs import Metaballs, PosedMetaballs
 
 OFF_M = 0.015
-"""Skin that lies farther from the metaballs' surface stays where blending puts it: in a crease [m]."""
+"""Vertices farther from the metaballs' surface stay where blending places them: they lie in a crease [m]. Chosen by
+hand."""
 
 
 @dataclass(frozen=True, eq=False)
 class MetaballSkin:
-    """The metaballs' own surface, by four triangles for each of the body's."""
+    """The metaballs' own surface, with four triangles for each of the body's."""
 
     body: Body
-    """Over metaballs."""
+    """Body over metaballs."""
 
     @property
     def faces(self) -> Integers:
@@ -30,7 +31,7 @@ class MetaballSkin:
 
     @cached_property
     def _fine(self) -> Body:
-        return finer(self.body)
+        return subdivided(self.body)
 
     @cached_property
     def _limb(self) -> Integers:
@@ -41,7 +42,7 @@ class MetaballSkin:
         return required_metaballs(self.body).balls(self.body.numbers)
 
     def vertices(self, pose: Pose) -> Floats:
-        """Give the vertices (V, 3) in a pose [m, world]."""
+        """Return the vertices (V, 3) in a pose [m, world]."""
         blended = PosedBody(self._fine, pose).vertices
         there = PosedMetaballs(self._balls, pose).skin(blended, self._limb)
         near = np.linalg.norm(there - blended, axis=1) < OFF_M

@@ -1,4 +1,4 @@
-"""Metaballs: ellipsoids on the segments whose fields add up to one smooth surface, and its derivatives."""
+"""Metaballs: ellipsoids on the segments whose fields sum to one smooth surface, and its derivatives."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,46 +12,52 @@ from marey.body.articulation.pose import Pose, PosedSegments
 from marey.body.articulation.skeleton import LIMBS, PackedSkeleton, Skeleton
 from marey.body.metaballs import metaball_field
 
-THRESHOLD, FLATTEST = metaball_field.THRESHOLD, metaball_field.FLATTEST
+THRESHOLD, LEAST_SLOPE = metaball_field.THRESHOLD, metaball_field.LEAST_SLOPE
+"""Value of the field on the surface, and least slope of its logarithm [1/m]; see `metaball_field`."""
 ANY_LIMB = -1
-"""Stands for the limb of a point that nobody has assigned to one."""
-_STEPS, _LONGEST, _CLOSE = 12, 0.01, 1e-6
-"""Steps in which a point is brought onto the surface, the longest of them [m], and how near is enough [m]."""
+"""Limb of a point that is not assigned to one."""
+_STEPS = 12
+"""Largest number of steps by which a point is moved onto the surface."""
+_LONGEST = 0.01
+"""Longest of these steps [m]."""
+_CLOSE = 1e-6
+"""Distance from the surface at which they end [m]."""
 
 
 class Linearized(NamedTuple):
-    """A residual of n points, and how it changes with everything that moves the surface of M balls on S segments."""
+    """A residual of n points, with its derivatives by everything that moves the surface of M balls on S segments."""
 
     residual: Floats
     """(n,)."""
     by_point: Floats
-    """(n, 3) the point, in the world."""
+    """(n, 3) by the point, in the world."""
     by_centre: Floats
-    """(n, M, 3) the balls' centres, in their segments."""
+    """(n, M, 3) by the balls' centres, in their segments."""
     by_radii: Floats
-    """(n, M, 3)."""
+    """(n, M, 3) by the balls' radii."""
     by_weight: Floats
-    """(n, M)."""
+    """(n, M) by the balls' weights."""
     by_shift: Floats
-    """(n, S, 3) each segment alone, moved in the world."""
+    """(n, S, 3) by the shift of each segment alone, in the world."""
     by_turn: Floats
-    """(n, S, 3) each segment alone, turned about the world's axes through the point itself."""
+    """(n, S, 3) by the rotation of each segment alone about the world's axes through the point itself."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Metaballs:
-    """Ellipsoidal metaballs, each fastened to a segment ([Plaenkers1999] section 3.4).
+    """Ellipsoidal metaballs, each attached to a segment ([Plaenkers1999] section 3.4).
 
     The field of a ball at a point that lies y from its centre along its axes is w exp(-2 d), d = sum (y_a / l_a)^2
-    ([Plaenkers1999] eq. (6), (7)), and the surface is where the fields add up to 1/2 (eq. (4), (5)). A ball of weight
-    1 alone reaches 0.59 of its radii.
+    ([Plaenkers1999] eq. (6), (7)), and the surface is where the fields sum to 1/2 (eq. (4), (5)). A ball of weight 1
+    alone reaches 0.59 of its radii.
 
-    Unlike the paper, whose points are all assigned to a limb beforehand, a point feels the balls of the trunk and
-    those of one limb only, its own or else the one whose field is greatest there: an arm that touches the thigh, or
-    one leg beside the other, does not melt into it.
+    Unlike the paper, whose points are all assigned to a limb beforehand, the field at a point includes the balls of the
+    trunk and of one limb only, the point's own or else the one whose field is greatest there. An arm that touches the
+    thigh, or one leg beside the other, therefore does not merge with it.
     """
 
     skeleton: Skeleton
+    """The skeleton."""
     joint_centres: Floats
     """(S, 3) at rest [m]."""
     segment: Integers
@@ -63,7 +69,7 @@ class Metaballs:
     radii: Floats
     """(M, 3) along the ball's axes [m]."""
     weight: Floats
-    """(M,) 1 in the paper; a greater one with smaller radii has the same size and a sharper edge."""
+    """(M,) 1 in the paper; a larger one with smaller radii has the same size and a sharper edge."""
 
     def __post_init__(self) -> None:
         freeze_fields(self, "joint_centres", "centre", "rotation", "radii", "weight")
@@ -72,7 +78,7 @@ class Metaballs:
             raise ValueError("radii and weights of metaballs must be positive")
 
     def __len__(self) -> int:
-        """Count the balls."""
+        """Return the number of balls."""
         return len(self.segment)
 
     @cached_property
@@ -82,18 +88,18 @@ class Metaballs:
 
     @property
     def packed(self) -> PackedSkeleton:
-        """The skeleton as arrays."""
+        """The skeleton as plain arrays."""
         return self.skeleton.packed
 
     def at_rest(self) -> "PosedMetaballs":
-        """Give the balls in the rest posture."""
+        """Return the balls in the rest posture."""
         free = len(self.skeleton.coordinates)
         return PosedMetaballs(self, Pose(self.joint_centres[0], np.eye(3), np.zeros(free)))
 
 
 @dataclass(frozen=True, eq=False)
 class PosedMetaballs(PosedSegments):
-    """Metaballs in a pose: the field, how far points lie from the surface, and the derivatives of both."""
+    """Metaballs in a pose: the field, distances from the surface, and the derivatives of both."""
 
     balls: Metaballs
     pose: Pose
@@ -117,7 +123,7 @@ class PosedMetaballs(PosedSegments):
 
     @cached_property
     def axes(self) -> Floats:
-        """(M, 3, 3) the balls' axes in the world, one a row."""
+        """(M, 3, 3) the balls' axes in the world, one per row."""
         turned = self.segment_rotation[self.balls.segment] @ self.balls.rotation
         return np.ascontiguousarray(np.swapaxes(turned, 1, 2))
 
@@ -128,7 +134,7 @@ class PosedMetaballs(PosedSegments):
         return points, limbs, len(LIMBS), balls.limb, self.place, self.axes, balls.radii, balls.weight
 
     def field(self, points: Floats, limb: Integers | int = ANY_LIMB) -> Floats:
-        """Give the field (n,) at points (n, 3) of the world ([Plaenkers1999] eq. (5)), 1/2 on the surface.
+        """Return the field (n,) at points (n, 3) of the world ([Plaenkers1999] eq. (5)), 1/2 on the surface.
 
         Args:
             points: (n, 3) [m].
@@ -138,15 +144,15 @@ class PosedMetaballs(PosedSegments):
         return THRESHOLD * np.exp(metaball_field.levels(*self._field_arguments(points, limb)))
 
     def distance(self, points: Floats, limb: Integers | int = ANY_LIMB) -> Floats:
-        """Give how far points lie outside the surface (n,) [m], see `distances`; limb as in `field`."""
+        """Return the distances of points outside the surface (n,) [m], see `distances`; limb as in `field`."""
         return metaball_field.distances(*self._field_arguments(points, limb))
 
     def shares(self, points: Floats, limb: Integers | int = ANY_LIMB) -> Floats:
-        """Give each ball's share of the field (n, M) at points (n, 3), of sum one; limb as in `field`."""
+        """Return each ball's share of the field (n, M) at points (n, 3), of sum one; limb as in `field`."""
         return metaball_field.shares(*self._field_arguments(points, limb))
 
     def nearest_limbs(self, points: Floats) -> tuple[Integers, Floats]:
-        """Give the limb (n,), an index in `LIMBS`, whose own field is greatest at points (n, 3), and normals outwards.
+        """Return the limb (n,), an index in `LIMBS`, whose own field is greatest at points (n, 3), and outward normals.
 
         Returns:
             (n,), and (n, 3) of length one.
@@ -155,28 +161,28 @@ class PosedMetaballs(PosedSegments):
         return metaball_field.nearest_limbs(arguments[0], *arguments[2:])
 
     def distances(self, points: Floats, limb: Integers | int = ANY_LIMB) -> Linearized:
-        """Give how far points lie outside the surface, to first order [m], and how that changes.
+        """Return the distances of points outside the surface [m], to first order, and their derivatives.
 
         The residual is ln(1/2 / F) / |grad ln F| with the field F. Unlike the paper, whose residual F - 1/2
-        (`potentials`) has no unit and no slope far from the body, it is a distance for which an observation's
-        standard deviation can be given in metres. It is exact to first order near the surface; a point far outside
-        reads about half its distance, and deep inside, where the field is flat, the slope is held up
-        (`metaball_field.CORE`), so that no point reads more than some centimetres.
+        (`potentials`) has no unit and no slope far from the body, it is a distance for which an observation's standard
+        deviation can be given in metres. It is exact to first order near the surface; for a point far outside it is
+        about half the distance. Deep inside, where the field is flat, the slope is bounded from below
+        (`metaball_field.CORE`), so that no residual exceeds a few centimetres.
 
         Args:
             points: (n, 3) in the world [m].
-            limb: see `field`.
+            limb: See `field`.
         """
         return self._linearized(points, limb, as_distance=True)
 
     def potentials(self, points: Floats, limb: Integers | int = ANY_LIMB) -> Linearized:
-        """Give F - 1/2 at points ([Plaenkers1999] eq. (13), without unit), and how it changes; arguments as there."""
+        """Return F - 1/2 ([Plaenkers1999] eq. (13), without unit) and its derivatives; arguments as in `distances`."""
         return self._linearized(points, limb, as_distance=False)
 
     def onto_surface(self, points: Floats, limb: Integers | int = ANY_LIMB) -> Floats:
-        """Bring points (n, 3) near the surface onto it, along its normals; limb as in `field`.
+        """Project points (n, 3) near the surface onto it, along its normals; limb as in `field`.
 
-        A point on a crease between two limbs may stay a millimetre away.
+        A point on a crease between two limbs may remain a millimetre away.
         """
         points = np.array(points, float)
         for _ in range(_STEPS):
@@ -189,7 +195,7 @@ class PosedMetaballs(PosedSegments):
         return points
 
     def skin(self, points: Floats, limb: Integers | int = ANY_LIMB) -> Floats:
-        """Bring points (n, 3) onto the surface as `onto_surface` does, but along the field's own slope, and quickly."""
+        """Project points (n, 3) onto the surface as `onto_surface` does, faster, along the field's own gradient."""
         points = np.array(points, float)
         arguments = self._field_arguments(points, limb)
         metaball_field.bring_onto(points, *arguments[1:], _STEPS, _LONGEST, _CLOSE)
@@ -204,7 +210,7 @@ class PosedMetaballs(PosedSegments):
         return out
 
     def by_pose(self, points: Floats, of: Linearized) -> Floats:
-        """Give how the residual of points fixed in the world changes with the pose: (n, D), as `Pose.step` takes it."""
+        """Return the derivatives (n, D) of the residual of points fixed in the world by the pose, see `Pose.step`."""
         packed = self.balls.packed
         jacobian = np.zeros((len(points), 6 + len(packed.axes)))
         metaball_field.by_pose(
@@ -214,11 +220,11 @@ class PosedMetaballs(PosedSegments):
         return jacobian
 
     def by_joints(self, of: Linearized, joint_modes: Floats) -> Floats:
-        """Give how the residual changes with numbers (N,) that move the joint centres at rest: (n, N).
+        """Return the derivatives (n, N) of the residual by numbers that move the joint centres at rest.
 
         Args:
-            of: the derivatives at the points.
-            joint_modes: (N, S, 3) how each number moves the joint centres [m by unit of the number].
+            of: The derivatives at the points.
+            joint_modes: (N, S, 3) motion of the joint centres per number [m by unit of the number].
         """
         modes = np.ascontiguousarray(joint_modes, float)
         moved, _ = kinematics.origin_modes(self.balls.packed.parents, self.segment_rotation, modes)

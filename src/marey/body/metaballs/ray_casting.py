@@ -1,4 +1,4 @@
-"""Ray casting: where rays from within the body leave the metaballs' surface."""
+"""Ray casting from within the body to the metaballs' surface."""
 
 import numpy as np
 
@@ -8,42 +8,45 @@ from marey.body.metaballs.metaballs import ANY_LIMB, THRESHOLD, PosedMetaballs
 from marey.kernels import kernel
 
 _LIMB_COUNT = len(LIMBS)
-_STEPS, _ROUNDS = 32, 8
-"""Points at which a ray is tried, and how often the interval of its exit is narrowed."""
+"""Number of limbs, as a compile-time constant of the kernels."""
+_STEPS = 32
+"""Number of points at which a ray is tried."""
+_ROUNDS = 8
+"""Largest number of false-position steps that narrow the interval of the exit."""
 _FAR = 50.0
-"""exp() of minus more, beside the threshold, is below the last digit."""
+"""Exponent beyond which a ball's field is negligible beside the threshold: exp(-50) is 2e-22."""
 
 
 def exits(posed: PosedMetaballs, origins: Floats, directions: Floats, limb: int = ANY_LIMB, *, reach: float) -> Floats:
-    """Find where rays first leave the surface ([Plaenkers1999] section 3.1).
+    """Return the points where rays first leave the surface ([Plaenkers1999] section 3.1).
 
     Args:
         posed: The metaballs.
-        origins: (..., 3) [m], inside, or on the way to the inside.
+        origins: (..., 3) [m], inside, or before the interval that is inside.
         directions: (..., 3) of any length.
-        limb: whose field counts beside the trunk's, see `PosedMetaballs.field`.
-        reach: how far along the ray to look [m]. What is thinner than a thirtieth of it may be stepped over.
+        limb: Limb whose field is added to the trunk's, see `PosedMetaballs.field`.
+        reach: Length of the rays [m]. Parts thinner than a thirtieth of it may be missed.
 
     Returns:
-        (..., 3) [m], NaN where a ray is never inside or never leaves within reach.
+        (..., 3) [m], NaN where a ray is never inside or does not leave the body within reach.
     """
     shape = np.broadcast_shapes(np.shape(origins), np.shape(directions))
     start = np.ascontiguousarray(np.broadcast_to(origins, shape).reshape(-1, 3), float)
     along = np.broadcast_to(directions, shape).reshape(-1, 3)
     along = np.ascontiguousarray(along / np.linalg.norm(along, axis=1, keepdims=True))
     balls = posed.balls
-    felt = np.isin(balls.limb, (0, limb)) if limb > 0 else np.ones(len(balls), bool)
+    active = np.isin(balls.limb, (0, limb)) if limb > 0 else np.ones(len(balls), bool)
     # Points in units of the radii along each ball's axes: a sum of its own, for a ray asks for the level alone, and
     # `metaball_field.log_field` takes a sixth longer.
-    inward = np.ascontiguousarray((posed.axes / balls.radii[:, :, None])[felt])
-    place, weight = np.ascontiguousarray(posed.place[felt]), np.ascontiguousarray(balls.weight[felt])
-    found = first_exits(start, along, float(reach), np.ascontiguousarray(balls.limb[felt]), place, inward, weight)
+    inward = np.ascontiguousarray((posed.axes / balls.radii[:, :, None])[active])
+    place, weight = np.ascontiguousarray(posed.place[active]), np.ascontiguousarray(balls.weight[active])
+    found = first_exits(start, along, float(reach), np.ascontiguousarray(balls.limb[active]), place, inward, weight)
     return (start + found[:, None] * along).reshape(shape)
 
 
 @kernel
 def _level(point, ball_limb, place, inward, weight, total):
-    """Give ln(F / T) of the trunk's balls and those of the limb that is felt most; total (L,) is scratch."""
+    """Return ln(F / T) of the trunk's balls and those of the limb with the greatest field; total (L,) is scratch."""
     total[:] = 0.0
     for m in range(weight.shape[0]):
         d = 0.0
@@ -60,10 +63,10 @@ def _level(point, ball_limb, place, inward, weight, total):
 
 @kernel
 def first_exits(origins, ways, reach, ball_limb, place, inward, weight):
-    """Give how far (n,) along rays the level first turns from positive to negative, NaN where it never does.
+    """Return the distances (n,) along rays where the level first changes from positive to negative, NaN for none.
 
-    The rays are stepped through; the interval of the exit is narrowed by false position, in which an end that is kept
-    again counts half (Illinois).
+    Points along the rays are tried in turn; the interval of the exit is narrowed by false position, in which an end
+    that is kept again counts half (Illinois).
     """
     found = np.full(origins.shape[0], np.nan)
     total = np.empty(_LIMB_COUNT)

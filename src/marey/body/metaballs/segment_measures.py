@@ -1,4 +1,4 @@
-"""What a person's segments measure: girths, volume, mass, centre and inertia, from the metaballs, each with its sd."""
+"""Girths, volume, mass, centre and inertia of a person's segments from the metaballs, with their uncertainty."""
 
 from dataclasses import dataclass
 
@@ -16,44 +16,53 @@ DENSITY = {
     "upperarm": 1070.0, "forearm": 1130.0, "hand": 1160.0, "thigh": 1050.0, "shank": 1090.0, "foot": 1100.0,
     "toes": 1100.0,
 }  # fmt: skip
-"""Mass of a segment by its volume [kg/m3] ([Dempster1955], as tabled in [Winter2009] table 4.1); abdomen and
-pelvis share one, and clavicles are no volume of their own."""
+"""Density of a segment [kg/m3] ([Dempster1955], as tabled in [Winter2009] table 4.1); abdomen and pelvis share one,
+and clavicles have no volume of their own."""
 DENSITY_SD = 0.02
-"""Spread of the densities among people, as a share. Ours: the source gives none."""
+"""Standard deviation of the densities among people, as a share. Ours: the source gives none."""
 STATIONS = (0.25, 0.5, 0.75)
-"""Where girths are taken, as shares of the way to the next joint."""
-STEP = 0.015
-"""Of the grid over which volumes are summed [m]."""
-SAMPLES = 32
-"""Bodies drawn from the numbers' covariance; a standard deviation from so many is good to an eighth of itself."""
-_NEAR, _RAYS, _CASTS = 0.03, 36, 25
+"""Positions of the girths, as shares of the distance to the next joint."""
+GRID_STEP = 0.015
+"""Step of the grid over which volumes are summed [m]. Chosen by hand."""
+COVARIANCE_DRAWS = 32
+"""Number of bodies drawn from the numbers' covariance; a standard deviation from 32 draws is accurate to 1/8 of
+itself."""
+_NEAR = 0.03
+"""Margin of the grid around the segments [m]. Chosen by hand."""
+_RAYS = 36
+"""Number of rays around a girth. Chosen by hand."""
+_CASTS = 25
+"""Iterations that move the rays' ends to the surface. Chosen by hand."""
 _ARMS = (LIMBS.index("left_arm"), LIMBS.index("right_arm"))
+"""Indices of the arms in `LIMBS`."""
 _BEYOND = {
     "pelvis": "abdomen", "abdomen": "thorax", "thorax": "neck", "neck": "head", "upperarm": "forearm",
     "forearm": "hand", "thigh": "shank", "shank": "foot", "foot": "toes",
 }  # fmt: skip
+"""The next segment, whose joint is the end of a segment."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SegmentMeasures:
-    """What n segments measure, at rest; every array has its standard deviations beside it, NaN where nobody knows."""
+    """Measurements of n segments at rest; every array has its standard deviations beside it, NaN if unknown."""
 
     names: tuple[str, ...]
+    """(n,) names of the segments."""
     girth: Floats
-    """(n, 3) round the segment at `STATIONS` of its length [m]; NaN at an end of the body."""
+    """(n, 3) girths at `STATIONS` of the segment's length [m]; NaN at an end of the body."""
     girth_sd: Floats
     volume: Floats
-    """(n,) [m3]; a limb ends where its part of the field does, an arm at the shoulder's plane besides, its segments at
-    planes through the joints. NaN for clavicles: what lies about them belongs to the thorax, as in [deLeva1996]."""
+    """(n,) [m3]; a limb ends where its part of the field does, an arm also at the shoulder's plane, its segments at
+    planes through the joints. NaN for clavicles, whose surroundings belong to the thorax, as in [deLeva1996]."""
     volume_sd: Floats
     mass: Floats
     """(n,) [kg]."""
     mass_sd: Floats
     centre: Floats
-    """(n, 3) of mass, from the joint about which the segment turns, along the axes of the rest posture [m]."""
+    """(n, 3) centre of mass from the joint about which the segment rotates, along the axes of the rest posture [m]."""
     centre_sd: Floats
     inertia: Floats
-    """(n, 6) about that centre: xx, yy, zz, xy, xz, yz [kg m2]."""
+    """(n, 6) inertia about that centre: xx, yy, zz, xy, xz, yz [kg m2]."""
     inertia_sd: Floats
 
 
@@ -63,11 +72,11 @@ def segment_measures(
     """Measure a person's segments.
 
     Args:
-        space: of the metaballs.
-        numbers: (N,) the person's.
-        covariance: (N, N) of the numbers; None where it is not known.
-        segments: (S,) which are wanted.
-        seed: of the draws.
+        space: Metaballs.
+        numbers: (N,) the person's shape numbers.
+        covariance: (N, N) of the numbers; None if unknown.
+        segments: (S,) true for segments that are measured.
+        seed: Seed of the draws.
     """
     names = space.mean.skeleton.segment_names
     wanted = np.flatnonzero(segments)
@@ -78,8 +87,10 @@ def segment_measures(
     if covariance is not None:
         rng = np.random.default_rng(seed)
         root = _root(covariance)
-        draws = rng.normal(size=(SAMPLES // 2, root.shape[1])) @ root.T
-        changed = [_measured(_possible(space, numbers, s * d), wanted, density, grid) for d in draws for s in (1, -1)]
+        draws = rng.normal(size=(COVARIANCE_DRAWS // 2, root.shape[1])) @ root.T
+        changed = [
+            _measured(_balls_of_change(space, numbers, s * d), wanted, density, grid) for d in draws for s in (1, -1)
+        ]
         spread = np.sqrt(np.mean((np.array(changed) - found) ** 2, axis=0))
     spread[:, 4] = np.hypot(spread[:, 4], DENSITY_SD * found[:, 4])
     spread[:, 8:] = np.hypot(spread[:, 8:], DENSITY_SD * found[:, 8:])
@@ -92,12 +103,13 @@ def segment_measures(
 
 
 def _root(covariance: Floats) -> Floats:
+    """Return a square root (N, N) of a covariance."""
     values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
     return vectors * np.sqrt(np.maximum(values, 0.0))
 
 
-def _possible(space: MetaballSpace, numbers: Floats, change: Floats) -> Metaballs:
-    """Give the balls for changed numbers; a change that leaves a ball no size is made smaller."""
+def _balls_of_change(space: MetaballSpace, numbers: Floats, change: Floats) -> Metaballs:
+    """Return the balls for changed numbers; a change that would make a ball vanish is reduced."""
     for _ in range(8):
         radii = space.mean.radii + np.tensordot(numbers + change, space.radii_modes, 1)
         if np.all(radii > 0.1 * space.mean.radii):
@@ -109,18 +121,19 @@ def _possible(space: MetaballSpace, numbers: Floats, change: Floats) -> Metaball
 
 
 def _grid(balls: Metaballs, wanted: Integers) -> Floats:
-    """Give the points (n, 3) of a grid in the wanted segments and some centimetres about them, at rest."""
+    """Return the points (n, 3) of a grid in the wanted segments and a few centimetres around them, at rest."""
     posed, own = balls.at_rest(), np.isin(balls.segment, wanted)
     reach = posed.place[own]
     widest = balls.radii[own].max(1)[:, None] + _NEAR
     low, high = (reach - widest).min(0), (reach + widest).max(0)
-    rough = _lattice(low, high, 4 * STEP)
-    near = rough[posed.distance(rough) < _NEAR + 2 * STEP]
-    offsets = (np.stack(np.meshgrid(*[np.arange(4)] * 3, indexing="ij"), -1).reshape(-1, 3) - 1.5) * STEP
+    rough = _lattice(low, high, 4 * GRID_STEP)
+    near = rough[posed.distance(rough) < _NEAR + 2 * GRID_STEP]
+    offsets = (np.stack(np.meshgrid(*[np.arange(4)] * 3, indexing="ij"), -1).reshape(-1, 3) - 1.5) * GRID_STEP
     return (near[:, None] + offsets).reshape(-1, 3)
 
 
 def _lattice(low: Floats, high: Floats, step: float) -> Floats:
+    """Return the points (n, 3) of a regular grid between two corners."""
     axes = [np.arange(a, b + step, step) for a, b in zip(low, high, strict=True)]
     return np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
 
@@ -132,7 +145,7 @@ def _measured(balls: Metaballs, wanted: Integers, density: Floats, grid: Floats)
     group, normal = _cuts(balls)
     ball_group = np.maximum(group[balls.segment], 0)
     add_volume(
-        grid, STEP, len(LIMBS), balls.limb, posed.place, posed.axes, balls.radii, balls.weight, ball_group, group,
+        grid, GRID_STEP, len(LIMBS), balls.limb, posed.place, posed.axes, balls.radii, balls.weight, ball_group, group,
         balls.joint_centres, normal, sums,
     )  # fmt: skip
     of = sums[wanted]
@@ -142,7 +155,7 @@ def _measured(balls: Metaballs, wanted: Integers, density: Floats, grid: Floats)
     for i, (a, b) in enumerate(((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))):
         second[:, a, b] = second[:, b, a] = of[:, 4 + i] - volume * middle[:, a] * middle[:, b]
     # A cell of the grid is no point: it has its own extent.
-    second += (volume * STEP**2 / 12.0)[:, None, None] * np.eye(3)
+    second += (volume * GRID_STEP**2 / 12.0)[:, None, None] * np.eye(3)
     inertia = np.trace(second, axis1=1, axis2=2)[:, None, None] * np.eye(3) - second
     inertia *= density[:, None, None]
     rows = inertia[:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
@@ -151,7 +164,7 @@ def _measured(balls: Metaballs, wanted: Integers, density: Floats, grid: Floats)
 
 
 def _cuts(balls: Metaballs) -> tuple[Integers, Floats]:
-    """Say how a body is cut into segments.
+    """Return the planes at which a body is cut into segments.
 
     Returns:
         (S,) the group of segments, a chain: the trunk, and each limb; -1 for clavicles, which belong to the thorax; and
@@ -171,7 +184,7 @@ def _cuts(balls: Metaballs) -> tuple[Integers, Floats]:
 
 
 def _girths(posed: PosedMetaballs, segment: int) -> Floats:
-    """Give the lengths (3,) of the surface's sections across a segment; the trunk's are without limbs."""
+    """Return the lengths (3,) of the surface's sections across a segment; the trunk's exclude the limbs."""
     skeleton = posed.balls.skeleton
     name = skeleton.segment_names[segment]
     side, _, plain = name.rpartition("_")
@@ -198,7 +211,7 @@ def _girths(posed: PosedMetaballs, segment: int) -> Floats:
 
 @kernel
 def _last_beyond(x, y, z, own, group, joints, normal):
-    """Find the last segment of a group beyond whose plane a point lies; none (-1) where there is none."""
+    """Return the last segment of a group whose plane a point lies beyond, or -1."""
     found = -1
     for j in range(group.shape[0]):
         if group[j] == own:
@@ -210,6 +223,7 @@ def _last_beyond(x, y, z, own, group, joints, normal):
 
 @kernel
 def _first_of(own, group):
+    """Return the first segment of a group, or -1."""
     for j in range(group.shape[0]):
         if group[j] == own:
             return j
@@ -220,11 +234,11 @@ def _first_of(own, group):
 def add_volume(
     points, step, limb_count, ball_limb, place, axes, radii, weight, ball_group, group, joints, normal, sums
 ):  # fmt: skip
-    """Add up what cells about points (n, 3) hold of each segment (S, 10): volume, its first and its second moments.
+    """Add the contents of cells about points (n, 3) to each segment (S, 10): volume, first and second moments.
 
-    A cell counts by how far the surface cuts it. It belongs to the group of segments with most of its field, and there
-    to the last one whose plane it lies beyond. What an arm's field holds on this side of the shoulder belongs to the
-    trunk.
+    A cell counts by the share inside the surface. It belongs to the group of segments with most of its field, and there
+    to the last one whose plane it lies beyond. The part of an arm's field on the trunk's side of the shoulder belongs
+    to the trunk.
     """
     local, share = np.empty((radii.shape[0], 3)), np.empty(radii.shape[0])
     top, total, slope = np.empty(limb_count), np.empty(limb_count), np.empty(3)

@@ -1,4 +1,4 @@
-"""The skin over metaballs as B-spline patches, one a part of the body, tessellated and joined without seams."""
+"""Skin over metaballs as B-spline patches, one per part of the body, tessellated and joined without seams."""
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -14,12 +14,16 @@ from marey.body.metaballs.metaballs import Metaballs, PosedMetaballs
 from marey.body.metaballs.spline_patch import SplinePatch, chord_lengths, curve_at
 from marey.body.metaballs.trunk_sections import TrunkSections, sample_head, sample_trunk
 
-BELOW_OPENING, ABOVE_OPENING = 5, 1
-"""Rows [units] of the trunk below and above the openings for the arms."""
+BELOW_OPENING = 5
+"""Rows of the trunk below the openings for the arms [units]."""
+ABOVE_OPENING = 1
+"""Rows of the trunk above the openings for the arms [units]."""
 HEAD_ROWS = 4
+"""Rows of the head [units]."""
 LIMB_ROWS = {"arm": 12, "leg": 16}
+"""Rows of a limb [units]."""
 FINENESS = 3
-"""Columns and rows of the tessellation a unit."""
+"""Columns and rows of the tessellation per unit."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -27,7 +31,7 @@ class SkinSamples:
     """Points on the metaballs' surface, in rows around each part of the body; each part begins where another ends."""
 
     trunk: Floats
-    """(B, 12 s, 3) from the hips up to the neck, with s samples a unit; what lies in the openings is no skin."""
+    """(B, 12 s, 3) from the hips up to the neck, with s samples per unit; samples in the openings are not skin."""
     opening: tuple[int, int]
     """The first and last row of the openings."""
     head: Floats
@@ -41,12 +45,12 @@ class SkinSamples:
 def sample_skin(posed: PosedMetaballs, samples: int = 4) -> SkinSamples:
     """Sample the implicit surface along cross-sections by ray casting ([Plaenkers1999] section 3.1).
 
-    Rays leave a centre line in each part and end where they first leave the field of the trunk and their own
-    limb. A hand is a mitten (`_hand`).
+    Rays start at a centre line in each part and end where they first leave the field of the trunk and their own limb. A
+    hand is a mitten (`limb_sections._hand`).
 
     Args:
         posed: The metaballs at rest.
-        samples: by unit; there are 12 units around trunk and head, and 8 around a limb.
+        samples: Samples per unit; there are 12 units around trunk and head, and 8 around a limb.
 
     Raises:
         MareyError: A part has a gap.
@@ -61,7 +65,7 @@ def sample_skin(posed: PosedMetaballs, samples: int = 4) -> SkinSamples:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Skin:
-    """A closed triangle mesh, and which limb each vertex belongs to."""
+    """A closed triangle mesh, with the limb of each vertex."""
 
     vertices: Floats
     """(V, 3) [m]."""
@@ -72,7 +76,7 @@ class Skin:
 
 
 class _Mesh:
-    """Vertices and faces as they are gathered."""
+    """A mesh under construction."""
 
     def __init__(self) -> None:
         self.vertices: list[Floats] = []
@@ -81,7 +85,7 @@ class _Mesh:
         self.part: list[str] = []
 
     def add(self, points: Floats, part: str) -> Integers:
-        """Append points (..., 3) and give their numbers (...)."""
+        """Append points (..., 3), and return their indices (...)."""
         flat = np.asarray(points).reshape(-1, 3)
         first = len(self.part)
         self.vertices.append(flat)
@@ -89,7 +93,7 @@ class _Mesh:
         return np.arange(first, first + len(flat)).reshape(np.shape(points)[:-1])
 
     def join(self, lower: Integers, upper: Integers, kept: Mask | None = None) -> None:
-        """Put a quadrangle between each pair of columns (a,) of two closed rows; only where kept (a,), if given."""
+        """Add a quadrangle between each pair of columns (a,) of two closed rows; only where kept (a,), if given."""
         corners = np.stack([lower, np.roll(lower, -1), np.roll(upper, -1), upper], -1)
         self.quadrangles.append(corners if kept is None else corners[kept])
 
@@ -100,7 +104,7 @@ class _Mesh:
         self.tips.append(np.stack([rows[-1], np.roll(rows[-1], -1), np.full(rows.shape[1], tip)], -1))
 
     def skin(self) -> Skin:
-        """Part the quadrangles along their shorter diagonals, and leave out the vertices that no face has."""
+        """Split the quadrangles along their shorter diagonals, and remove unused vertices."""
         points, corners = np.concatenate(self.vertices), np.concatenate(self.quadrangles)
         first, second = (np.linalg.norm(points[corners[:, k]] - points[corners[:, k + 2]], axis=1) for k in (0, 1))
         turned = np.where((second < first)[:, None], np.roll(corners, -1, axis=1), corners)
@@ -112,15 +116,15 @@ class _Mesh:
 
 
 def tessellate(samples: SkinSamples, fineness: int = FINENESS) -> Skin:
-    """Lay B-spline patches through samples, and join their tessellations to one closed mesh.
+    """Fit B-spline patches to samples, and join their tessellations to one closed mesh.
 
     Each patch is closed around the part and open along it; its first row consists of the vertices of the part from
-    which it comes, so that there is no seam ([Plaenkers1999] section 3.1). The same fineness gives the same vertices
-    for everybody, each in the same place; quadrangles are parted along the shorter diagonal.
+    which it comes, so that there is no seam ([Plaenkers1999] section 3.1). For the same fineness, vertices correspond
+    between people; quadrangles are split along the shorter diagonal.
 
     Args:
-        samples: from `sample_skin`.
-        fineness: columns and rows a unit; a body has about 600 vertices times its square.
+        samples: From `sample_skin`.
+        fineness: Columns and rows per unit; a body has about 600 vertices times its square.
     """
     mesh = _Mesh()
     trunk = _trunk(mesh, samples, fineness)
@@ -150,7 +154,7 @@ def _patch(points: Floats, units: int) -> SplinePatch:
 
 
 def _trunk(mesh: _Mesh, samples: SkinSamples, fineness: int) -> Integers:
-    """Add the trunk, and give the numbers of its vertices (b, a); those inside the openings carry no face."""
+    """Add the trunk, and return the indices of its vertices (b, a); those inside the openings have no face."""
     patch = _patch(samples.trunk, AROUND_TRUNK)
     ends = patch.along[[0, samples.opening[0], samples.opening[1], -1]]
     counts = np.array([BELOW_OPENING, OPENING_ROWS, ABOVE_OPENING]) * fineness
@@ -166,7 +170,7 @@ def _trunk(mesh: _Mesh, samples: SkinSamples, fineness: int) -> Integers:
 
 
 def _rim(trunk: Integers, arm: str, fineness: int) -> Integers:
-    """Give the vertices round an opening of the trunk, in the order in which an arm's rows go."""
+    """Return the vertices round an opening of the trunk, in the order of an arm's rows."""
     first, last = (column * fineness for column in OPENINGS[arm])
     low, high = BELOW_OPENING * fineness, (BELOW_OPENING + OPENING_ROWS) * fineness
     down, up = trunk[high:low:-1, first], trunk[low:high, last]
@@ -174,7 +178,7 @@ def _rim(trunk: Integers, arm: str, fineness: int) -> Integers:
 
 
 def _part(mesh: _Mesh, name: str, points: Floats, units: int, rim: Integers, rows: int) -> None:
-    """Add head or limb, from the vertices in which it begins to its tip."""
+    """Add head or limb, from its first vertices to its tip."""
     patch = _patch(points, units)
     around = np.arange(len(rim)) / (len(rim) // units)
     along = np.linspace(0.0, patch.along[-1], rows + 1)[1:]
@@ -193,14 +197,14 @@ def spline_skin(balls: Metaballs, fineness: int = FINENESS) -> Skin:
 
 
 def spline_body(body: Body, fineness: int = FINENESS) -> Body:
-    """Give a body over metaballs the skin that is sampled from their cross-sections, closed and without seams.
+    """Return a body over metaballs with the skin sampled from their cross-sections, closed and without seams.
 
-    What the body knows of its person, and what it follows, stays. The skin moves with pose and numbers as that of
-    `metaball_body` does. A segment that has no skin has none afterwards.
+    The body's uncertainty and the segments that it follows are kept. The skin moves with pose and numbers as that of
+    `metaball_body` does. A segment without skin has none afterwards.
 
     Args:
-        body: over metaballs.
-        fineness: see `tessellate`.
+        body: Body over metaballs.
+        fineness: See `tessellate`.
 
     Raises:
         ValueError: The body has no metaballs.
@@ -221,11 +225,11 @@ def spline_body(body: Body, fineness: int = FINENESS) -> Body:
         made, joint_sd=body.joint_sd, joint_offset_sd=body.joint_offset_sd,
         numbers_covariance=body.numbers_covariance,
     )  # fmt: skip
-    return _with_the_parts_of(made, body)
+    return _with_parts_of(made, body)
 
 
 def _fixed(vertices: Floats, body: Body) -> ShapeSpace:
-    """Give the space of one shape."""
+    """Return a space of a single shape."""
     none = np.zeros((0, 0))
     return ShapeSpace(
         names=(), vertex_mean=vertices, vertex_modes=np.zeros((0, *vertices.shape)), joint_mean=body.joint_centres,
@@ -233,9 +237,9 @@ def _fixed(vertices: Floats, body: Body) -> ShapeSpace:
     )  # fmt: skip
 
 
-def _with_the_parts_of(made: Body, body: Body) -> Body:
-    """Leave of a body those segments that another one has; outlines count where they do there, and nowhere at a cut."""
+def _with_parts_of(made: Body, body: Body) -> Body:
+    """Keep the segments of a body that another one has, with its outlines, except at cuts."""
     there = np.isin(made.face_segment, np.unique(body.face_segment))
-    believed = np.isin(made.face_segment, np.unique(body.face_segment[body.outline_counts]))
+    counted = np.isin(made.face_segment, np.unique(body.face_segment[body.outline_counts]))
     cut = np.isin(made.faces, np.unique(made.faces[~there])).any(1)
-    return replace(made, faces=made.faces[there], outlined=(believed & ~cut)[there])
+    return replace(made, faces=made.faces[there], outlined=(counted & ~cut)[there])

@@ -1,4 +1,4 @@
-"""Cross-sections of trunk and head: level ones up to the armpits, and where arms and neck begin."""
+"""Cross-sections of trunk and head: horizontal ones up to the armpits, and the transitions to arms and neck."""
 
 import numpy as np
 
@@ -21,11 +21,15 @@ from marey.body.metaballs.cross_sections import (
 from marey.body.metaballs.ray_casting import exits
 
 _DEEP = 0.12
-"""How far before or behind the spine the middle of the trunk may lie [m]."""
+"""Largest distance of the trunk's middle before or behind the spine [m]. Chosen by hand."""
 
 
 class TrunkSections:
-    """The trunk's centre line, its level sections, and where the arms open it."""
+    """The trunk's centre line, its horizontal sections, and the openings of the arms.
+
+    Args:
+        caster: Rays on the metaballs.
+    """
 
     def __init__(self, caster: Caster):
         self.caster = caster
@@ -40,7 +44,7 @@ class TrunkSections:
         self.rims = {arm: self._rim(arm) for arm in OPENINGS}
 
     def centre(self, height: Floats) -> Floats:
-        """Give the middle (n, 3) between front and back of the trunk at heights (n,)."""
+        """Return the middle (n, 3) between front and back of the trunk at heights (n,) [m]."""
         spine = self.spine[np.argsort(self.spine[:, 2])]
         x, y = (np.interp(height, spine[:, 2], spine[:, a]) for a in (0, 1))
         tried = y[:, None] + np.linspace(-_DEEP, _DEEP, 33) * self.caster.size
@@ -52,12 +56,12 @@ class TrunkSections:
         return np.stack([x, 0.5 * (faces[0][:, 1] + faces[1][:, 1]), height], -1)
 
     def at(self, angles: Floats, heights: Floats) -> Floats:
-        """Give points (n, 3) of the trunk at angles (n,) about its centre line, 0 on the left, and heights (n,)."""
+        """Return points (n, 3) of the trunk at angles (n,) about its centre line, 0 on the left, and heights (n,)."""
         way = np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], -1)
         return self.caster.cast("trunk", self.centre(heights), way, reach=0.45)
 
     def level(self, height: float) -> Floats:
-        """Give a level section (12 s, 3), from the front by the left side, halved at front and back."""
+        """Return a horizontal section (12 s, 3), from the front by the left side, halved at front and back."""
         half = AROUND_TRUNK // 2 * self.caster.samples
         origin = self.centre(np.array([height]))
 
@@ -69,10 +73,10 @@ class TrunkSections:
         return np.concatenate([left[:-1], right[:-1]])
 
     def shoulder(self, arm: str) -> tuple[Floats, Floats, Floats]:
-        """Give where the section between trunk and arm lies: centre, normal out along the arm, direction of the armpit.
+        """Return the section between trunk and arm: centre, normal out along the arm, direction of the armpit.
 
-        The section stands across the frontal plane and goes through the shoulder and the armpit: where the way out
-        between trunk and arm is shortest.
+        The section is perpendicular to the frontal plane and contains the shoulder and the armpit, where the distance
+        to the surface between trunk and arm is smallest.
         """
         side = arm.partition("_")[0]
         joints, outward = self.caster.joints, np.array([SIDES[side], 0.0, 0.0])
@@ -88,7 +92,7 @@ class TrunkSections:
         return centre, unit(np.cross(armpit, BACK) * SIDES[side]), armpit
 
     def _rim(self, arm: str) -> Floats:
-        """Give the section between trunk and arm (8 s, 3), in the order in which an arm's rows go."""
+        """Return the section between trunk and arm (8 s, 3), in the order of an arm's rows."""
         centre, normal, armpit = self.shoulder(arm)
         across = np.cross(normal, armpit)
 
@@ -100,9 +104,9 @@ class TrunkSections:
         return np.roll(even_arc(ring, 0.0, 2 * np.pi, count)[:-1], 3 * self.caster.samples, axis=0)
 
     def opening_row(self, row: int) -> Floats:
-        """Give the trunk's samples (12 s, 3) beside the openings, with the rims in the first and the last row.
+        """Return the trunk's samples (12 s, 3) beside the openings, with the rims in the first and the last row.
 
-        Rows between them have no skin inside the openings: there the rims are spanned.
+        Rows between them have no skin inside the openings: there the rims are interpolated.
         """
         s = self.caster.samples
         points = np.full((AROUND_TRUNK * s, 3), np.nan)
@@ -114,7 +118,7 @@ class TrunkSections:
         return points
 
     def _across(self, first: Floats, last: Floats, count: int) -> Floats:
-        """Give the points (count - 1, 3) between two points of the trunk, round its front or back."""
+        """Return the points (count - 1, 3) between two points of the trunk, round its front or back."""
         middle = self.centre(np.array([first[2], last[2]]))
         turn = [np.arctan2(*(p - c)[[1, 0]]) for p, c in zip((first, last), middle, strict=True)]
         turn[1] += 2 * np.pi if turn[1] < turn[0] else 0.0
@@ -127,7 +131,7 @@ class TrunkSections:
 
 
 def _spanned(rim: Floats, s: int) -> Floats:
-    """Span a rim (8 s, 3) by rows (2 s + 1, 2 s + 1, 3) from the armpit up, columns in the trunk's order."""
+    """Interpolate a rim (8 s, 3) by rows (2 s + 1, 2 s + 1, 3) from the armpit up, columns in the trunk's order."""
     n = OPENING_ROWS * s
     first, bottom, second, top = (rim[np.arange(k * n, (k + 1) * n + 1) % len(rim)] for k in range(4))
     first, top = first[::-1], top[::-1]
@@ -161,7 +165,7 @@ def sample_trunk(sections: TrunkSections) -> tuple[Floats, tuple[int, int]]:
 
 
 def _planar(caster: Caster, part: str, centre: Floats, normal: Floats) -> Floats:
-    """Give the section (12 s, 3) of neck or head across a direction, from the front by the left side."""
+    """Return the planar section (12 s, 3) of neck or head across a direction, from the front by the left side."""
     back = unit(BACK - (BACK @ normal) * normal)
     left = np.cross(back, normal)
 
@@ -175,7 +179,7 @@ def _planar(caster: Caster, part: str, centre: Floats, normal: Floats) -> Floats
 
 
 def neck_section(caster: Caster, share: float = 0.3) -> tuple[Floats, Floats, Floats]:
-    """Give a section of the neck, a share of the way up to the head: centre, normal and points (12 s, 3)."""
+    """Return a section of the neck at a share of the distance to the head: centre, normal and points (12 s, 3)."""
     neck, head = caster.joints["neck"], caster.joints["head"]
     centre, normal = neck + share * (head - neck), unit(head - neck)
     return centre, normal, _planar(caster, "neck", centre, normal)

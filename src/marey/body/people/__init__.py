@@ -1,1 +1,1 @@
-"""How people differ: the statistical family of bodies, measurements, and one person's body."""
+"""Variation among people: the statistical family of bodies, measurements, and one person's body."""

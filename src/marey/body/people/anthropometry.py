@@ -1,4 +1,4 @@
-"""Sizes of a body by name: stature, lengths, girths; bodies of known sizes; and what is published about them."""
+"""Named sizes of a body (stature, lengths, girths), bodies of given sizes, and published sizes."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -15,33 +15,34 @@ LENGTHS = {
     "thigh_length": ("thigh", "shank"), "shank_length": ("shank", "foot"), "clavicle_length": ("clavicle", "upperarm"),
     "neck_length": ("neck", "head"), "thorax_length": ("thorax", "neck"), "abdomen_length": ("abdomen", "thorax"),
 }  # fmt: skip
-"""Between the joint centres of two segments."""
+"""Lengths between the joint centres of two segments."""
 WIDTHS = {"hip_width": "thigh", "shoulder_width": "upperarm"}
-"""Between the joint centres of both sides."""
+"""Widths between the joint centres of both sides."""
 HEIGHTS = {"shoulder_height": "upperarm", "hip_height": "thigh", "knee_height": "shank", "ankle_height": "foot"}
-"""Of a joint centre above the sole, upright."""
+"""Heights of a joint centre above the sole, upright."""
 GIRTHS = {
     "head_girth": ("head", 0.65), "neck_girth": ("neck", 0.5), "chest_girth": ("abdomen", 0.85),
     "waist_girth": ("abdomen", 0.3), "hip_girth": ("pelvis", -0.6), "upperarm_girth": ("upperarm", 0.55),
     "forearm_girth": ("forearm", 0.2), "wrist_girth": ("forearm", 0.97), "thigh_girth": ("thigh", 0.3),
     "knee_girth": ("shank", 0.0), "calf_girth": ("shank", 0.3), "ankle_girth": ("shank", 0.9),
 }  # fmt: skip
-"""A tape around a segment, at this share of the way from its joint centre to its distal end."""
-ROUNDS = 8
+"""Girths around a segment, at this share of the way from its joint centre to its distal end."""
+KALMAN_ITERATIONS = 8
+"""Iterations of the extended Kalman update in `condition`. Chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Measure:
-    """One size: the summed length of straight pieces between points, over the number of sides measured.
+    """One size: the summed length of straight pieces between points, divided by the number of sides measured.
 
-    Points are numbered through the skin's vertices and, after them, the joint centres; each lies at a share of the
-    way from its first to its second.
+    Points are indexed through the skin's vertices and, after them, the joint centres; each lies at a share of the way
+    from its first to its second.
 
     Attributes:
-        first, second: (n,) numbers of vertices or joint centres.
-        share: (n,).
+        first, second: (n,) indices of vertices or joint centres.
+        share: (n,) share of the way.
         pieces: (m, 2) the points that each piece joins.
-        sides: How many sides the pieces belong to; the size is their mean.
+        sides: Number of sides to which the pieces belong; the size is their mean.
         upright: Whether only the height between the points counts.
     """
 
@@ -53,17 +54,17 @@ class Measure:
     upright: bool = False
 
     def points(self, everything: Floats) -> Floats:
-        """The points (..., n, 3) among vertices and joint centres (..., V + S, 3), or among their modes."""
+        """Return the points (..., n, 3) from vertices and joint centres (..., V + S, 3), or from their modes."""
         start, end = everything[..., self.first, :], everything[..., self.second, :]
         return start + self.share[:, None] * (end - start)
 
     def value(self, everything: Floats) -> float:
-        """The size in metres."""
+        """Return the size [m]."""
         along = np.diff(self.points(everything)[self.pieces], axis=1)[:, 0]
         return float(np.sum(np.abs(along[:, 2]) if self.upright else np.linalg.norm(along, axis=1)) / self.sides)
 
     def derivative(self, everything: Floats, modes: Floats) -> Floats:
-        """How the size changes with each number (M,), for modes (M, V + S, 3)."""
+        """Return the derivatives (M,) of the size by the numbers, for modes (M, V + S, 3)."""
         along = np.diff(self.points(everything)[self.pieces], axis=1)[:, 0]
         unit = np.sign(along) * [0, 0, 1] if self.upright else along / np.linalg.norm(along, axis=1, keepdims=True)
         change = np.diff(self.points(modes)[:, self.pieces], axis=2)[:, :, 0]
@@ -71,13 +72,13 @@ class Measure:
 
 
 def sides(family: BodyFamily, plain: str) -> list[int]:
-    """Indices of the segments with a plain name: one of the trunk, left and right of a limb."""
+    """Return the indices of the segments with a plain name: one of the trunk, left and right of a limb."""
     names = [plain] if plain in family.segment_names else [f"left_{plain}", f"right_{plain}"]
     return [family.segment(name) for name in names]
 
 
 def measures(family: BodyFamily) -> dict[str, Measure]:
-    """Every size that a body of the family has, by name: stature, lengths, widths, heights, girths."""
+    """Return every size of a body of the family, by name: stature, lengths, widths, heights, girths."""
     joint = len(family.vertices_mean)
     highest, lowest = int(family.vertices_mean[:, 2].argmax()), int(family.vertices_mean[:, 2].argmin())
     known = {"stature": _between([(highest, lowest)], 1, upright=True)}
@@ -95,7 +96,7 @@ def measures(family: BodyFamily) -> dict[str, Measure]:
 
 
 def _between(pairs: list[tuple[int, int]], side_count: int, upright: bool = False) -> Measure:
-    """A size made of straight pieces between vertices or joint centres."""
+    """Return a size of straight pieces between vertices or joint centres."""
     points = np.array(pairs).ravel()
     pieces = np.arange(len(points)).reshape(-1, 2)
     return Measure(
@@ -104,7 +105,7 @@ def _between(pairs: list[tuple[int, int]], side_count: int, upright: bool = Fals
 
 
 def _tape(family: BodyFamily, segments: list[int], share: float) -> Measure:
-    """A tape around one or two segments at a share of their length; it follows the skin's points when these move."""
+    """Return the girth of one or two segments at a share of their length; it moves with the skin's points."""
     ends = distal_ends(family)
     edges: list[Integers] = []
     shares: list[Floats] = []
@@ -128,7 +129,7 @@ def _tape(family: BodyFamily, segments: list[int], share: float) -> Measure:
 
 
 def _ring(family: BodyFamily, point: Floats, normal: Floats) -> tuple[Integers, Floats]:
-    """Where a plane cuts the edges of the mean skin nearest to a point: the corners that a taut tape touches, in order.
+    """Intersect the mean skin with a plane, and return the convex corners of the loop nearest to a point, in order.
 
     Returns:
         edges (n, 2) of vertices and the share (n,) of the way along each.
@@ -152,7 +153,7 @@ def _ring(family: BodyFamily, point: Floats, normal: Floats) -> tuple[Integers, 
 
 
 def _loops(faces: Integers, above: np.ndarray) -> list[Integers]:
-    """Closed loops of cut edges (n, 2), each edge from below to above."""
+    """Return closed loops of cut edges (n, 2), each edge from below to above."""
     follows: dict[tuple[int, int], list[tuple[int, int]]] = {}
     for face in faces[above[faces].any(1) & ~above[faces].all(1)]:
         cut = [tuple(sorted((int(a), int(b)), key=lambda v: bool(above[v])))
@@ -169,7 +170,7 @@ def _loops(faces: Integers, above: np.ndarray) -> list[Integers]:
 
 
 def _hull(points: Floats) -> Integers:
-    """Indices of the convex hull's corners of points (n, 2) in the plane, in order around it."""
+    """Return the indices of the convex hull's corners of points (n, 2) in the plane, in order around it."""
     order = np.lexsort(points.T)
     chains = []
     for walk in (order, order[::-1]):
@@ -183,12 +184,12 @@ def _hull(points: Floats) -> Integers:
 
 
 def _turns_right(a: Floats, b: Floats, c: Floats) -> bool:
-    """Whether the way from a over b to c turns right, or not at all."""
+    """Return whether the path from a over b to c turns right, or not at all."""
     return bool((b[0] - a[0]) * (c[1] - b[1]) - (b[1] - a[1]) * (c[0] - b[0]) <= 0)
 
 
 def sizes(known: Mapping[str, Measure], vertices: Floats, joints: Floats) -> dict[str, float]:
-    """All sizes [m] of a body at rest.
+    """Return all sizes of a body at rest by name [m].
 
     Args:
         known: From `measures`, of the same level.
@@ -200,18 +201,18 @@ def sizes(known: Mapping[str, Measure], vertices: Floats, joints: Floats) -> dic
 
 
 def condition(space: ShapeSpace, known: Mapping[str, Measure], given: Mapping[str, tuple[float, float]]) -> ShapeSpace:
-    """The shapes that remain probable when some sizes are known.
+    """Condition the prior of a shape space on known sizes.
 
-    The numbers' prior is conditioned on the sizes by the iterated extended Kalman update; for sizes linear in the
-    numbers, such as the stature, that is exact.
+    The numbers' prior is conditioned by the iterated extended Kalman update; for sizes linear in the numbers, such as
+    the stature, that is exact.
 
     Args:
-        space: With the prior of whom nothing is known.
+        space: Space with the prior of an unknown person.
         known: From `measures`.
         given: Size and its standard deviation [m] by name.
 
     Raises:
-        SettingProblem: A size has an unknown name, or a value or deviation that no size can have.
+        SettingProblem: A size has an unknown name, or a value or deviation that is not positive.
     """
     for name, (value, sd) in given.items():
         if name not in known:
@@ -225,7 +226,7 @@ def condition(space: ShapeSpace, known: Mapping[str, Measure], given: Mapping[st
     noise = np.diag([sd**2 for _, sd in given.values()])
     mean, covariance = space.prior_mean, space.prior_covariance
     numbers = np.array(mean)
-    for _ in range(ROUNDS):
+    for _ in range(KALMAN_ITERATIONS):
         everything = np.concatenate([space.vertices(numbers), space.joints(numbers)])
         now = np.array([known[name].value(everything) for name in given])
         slope = np.stack([known[name].derivative(everything, modes) for name in given])
@@ -237,12 +238,12 @@ def condition(space: ShapeSpace, known: Mapping[str, Measure], given: Mapping[st
 
 @dataclass(frozen=True, kw_only=True)
 class Published:
-    """What the literature says about one size of an adult.
+    """A published size of adults.
 
     Attributes:
-        share: Of the stature.
-        error: Of that share: what the source states; where it states none, LANDMARKS or half the difference between
-            its men and women, whichever is more.
+        share: Share of the stature.
+        error: Error of that share: the stated one, or LANDMARKS or half the difference between men and women, whichever
+            is larger.
         source: Key in docs/references.bib.
     """
 
@@ -252,26 +253,26 @@ class Published:
 
 
 LANDMARKS = 0.01
-"""Share of the stature by which landmarks on the skin lie beside the joints they stand for."""
+"""Distance of landmarks on the skin from the joints they represent, as a share of the stature. Chosen by hand."""
 STATURE = {"men": (1.756, 0.069), "women": (1.629, 0.064)}
-"""Mean and standard deviation [m], [Gordon2014]."""
+"""Mean and standard deviation of the stature [m], [Gordon2014]."""
 
 
 def _both_sexes(men_mm: float, women_mm: float) -> tuple[float, float]:
-    """Share of the stature, mean of the sexes, and its error ([deLeva1996]: statures 1741 and 1735 mm)."""
+    """Return the share of the stature, mean of the sexes, and its error ([deLeva1996]: statures 1741 and 1735 mm)."""
     men, women = men_mm / 1741, women_mm / 1735
     return (men + women) / 2, max(LANDMARKS, abs(men - women) / 2)
 
 
 def published(measured: Mapping[str, float]) -> dict[str, Published]:
-    """Sizes between joint centres that the literature expects of a body, by name.
+    """Return published sizes between joint centres for a body, by name.
 
     Lengths between joint centres are those of [deLeva1996], table 4 (its shank ends at the lateral malleolus); heights
-    are those of [Winter2009], figure 4.1, after Drillis and Contini. The hips' distance is twice the lateral offset
-    of [Hara2016], 8 + 0.086 leg length mm, with its error of 4.4 mm a side.
+    are those of [Winter2009], figure 4.1, after Drillis and Contini. The distance of the hips is twice the lateral
+    offset of [Hara2016], 8 + 0.086 leg length mm, with its error of 4.4 mm per side.
 
     Args:
-        measured: Sizes of the body from `sizes`; the hips' regression needs its leg.
+        measured: Sizes of the body from `sizes`; the regression of the hips requires its leg.
     """
     expected = {}
     for name, men, women in (
@@ -292,8 +293,8 @@ def published(measured: Mapping[str, float]) -> dict[str, Published]:
 
 
 def leg_length(measured: Mapping[str, float]) -> float:
-    """From the anterior superior iliac spine to the ankle [m], which the skin does not show.
+    """Return the leg length from the anterior superior iliac spine to the ankle [m], which the skin does not show.
 
-    The spine lies 9 mm and 0.078 of this length above the hip's centre ([Hara2016]), so the leg gives it.
+    The spine lies 9 mm and 0.078 of this length above the hip's centre ([Hara2016]), which determines the length.
     """
     return (measured["hip_height"] - measured["ankle_height"] + 0.009) / (1 - 0.078)

@@ -1,4 +1,4 @@
-"""Linear modes with which a body leaves the learned family: lengths, girths, clothes, and where the joints lie."""
+"""Linear modes beyond the learned family: lengths, girths, clothes, and positions of the joint centres."""
 
 from dataclasses import dataclass
 
@@ -8,31 +8,54 @@ from marey.arrays import Floats, frozen
 from marey.body.articulation.surface import ShapeSpace
 from marey.body.people.family import BodyFamily, distal_ends
 
-LENGTHS = ("abdomen", "thorax", "neck", "head", "clavicle", "upperarm", "forearm", "hand", "thigh", "shank")
-GIRTHS = ("pelvis", "abdomen", "thorax", "neck", "head", "upperarm", "forearm", "hand", "thigh", "shank", "foot")
-CLOTHED = ("pelvis", "abdomen", "thorax", "clavicle", "upperarm", "thigh")
+LENGTH_SEGMENTS = ("abdomen", "thorax", "neck", "head", "clavicle", "upperarm", "forearm", "hand", "thigh", "shank")
+"""Segments whose length is a mode, without the side."""
+GIRTH_SEGMENTS = (
+    "pelvis",
+    "abdomen",
+    "thorax",
+    "neck",
+    "head",
+    "upperarm",
+    "forearm",
+    "hand",
+    "thigh",
+    "shank",
+    "foot",
+)
+"""Segments whose girth is a mode, without the side."""
+CLOTHED_SEGMENTS = ("pelvis", "abdomen", "thorax", "clavicle", "upperarm", "thigh")
+"""Segments covered by clothes, without the side."""
 LENGTH_SD = 0.04
-"""Share of its length by which a segment departs from what the rest of the body lets expect."""
+"""Standard deviation of a segment's length from the value expected from the rest of the body, as a share. An
+estimate without a source (docs/explanation/body.md)."""
 GIRTH_SD = 0.06
+"""Standard deviation of a segment's girth from the value expected from the rest of the body, as a share. An estimate
+without a source (docs/explanation/body.md)."""
 CLOTHES_SD = 0.010
-SKIN_SD = 0.005
+"""Standard deviation of the thickness of clothes [m]. An estimate without a source (docs/explanation/body.md)."""
+SKIN_LAYER_SD = 0.005
+"""Standard deviation of a layer over the whole skin [m]. An estimate without a source (docs/explanation/body.md)."""
 JOINT_SD = {"hip": (0.015, 0.012, 0.012), "shoulder": (0.012, 0.012, 0.020), "knee": (0.008, 0.008, 0.012)}
-"""Metres along AXIS_NAMES: half of what the rig's joints lie beside published ones (docs/body.md), at least 8 mm."""
+"""Standard deviation of joint centres along `AXIS_NAMES` [m]: half the distance of the rig's joints from published
+ones (docs/explanation/body.md), at least 0.008 m."""
 SEGMENT_OF_JOINT = {"hip": "thigh", "shoulder": "upperarm", "knee": "shank"}
+"""Segment that rotates about a joint, without the side."""
 AXIS_NAMES = ("lateral", "backward", "up")
+"""Names of the axes X, Y and Z of the rest posture in the modes' names."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Modes:
-    """Linear modes of skin and joint centres about the family's mean body, alike on both sides.
+    """Linear modes of skin and joint centres about the family's mean body, symmetric between the sides.
 
-    A body is the family's plus the sum of number_i vertices_i, and its joint centres that of number_i joints_i.
-    A number counts in shares (0.1 is a tenth longer or thicker) or, for clothes and joint centres, in metres.
+    A body is the family's plus the sum of number_i vertices_i, and its joint centres that of number_i joints_i. A
+    number is a share (0.1 is 10 % longer or thicker) or, for clothes and joint centres, a distance in metres.
 
     Attributes:
         names: (M,) "thigh_length", "thigh_girth", "clothes", "hip_lateral" and so on.
         vertices: (M, V, 3) metres by unit of the number.
-        joints: (M, S, 3).
+        joints: (M, S, 3) metres by unit of the number.
         sd: (M,) standard deviation of each number among people, mean zero.
     """
 
@@ -42,11 +65,11 @@ class Modes:
     sd: Floats
 
     def __len__(self) -> int:
-        """Count the modes."""
+        """Return the number of modes."""
         return len(self.names)
 
     def standardised(self) -> "Modes":
-        """The same modes for numbers of unit variance, like the family's own."""
+        """Return the same modes for numbers of unit variance."""
         scale = self.sd[:, None, None]
         return Modes(
             names=self.names,
@@ -56,7 +79,7 @@ class Modes:
         )
 
     def keep(self, *endings: str) -> "Modes":
-        """Only the modes whose names end with one of the endings, such as "_length"."""
+        """Keep only the modes whose names end with one of the endings, such as "_length"."""
         index = [i for i, name in enumerate(self.names) if name.endswith(endings)]
         return Modes(
             names=tuple(self.names[i] for i in index),
@@ -67,27 +90,30 @@ class Modes:
 
 
 def departure_modes(family: BodyFamily) -> Modes:
-    """All modes with which a body may leave the family.
+    """Return all modes beyond the family.
 
     Args:
-        family: At either level; the same numbers mean the same body at both.
+        family: The family at either level; the same numbers mean the same body at both.
     """
-    modes = [(f"{plain}_length", *length_mode(family, plain), LENGTH_SD) for plain in LENGTHS]
+    modes = [(f"{plain}_length", *length_mode(family, plain), LENGTH_SD) for plain in LENGTH_SEGMENTS]
     modes += [("pelvis_width", *pelvis_width_mode(family), LENGTH_SD), ("foot_length", *foot_mode(family), LENGTH_SD)]
-    modes += [(f"{plain}_girth", *girth_mode(family, plain), GIRTH_SD) for plain in GIRTHS]
-    modes += [("clothes", *offset_mode(family, CLOTHED), CLOTHES_SD), ("skin", *offset_mode(family, None), SKIN_SD)]
+    modes += [(f"{plain}_girth", *girth_mode(family, plain), GIRTH_SD) for plain in GIRTH_SEGMENTS]
+    modes += [
+        ("clothes", *offset_mode(family, CLOTHED_SEGMENTS), CLOTHES_SD),
+        ("skin", *offset_mode(family, None), SKIN_LAYER_SD),
+    ]
     for joint, spreads in JOINT_SD.items():
         modes += [(f"{joint}_{AXIS_NAMES[i]}", *joint_mode(family, joint, i), sd) for i, sd in enumerate(spreads)]
     names, vertices, joints, sds = zip(*modes, strict=True)
     return Modes(names=names, vertices=frozen(vertices), joints=frozen(joints), sd=frozen(sds))
 
 
-def wider(space: ShapeSpace, modes: Modes) -> ShapeSpace:
-    """The shapes of a space and, beyond them, the modes: their numbers come last, of unit variance.
+def extended_space(space: ShapeSpace, modes: Modes) -> ShapeSpace:
+    """Extend a space of shapes by modes, whose numbers come last and have unit variance.
 
     Args:
-        space: Of the family, at the level that the modes were made for.
-        modes: Those that may be used; they expect nothing and know nothing of the family's numbers.
+        space: Of the family, at the level for which the modes were made.
+        modes: Modes with mean zero, independent of the family's numbers.
     """
     unit, count, more = modes.standardised(), len(space), len(modes)
     covariance = np.eye(count + more)
@@ -104,14 +130,14 @@ def wider(space: ShapeSpace, modes: Modes) -> ShapeSpace:
 
 
 def same_on_both_sides(family: BodyFamily, plain: str) -> list[int]:
-    """Indices of the segments of a plain name: one of the trunk, or the left and the right one of a limb."""
+    """Return the indices of the segments of a plain name: one of the trunk, or the left and the right one of a limb."""
     return [
         i for i, name in enumerate(family.segment_names) if name.removeprefix("left_").removeprefix("right_") == plain
     ]
 
 
 def dense_weights(family: BodyFamily) -> Floats:
-    """Skin weights (V, S) of every segment."""
+    """Return the skin weights (V, S) of every segment."""
     weights = np.zeros((len(family.vertices_mean), len(family.segment_names)))
     for column in range(family.vertex_weights.shape[1]):
         np.add.at(
@@ -121,11 +147,11 @@ def dense_weights(family: BodyFamily) -> Floats:
 
 
 def children_moved(family: BodyFamily, segment: int, field) -> tuple[Floats, Floats]:
-    """Skin and joints when a field moves one segment's points and carries what hangs on it.
+    """Return the motion of skin and joints when a displacement field moves a segment and the segments beyond it.
 
     Args:
         family: The family.
-        segment: Whose points the field moves.
+        segment: Segment whose points the field moves.
         field: Displacement (n, 3) of points (n, 3) of the segment, zero at its own joint centre.
 
     Returns:
@@ -143,7 +169,7 @@ def children_moved(family: BodyFamily, segment: int, field) -> tuple[Floats, Flo
 
 
 def length_mode(family: BodyFamily, plain: str) -> tuple[Floats, Floats]:
-    """Longer by its own length: points move along the long axis, between none at the joint and all at the far end."""
+    """Return the mode of a segment's relative length: a stretch along the long axis from joint to far end."""
     ends = distal_ends(family)
     vertices, joints = np.zeros_like(family.vertices_mean), np.zeros_like(family.joints_mean)
     for segment in same_on_both_sides(family, plain):
@@ -159,7 +185,7 @@ def length_mode(family: BodyFamily, plain: str) -> tuple[Floats, Floats]:
 
 
 def pelvis_width_mode(family: BodyFamily) -> tuple[Floats, Floats]:
-    """Wider by its own width: the hips and what hangs on them move apart."""
+    """Return the mode of the pelvis' relative width: the hips and the legs move apart."""
     pelvis, half = family.segment("pelvis"), family.joints_mean[family.segment("left_thigh")][0]
 
     def widen(points: Floats) -> Floats:
@@ -169,7 +195,7 @@ def pelvis_width_mode(family: BodyFamily) -> tuple[Floats, Floats]:
 
 
 def foot_mode(family: BodyFamily) -> tuple[Floats, Floats]:
-    """Longer by its own length, forwards before the ankle and backwards behind it, with the toes."""
+    """Return the mode of the foot's relative length: a stretch from the ankle, with the toes."""
     vertices, joints = np.zeros_like(family.vertices_mean), np.zeros_like(family.joints_mean)
     for segment in same_on_both_sides(family, "foot"):
         joint = family.joints_mean[segment]
@@ -183,7 +209,7 @@ def foot_mode(family: BodyFamily) -> tuple[Floats, Floats]:
 
 
 def girth_mode(family: BodyFamily, plain: str) -> tuple[Floats, Floats]:
-    """Thicker by its own thickness: skin moves away from the line through its centre along the long axis."""
+    """Return the mode of a segment's relative girth: the skin moves away from the central long axis."""
     ends, weights = distal_ends(family), dense_weights(family)
     vertices = np.zeros_like(family.vertices_mean)
     for segment in same_on_both_sides(family, plain):
@@ -197,7 +223,7 @@ def girth_mode(family: BodyFamily, plain: str) -> tuple[Floats, Floats]:
 
 
 def vertex_normals(vertices: Floats, faces: np.ndarray) -> Floats:
-    """Unit outward normals (V, 3), each face counting by its area."""
+    """Return unit outward normals (V, 3), with each face weighted by its area."""
     a, b, c = vertices[faces].transpose(1, 0, 2)
     normals = np.zeros_like(vertices)
     np.add.at(normals, faces.ravel(), np.repeat(np.cross(b - a, c - a), 3, axis=0))
@@ -205,7 +231,7 @@ def vertex_normals(vertices: Floats, faces: np.ndarray) -> Floats:
 
 
 def offset_mode(family: BodyFamily, plain_names: tuple[str, ...] | None) -> tuple[Floats, Floats]:
-    """A layer over some segments, or over all: skin moves along its outward normals, joints stay."""
+    """Return the mode of a layer over some segments, or over all: skin moves along its normals, joints stay."""
     normals = vertex_normals(family.vertices_mean, family.faces)
     if plain_names is not None:
         covered = [i for plain in plain_names for i in same_on_both_sides(family, plain)]
@@ -214,7 +240,7 @@ def offset_mode(family: BodyFamily, plain_names: tuple[str, ...] | None) -> tupl
 
 
 def joint_mode(family: BodyFamily, joint: str, axis: int) -> tuple[Floats, Floats]:
-    """A joint centre lies elsewhere in the same skin, mirrored on the other side."""
+    """Return the mode of a joint centre's position in the same skin, mirrored on the other side."""
     joints = np.zeros_like(family.joints_mean)
     for segment in same_on_both_sides(family, SEGMENT_OF_JOINT[joint]):
         outwards = np.sign(family.joints_mean[segment, 0]) if axis == 0 else 1.0

@@ -1,4 +1,4 @@
-"""The learned family of bodies: skin and joint centres as a mean and a few linear modes of unit variance."""
+"""The learned family of bodies: skin and joint centres as a mean and linear modes of unit variance."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -10,8 +10,10 @@ import numpy as np
 from marey.arrays import Floats, Integers, frozen
 from marey.errors import SettingProblem
 
-Level = Literal["fine", "coarse"]
-LEVELS: tuple[Level, ...] = ("fine", "coarse")
+DetailLevel = Literal["fine", "coarse"]
+"""Level of detail of the family's skin."""
+LEVELS: tuple[DetailLevel, ...] = ("fine", "coarse")
+"""Available levels of detail."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -41,7 +43,7 @@ class BodyFamily:
         share: (K,) part of the family's variance that each number carries.
     """
 
-    level: Level
+    level: DetailLevel
     segment_names: tuple[str, ...]
     parents: Integers
     vertices_mean: Floats
@@ -58,11 +60,11 @@ class BodyFamily:
 
     @property
     def numbers(self) -> int:
-        """How many numbers b describe a body."""
+        """Number of numbers b that describe a body."""
         return len(self.vertices_modes)
 
     def segment(self, name: str) -> int:
-        """Index of a segment.
+        """Return the index of a segment.
 
         Raises:
             SettingProblem: No segment has the name.
@@ -72,21 +74,21 @@ class BodyFamily:
         return self.segment_names.index(name)
 
     def vertices(self, coefficients: Floats) -> Floats:
-        """Skin (V, 3) m of the body with numbers (k,), k <= K; numbers left out are zero."""
+        """Return the skin (V, 3) [m] of the body with numbers (k,), k <= K; omitted numbers are zero."""
         b = np.asarray(coefficients, float)
         return self.vertices_mean + np.tensordot(b, self.vertices_modes[: len(b)], axes=1)
 
     def joints(self, coefficients: Floats) -> Floats:
-        """Joint centres (S, 3) m of the body with numbers (k,), k <= K; numbers left out are zero."""
+        """Return the joint centres (S, 3) [m] of the body with numbers (k,), k <= K; omitted numbers are zero."""
         b = np.asarray(coefficients, float)
         return self.joints_mean + np.tensordot(b, self.joints_modes[: len(b)], axes=1)
 
 
 def distal_ends(family: BodyFamily) -> Floats:
-    """Distal end (S, 3) m of each segment of the mean body: the next joint centre, or the far end of its skin.
+    """Return the distal end (S, 3) [m] of each segment of the mean body: the next joint centre, or the end of its skin.
 
-    The long axis of a segment runs from its own joint centre to here: the pelvis's to the abdomen's joint, the
-    thorax's to the neck's, a clavicle's to the shoulder.
+    The long axis of a segment runs from its own joint centre to here: the pelvis's to the abdomen's joint, the thorax's
+    to the neck's, a clavicle's to the shoulder.
     """
     next_one = {"pelvis": "abdomen", "abdomen": "thorax", "thorax": "neck", "neck": "head", "clavicle": "upperarm"}
     next_one |= {"upperarm": "forearm", "forearm": "hand", "thigh": "shank", "shank": "foot", "foot": "toes"}
@@ -107,17 +109,17 @@ def distal_ends(family: BodyFamily) -> Floats:
 
 
 def long_axes(family: BodyFamily) -> Floats:
-    """Unit vector (S, 3) from each segment's joint centre to its distal end, in the rest posture of the mean body."""
+    """Return the unit vector (S, 3) from each segment's joint centre to its distal end, in the mean body at rest."""
     axes = distal_ends(family) - family.joints_mean
     return axes / np.linalg.norm(axes, axis=1, keepdims=True)
 
 
-def load_family(level: Level = "fine", numbers: int | None = None) -> BodyFamily:
-    """The family that ships with the package.
+def load_family(level: DetailLevel = "fine", numbers: int | None = None) -> BodyFamily:
+    """Load the family that ships with the package.
 
     Args:
         level: "fine" (about 2600 vertices) or "coarse" (about 800); a body has the same numbers in both.
-        numbers: How many of the numbers to keep, all 16 when None.
+        numbers: Number of numbers to keep, all 16 if None.
 
     Raises:
         SettingProblem: The level does not exist, or there are fewer numbers.
@@ -153,6 +155,6 @@ def load_family(level: Level = "fine", numbers: int | None = None) -> BodyFamily
 
 @lru_cache(maxsize=1)
 def _stored() -> dict[str, np.ndarray]:
-    """The arrays of family.npz, described in bodies/README.md."""
+    """Load the arrays of family.npz, described in bodies/README.md."""
     with files("marey.body").joinpath("family.npz").open("rb") as file, np.load(file) as arrays:
         return {name: arrays[name] for name in arrays.files}

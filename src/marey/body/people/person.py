@@ -1,4 +1,4 @@
-"""The body of a person of whom little is known yet, as a capture starts from it."""
+"""The body of a largely unknown person, from which a capture starts."""
 
 from dataclasses import replace
 
@@ -9,19 +9,19 @@ from marey.body.articulation.presets import PRESETS, Preset
 from marey.body.articulation.skeleton import PARENTS, Skeleton, full_skeleton
 from marey.body.articulation.surface import Body, ShapeSpace
 from marey.body.people.anthropometry import condition, measures
-from marey.body.people.departures import JOINT_SD, SEGMENT_OF_JOINT, departure_modes, wider
-from marey.body.people.family import BodyFamily, Level, load_family
+from marey.body.people.departures import JOINT_SD, SEGMENT_OF_JOINT, departure_modes, extended_space
+from marey.body.people.family import BodyFamily, DetailLevel, load_family
 from marey.errors import SettingProblem
 
 
 def stature(body: Body) -> tuple[float, float]:
-    """Measure a body from its lowest to its highest point at rest.
+    """Compute a body's stature from its lowest to its highest point at rest.
 
     Args:
-        body: Of which the height is wanted.
+        body: The body.
 
     Returns:
-        The height [m], and its standard deviation [m]: NaN where the body's numbers have no covariance.
+        The stature [m], and its standard deviation [m]: NaN if the body's numbers have no covariance.
     """
     highest, lowest = int(np.argmax(body.vertices[:, 2])), int(np.argmin(body.vertices[:, 2]))
     height = float(body.vertices[highest, 2] - body.vertices[lowest, 2])
@@ -32,7 +32,7 @@ def stature(body: Body) -> tuple[float, float]:
 
 
 def family_skeleton(family: BodyFamily) -> Skeleton:
-    """Build the full skeleton with the family's own directions of arm, elbow and palm."""
+    """Return the full skeleton with the family's own directions of arm, elbow and palm."""
     joints = family.joints_mean
     arm = joints[family.segment("left_hand")] - joints[family.segment("left_upperarm")]
     arm = arm / np.linalg.norm(arm)
@@ -42,7 +42,7 @@ def family_skeleton(family: BodyFamily) -> Skeleton:
 
 
 def family_space(family: BodyFamily) -> ShapeSpace:
-    """Give the shapes of the family, of unit variance."""
+    """Return the shapes of the family, of unit variance."""
     count = family.numbers
     order = [family.segment_names.index(name) for name in PARENTS]
     return ShapeSpace(
@@ -57,24 +57,25 @@ def family_space(family: BodyFamily) -> ShapeSpace:
 
 
 JOINT_SHARE = 0.3
-"""Share of the joint centres' spread among people that is left to outlines: they see a joint only by its motion, and
-take up other errors with it when they may move it freely (docs/accuracy.md)."""
+"""Share of the joint centres' standard deviation among people that outlines may estimate: outlines determine a joint
+only by its motion, and other errors bias it if it is free (docs/accuracy.md)."""
 
-VARYING, CONSTANT = 0.8, 0.6
-"""Shares of a joint centre's distance from where the skin says: what changes with the posture, and what stays
-(docs/accuracy.md)."""
+VARYING = 0.8
+"""Share of a joint centre's distance from its place in the skin that varies with the posture (docs/accuracy.md)."""
+CONSTANT = 0.6
+"""Share of a joint centre's distance from its place in the skin that is constant over postures (docs/accuracy.md)."""
 
 
 def person_space(family: BodyFamily, *, numbers: int) -> ShapeSpace:
-    """Give the shapes of people: the family's first numbers, and the departures from it, all of unit variance."""
-    space = wider(family_space(family).keep(range(numbers)), departure_modes(family))
+    """Return the shapes of people: the family's first numbers and the modes beyond it, all of unit variance."""
+    space = extended_space(family_space(family).keep(range(numbers)), departure_modes(family))
     joints = np.array([name.startswith(tuple(f"{joint}_" for joint in JOINT_SD)) for name in space.names])
     scale = np.where(joints, JOINT_SHARE, 1.0)
     return replace(space, prior_covariance=space.prior_covariance * np.outer(scale, scale))
 
 
 def _body(family: BodyFamily, space: ShapeSpace) -> Body:
-    """Make the mean body of a space over a family, in the skeleton's order of segments."""
+    """Return the mean body of a space over a family, with segments in the skeleton's order."""
     skeleton = family_skeleton(family)
     index = np.array([skeleton.segment_names.index(name) for name in family.segment_names])
     beneath = family.joints_sd[[family.segment_names.index(name) for name in PARENTS]]
@@ -91,7 +92,7 @@ def _body(family: BodyFamily, space: ShapeSpace) -> Body:
 
 
 def joint_offsets(skeleton: Skeleton) -> Floats:
-    """Give how far (S,) joint centres lie from where outlines may draw them, by axis [m]."""
+    """Return the standard deviation (S,) of joint centres that outlines may not estimate, per axis [m]."""
     offsets = np.zeros(len(skeleton.segment_names))
     for joint, spreads in JOINT_SD.items():
         own = [name.endswith(SEGMENT_OF_JOINT[joint]) for name in skeleton.segment_names]
@@ -99,26 +100,26 @@ def joint_offsets(skeleton: Skeleton) -> Floats:
     return offsets
 
 
-def family_body(level: Level = "fine", numbers: int | None = None) -> Body:
-    """Make the mean body of the family, ready to be posed and fitted."""
+def family_body(level: DetailLevel = "fine", numbers: int | None = None) -> Body:
+    """Return the mean body of the family."""
     family = load_family(level, numbers)
     return _body(family, family_space(family))
 
 
 STATURE_SD = 0.01
-"""How well people know how tall they stand, shoes and posture included [m]."""
+"""Standard deviation of a person's stated stature, shoes and posture included [m]. Chosen by hand."""
 
 
 def person_body(
-    level: Level = "fine", *, numbers: int = 8, preset: str = "full", stature_m: float | None = None
+    level: DetailLevel = "fine", *, numbers: int = 8, preset: str = "full", stature_m: float | None = None
 ) -> Body:
-    """Make the mean body with all the numbers in which people differ: the family's first ones and the departures.
+    """Return the mean body with all shape numbers: the family's first ones and the modes beyond it.
 
     Args:
         level: "fine" or "coarse".
-        numbers: of the family; more of them absorb the clothes.
-        preset: one of `PRESETS`.
-        stature_m: the person's height, where it is known [m].
+        numbers: Number of the family's numbers; further ones absorb the clothes.
+        preset: One of `PRESETS`.
+        stature_m: The person's stature, if known [m].
 
     Raises:
         SettingProblem: The preset is unknown.
@@ -133,10 +134,10 @@ def person_body(
 
 
 def preset_named(name: str) -> Preset:
-    """Find a preset.
+    """Return a preset by its name.
 
     Raises:
-        SettingProblem: None has the name.
+        SettingProblem: There is no preset of this name.
     """
     if name not in PRESETS:
         raise SettingProblem(f"preset is '{name}'; it should be one of {', '.join(PRESETS)}.")
@@ -144,19 +145,19 @@ def preset_named(name: str) -> Preset:
 
 
 def preset_body(body: Body, preset: Preset) -> Body:
-    """Leave of a body what a preset follows. Where the skin ends it has no outline."""
+    """Return the part of a body that a preset follows. Faces at the edge of the remaining skin have no outline."""
     skeleton = body.skeleton
     if preset.coordinates is not None:
         kept = tuple(c for c in skeleton.coordinates if c.name in preset.coordinates)
         skeleton = replace(skeleton, coordinates=kept)
     segments = preset.segments or skeleton.segment_names
     there = np.isin(body.face_segment, [skeleton.segment(name) for name in segments])
-    believed = ~np.isin(body.face_segment, [skeleton.segment(name) for name in preset.unseen])
+    counted = ~np.isin(body.face_segment, [skeleton.segment(name) for name in preset.without_outline])
     cut = np.isin(body.faces, np.unique(body.faces[~there])).any(1)
-    names = preset.segments or [name for name in skeleton.segment_names if name not in preset.unseen]
+    names = preset.segments or [name for name in skeleton.segment_names if name not in preset.without_outline]
     followed = np.isin(skeleton.segment_names, names)
     balls = body.metaballs
     return replace(
-        body, skeleton=skeleton, faces=body.faces[there], outlined=(believed & ~cut)[there], followed=followed,
+        body, skeleton=skeleton, faces=body.faces[there], outlined=(counted & ~cut)[there], followed=followed,
         metaballs=None if balls is None else balls.with_skeleton(skeleton),
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Somebody's own scan as a body: brought into the rest posture, with the skeleton and skin weights of a template."""
+"""A person's own scan as a body: moved to the rest posture, with the skeleton and skin weights of a template."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -14,9 +14,13 @@ from marey.errors import MareyError
 from marey.geometry import rotations
 
 _SIDES = ("left", "right")
+"""Prefixes of the two sides' names."""
 _LIMBS = ("thigh", "shank", "foot", "upperarm", "forearm", "hand")
+"""Segments of the limbs whose joint centres are required."""
 _NEXT = {"thigh": "shank", "shank": "foot", "upperarm": "forearm", "forearm": "hand", "foot": "toes"}
+"""The segment beyond each limb segment."""
 _NEIGHBOURS = 4
+"""Number of the template's nearest vertices from which a vertex takes its weights. Chosen by hand."""
 
 
 def scanned_body(
@@ -29,18 +33,18 @@ def scanned_body(
 ) -> Body:
     """Make a body of a scanned or modelled person: no shape numbers, the template's skeleton.
 
-    The person stands upright, in any heading, arms and legs as they like. It is turned to look along -y and its limbs
-    are laid as the template's at rest, by the shortest turn of each, so that all joint angles are counted from the same
-    posture. Joint centres that are not given (abdomen, clavicles, toes ...) take the template's place between their
-    neighbours. Without weights the skin follows the segments as the template's nearest skin does.
+    The person stands upright, in any heading, with arms and legs in any posture. It is turned to face -y, and its limbs
+    are aligned with the template's at rest, by the rotation of least angle of each, so that all joint angles are
+    counted from the same posture. Joint centres that are not given (abdomen, clavicles, toes ...) are placed between
+    their neighbours as in the template. Without weights, those of the template's nearest skin are used.
 
     Args:
         template: An average body in the rest posture.
         vertices: (V, 3) Z up [m].
         faces: (T, 3).
-        joint_centres: By segment, its proximal joint centre (3,) [m]; those of the limbs must be there, and one of
-            neck and head.
-        weights: By segment, its share (V,) of each vertex.
+        joint_centres: By segment, its proximal joint centre (3,) [m]; those of the limbs are required, and one of neck
+            and head.
+        weights: By segment, its weight (V,) for each vertex.
 
     Returns:
         The body at rest, its pelvis' joint centre at the origin.
@@ -59,11 +63,11 @@ def scanned_body(
         shares = np.stack([np.asarray(weights.get(name, np.zeros(len(skin))), float) for name in names], 1)
     segments, strongest = _strongest(shares)
     at_rest = _joints_at_rest(template, joints, turns)
-    laid = blend_skin(skin, segments, strongest, joints, turns, at_rest)
+    aligned = blend_skin(skin, segments, strongest, joints, turns, at_rest)
     space = ShapeSpace(
         names=(),
-        vertex_mean=laid,
-        vertex_modes=np.zeros((0, len(laid), 3)),
+        vertex_mean=aligned,
+        vertex_modes=np.zeros((0, len(aligned), 3)),
         joint_mean=at_rest,
         joint_modes=np.zeros((0, len(names), 3)),
         prior_mean=np.zeros(0),
@@ -81,7 +85,7 @@ def scanned_body(
 
 
 def _facing_forward(joint_centres: Mapping[str, Floats]) -> Floats:
-    """Give the turn about the vertical that lets the person look along -y, the left side at +x."""
+    """Return the rotation about the vertical after which the person faces -y, with the left side at +x."""
     wanted = [f"{side}_{limb}" for side in _SIDES for limb in _LIMBS]
     missing = [name for name in wanted if name not in joint_centres]
     if "neck" not in joint_centres and "head" not in joint_centres:
@@ -95,7 +99,7 @@ def _facing_forward(joint_centres: Mapping[str, Floats]) -> Floats:
 
 
 def _completed(template: Body, centres: dict[str, Floats]) -> Floats:
-    """Give all joint centres (S, 3): those that are not given lie between their neighbours as the template's do."""
+    """Return all joint centres (S, 3); missing ones are placed between their neighbours as in the template."""
     skeleton = template.skeleton
     names, own = skeleton.segment_names, template.joint_centres
     legs = [(f"{side}_{a}", f"{side}_{b}") for side in _SIDES for a, b in (("thigh", "shank"), ("shank", "foot"))]
@@ -121,7 +125,7 @@ def _completed(template: Body, centres: dict[str, Floats]) -> Floats:
 
 
 def _turns_to_rest(template: Body, joints: Floats) -> Floats:
-    """Give the turn (S, 3, 3) of each segment from the scan's posture to the rest posture."""
+    """Return the rotation (S, 3, 3) of each segment from the scan's posture to the rest posture."""
     skeleton, own = template.skeleton, template.joint_centres
     names = skeleton.segment_names
     turns = np.tile(np.eye(3), (len(names), 1, 1))
@@ -149,7 +153,7 @@ def _joints_at_rest(template: Body, joints: Floats, turns: Floats) -> Floats:
 
 
 def _borrowed_shares(template: Body, joints: Floats, turns: Floats, skin: Floats) -> Floats:
-    """Lay the template into the scan's posture and size, and take the weights of its nearest skin (V, S)."""
+    """Move the template to the scan's posture and size, and return the weights of its nearest skin (V, S)."""
     skeleton, own = template.skeleton, template.joint_centres
     size = np.ones(len(joints))
     lengths = np.linalg.norm([joints - joints[skeleton.parents], own - own[skeleton.parents]], axis=2)
@@ -160,17 +164,17 @@ def _borrowed_shares(template: Body, joints: Floats, turns: Floats, skin: Floats
         if parent >= 0 and (skeleton.parents == parent).sum() == 1:
             size[parent] = lengths[0, k] / lengths[1, k]
     back = np.swapaxes(turns, 1, 2) * size[:, None, None]
-    laid = blend_skin(template.vertices, template.vertex_segments, template.vertex_weights, own, back, joints)
-    distance, nearest = cKDTree(laid).query(skin, k=_NEIGHBOURS)
-    dense = np.zeros((len(laid), len(joints)))
+    aligned = blend_skin(template.vertices, template.vertex_segments, template.vertex_weights, own, back, joints)
+    distance, nearest = cKDTree(aligned).query(skin, k=_NEIGHBOURS)
+    dense = np.zeros((len(aligned), len(joints)))
     for c in range(template.vertex_segments.shape[1]):
-        np.add.at(dense, (np.arange(len(laid)), template.vertex_segments[:, c]), template.vertex_weights[:, c])
+        np.add.at(dense, (np.arange(len(aligned)), template.vertex_segments[:, c]), template.vertex_weights[:, c])
     closeness = 1.0 / (distance + 1e-3)
     return np.einsum("vn,vns->vs", closeness, dense[nearest]) / closeness.sum(1, keepdims=True)
 
 
 def _strongest(shares: Floats) -> tuple[Integers, Floats]:
-    """Keep the four largest shares of each vertex: segments (V, 4) and weights (V, 4) of sum one."""
+    """Keep the four largest weights of each vertex: segments (V, 4) and weights (V, 4) of sum one."""
     segments = np.argsort(-shares, axis=1)[:, :4]
     weights = np.take_along_axis(shares, segments, 1)
     total = weights.sum(1, keepdims=True)

@@ -1,1 +1,1 @@
-"""Fitting a body to measured surface points and their trajectories."""
+"""Fit of a body to measured surface points and their trajectories."""

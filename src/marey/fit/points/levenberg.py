@@ -1,7 +1,8 @@
-"""Levenberg-Marquardt for poses and the one shape they share, from points on a surface ([Plaenkers1999] section 4).
+"""Levenberg-Marquardt for poses and one common shape, from points on a surface ([Plaenkers1999] section 4).
 
-It damps its steps and takes back those that raise the cost, and therefore comes right from a clicked start that lies
-centimetres off; all that is nearly in place is refined by `fit.sequence`, which knows time and silhouettes.
+Steps are damped, and those that raise the cost are rejected, so that it converges from a clicked start that is
+centimetres off. Estimates that are nearly in place are refined by `fit.recipes.sequence`, which uses time and
+silhouettes.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -16,61 +17,64 @@ from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.articulation.surface import Body
 from marey.body.metaballs.metaballs import THRESHOLD
 from marey.fit.points.point_equations import distances_of, point_equations
-from marey.fit.points.surface_points import PersonPoints, spread_over
-from marey.fit.solver.body_solver import bounded_step, shape_reach
+from marey.fit.points.surface_points import PersonPoints, thinned_evenly
+from marey.fit.solver.body_solver import STEP_SD_M, STEP_SD_RAD, bounded_step, shape_reach
 from marey.fit.solver.pose_solver import add_dense
-from marey.fit.solver.pose_steps import LONGEST_TURN
-from marey.fit.solver.side_by_side import side_by_side
+from marey.fit.solver.pose_steps import LONGEST_STEP_RAD
+from marey.fit.solver.threads import map_in_threads
 from marey.observations.metaball_points import PointsOnMetaballs
 from marey.observations.observation import Observation
 from marey.observations.prior import Habit, JointLimits, ShapePrior
 
 Order = Literal["together", "in turn"]
+"""Order in which sizes and skeleton are solved."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LevenbergSettings:
-    """How the solution is sought."""
+    """Settings of the iteration."""
 
     iterations: int = 30
+    """Largest number of iterations."""
     order: Order = "together"
-    """Whether sizes across and skeleton are solved together, or in turn as in the paper, which found that to converge
-    better; here together does (docs/accuracy.md)."""
+    """Whether widths and skeleton are solved together or in turn. The paper found that in turn converges better;
+    here together does (docs/accuracy.md)."""
     few: int = 6000
-    """Of more points in a frame, first so many are fitted, spread over all: they bring it nearly there."""
+    """Number of points per frame, evenly chosen, in a first fit that precedes the fit to all points."""
     last: int = 6
-    """Iterations with all points after that."""
+    """Number of iterations with all points after that."""
     segment_every: int = 3
-    """After so many iterations points are assigned to limbs anew."""
+    """Number of iterations after which points are assigned to limbs again."""
     damping: float = 1e-3
-    """Marquardt's, at the start: a share of each parameter's own information."""
+    """Initial damping (Marquardt), as a share of each parameter's own information."""
     stop: float = 1e-4
-    """A smaller relative fall of the cost ends the search, once no point changes its limb."""
+    """Relative decrease of the cost below which the iteration ends, once no point changes its limb."""
     habit: float = 0.1
-    """How many observations the joints' habits are worth."""
+    """Weight of the usual joint angles, as a number of observations."""
     residual: Literal["distance", "potential"] = "distance"
-    """What is minimised: the distance from the surface, or the paper's F - 1/2 ([Plaenkers1999] eq. (14)), weighed as
-    if the field fell everywhere by `FIELD_PER_METRE`."""
+    """Residual of a point: the distance from the surface, or the paper's F - 1/2 ([Plaenkers1999] eq. (14)),
+    weighted as if the slope of the field were `FIELD_PER_METRE` everywhere."""
 
 
 @dataclass(frozen=True, eq=False)
 class LevenbergFit:
-    """Poses and body, and how they were found."""
+    """Fitted poses and body, with the course of the iteration."""
 
     body: Body
     poses: dict[int, Pose]
     cost: float
+    """Final cost: weighted sum of squared residuals."""
     costs: tuple[float, ...]
-    """After each iteration."""
+    """Cost after each iteration."""
     stopped: str
-    """Why, in a sentence."""
+    """Reason for which the iteration ended."""
     covariance: Floats
-    """(N, N) of the numbers."""
+    """(N, N) covariance of the shape numbers."""
 
 
 @dataclass(frozen=True, eq=False)
 class _System:
-    """The normal equations of all frames, each (D + N), and the shape's own."""
+    """Normal equations of all frames, each (D + N), and those of the shape prior."""
 
     frames: list[tuple[Floats, Floats]]
     shape: tuple[Floats, Floats]
@@ -84,39 +88,39 @@ def fit_points(
     *,
     settings: LevenbergSettings | None = None,
     others: Sequence[Observation] = (),
-    done: Callable[[], None] = lambda: None,
+    progress: Callable[[], None] = lambda: None,
 ) -> LevenbergFit:
-    """Fit the numbers that all frames share, and each frame's pose, to measured points ([Plaenkers1999] eq. (12)).
+    """Fit the shape numbers that all frames share, and each frame's pose, to points ([Plaenkers1999] eq. (12)).
 
     Args:
-        points: of the frames; their space is the body's.
-        body: where the search starts.
-        poses: a rough one for each frame.
-        settings: how the solution is sought.
-        others: what else is known of each frame, beside limits, habits and the prior of the shape.
-        done: told of every iteration.
+        points: Points by frame; their space is the body's.
+        body: Body at the start.
+        poses: Approximate pose for each frame.
+        settings: Settings of the iteration.
+        others: Further observations of each frame, besides limits, usual angles and the prior of the shape.
+        progress: Called after each iteration.
     """
     settings = settings or LevenbergSettings()
     if any(len(of_frame) > settings.few for of_frame in points.by_frame.values()):
-        few = {f: spread_over(of_frame, settings.few) for f, of_frame in points.by_frame.items()}
+        few = {f: thinned_evenly(of_frame, settings.few) for f, of_frame in points.by_frame.items()}
         first = fit_points(
-            replace(points, by_frame=few), body, poses, settings=settings, others=others, done=done
+            replace(points, by_frame=few), body, poses, settings=settings, others=others, progress=progress
         )  # fmt: skip
-        body, poses, points = first.body, first.poses, points.narrowed(0.0)
+        body, poses, points = first.body, first.poses, points.with_narrower_scale(0.0)
         settings = replace(settings, iterations=settings.last)
     known = (JointLimits(), Habit(share=settings.habit), *others)
     bodies = {f: PosedBody(body, pose) for f, pose in poses.items()}
     damping, costs, stopped = settings.damping, [], "all iterations were made"
-    turns = _turns(body, settings.order)
+    free_numbers = _free_numbers(body, settings.order)
     observed = {f: points.observed(f, posed) for f, posed in bodies.items()}
     system = _assemble(points, bodies, observed, known, settings)
     for iteration in range(settings.iterations):
         if iteration and iteration % settings.segment_every == 0:
-            points = points.narrowed(0.5)
+            points = points.with_narrower_scale(0.5)
             observed = {f: points.observed(f, posed) for f, posed in bodies.items()}
             system = _assemble(points, bodies, observed, known, settings)
         for _ in range(_TRIALS):
-            moved = _moved(bodies, system, damping, turns[iteration % len(turns)])
+            moved = _take_step(bodies, system, damping, free_numbers[iteration % len(free_numbers)])
             cost = _cost(points, moved, observed, known, settings)
             if cost < system.cost:
                 break
@@ -129,8 +133,8 @@ def fit_points(
         bodies = moved
         system = _assemble(points, bodies, observed, known, settings)
         costs.append(system.cost)
-        done()
-        if fall < settings.stop and (iteration + 1) % len(turns) == 0:
+        progress()
+        if fall < settings.stop and (iteration + 1) % len(free_numbers) == 0:
             stopped = f"the cost fell by less than {settings.stop:g} of itself"
             break
     at = next(iter(bodies.values())).body
@@ -139,17 +143,19 @@ def fit_points(
     )
 
 
-_NOWHERE = 1e3
-"""How far a coordinate may lie that nothing fixes [m, rad]."""
-_TRIALS, LEAST_DAMPING = 10, 1e-6
-TRUST_M, TRUST_RAD = 0.1, 0.2
-"""How far one step may go where the points leave it open [m, rad]."""
-CLIP = 3.0
-"""No number goes farther from what is expected than so many standard deviations."""
+_UNFIXED_SD = 1e3
+"""Prior standard deviation of a pose coordinate in the covariance of the numbers: so large that it is free [m, rad]."""
+_TRIALS = 10
+"""Largest number of rejected steps in one iteration."""
+LEAST_DAMPING = 1e-6
+"""Lower limit of the damping, as a share of each parameter's information."""
+
+CLIP_SD = 3.0
+"""Largest distance of a number from the prior's mean, in standard deviations."""
 
 
-def _turns(body: Body, order: Order) -> list[Mask]:
-    """List which numbers (N,) move in which iteration; where none of the lengths does, the poses rest too."""
+def _free_numbers(body: Body, order: Order) -> list[Mask]:
+    """List the numbers (N,) that are free in each kind of iteration; if no length is free, the poses are fixed too."""
     count = len(body.space)
     if order == "together":
         return [np.ones(count, bool)]
@@ -169,14 +175,14 @@ def _assemble(
         cost = 0.0
         seen = observed[frame]
         if seen is not None:
-            unit, distance = _unit(settings), settings.residual == "distance"
+            unit, distance = _residual_unit(settings), settings.residual == "distance"
             found = point_equations(posed, seen, scale=unit * points.scale_m, as_distance=distance)
             hessian, gradient = found.hessian / unit**2, found.gradient / unit**2
-            cost = _robust(found.residual / unit, seen, points.scale_m)
+            cost = _robust_cost(found.residual / unit, seen, points.scale_m)
         cost += add_dense(posed, known, hessian, gradient, shape=True)
         return hessian, gradient, cost
 
-    parts = list(side_by_side(of_frame, bodies.items()))
+    parts = list(map_in_threads(of_frame, bodies.items()))
     posed = next(iter(bodies.values()))
     white = ShapePrior().whiten(posed, shape=True)
     jacobian = white.jacobian[:, len(posed.body.skeleton) :]
@@ -186,22 +192,24 @@ def _assemble(
 
 
 FIELD_PER_METRE = 17.0
-"""How fast the field falls at the surface of a limb four centimetres thick [1/m]: ln F by 1.4 over its radius."""
+"""Slope of the field F at the surface of a limb of radius 0.04 m [1/m]: there F is 1/2, and ln F decreases by 1.4
+over the radius."""
 
 
-def _unit(settings: LevenbergSettings) -> float:
+def _residual_unit(settings: LevenbergSettings) -> float:
+    """Return the factor from metres to the residual's unit."""
     return 1.0 if settings.residual == "distance" else FIELD_PER_METRE
 
 
-def _off(posed: PosedBody, seen: PointsOnMetaballs, settings: LevenbergSettings) -> Floats:
-    """Give the residuals (n,), those of the field as if they were metres."""
+def _residuals(posed: PosedBody, seen: PointsOnMetaballs, settings: LevenbergSettings) -> Floats:
+    """Return the residuals (n,) in metres; those of the field are converted."""
     if settings.residual == "distance":
         return distances_of(posed, seen)
     return (seen.surface(posed).field(seen.points, seen.limb) - THRESHOLD) / FIELD_PER_METRE
 
 
-def _robust(residual: Floats, seen: PointsOnMetaballs, scale: float) -> float:
-    """Give the cost whose slope the weights of `robust.geman_mcclure` have."""
+def _robust_cost(residual: Floats, seen: PointsOnMetaballs, scale: float) -> float:
+    """Return the robust cost, whose gradient has the weights of `weights.geman_mcclure`."""
     squared = residual**2
     return float(np.sum(squared / (1.0 + squared / scale**2) / seen.spread**2))
 
@@ -213,7 +221,7 @@ def _cost(
     def of_frame(item: tuple[int, PosedBody]) -> float:
         frame, posed = item
         seen = observed[frame]
-        cost = 0.0 if seen is None else _robust(_off(posed, seen, settings), seen, points.scale_m)
+        cost = 0.0 if seen is None else _robust_cost(_residuals(posed, seen, settings), seen, points.scale_m)
         for observation in known:
             white = observation.whiten(posed)
             cost += float(white.residual @ white.residual)
@@ -221,21 +229,21 @@ def _cost(
 
     posed = next(iter(bodies.values()))
     white = ShapePrior().whiten(posed)
-    return float(white.residual @ white.residual) + sum(side_by_side(of_frame, bodies.items()))
+    return float(white.residual @ white.residual) + sum(map_in_threads(of_frame, bodies.items()))
 
 
-def _moved(bodies: Mapping[int, PosedBody], system: _System, damping: float, free: Mask) -> dict[int, PosedBody]:
-    """Solve for a step, the poses eliminated, and take it."""
+def _take_step(bodies: Mapping[int, PosedBody], system: _System, damping: float, free: Mask) -> dict[int, PosedBody]:
+    """Solve for a step with the poses eliminated, and apply it."""
     body = next(iter(bodies.values())).body
     degrees = len(body.skeleton)
     resting = not any(name.endswith("_length") for name in np.array(body.space.names)[free])
     information, gradient = system.shape[0].copy(), system.shape[1].copy()
     answers = []
-    trust = np.diag(1.0 / np.array([TRUST_M] * 3 + [TRUST_RAD] * (degrees - 3)) ** 2)
+    step_sd = np.diag(1.0 / np.array([STEP_SD_M] * 3 + [STEP_SD_RAD] * (degrees - 3)) ** 2)
     for hessian, pull in system.frames:
         information += hessian[degrees:, degrees:]
         gradient += pull[degrees:]
-        own = hessian[:degrees, :degrees] + damping * np.diag(np.diag(hessian)[:degrees]) + trust
+        own = hessian[:degrees, :degrees] + damping * np.diag(np.diag(hessian)[:degrees]) + step_sd
         right = np.column_stack([pull[:degrees], hessian[:degrees, degrees:]])
         answers.append(np.zeros_like(right) if resting else scipy.linalg.solve(own, right, assume_a="pos"))
     for (hessian, _), answer in zip(system.frames, answers, strict=True):
@@ -244,25 +252,25 @@ def _moved(bodies: Mapping[int, PosedBody], system: _System, damping: float, fre
     index = np.flatnonzero(free)
     part = information[np.ix_(index, index)]
     numbers = np.zeros(len(free))
-    least, greatest = shape_reach(body, CLIP)
+    least, greatest = shape_reach(body, CLIP_SD)
     numbers[index] = bounded_step(
         part + damping * np.diag(np.diag(part)), gradient[index], least[index], greatest[index]
     )
     changed = body.with_numbers(body.numbers + numbers)
     steps = [-(answer[:, 0] + answer[:, 1:] @ numbers) for answer in answers]
     return {
-        frame: PosedBody(changed, posed.pose.step(np.clip(step, -LONGEST_TURN, LONGEST_TURN)))
+        frame: PosedBody(changed, posed.pose.step(np.clip(step, -LONGEST_STEP_RAD, LONGEST_STEP_RAD)))
         for (frame, posed), step in zip(bodies.items(), steps, strict=True)
     }
 
 
 def _covariance(system: _System) -> Floats:
-    """Give the numbers' covariance (N, N), the poses free."""
+    """Return the covariance (N, N) of the numbers with the poses free."""
     count = len(system.shape[1])
     information = system.shape[0].copy()
     for hessian, pull in system.frames:
         degrees = len(pull) - count
         cross = hessian[:degrees, degrees:]
-        own = hessian[:degrees, :degrees] + np.diag(1.0 / _NOWHERE**2 * np.ones(degrees))
+        own = hessian[:degrees, :degrees] + np.diag(1.0 / _UNFIXED_SD**2 * np.ones(degrees))
         information += hessian[degrees:, degrees:] - cross.T @ np.linalg.solve(own, cross)
     return np.asarray(np.linalg.inv(0.5 * (information + information.T)))

@@ -1,8 +1,8 @@
-"""Normal equations of points on metaballs: summed up point by point, as many as there are, without an array of all.
+"""Normal equations of points on metaballs, summed point by point without an array of all derivatives.
 
-A point's distance changes with a few numbers and with the motion of a few segments only. What it says is added to a
-square matrix over all numbers and all segments' shifts and turns; when all points are in, one product turns segments
-into the pose's coordinates ([Plaenkers1999] eq. (2), (14)).
+A point's distance depends on a few numbers and on the motion of a few segments only. Its terms are added to a square
+matrix over all numbers and all segments' shifts and rotations; finally, one product converts segments to the pose's
+coordinates ([Plaenkers1999] eq. (2), (14)).
 """
 
 from dataclasses import dataclass
@@ -21,11 +21,11 @@ from marey.kernels import kernel
 from marey.observations.metaball_points import PointsOnMetaballs
 
 _LEAST_SHARE = 1e-6
-"""A ball with less of a point's field is passed over."""
+"""Balls with a smaller share of a point's field are ignored; the effect on the normal equations is of this order."""
 
 
 class NumbersOfBalls(NamedTuple):
-    """Which numbers move each ball in its segment, and how: ball m has the entries start[m] to start[m + 1]."""
+    """Derivatives of the balls by the numbers that move them: ball m has the entries start[m] to start[m + 1]."""
 
     start: Integers
     """(M + 1,)."""
@@ -40,7 +40,7 @@ class NumbersOfBalls(NamedTuple):
 
     @staticmethod
     def of(space: MetaballSpace, balls: Metaballs) -> "NumbersOfBalls":
-        """List what is not zero in how a space's numbers move its balls where they stand."""
+        """List the nonzero derivatives of a space's balls by its numbers."""
         radii, log_weight = space.rates(balls)
         moves = np.any(radii != 0.0, axis=2) | np.any(space.centre_modes != 0.0, axis=2) | (log_weight != 0.0)
         ball, number = np.nonzero(moves.T)
@@ -50,11 +50,12 @@ class NumbersOfBalls(NamedTuple):
 
 
 class BallsOfLimbs(NamedTuple):
-    """Which balls a point of each limb feels, see `Metaballs`; a point of the trunk feels the nearest limb's too."""
+    """Balls that contribute to the field at a point of each limb, see `Metaballs`; on the trunk, all balls."""
 
     start: Integers
     """(L + 1,)."""
     ball: Integers
+    """(E,) indices of balls."""
 
     @staticmethod
     def of(limb: Integers) -> "BallsOfLimbs":
@@ -65,14 +66,14 @@ class BallsOfLimbs(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PointEquations:
-    """What measured points say of pose and numbers."""
+    """Normal equations of measured points for pose and numbers."""
 
     hessian: Floats
     """(D + N, D + N)."""
     gradient: Floats
     """(D + N,)."""
     residual: Floats
-    """(n,) the residuals, without weights: distances [m], or F - 1/2."""
+    """(n,) residuals without weights: distances [m], or F - 1/2."""
     weight: Floats
     """(n,) robust weights."""
 
@@ -80,13 +81,14 @@ class PointEquations:
 def point_equations(
     posed: PosedBody, observed: PointsOnMetaballs, *, scale: float = np.inf, as_distance: bool = True
 ) -> PointEquations:
-    """Assemble the normal equations of measured points by pose and numbers.
+    """Assemble the normal equations of measured points for pose and numbers.
 
     Args:
-        posed: the body.
-        observed: the points.
-        scale: distance at which a point counts a quarter [m], see `robust.geman_mcclure`.
-        as_distance: else the residual is the paper's F - 1/2 ([Plaenkers1999] eq. (14)), with `spread` in its unit.
+        posed: The body.
+        observed: The points.
+        scale: Residual at which a point has a quarter of its weight [m], see `weights.geman_mcclure`.
+        as_distance: Whether the residual is a distance; else it is the paper's F - 1/2 ([Plaenkers1999] eq. (14)), with
+            `spread` in its unit.
     """
     surface, space = observed.surface(posed), observed.space
     balls, numbers, segments = surface.balls, len(space), len(posed.body.skeleton.segment_names)
@@ -109,12 +111,12 @@ def point_equations(
 
 
 def distances_of(posed: PosedBody, observed: PointsOnMetaballs) -> Floats:
-    """Give the points' distances (n,) from the surface [m]."""
+    """Return the points' distances (n,) from the surface [m]."""
     return observed.surface(posed).distance(observed.points, observed.limb)
 
 
 def _by_parameters(surface: PosedMetaballs, space: MetaballSpace) -> Floats:
-    """Give how numbers and segments' motions, the columns of `add_points`, follow pose and numbers (N + 6 S, D + N)."""
+    """Return the derivatives (N + 6 S, D + N) of `add_points`' columns by pose and numbers."""
     moves = moves_of_segments(surface, space)
     degrees, numbers = len(surface.balls.skeleton), len(space)
     alone = np.concatenate([np.zeros((numbers, degrees)), np.eye(numbers)], 1)
@@ -122,7 +124,7 @@ def _by_parameters(surface: PosedMetaballs, space: MetaballSpace) -> Floats:
 
 
 def moves_of_segments(surface: PosedMetaballs, space: MetaballSpace) -> Floats:
-    """Give how segments' shifts, and turns about the root's origin, follow pose and numbers (S, 6, D + N)."""
+    """Return the derivatives (S, 6, D + N) of segments' shifts, and rotations about the root, by pose and numbers."""
     skeleton, numbers = surface.balls.skeleton, len(space)
     origin, axes = surface.segment_origin, surface.world_axes
     segments, degrees = len(origin), len(skeleton)
@@ -132,7 +134,7 @@ def moves_of_segments(surface: PosedMetaballs, space: MetaballSpace) -> Floats:
     above = skeleton.above()
     for q, k in enumerate(skeleton.coordinate_segment):
         carried = above[:, k]
-        # A turn about the joint is one about the root's origin, and a shift.
+        # A rotation about the joint is one about the root's origin, and a shift.
         moves[carried, :3, 6 + q] = np.cross(axes[q], origin[0] - origin[k])
         moves[carried, 3:, 6 + q] = axes[q]
     shifted, _ = kinematics.origin_modes(surface.balls.packed.parents, surface.segment_rotation, space.joint_modes)
@@ -145,10 +147,10 @@ def add_points(
     points, limbs, spread, scale, as_distance, of_limbs, of_balls, ball_limb, segment, place, axes, rotation, radii,
     log_weight, origin, limb_count, numbers, square, linear, residuals, weights,
 ):  # fmt: skip
-    """Add what points (n, 3) say to the upper triangle of square and to linear; write residuals and robust weights.
+    """Add the terms of points (n, 3) to the upper triangle of square and to linear; write residuals and robust weights.
 
-    Columns: the numbers, then for each segment its shift and its turn about the origin. The derivatives are those of
-    `metaball_field.linearize`.
+    Columns: the numbers, then for each segment its shift and its rotation about the origin. The derivatives are those
+    of `metaball_field.linearize`.
     """
     balls = radii.shape[0]
     local, rise, share = np.empty((balls, 3)), np.empty((balls, 3)), np.empty(balls)
@@ -159,7 +161,7 @@ def add_points(
     for i in range(points.shape[0]):
         limb = limbs[i]
         own = of_limbs.ball[of_limbs.start[max(limb, 0)] : of_limbs.start[max(limb, 0) + 1]]
-        count, level = _feel(
+        count, level = _evaluate_field(
             points[i],
             limb,
             own,
@@ -203,13 +205,13 @@ def add_points(
 
 
 @kernel
-def _feel(
+def _evaluate_field(
     point, limb, own, ball_limb, place, axes, radii, log_weight, local, rise, share, top, total, slope, listed
 ):  # fmt: skip
-    """Fill in what a point feels of its balls, see `metaball_field`: places in them, slopes, shares.
+    """Evaluate the field at a point: write positions in the balls, gradients and shares, see `metaball_field`.
 
     Returns:
-        How many are listed, and ln(F / T).
+        The number of listed balls, and ln(F / T).
     """
     top[:] = -np.inf
     total[:] = 0.0
@@ -224,10 +226,10 @@ def _feel(
             if total[k] > 0.0 and top[k] + np.log(total[k]) > level:
                 best, level = k, top[k] + np.log(total[k])
     high = max(top[0], top[best])
-    felt = 0.0
+    total_field = 0.0
     for k in (0, best):
-        felt += total[k] * np.exp(top[k] - high) if total[k] > 0.0 else 0.0
-    level = high + np.log(felt)
+        total_field += total[k] * np.exp(top[k] - high) if total[k] > 0.0 else 0.0
+    level = high + np.log(total_field)
     count = 0
     slope[:] = 0.0
     for m in own:
@@ -251,7 +253,7 @@ def _add_ball(
     m, share, first, second, slope, steep, local, rise, axes, rotation, radii, segment, of_balls, numbers, point,
     origin, row, moved, columns, used, turned,
 ):  # fmt: skip
-    """Add one ball's part to a point's row; give how many columns are in use."""
+    """Add one ball's terms to a point's row; return the number of columns in use."""
     along = rise[m, 0] * slope[0] + rise[m, 1] * slope[1] + rise[m, 2] * slope[2]
     u = share * (first + second * (along - steep))
     v = share * second

@@ -1,4 +1,4 @@
-"""The recipe: a person's own metaballs and motion from measured points and silhouettes, in one system."""
+"""Estimation of a person's own metaballs and motion from measured points and silhouettes in one system."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -18,83 +18,85 @@ from marey.body.metaballs.metaball_person import (
 )
 from marey.body.people.person import CONSTANT, VARYING, family_body
 from marey.errors import SettingProblem
-from marey.fit.points.person_tracks import FastenedTracks, PersonTracks
+from marey.fit.points.person_tracks import AttachedTracks, PersonTracks
 from marey.fit.points.surface_points import PersonPoints
-from marey.fit.recipes.sequence import FrameTerms, SequenceFit, SequenceSettings, joined, refine_in_pieces
+from marey.fit.recipes.sequence import FrameTerms, SequenceFit, SequenceSettings, join_pieces, refine_in_pieces
 from marey.fit.search.levels import FrameLevels
 from marey.fit.solver.pose_solver import add_dense
 from marey.observations.observation import Observation
 
-TRUNK = ("abdomen", "thorax", "neck", "head")
-"""Segments that a preset may hold still for want of outlines, but whose surface points show how they turn."""
+FREED_SEGMENTS = ("abdomen", "thorax", "neck", "head")
+"""Segments that a preset may fix for lack of outlines, but whose rotation is visible in surface points."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ShapeSettings:
-    """How shape and motion are refined with measured points; the defaults are what measured best (docs/accuracy.md)."""
+    """Settings of the refinement with measured points; the defaults gave the best results in docs/accuracy.md."""
 
     sequence: SequenceSettings = field(default_factory=SequenceSettings)
+    """Settings of the sequence's system."""
     rounds: int = 3
     """Linearisations before the standard deviations are estimated again."""
     repeats: int = 2
-    """How often that happens with each body, see `details`."""
+    """Number of such estimates with each body, see `DETAILS_IN_TURN`."""
     begin_model_sd_m: float = 0.004
-    """How far the person's surface is believed to lie from the metaballs', before the fit says so [m]."""
+    """Initial standard deviation of the person's surface from that of the metaballs; later it is estimated [m]."""
     begin_scale_m: float = 0.02
-    """Distance at which a point counts a quarter, at first [m]."""
+    """Initial residual at which a point has a quarter of its weight [m]."""
     shape_frames: int = 60
-    """Frames from which the shape is learned."""
+    """Number of frames from which the shape is estimated."""
     points_a_frame: int = 1000
-    """Points of a frame that are used: their neighbours say nearly the same, and more would outvote the silhouettes
-    (docs/accuracy.md)."""
+    """Number of points used per frame: neighbouring points are nearly redundant, and more would outweigh the
+    silhouettes (docs/accuracy.md)."""
     neighbours: float = 10.0
-    """Pixels of a contour that lie off the model by as much: so many are worth one."""
+    """Number of contour pixels with a common deviation from the model, which count as one observation."""
 
 
-ALIKE_M = 0.075
-"""Over how many metres a person lies off fitted metaballs alike [m]: on the arm of docs/accuracy.md the residuals'
-correlation is 0.8 within a centimetre, 0.5 at 2.5, 0.2 at five and none beyond 12, in all as in such a square."""
+PATCH_OF_MISFIT_M = 0.075
+"""Size of the patches over which a person deviates from fitted metaballs by the same amount [m]. On the arm of
+docs/accuracy.md the residuals' correlation is 0.8 within 0.01 m, 0.5 at 0.025 m, 0.2 at 0.05 m and zero beyond 0.12
+m, in total as in such a square."""
 
 DETAILS_IN_TURN: tuple[str, ...] = ("simple", "full", "single")
-"""The bodies in the order of the fit ([Plaenkers1999] section 4.4): the simplified limbs where a start is rough; all
-balls with the learned person's numbers; all balls with radii of their own."""
+"""Bodies in the order of the fit ([Plaenkers1999] section 4.4): simplified limbs for a rough start; all balls with
+the learned person's numbers; all balls with radii of their own."""
 
 
-def freed(body: Body) -> Body:
-    """Let the trunk of a body turn as a whole person's does, whatever its preset holds still."""
+def with_free_trunk(body: Body) -> Body:
+    """Free the trunk's coordinates as in the full body, even if the preset fixes them."""
     every = family_body("coarse").skeleton
     have = {c.name for c in body.skeleton.coordinates}
-    kept = tuple(c for c in every.coordinates if c.name in have or c.segment in TRUNK)
+    kept = tuple(c for c in every.coordinates if c.name in have or c.segment in FREED_SEGMENTS)
     return replace(body, skeleton=replace(every, coordinates=kept))
 
 
 def with_coordinates(pose: Pose, old: Body, new: Body) -> Pose:
-    """Give a pose of one body's coordinates those of another's; what the first lacks is zero."""
+    """Convert a pose from one body's coordinates to another's; coordinates that the first lacks are zero."""
     angles = dict(zip((c.name for c in old.skeleton.coordinates), pose.angles, strict=True))
     wanted = [angles.get(c.name, 0.0) for c in new.skeleton.coordinates]
     return Pose(pose.translation, pose.rotation, np.array(wanted))
 
 
 def metaballs_like(body: Body, detail: str = "full") -> Body:
-    """Give a person of metaballs the shape of a body whose skin has the family's vertices.
+    """Make a person of metaballs with the shape of a body whose skin has the family's vertices.
 
-    Skeleton, and what of the skin is there and counts, stay. A body of metaballs is given as it is.
+    The skeleton, and the parts of the skin that exist and count, are kept. A body of metaballs is returned unchanged.
 
     Args:
-        body: learned, as a capture finds it, or of metaballs.
+        body: A learned body, as a capture estimates it, or one of metaballs.
         detail: "simple", or "full": all balls with the learned person's numbers.
 
     Raises:
-        SettingProblem: The body's skin is another one.
+        SettingProblem: The body's skin has other vertices.
     """
     if body.metaballs is not None:
         return body
     if len(body.vertices) != len(family_body("fine").vertices):
-        raise SettingProblem("A scan has no numbers that metaballs could share; fit the shape without --body.")
+        raise SettingProblem("A scan has no shape numbers for metaballs. Fit the shape without --body.")
     general = learned_metaballs() if detail == "full" else metaball_space("simple")
     space = replace(general, mean=replace(general.mean, skeleton=body.skeleton))
     if detail == "full" and space.names == body.space.names:
-        # What is expected of this person, its stature among it, was said of the learned body.
+        # The prior of this person, for example the stature, belongs to the learned body.
         space = replace(space, prior_mean=body.space.prior_mean, prior_covariance=body.space.prior_covariance)
         return _remade(space, body.numbers, body)
     beneath, beside = joint_spread()
@@ -102,14 +104,18 @@ def metaballs_like(body: Body, detail: str = "full") -> Body:
     return replace(made, joint_sd=VARYING * beneath, joint_offset_sd=np.hypot(CONSTANT * beneath, beside))
 
 
-SKIN_SD, JOINT_SD = 0.05, 0.01
-"""How far vertices, many of which lie off together, and joint centres may lie from another body's, by axis [m]."""
+VERTEX_SD = 0.05
+"""Standard deviation of vertices, many of which deviate together, from another body's, per axis [m]. Chosen by hand."""
+JOINT_CENTRE_SD = 0.01
+"""Standard deviation of joint centres from another body's, per axis [m]. Chosen by hand."""
 
 
 def numbers_like(space: MetaballSpace, body: Body) -> Floats:
-    """Give the numbers (N,) of the metaball person most like a body whose skin has the same vertices."""
+    """Return the numbers (N,) of the metaball person most similar to a body whose skin has the same vertices."""
     generic, there = metaball_body(space, template=body).space, np.unique(body.faces)
-    weigh = np.concatenate([np.full(3 * len(there), 1 / SKIN_SD), np.full(body.joint_centres.size, 1 / JOINT_SD)])
+    weigh = np.concatenate(
+        [np.full(3 * len(there), 1 / VERTEX_SD), np.full(body.joint_centres.size, 1 / JOINT_CENTRE_SD)]
+    )
     modes = np.concatenate([generic.vertex_modes[:, there], generic.joint_modes], 1).reshape(len(space), -1) * weigh
     off = np.concatenate([body.vertices[there] - generic.vertex_mean[there], body.joint_centres - generic.joint_mean])
     prior = np.linalg.inv(space.prior_covariance)
@@ -119,14 +125,14 @@ def numbers_like(space: MetaballSpace, body: Body) -> Floats:
 
 
 def more_detailed(body: Body, detail: str) -> Body:
-    """Give a body of metaballs more of them, or more numbers: "full" has the learned person's, "single" all radii.
+    """Give a body of metaballs more balls, or more numbers: "full" has the learned person's, "single" all radii.
 
     Args:
-        body: of metaballs.
-        detail: one of `DETAILS_IN_TURN`; the body itself where it is as detailed already.
+        body: Body of metaballs.
+        detail: One of `DETAILS_IN_TURN`; the body is returned unchanged if it is already that detailed.
     """
     space = required_metaballs(body)
-    if detail == "full" and simplified(body):
+    if detail == "full" and has_simple_limbs(body):
         general = learned_metaballs()
         whole = replace(general, mean=replace(general.mean, skeleton=space.mean.skeleton))
         return _remade(whole, numbers_like(whole, body), body)
@@ -137,8 +143,8 @@ def more_detailed(body: Body, detail: str) -> Body:
     return body
 
 
-def simplified(body: Body) -> bool:
-    """Tell whether a body has simplified limbs, each with a width."""
+def has_simple_limbs(body: Body) -> bool:
+    """Return whether a body has simplified limbs, each with a width."""
     return "upperarm_width" in body.space.names
 
 
@@ -148,58 +154,61 @@ def _remade(space: MetaballSpace, numbers: Floats, body: Body) -> Body:
 
 
 def measured_segments(body: Body) -> Mask:
-    """Tell which segments (S,) the preset follows."""
+    """Return the segments (S,) that the preset follows."""
     return np.ones(len(body.skeleton.segment_names), bool) if body.followed is None else np.asarray(body.followed)
 
 
 @dataclass(frozen=True, eq=False)
-class Shaped:
-    """A person fitted so far."""
+class ShapeEstimate:
+    """A person's estimated shape and motion, with the standard deviations of the observations."""
 
     body: Body
     poses: dict[int, Pose]
+    """Poses by frame."""
     model_sd_m: float
-    """Of points, on top of their own (variance component) [m]."""
+    """Standard deviation of points in addition to their own (variance component) [m]."""
     outline_sd_px: float
-    """Of outlines' matches (variance component) [px]."""
+    """Standard deviation of the outlines' matches (variance component) [px]."""
     skin_sd_m: float = 0.006
-    """Of followed points in their segments (variance component) [m]."""
+    """Standard deviation of tracked points relative to their segments (variance component) [m]."""
 
 
 @dataclass(frozen=True, eq=False)
-class OnSurface:
-    """What was measured on a person: points of each frame, points that were followed, and joints that were clicked."""
+class SurfaceMeasurements:
+    """Measurements of a person's surface: points by frame, tracked points, and clicked joints."""
 
     points: PersonPoints
+    """Points by frame."""
     tracks: PersonTracks | None = None
+    """Tracked points, if any."""
     clicked: Mapping[int, Sequence[Observation]] = field(default_factory=dict)
-    """Joints, by frame."""
+    """Clicked joints, by frame."""
 
-    def believed(self, shaped: Shaped, scale_m: float = np.inf) -> "OnSurface":
-        """Set how well both are believed to fit, and the points' robust scale that goes with it, see `believed`."""
+    def with_uncertainty(self, shaped: ShapeEstimate, scale_m: float = np.inf) -> "SurfaceMeasurements":
+        """Set the standard deviations of both to those of an estimate, and the points' robust scale accordingly."""
         tracks = None if self.tracks is None else replace(self.tracks, skin_sd_m=shaped.skin_sd_m)
-        return replace(self, points=believed(self.points, shaped.model_sd_m, scale_m), tracks=tracks)
+        return replace(self, points=with_uncertainty(self.points, shaped.model_sd_m, scale_m), tracks=tracks)
 
-    def as_alike(self) -> "OnSurface":
-        """Count points as one over as many metres as a person lies off the metaballs alike (`ALIKE_M`).
+    def with_correlated_patches(self) -> "SurfaceMeasurements":
+        """Count the points of one patch of size `PATCH_OF_MISFIT_M` as one.
 
-        The fit itself counts them over a centimetre only, so that radii follow what is smaller than that; what it would
-        state then is several times too certain.
+        The fit itself uses patches of a centimetre only, so that radii can follow smaller features; its stated
+        uncertainty would be several times too small.
         """
-        tracks = None if self.tracks is None else replace(self.tracks, patch_m=ALIKE_M)
-        return replace(self, points=replace(self.points, patch_m=ALIKE_M), tracks=tracks)
+        tracks = None if self.tracks is None else replace(self.tracks, patch_m=PATCH_OF_MISFIT_M)
+        return replace(self, points=replace(self.points, patch_m=PATCH_OF_MISFIT_M), tracks=tracks)
 
-    def of_round(self, poses: Mapping[int, Pose], body: Body) -> FrameTerms:
-        """Make it ready for a round of the refinement, see `sequence.Further`."""
-        return _OfRound(self, None if self.tracks is None else self.tracks.fastened(poses, body))
+    def terms_of_round(self, poses: Mapping[int, Pose], body: Body) -> FrameTerms:
+        """Prepare the measurements for a round of the refinement, see `sequence.FrameTermsFactory`."""
+        return _RoundTerms(self, None if self.tracks is None else self.tracks.attached(poses, body))
 
 
 @dataclass(frozen=True, eq=False)
-class _OfRound:
-    """All that was measured, as one sum of equations."""
+class _RoundTerms:
+    """Sum of the normal equations of all measurements."""
 
-    measured: OnSurface
-    tracks: FastenedTracks | None
+    measured: SurfaceMeasurements
+    tracks: AttachedTracks | None
 
     @property
     def shared(self) -> int:
@@ -216,83 +225,84 @@ class _OfRound:
         return more, pull
 
 
-def stated(
-    found: Shaped, levels: FrameLevels, measured: OnSurface, *, rate: float, settings: ShapeSettings
+def final_covariances(
+    found: ShapeEstimate, levels: FrameLevels, measured: SurfaceMeasurements, *, rate: float, settings: ShapeSettings
 ) -> Iterator[SequenceFit]:
-    """Say how certain a refined motion and shape are, with points that lie off alike counted as one.
+    """Compute the uncertainty of a refined motion and shape, with correlated deviations of points taken into account.
 
     Args:
-        found: whose poses and body stay.
-        levels: silhouettes.
-        measured: as the refinement believed it.
-        rate: frames in a second.
-        settings: as there.
+        found: Estimate, whose poses and body are kept.
+        levels: Silhouettes.
+        measured: Measurements with the uncertainty used in the refinement.
+        rate: Frame rate [Hz].
+        settings: Settings of the refinement.
     """
     frames = list(found.poses)
     for fit in refine_in_pieces(
         frames, list(found.poses.values()), found.body, levels, rate=rate, rounds=1,
-        shape_frames=evenly(frames, settings.shape_frames),
-        settings=replace(settings.sequence, sigma_px=found.outline_sd_px), also=measured.as_alike().of_round,
+        shape_frames=evenly_spaced(frames, settings.shape_frames),
+        settings=replace(settings.sequence, sigma_px=found.outline_sd_px),
+        extra_terms=measured.with_correlated_patches().terms_of_round,
     ):  # fmt: skip
         body = replace(found.body, numbers_covariance=fit.body.numbers_covariance)
         yield replace(fit, poses=tuple(found.poses[int(frame)] for frame in fit.frames), body=body)
 
 
 def refine_shape(
-    begun: Shaped,
+    begun: ShapeEstimate,
     levels: FrameLevels,
-    measured: OnSurface,
+    measured: SurfaceMeasurements,
     *,
     rate: float,
     repeats: int,
     settings: ShapeSettings,
     scale_m: float = np.inf,
-    done: Callable[[int], None] = lambda frame: None,
-) -> Shaped:
-    """Refine shape and motion until the standard deviations that weigh the observations agree with what is left over.
+    progress: Callable[[int], None] = lambda frame: None,
+) -> ShapeEstimate:
+    """Refine shape and motion, and estimate the standard deviations that weigh the observations from the residuals.
 
     Args:
-        begun: a body of metaballs, poses by frame, and what is believed of the observations.
-        levels: silhouettes; a frame without any has its points only.
-        measured: points; where they lie on the body is found anew in every round.
-        rate: frames in a second.
-        repeats: how often.
-        settings: how.
-        scale_m: no greater a distance counts a quarter [m].
-        done: told of every frame in every round.
+        begun: Body of metaballs, poses by frame, and initial standard deviations.
+        levels: Silhouettes; a frame without any has its points only.
+        measured: Measurements; their positions on the body are found again in every round.
+        rate: Frame rate [Hz].
+        repeats: Number of estimates of the standard deviations.
+        settings: Settings of the refinement.
+        scale_m: Upper limit of the residual at which a point has a quarter of its weight [m].
+        progress: Called with each frame in each round.
     """
     for _ in range(repeats):
-        measured = measured.believed(begun, scale_m)
+        measured = measured.with_uncertainty(begun, scale_m)
         pieces = refine_in_pieces(
             list(begun.poses), list(begun.poses.values()), begun.body, levels, rate=rate, rounds=settings.rounds,
-            shape_frames=evenly(list(begun.poses), settings.shape_frames),
-            settings=replace(settings.sequence, sigma_px=begun.outline_sd_px), also=measured.of_round,
-            done=done,
+            shape_frames=evenly_spaced(list(begun.poses), settings.shape_frames),
+            settings=replace(settings.sequence, sigma_px=begun.outline_sd_px), extra_terms=measured.terms_of_round,
+            progress=progress,
         )  # fmt: skip
-        begun = reestimated(joined(list(pieces)), measured, settings)
+        begun = reestimated(join_pieces(list(pieces)), measured, settings)
         scale_m = measured.points.scale_m
     return begun
 
 
-def believed(points: PersonPoints, model_sd_m: float, scale_m: float = np.inf) -> PersonPoints:
-    """Set how well points are believed to fit, and the robust scale that goes with it, up to the one given [m]."""
-    return replace(points, model_sd_m=model_sd_m, scale_m=scale_m).narrowed(0.0)
+def with_uncertainty(points: PersonPoints, model_sd_m: float, scale_m: float = np.inf) -> PersonPoints:
+    """Set the points' standard deviation from the model, and the robust scale accordingly, up to the one given [m]."""
+    return replace(points, model_sd_m=model_sd_m, scale_m=scale_m).with_narrower_scale(0.0)
 
 
-def reestimated(fit: SequenceFit, measured: OnSurface, settings: ShapeSettings) -> Shaped:
-    """Estimate the kinds' standard deviations from what the fit left over (variance components)."""
+def reestimated(fit: SequenceFit, measured: SurfaceMeasurements, settings: ShapeSettings) -> ShapeEstimate:
+    """Estimate the standard deviations of all kinds of observations from the residuals (variance components)."""
     poses = fit.by_frame
     bodies = {f: PosedBody(fit.body, pose) for f, pose in poses.items()}
     outline = np.sqrt(settings.neighbours) * fit.residual_px
-    tracks = None if measured.tracks is None else measured.tracks.fastened(poses, fit.body).reestimated(bodies)
-    return Shaped(
+    tracks = None if measured.tracks is None else measured.tracks.attached(poses, fit.body).reestimated(bodies)
+    return ShapeEstimate(
         fit.body, poses, measured.points.reestimated(bodies).model_sd_m,
         float(outline) if np.isfinite(outline) and outline > 0 else settings.sequence.sigma_px,
-        Shaped.skin_sd_m if tracks is None else tracks.skin_sd_m,
+        ShapeEstimate.skin_sd_m if tracks is None else tracks.skin_sd_m,
     )  # fmt: skip
 
 
-def evenly(frames: Sequence[int], most: int) -> list[int]:
-    """Choose at most so many frames, evenly."""
+def evenly_spaced(frames: Sequence[int], most: int) -> list[int]:
+    """Choose at most a number of frames, evenly spaced."""
     index = np.unique(np.linspace(0, len(frames) - 1, min(most, len(frames))).astype(int))
     return [frames[i] for i in index]

@@ -1,1 +1,1 @@
-"""Following a person through a take: start, tracking, and the refinement of all frames together."""
+"""Motion capture of a person: start, tracking, and the joint refinement of all frames."""

@@ -15,14 +15,14 @@ from marey.observations.observation import Observation
 
 @dataclass(frozen=True, eq=False)
 class FrameObservations:
-    """Observations by frame, as terms of the refinement; see `marey.fit.recipes.sequence.Further`."""
+    """Observations by frame, as terms of the refinement; see `marey.fit.recipes.sequence.FrameTermsFactory`."""
 
     by_frame: Mapping[int, Sequence[Observation]]
     """Observations of each frame; frames without any may be missing."""
     shared: int = 0
     """Number of unknowns that all frames share beside the shape: none."""
 
-    def of_round(self, poses: Mapping[int, Pose], body: Body) -> FrameTerms:
+    def terms_of_round(self, poses: Mapping[int, Pose], body: Body) -> FrameTerms:
         """Return the terms of a round; they do not depend on the other frames."""
         return self
 

@@ -1,4 +1,4 @@
-"""The recipe: from the silhouettes of a take to one person's motion and shape."""
+"""Estimation of one person's motion and shape from the silhouettes of a take."""
 
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -11,65 +11,75 @@ from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.articulation.surface import Body
 from marey.body.metaballs.metaball_person import reshaped
 from marey.cameras.camera import Camera
-from marey.fit.recipes.pick_up import PickUpSettings, better_of, pick_up, start_again, weak_frames
-from marey.fit.recipes.sequence import Further, RefineMemory, SequenceFit, SequenceSettings, refine_in_pieces
+from marey.fit.recipes.pick_up import PickUpSettings, best_per_frame, pick_up, restart, weak_frames
+from marey.fit.recipes.sequence import (
+    FrameTermsFactory,
+    RefineCheckpoint,
+    SequenceFit,
+    SequenceSettings,
+    refine_in_pieces,
+)
 from marey.fit.recipes.track import TrackSettings, repair, track
 from marey.fit.search.levels import FrameLevels, level_factor
 from marey.fit.search.search import Candidate, Search, StartSettings
 from marey.fit.search.start import find_start
-from marey.fit.solver.side_by_side import side_by_side
+from marey.fit.solver.threads import map_in_threads
 from marey.images.silhouettes.interior import InteriorEdges
 
-Done = Callable[[int], None]
+FrameProgress = Callable[[int], None]
+"""Called with the number of each frame that is finished."""
 
 
-def _nothing(frame: int) -> None:
-    """Tell nobody."""
+def no_progress(frame: int) -> None:
+    """Ignore the frame: the default where no progress is reported."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PersonSettings:
-    """How a person is captured; the defaults are what measured best (docs/accuracy.md)."""
+    """Settings of a person's capture; the defaults gave the best results in docs/accuracy.md."""
 
     start: StartSettings = field(default_factory=StartSettings)
     track: TrackSettings = field(default_factory=TrackSettings)
     sequence: SequenceSettings = field(default_factory=SequenceSettings)
     pick_up: PickUpSettings = field(default_factory=PickUpSettings)
     bridge: float = 0.2
-    """Time without an answer over which a motion is filled from both sides [s]."""
+    """Longest gap without a pose that is filled by interpolation [s]."""
     start_frames: int = 3
-    """Frames that are tried for the start."""
+    """Number of frames in which a start is tried."""
     shape_frames: int = 25
-    """Frames from which the shape is learned."""
+    """Number of frames from which the shape is estimated."""
     track_height: float = 160.0
-    """Height of the person in the pictures on which it is followed [px]."""
+    """Height of the person in the pictures used for tracking [px]."""
     rough_height: float = 80.0
+    """Height of the person in the pictures used to search for limbs during tracking [px]."""
     fine_height: float = 420.0
-    """Height of the person in the pictures on which the sequence is refined [px]."""
+    """Height of the person in the pictures used for the final refinement of the sequence [px]."""
 
 
 @dataclass(frozen=True, eq=False)
-class Take:
-    """A take as the fit sees it: cameras, and silhouettes by frame."""
+class SilhouetteTake:
+    """The input of a fit: cameras, and silhouettes by frame."""
 
     cameras: tuple[Camera, ...]
+    """C cameras."""
     masks_of: Callable[[int], Sequence[Mask]]
-    """Gives the silhouettes (height, width) of a frame, one a camera."""
+    """Returns the silhouettes of a frame: one mask (height, width) per camera."""
     frames: tuple[int, ...]
-    """Frames that show somebody, in order."""
+    """Frames in which a person was detected, in order."""
     rate: float
+    """Frame rate [Hz]."""
     edges_of: Callable[[int], Sequence[InteriorEdges] | None] = lambda frame: None
-    """Gives the edges inside of a frame's silhouettes, one set a camera; None where nobody looked for them."""
+    """Returns the edges inside a frame's silhouettes, one set per camera; None where they were not extracted."""
     _levels: dict[float, FrameLevels] = field(default_factory=dict, init=False, repr=False)
 
     def levels(self, height: float) -> FrameLevels:
-        """Give the frames at the size at which the person is about so high [px]; the same ones each time."""
+        """Return the frames scaled so that the person is about `height` pixels tall; repeated calls share them."""
         if height not in self._levels:
             self._levels[height] = self._shrunk(height)
         return self._levels[height]
 
     def forget(self) -> None:
-        """Let go of all levels: the next work on the take looks at others."""
+        """Release the memory of all levels, before work that needs other sizes."""
         for levels in self._levels.values():
             levels.forget()
 
@@ -80,23 +90,23 @@ class Take:
 
 
 @dataclass(frozen=True, eq=False)
-class Memory:
-    """What a run that follows a person has found so far; each part takes a candidate as soon as it is found."""
+class TrackCheckpoint:
+    """Intermediate results of `track_person`; each mapping receives a candidate as soon as it is found."""
 
     followed: MutableMapping[tuple[int, int], Candidate] = field(default_factory=dict)
-    """By the frame of the start from which the person was followed, and the frame."""
+    """Tracked candidates, by the frame of their start and the frame."""
     starts: MutableMapping[int, Candidate] = field(default_factory=dict)
-    """Starts that were tried anew, by frame."""
-    mended: MutableMapping[tuple[int, int], Candidate] = field(default_factory=dict)
-    """By the way in which frames were gone through (1 or -1), and the frame."""
+    """Further starts, by frame."""
+    repaired: MutableMapping[tuple[int, int], Candidate] = field(default_factory=dict)
+    """Repaired candidates, by the direction of the sweep (1 or -1) and the frame."""
 
 
-class OfStart(MutableMapping[int, Candidate]):
-    """The part of a memory that belongs to one start.
+class CandidatesOfStart(MutableMapping[int, Candidate]):
+    """View of the tracked candidates that belong to one start.
 
     Args:
         every: Candidates by start and frame.
-        start: Which part.
+        start: Frame of the start.
     """
 
     def __init__(self, every: MutableMapping[tuple[int, int], Candidate], start: int):
@@ -118,16 +128,16 @@ class OfStart(MutableMapping[int, Candidate]):
         return (frame for start, frame in self._every if start == self._start)
 
     def __len__(self) -> int:
-        """Count the frames."""
+        """Return the number of frames."""
         return sum(1 for _ in self)
 
 
-def promising_frames(take: Take, count: int) -> list[int]:
-    """Choose frames that show the person best: in every camera, large, and not cut by the border.
+def promising_frames(take: SilhouetteTake, count: int) -> list[int]:
+    """Choose the frames that show the person best: in every camera, large, and not cut by the border.
 
     Args:
-        take: cameras and silhouettes.
-        count: how many; they lie apart in time.
+        take: Cameras and silhouettes.
+        count: Number of frames; they are spread over time.
     """
     stride = max(1, len(take.frames) // 40)
     frames = list(take.frames[::stride])
@@ -146,7 +156,7 @@ def promising_frames(take: Take, count: int) -> list[int]:
 
 
 def _shown(mask: Mask) -> tuple[float, float]:
-    """Give a silhouette's size [px] and the share of its extent that lies at the picture's border."""
+    """Return a silhouette's area [px] and the share of its extent that lies at the picture's border."""
     area = float(np.count_nonzero(mask))
     if area == 0:
         return 0.0, 1.0
@@ -155,106 +165,120 @@ def _shown(mask: Mask) -> tuple[float, float]:
 
 
 def start_person(
-    take: Take,
+    take: SilhouetteTake,
     coarse: Body,
     fine: Body,
     settings: PersonSettings,
     *,
-    done: Done = _nothing,
-    memory: MutableMapping[int, Candidate] | None = None,
+    progress: FrameProgress = no_progress,
+    checkpoint: MutableMapping[int, Candidate] | None = None,
 ) -> tuple[int, Candidate] | None:
-    """Find the start in the frames that show the person best, until one is explained well; give the best of them.
+    """Find the pose and rough shape in the most promising frames, and return the candidate with the best score.
 
-    A memory takes every candidate as soon as it is found; what it holds already is not sought again.
+    The search stops early at a frame whose score reaches `StartSettings.good`.
+
+    Args:
+        take: Cameras and silhouettes.
+        coarse: Body with few vertices.
+        fine: Body with all vertices.
+        settings: Settings of the capture.
+        progress: Called with each frame that was tried.
+        checkpoint: Receives every candidate as soon as it is found; candidates that it already holds are reused.
+
+    Returns:
+        The frame and its candidate, or None if no frame has a candidate.
     """
-    memory = {} if memory is None else memory
+    checkpoint = {} if checkpoint is None else checkpoint
     found: list[tuple[int, Candidate]] = []
     for frame in promising_frames(take, settings.start_frames):
-        if frame not in memory:
+        if frame not in checkpoint:
             candidate = find_start(take.cameras, take.masks_of(frame), coarse, fine, settings.start)
             if candidate is not None:
-                memory[frame] = candidate
-        if frame in memory:
-            found.append((frame, memory[frame]))
-        done(frame)
+                checkpoint[frame] = candidate
+        if frame in checkpoint:
+            found.append((frame, checkpoint[frame]))
+        progress(frame)
         if found and found[-1][1].score >= settings.start.good:
             break
     return max(found, key=lambda pair: pair[1].score) if found else None
 
 
 def track_person(
-    take: Take,
+    take: SilhouetteTake,
     body: Body,
     coarse: Body,
     start: tuple[int, Pose],
     settings: PersonSettings,
     *,
-    done: Done = _nothing,
-    memory: Memory | None = None,
+    progress: FrameProgress = no_progress,
+    checkpoint: TrackCheckpoint | None = None,
 ) -> dict[int, Candidate]:
-    """Follow the person from the start to both ends of the take, pick up who was lost, and mend what went wrong.
+    """Track the person from the start to both ends of the take, with new starts and repairs where tracking failed.
 
-    Who left and came back after a while is sought anew, as is who was lost; the body's shape is kept. A stretch that
-    was followed much worse than the rest is tried again in the same way.
+    If the person is lost, or leaves and returns, new starts are searched for. A stretch with a much lower score than
+    the rest is tracked again in the same way. The body's shape is kept.
 
     Args:
-        take: cameras and silhouettes.
-        body: whose shape stays as it is.
-        coarse: the same body with few vertices.
-        start: a frame, and the pose in it.
-        settings: how a person is followed.
-        done: told of every frame once.
-        memory: what an interrupted run had found already.
+        take: Cameras and silhouettes.
+        body: Body of fixed shape.
+        coarse: The same body with few vertices.
+        start: Frame and pose of the start.
+        settings: Settings of the capture.
+        progress: Called once with each frame.
+        checkpoint: Results of an interrupted run, which are reused; receives every new result.
+
+    Returns:
+        A candidate for each frame in which the person was found.
     """
-    memory = memory or Memory()
+    checkpoint = checkpoint or TrackCheckpoint()
     levels, rough = take.levels(settings.track_height), take.levels(settings.rough_height)
-    tell = _once(done)
+    report = _once(progress)
 
     def follow(begun: int, pose: Pose, frames: Sequence[int]) -> dict[int, Candidate]:
         return track(
-            body, pose, frames, levels, rough, rate=take.rate, settings=settings.track, coarse=coarse, done=tell,
-            memory=OfStart(memory.followed, begun),
+            body, pose, frames, levels, rough, rate=take.rate, settings=settings.track, coarse=coarse, progress=report,
+            checkpoint=CandidatesOfStart(checkpoint.followed, begun),
         )  # fmt: skip
 
-    def anew(frame: int) -> Candidate | None:
-        if frame not in memory.starts:
+    def restart_at(frame: int) -> Candidate | None:
+        if frame not in checkpoint.starts:
             masks = take.masks_of(frame)
-            candidate = start_again(take.cameras, masks, body, coarse, levels, frame, settings.start)
+            candidate = restart(take.cameras, masks, body, coarse, levels, frame, settings.start)
             if candidate is None:
                 return None
-            memory.starts[frame] = candidate
-        return memory.starts[frame]
+            checkpoint.starts[frame] = candidate
+        return checkpoint.starts[frame]
 
     frame, pose = start
     ahead, behind = [f for f in take.frames if f >= frame], [f for f in reversed(take.frames) if f < frame]
     found = follow(frame, pose, ahead) | follow(frame, pose, behind)
     weak = weak_frames(found, rate=take.rate, settings=settings.pick_up)
     again = pick_up(
-        {f: c for f, c in found.items() if f not in weak}, take.frames, _merits(take), anew, follow, rate=take.rate,
-        settings=settings.pick_up,
+        {f: c for f, c in found.items() if f not in weak}, take.frames, _merits(take), restart_at, follow,
+        rate=take.rate, settings=settings.pick_up,
     )  # fmt: skip
-    found = better_of(found, again)
+    found = best_per_frame(found, again)
     for frame in take.frames:
-        tell(frame)
+        report(frame)
     return repair(
-        found, levels, rough, coarse=coarse, rate=take.rate, settings=settings.track, memory=memory.mended
+        found, levels, rough, coarse=coarse, rate=take.rate, settings=settings.track, checkpoint=checkpoint.repaired
     )  # fmt: skip
 
 
-def _once(done: Done) -> Done:
-    """Tell of each frame but once."""
-    told: set[int] = set()
+def _once(progress: FrameProgress) -> FrameProgress:
+    """Return a progress function that passes each frame on only once."""
+    finished: set[int] = set()
 
-    def tell(frame: int) -> None:
-        if frame not in told:
-            told.add(frame)
-            done(frame)
+    def report(frame: int) -> None:
+        if frame not in finished:
+            finished.add(frame)
+            progress(frame)
 
-    return tell
+    return report
 
 
-def _merits(take: Take) -> Callable[[int], float]:
-    """Give how well a frame shows the person: all of the silhouettes, less what the pictures' borders cut."""
+def _merits(take: SilhouetteTake) -> Callable[[int], float]:
+    """Return a function that rates how well a frame shows the person: silhouette size, less what the borders cut."""
 
     def merit(frame: int) -> float:
         shown = [_shown(mask) for mask in take.masks_of(frame)]
@@ -263,36 +287,56 @@ def _merits(take: Take) -> Callable[[int], float]:
     return merit
 
 
-def mend_person(
-    take: Take,
+def repair_person(
+    take: SilhouetteTake,
     body: Body,
     coarse: Body,
     poses: Mapping[int, Pose],
     settings: PersonSettings,
     *,
-    done: Done = _nothing,
-    memory: MutableMapping[tuple[int, int], Candidate] | None = None,
+    progress: FrameProgress = no_progress,
+    checkpoint: MutableMapping[tuple[int, int], Candidate] | None = None,
 ) -> dict[int, Pose]:
-    """Mend single frames of a sequence once its body and its silhouettes are better known.
+    """Repair single frames of a sequence, given a better estimate of the body and better silhouettes.
 
-    A memory takes every mended frame as soon as it is found; what it holds already is not sought again.
+    Args:
+        take: Cameras and silhouettes.
+        body: Body of fixed shape.
+        coarse: The same body with few vertices.
+        poses: Poses by frame.
+        settings: Settings of the capture.
+        progress: Called with each frame that was repaired.
+        checkpoint: Receives every repaired frame as soon as it is found; frames that it already holds are reused.
+
+    Returns:
+        All poses by frame.
     """
     levels, rough = take.levels(settings.track_height), take.levels(settings.rough_height)
     seen = ((levels.at(f), pose) for f, pose in poses.items())
-    scored = side_by_side(lambda task: Search(task[0], settings.start).judge(PosedBody(body, task[1])), seen)
+    scored = map_in_threads(lambda task: Search(task[0], settings.start).judge(PosedBody(body, task[1])), seen)
     judged = dict(zip(poses, scored, strict=True))
-    mended = repair(
-        judged, levels, rough, coarse=coarse, rate=take.rate, settings=settings.track, done=done, memory=memory
+    repaired = repair(
+        judged,
+        levels,
+        rough,
+        coarse=coarse,
+        rate=take.rate,
+        settings=settings.track,
+        progress=progress,
+        checkpoint=checkpoint,
     )
-    return {f: candidate.posed.pose for f, candidate in mended.items()}
+    return {f: candidate.posed.pose for f, candidate in repaired.items()}
 
 
-def bridged(poses: Mapping[int, Pose], *, longest: float) -> dict[int, Pose]:
-    """Give poses for moments without an answer, evenly between those on both sides.
+def interpolated_poses(poses: Mapping[int, Pose], *, longest: float) -> dict[int, Pose]:
+    """Interpolate poses in short gaps.
 
     Args:
-        poses: that were found, by frame.
-        longest: how many frames a moment may last.
+        poses: Known poses by frame.
+        longest: Longest gap that is filled, in frames.
+
+    Returns:
+        The interpolated poses by frame.
     """
     filled = {}
     for before, after in pairwise(sorted(poses)):
@@ -302,10 +346,25 @@ def bridged(poses: Mapping[int, Pose], *, longest: float) -> dict[int, Pose]:
     return filled
 
 
-def unseen(
-    take: Take, body: Body, poses: Mapping[int, Pose], frames: Iterable[int], settings: PersonSettings, *, usual: float
+def unsupported_frames(
+    take: SilhouetteTake,
+    body: Body,
+    poses: Mapping[int, Pose],
+    frames: Iterable[int],
+    settings: PersonSettings,
+    *,
+    usual: float,
 ) -> set[int]:
-    """Tell of frames whose poses were filled which ones the silhouettes do not bear out, much worse than usual."""
+    """Return the frames whose interpolated poses agree with the silhouettes much worse than usual.
+
+    Args:
+        take: Cameras and silhouettes.
+        body: Body of the poses.
+        poses: Poses by frame.
+        frames: Frames whose poses were interpolated.
+        settings: Settings of the capture.
+        usual: Usual score of the measured frames.
+    """
     levels = take.levels(settings.track_height)
     return {
         f
@@ -315,7 +374,7 @@ def unseen(
 
 
 def shape_frames(agreements: Mapping[int, float], count: int) -> list[int]:
-    """Choose frames for the shape: evenly among the best 70 in a hundred."""
+    """Choose `count` frames for the estimate of the shape, evenly spaced among the best 70 % by agreement."""
     scores = np.array(list(agreements.values()))
     good = [f for f, s in zip(agreements, scores, strict=True) if s >= np.quantile(scores, 0.3)]
     index = np.unique(np.linspace(0, len(good) - 1, min(count, len(good))).astype(int))
@@ -323,7 +382,7 @@ def shape_frames(agreements: Mapping[int, float], count: int) -> list[int]:
 
 
 def refine_person(
-    take: Take,
+    take: SilhouetteTake,
     body: Body,
     poses: Mapping[int, Pose],
     for_shape: Sequence[int],
@@ -331,21 +390,33 @@ def refine_person(
     *,
     height: float,
     rounds: int,
-    blind: Container[int] = (),
-    also: Further | None = None,
-    done: Done = _nothing,
-    memory: RefineMemory | None = None,
+    ignored_frames: Container[int] = (),
+    extra_terms: FrameTermsFactory | None = None,
+    progress: FrameProgress = no_progress,
+    checkpoint: RefineCheckpoint | None = None,
 ) -> Iterator[SequenceFit]:
-    """Refine motion and shape together at one size of the pictures; the answer comes piece by piece.
+    """Refine motion and shape together at one size of the pictures, and yield the result window by window.
 
-    The silhouettes of blind frames are not believed: only their neighbours speak of them.
+    Args:
+        take: Cameras and silhouettes.
+        body: Body whose shape is refined with the poses.
+        poses: Poses by frame.
+        for_shape: Frames from which the shape is estimated; without any it is kept.
+        settings: Settings of the capture.
+        height: Height of the person in the pictures [px].
+        rounds: Number of iterations.
+        ignored_frames: Frames whose silhouettes are ignored; their poses follow from their neighbours.
+        extra_terms: Further observations, for example of surface points.
+        progress: Called with each frame in each round.
+        checkpoint: Results of an interrupted run, which are reused; receives every new result.
     """
     return refine_in_pieces(
         list(poses), list(poses.values()), body, take.levels(height), rate=take.rate, rounds=rounds,
-        shape_frames=for_shape, settings=settings.sequence, blind=blind, also=also, done=done, memory=memory,
+        shape_frames=for_shape, settings=settings.sequence, ignored_frames=ignored_frames, extra_terms=extra_terms,
+        progress=progress, checkpoint=checkpoint,
     )  # fmt: skip
 
 
 def with_shape(body: Body, other: Body) -> Body:
-    """Give a body of another level the shape numbers of this one."""
+    """Return the other body, of another level of detail, with the shape numbers of the first one."""
     return replace(reshaped(other, body.numbers), numbers_covariance=body.numbers_covariance)

@@ -1,4 +1,4 @@
-"""Picking up a person who was lost, or who left and came back: new starts in the frames without an answer."""
+"""Recovery of a lost track by new starts in the frames without a pose."""
 
 from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -14,34 +14,34 @@ from marey.fit.search.search import Candidate, Search, StartSettings
 from marey.fit.search.start import find_start
 
 Follow = Callable[[int, Pose, Sequence[int]], Mapping[int, Candidate]]
-"""Follows the person from a start (its frame and pose) through frames; gives those in which the person was found."""
+"""Tracks the person from a start (frame and pose) through frames; returns those in which the person was found."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PickUpSettings:
-    """Where new starts are tried, and when they are believed."""
+    """Settings of the new starts after a lost track. Chosen by hand; other values were not measured."""
 
     every: float = 0.5
-    """Time between the frames that are tried [s]."""
+    """Time between frames in which a start is tried [s]."""
     most: int = 6
-    """Failed starts after which a stretch without an answer is given up."""
+    """Number of failed starts after which a stretch is abandoned."""
     shortest: float = 0.1
-    """A shorter stretch within a motion that was followed is left to its neighbours [s]."""
+    """Shorter gaps between tracked frames are left to interpolation [s]."""
     worse: float = 0.1
-    """How much worse than usual a new start may explain the silhouettes."""
+    """Largest amount by which the score of an accepted new start may lie below the usual score."""
     shown: float = 0.5
-    """Share of what is usually shown of the person that a frame must show; a foot at the border is not enough."""
+    """Least visible size of the person in a frame that is tried, as a share of the usual size."""
     weak: float = 0.08
-    """How much worse than usual a stretch is followed that is tried anew."""
+    """Amount by which the score of a stretch lies below the usual score if it is tracked again."""
 
 
 def runs_between(frames: Sequence[int], found: Container[int], *, hole: float = 1.0) -> list[list[int]]:
-    """List the stretches of frames without an answer.
+    """List the stretches of frames without a pose.
 
     Args:
-        frames: those that show somebody, in order.
-        found: those that have an answer.
-        hole: how many frame numbers a stretch may leave out.
+        frames: Frames in which a person was detected, in order.
+        found: Frames that have a pose.
+        hole: Largest difference between successive frame numbers of one stretch.
     """
     runs: list[list[int]] = []
     last = None
@@ -58,17 +58,17 @@ def runs_between(frames: Sequence[int], found: Container[int], *, hole: float = 
 
 
 def weak_frames(found: Mapping[int, Candidate], *, rate: float, settings: PickUpSettings) -> set[int]:
-    """List frames in stretches that were followed much worse than usual, for longer than a mending reaches."""
+    """Return the frames of stretches that score much worse than usual, for longer than a repair can bridge."""
     usual = float(np.median([c.score for c in found.values()])) if found else 0.0
     good = [frame for frame, c in found.items() if c.score >= usual - settings.weak]
     runs = runs_between(sorted(found), set(good))
     return {frame for run in runs if len(run) > max(1.0, settings.shortest * rate) for frame in run}
 
 
-def better_of(
+def best_per_frame(
     old: Mapping[int, Candidate], new: Mapping[int, Candidate], *, gain: float = 0.01
 ) -> dict[int, Candidate]:
-    """Take for each frame the old answer, or the new one where that is better by a gain or the only one."""
+    """Keep for each frame the old candidate, or the new one if its score is higher by `gain` or it is the only one."""
     both = dict(new) | {f: c for f, c in old.items() if f not in new or new[f].score < c.score + gain}
     return dict(sorted(both.items()))
 
@@ -83,19 +83,19 @@ def pick_up(
     rate: float,
     settings: PickUpSettings | None = None,
 ) -> dict[int, Candidate]:
-    """Start anew in stretches of frames without an answer, and follow the person from there both ways.
+    """Search for new starts in the stretches without a pose, and track the person from there in both directions.
 
     Args:
-        found: what is known already.
-        frames: those that show somebody, in order.
-        merit: how well a frame shows the person; the best of a stretch is tried first.
-        start: tries a start in a frame.
-        follow: follows from a start.
-        rate: frames in a second.
-        settings: where starts are tried, and when they are believed.
+        found: Known candidates by frame.
+        frames: Frames in which a person was detected, in order.
+        merit: Rates how well a frame shows the person; the best frame of a stretch is tried first.
+        start: Searches for a start in a frame.
+        follow: Tracks the person from a start.
+        rate: Frame rate [Hz].
+        settings: Settings of the new starts.
 
     Returns:
-        What was known and what was picked up.
+        The known and the new candidates by frame.
     """
     settings = settings or PickUpSettings()
     known = dict(found)
@@ -130,7 +130,7 @@ def _next_try(
     rate: float,
     settings: PickUpSettings,
 ) -> int | None:
-    """Choose the frame in which a start is tried next: the best that lies apart from those that were tried."""
+    """Choose the frame in which a start is tried next: the best one that is not close to an earlier attempt."""
     apart = max(1.0, settings.every * rate)
     for run in _runs(frames, known, rate, settings):
         within = run[0] - 1 in known and run[-1] + 1 in known
@@ -144,18 +144,18 @@ def _next_try(
     return None
 
 
-def start_again(
+def restart(
     cameras: Sequence[Camera], masks: Sequence[Mask], body: Body, coarse: Body, levels: FrameLevels, frame: int,
     settings: StartSettings,
 ) -> Candidate | None:  # fmt: skip
-    """Find the pose in a frame from scratch for a body whose shape is known."""
-    found = find_start(cameras, masks, of_one_shape(coarse), of_one_shape(body), settings)
+    """Search for the pose in a frame without a prediction, for a body whose shape is known."""
+    found = find_start(cameras, masks, with_fixed_shape(coarse), with_fixed_shape(body), settings)
     if found is None:
         return None
     return Search(levels.at(frame), settings).judge(PosedBody(body, found.posed.pose))
 
 
-def of_one_shape(body: Body) -> Body:
-    """Give the same body without shape numbers, as a scan has none: a search then leaves its shape alone."""
+def with_fixed_shape(body: Body) -> Body:
+    """Return the same body without shape numbers, so that a search keeps its shape."""
     space = replace(body.space, prior_mean=body.numbers).keep(range(0))
     return replace(body, space=space, numbers=np.zeros(0), numbers_covariance=None)

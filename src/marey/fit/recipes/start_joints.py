@@ -1,4 +1,4 @@
-"""The start from joints that somebody clicked or a detector found, as one more observation beside the silhouettes."""
+"""Start from joint centres that were clicked or detected, used as observations besides the silhouettes."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -12,8 +12,8 @@ from marey.body.articulation.surface import Body
 from marey.cameras.camera import Camera
 from marey.cameras.triangulate import triangulate
 from marey.errors import MareyError
-from marey.fit.recipes.person import PersonSettings, Take
-from marey.fit.search.levels import Level, level_factor
+from marey.fit.recipes.person import PersonSettings, SilhouetteTake
+from marey.fit.search.levels import SilhouetteLevel, level_factor
 from marey.fit.search.search import Candidate, Search
 from marey.fit.solver.body_solver import dense_equations, fit_body
 from marey.fit.solver.pose_solver import Schedule, solve_step
@@ -23,35 +23,40 @@ from marey.observations.observation import Observation
 from marey.observations.prior import Habit, JointLimits, ShapePrior
 
 SIGMA_SHARE = 0.03
-"""Standard deviation of a clicked joint centre, as a share of the person's height in the picture."""
+"""Standard deviation of a clicked joint centre, as a share of the person's height in the picture. Chosen by hand."""
 CLICKED_SD_M = 0.01
-"""How far in space a clicked joint lies beside the joint's centre, as a standard deviation by axis [m]."""
-YAWS = 12
-ROUNDS = 40
+"""Standard deviation of a clicked joint from the joint's centre in space, per axis [m]. Chosen by hand."""
+START_YAWS = 12
+"""Headings, evenly spaced, from which the fit to the joints starts. Chosen by hand; others were not measured."""
+JOINT_FIT_STEPS = 40
+"""Gauss-Newton steps from each heading. Chosen by hand; other values were not measured."""
 
 
 def start_from_joints(
-    take: Take, frame: int, joint_names: Sequence[str], pixels: Floats, body: Body, settings: PersonSettings
+    take: SilhouetteTake, frame: int, joint_names: Sequence[str], pixels: Floats, body: Body, settings: PersonSettings
 ) -> tuple[int, Candidate]:
-    """Find the pose and rough shape in the frame whose joints are given.
+    """Estimate the pose and rough shape in the frame whose joints are given.
 
     Args:
-        take: cameras and silhouettes; a frame without silhouettes starts from its joints alone.
-        frame: the frame.
-        joint_names: (J,) names of results.
-        pixels: (C, J, 2) in the order of the take's cameras, NaN where a joint is not given.
-        body: at its prior's mean.
-        settings: of the person.
+        take: Cameras and silhouettes; a frame without silhouettes starts from its joints alone.
+        frame: Number of the frame.
+        joint_names: (J,) names of joint centres as in results.
+        pixels: (C, J, 2) in the order of the take's cameras, NaN where a joint is not given [px].
+        body: Body at its prior's mean.
+        settings: Settings of the capture.
+
+    Returns:
+        The frame and its candidate.
 
     Raises:
-        MareyError: Fewer than three joints are given in two cameras.
+        MareyError: Fewer than three joints are given in two cameras each, or no posture fits them.
     """
     masks = take.masks_of(frame)
     height = max([np.count_nonzero(mask.any(1)) for mask in masks] + [100])
     points = _joint_points(take, joint_names, pixels, body, SIGMA_SHARE * height)
     priors: list[Observation] = [JointLimits(), Habit(share=0.1), ShapePrior()]
     posed = _from_points(body, _known_centre(take, pixels), [*points, *priors])
-    level = Level.of(take.cameras, masks, level_factor(masks, settings.track_height))
+    level = SilhouetteLevel.of(take.cameras, masks, level_factor(masks, settings.track_height))
     small = _joint_points(
         replace(take, cameras=level.cameras), joint_names, _scaled(pixels, take, level), body,
         SIGMA_SHARE * settings.track_height,
@@ -64,13 +69,13 @@ def start_from_joints(
 def clicked_joints(
     cameras: Sequence[Camera], joint_names: Sequence[str], pixels: Floats, posed: PosedBody
 ) -> list[JointPoints]:
-    """Give clicked joints as observations, as certain as a person who clicks knows the place in the body.
+    """Return clicked joints as observations with the uncertainty of a click in space (`CLICKED_SD_M`).
 
     Args:
         cameras: (C,).
-        joint_names: (J,) names of results.
-        pixels: (C, J, 2), NaN where a joint is not given.
-        posed: about where it is.
+        joint_names: (J,) names of joint centres as in results.
+        pixels: (C, J, 2), NaN where a joint is not given [px].
+        posed: Body in its approximate pose, which gives the distance from each camera.
     """
     found = []
     for camera, own in zip(cameras, pixels, strict=True):
@@ -81,7 +86,7 @@ def clicked_joints(
 
 
 def _joint_points(
-    take: Take, joint_names: Sequence[str], pixels: Floats, body: Body, sigma: float
+    take: SilhouetteTake, joint_names: Sequence[str], pixels: Floats, body: Body, sigma: float
 ) -> list[JointPoints]:
     return _joint_points_of(take.cameras, joint_names, pixels, body, sigma)
 
@@ -99,35 +104,35 @@ def _joint_points_of(
     return found
 
 
-def _scaled(pixels: Floats, take: Take, level: Level) -> Floats:
-    """Carry pixels (C, J, 2) to the shrunken pictures, whose pixel centres stay whole numbers."""
+def _scaled(pixels: Floats, take: SilhouetteTake, level: SilhouetteLevel) -> Floats:
+    """Convert pixels (C, J, 2) to the scaled pictures, whose pixel centres have integer coordinates too."""
     factors = [small.width / large.width for small, large in zip(level.cameras, take.cameras, strict=True)]
     factor = np.array(factors)[:, None, None]
     return (pixels + 0.5) * factor - 0.5
 
 
-def _known_centre(take: Take, pixels: Floats) -> Floats:
-    """Give the middle (3,) of the joints that two cameras have."""
+def _known_centre(take: SilhouetteTake, pixels: Floats) -> Floats:
+    """Return the mean position (3,) of the joints that are given in two cameras [m]."""
     twice = np.isfinite(pixels[:, :, 0]).sum(0) >= 2
     if twice.sum() < 3:
-        raise MareyError("The joints to start from must name at least three joints in two cameras each.")
+        raise MareyError("The start needs at least three joints that are given in two cameras each.")
     points = triangulate(take.cameras, pixels[:, twice], sigma_px=1.0).points
     return np.asarray(np.nanmean(points, axis=0))
 
 
 def _from_points(body: Body, centre: Floats, observations: Sequence[Observation]) -> PosedBody:
-    """Fit pose and shape to the joints alone, from every direction; keep the cheapest."""
+    """Fit pose and shape to the joints alone from several headings, and return the result of least cost."""
     best, least = None, np.inf
     rest = body.joint_centres.mean(0)
-    for yaw in np.arange(YAWS) * 2 * np.pi / YAWS:
+    for yaw in np.arange(START_YAWS) * 2 * np.pi / START_YAWS:
         turn = rotations.about(np.array([0.0, 0.0, 1.0]), yaw)
         posed = PosedBody(body, Pose(centre - turn @ rest, turn, np.zeros(len(body.skeleton) - 6)))
         cost = np.inf
-        for _ in range(ROUNDS):
+        for _ in range(JOINT_FIT_STEPS):
             hessian, gradient, cost = dense_equations(posed, [], [], observations)
             posed = posed.moved(solve_step(hessian, gradient, degrees=len(body.skeleton)))
         if cost < least:
             best, least = posed, cost
     if best is None:
-        raise MareyError("The joints to start from fit no posture of a person.")
+        raise MareyError("No posture of the body fits the given joints. Check their names and cameras.")
     return best

@@ -1,4 +1,4 @@
-"""From frame to frame: predict, fit, and where the agreement falls start from several poses and look for limbs."""
+"""Frame-to-frame tracking: prediction and fit, with sampled starts and a search of the limbs where agreement drops."""
 
 from collections.abc import Callable, Iterable, MutableMapping
 from dataclasses import dataclass, field, replace
@@ -10,88 +10,95 @@ from marey.arrays import Floats
 from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.articulation.skeleton import Skeleton
 from marey.body.articulation.surface import Body
-from marey.fit.search.levels import FrameLevels, Level
+from marey.fit.search.levels import FrameLevels, SilhouetteLevel
 from marey.fit.search.multi_start import SampleSettings, best_of_samples
 from marey.fit.search.search import Candidate, Search, StartSettings
 from marey.fit.solver.pose_solver import Schedule, fit_pose
-from marey.fit.solver.side_by_side import side_by_side
+from marey.fit.solver.threads import map_in_threads
 from marey.observations.correspondence import view_of
 from marey.observations.prior import Habit, JointLimits, NearPose
 
-TRUNK = ("abdomen", "thorax", "neck", "head", "left_clavicle", "right_clavicle")
+TRUNK_SEGMENTS = ("abdomen", "thorax", "neck", "head", "left_clavicle", "right_clavicle")
+"""Segments whose joints move as slowly as those of the trunk; see `TrackSettings` and `SequenceSettings`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrackSettings:
-    """How a person is followed."""
+    """Settings of frame-to-frame tracking."""
 
     schedule: Schedule = field(default_factory=lambda: Schedule(iterations=6, gate=(20.0, 5.0), scale=(8.0, 3.0)))
+    """Iterations of each frame's fit."""
     momentum: float = 0.7
     """Share of the last frame's motion that the prediction repeats."""
     limb_turn: float = float(np.deg2rad(12.0))
-    """Spread of a limb's angle about its prediction over a thirtieth of a second [rad]."""
+    """Standard deviation of a limb's angle from its prediction over 1/30 s [rad]."""
     trunk_turn: float = float(np.deg2rad(5.0))
+    """Standard deviation of a trunk angle from its prediction over 1/30 s [rad]."""
     root_turn: float = float(np.deg2rad(10.0))
+    """Standard deviation of the pelvis' rotation from its prediction over 1/30 s, per axis [rad]."""
     root_shift: float = 0.06
-    """Spread of the pelvis about its prediction over a thirtieth of a second [m]."""
+    """Standard deviation of the pelvis' position from its prediction over 1/30 s, per axis [m]."""
     habit: float = 0.1
+    """Weight of the usual joint angles in each frame, as a number of observations."""
     fall: float = 0.012
-    """Loss of agreement, against the running median, at which limbs are searched again."""
-    unexplained: float = 0.008
-    """Share of the silhouettes, thin edges apart, that the body may leave uncovered beyond what is usual."""
+    """Drop of agreement below the running median at which limbs are searched for again."""
+    uncovered_share: float = 0.008
+    """Share of the silhouettes, without thin edges, that the body may leave uncovered above the usual share."""
     lost: float = 0.45
-    """Agreement below which the person is not found."""
+    """Agreement below which the person counts as lost."""
     longest_hole: float = 0.5
-    """Time without the person over which a pose predicts another [s]."""
+    """Longest gap over which a pose predicts the next one [s]."""
     gain: float = 0.002
-    """Agreement by which a sampled start must be better than the prediction."""
+    """Least gain of agreement for which a sampled start replaces the prediction."""
     samples: SampleSettings = field(default_factory=SampleSettings)
+    """Settings of the sampled starts."""
 
 
 def prediction_spread(skeleton: Skeleton, settings: TrackSettings, *, rate: float) -> Floats:
-    """Give the spread (D,) of each coordinate about its prediction: wider where frames lie farther apart."""
-    turns = [settings.trunk_turn if c.segment in TRUNK else settings.limb_turn for c in skeleton.coordinates]
+    """Return the standard deviation (D,) of each coordinate from its prediction, larger at a lower frame rate."""
+    turns = [settings.trunk_turn if c.segment in TRUNK_SEGMENTS else settings.limb_turn for c in skeleton.coordinates]
     root = [settings.root_shift] * 3 + [settings.root_turn] * 3
     return np.array(root + turns) * float(np.clip(30.0 / rate, 0.25, 3.0))
 
 
 @dataclass(eq=False)
-class _Trail:
-    """Where a track has come to, and what was usual on its way."""
+class _TrackState:
+    """Current state of a track, and statistics of its frames so far."""
 
     pose: Pose
-    """Where the person was last."""
+    """Last known pose."""
     step: Floats
-    """(D,) how it came there from the frame before; zero where that is unknown."""
+    """(D,) change to it from the frame before; zero where that is unknown."""
     frame: int | None = None
-    """The last frame in which the person was found; None before the first."""
+    """Last frame in which the person was found; None before the first."""
     found: dict[int, Candidate] = field(default_factory=dict)
-    bare: dict[int, float] = field(default_factory=dict)
-    """Share of the silhouettes that the body left uncovered."""
+    """Candidates by frame."""
+    uncovered: dict[int, float] = field(default_factory=dict)
+    """Share of the silhouettes that the body left uncovered, by frame."""
 
     def gap(self, frame: int) -> int:
-        """Count the frames from the last one to this one."""
+        """Return the distance from the last frame to this one, in frames."""
         return 1 if self.frame is None else abs(frame - self.frame)
 
     def add(self, frame: int, candidate: Candidate) -> None:
-        """Go on to a frame in which the person was found; a motion across a hole is no motion to repeat."""
+        """Add a frame in which the person was found; the motion across a gap is not repeated."""
         pose = candidate.posed.pose
         self.step = self.pose.change_to(pose) if self.gap(frame) == 1 else np.zeros(len(self.step))
         self.pose, self.frame = pose, frame
         self.found[frame] = candidate
 
     def usual_score(self, otherwise: float) -> float:
-        """Give the median of the last scores."""
+        """Return the median of the last scores."""
         return float(np.median([c.score for c in list(self.found.values())[-15:]] or [otherwise]))
 
-    def usual_bare(self, levels: FrameLevels) -> float:
-        """Give what is left uncovered where all is well: the lower quartile of the last frames."""
+    def usual_uncovered(self, levels: FrameLevels) -> float:
+        """Return the usual uncovered share: the lower quartile of the last frames."""
         last = list(self.found)[-30:]
         for frame in last:
-            # Frames of an interrupted run come without.
-            if frame not in self.bare:
-                self.bare[frame] = unexplained(self.found[frame].posed, levels.at(frame))
-        return float(np.quantile([self.bare[frame] for frame in last], 0.25)) if last else 0.0
+            # Frames from a checkpoint have no value yet.
+            if frame not in self.uncovered:
+                self.uncovered[frame] = uncovered_share(self.found[frame].posed, levels.at(frame))
+        return float(np.quantile([self.uncovered[frame] for frame in last], 0.25)) if last else 0.0
 
 
 def track(
@@ -104,40 +111,40 @@ def track(
     rate: float,
     settings: TrackSettings | None = None,
     coarse: Body | None = None,
-    done: Callable[[int], None] = lambda frame: None,
-    memory: MutableMapping[int, Candidate] | None = None,
+    progress: Callable[[int], None] = lambda frame: None,
+    checkpoint: MutableMapping[int, Candidate] | None = None,
 ) -> dict[int, Candidate]:
-    """Follow a person from a known pose through frames in either direction.
+    """Track a person from a known pose through frames in either direction.
 
-    Where the person is lost or nobody is seen for a moment, the prediction waits and widens; it does not repeat the
-    motion from before. After a longer hole it knows nothing any more, and the track ends.
+    While the person is lost or not detected, the last pose is the prediction, with a growing uncertainty; the motion
+    before the gap is not repeated. The track ends after a gap longer than `TrackSettings.longest_hole`.
 
     Args:
-        body: whose shape stays as it is.
-        start: the pose just before the first of the frames.
-        frames: in the order in which they are visited.
-        levels: silhouettes for the fit.
-        rough: silhouettes, smaller, for the search of lost limbs.
-        rate: frames in a second.
-        settings: how the person is followed.
-        coarse: the same body with few vertices, for the search; the body itself when missing.
-        done: told of every frame that is finished.
-        memory: takes every candidate as soon as it is found; what it holds already is not sought again.
+        body: Body of fixed shape.
+        start: Pose just before the first of the frames.
+        frames: Frames in the order in which they are visited.
+        levels: Silhouettes for the fit.
+        rough: Smaller silhouettes for the search of lost limbs.
+        rate: Frame rate [Hz].
+        settings: Settings of the tracking.
+        coarse: The same body with few vertices, for the search; the body itself if None.
+        progress: Called with each frame that is finished.
+        checkpoint: Receives every candidate as soon as it is found; candidates that it already holds are reused.
 
     Returns:
         A candidate for each frame in which the person was found.
     """
     settings = settings or TrackSettings()
-    memory = {} if memory is None else memory
-    trail = _Trail(start, np.zeros(len(body.skeleton)))
+    checkpoint = {} if checkpoint is None else checkpoint
+    trail = _TrackState(start, np.zeros(len(body.skeleton)))
     longest = max(1.0, settings.longest_hole * rate)
     for frame in levels.ahead(frames):
         if trail.gap(frame) > longest:
             break
-        if frame not in memory:
-            memory[frame] = _next(trail, frame, body, coarse or body, levels, rough, rate, settings)
-        candidate = memory[frame]
-        done(frame)
+        if frame not in checkpoint:
+            checkpoint[frame] = _next(trail, frame, body, coarse or body, levels, rough, rate, settings)
+        candidate = checkpoint[frame]
+        progress(frame)
         if candidate.score >= settings.lost:
             trail.add(frame, candidate)
         elif trail.frame is None:
@@ -146,7 +153,7 @@ def track(
 
 
 def _next(
-    trail: _Trail,
+    trail: _TrackState,
     frame: int,
     body: Body,
     coarse: Body,
@@ -155,28 +162,32 @@ def _next(
     rate: float,
     settings: TrackSettings,
 ) -> Candidate:
-    """Follow the person into the next frame; where that explains it poorly, sample starts and search limbs."""
+    """Fit the next frame from its prediction; where the agreement is poor, sample starts and search the limbs."""
     gap = trail.gap(frame)
     spread = prediction_spread(body.skeleton, settings, rate=rate / gap)
     step = trail.step if gap == 1 else np.zeros(len(spread))
-    candidate = _follow(PosedBody(body, trail.pose.step(settings.momentum * step)), levels, frame, spread, settings)
+    candidate = _fit_prediction(
+        PosedBody(body, trail.pose.step(settings.momentum * step)), levels, frame, spread, settings
+    )
     usual = trail.usual_score(candidate.score)
 
-    bare = unexplained(candidate.posed, levels.at(frame))
+    uncovered = uncovered_share(candidate.posed, levels.at(frame))
     seen = sum(bool(mask.any()) for mask in levels.at(frame).masks) >= 2
-    if seen and (candidate.score < usual - settings.fall or bare > trail.usual_bare(levels) + settings.unexplained):
+    if seen and (
+        candidate.score < usual - settings.fall or uncovered > trail.usual_uncovered(levels) + settings.uncovered_share
+    ):
         sampled = best_of_samples(
             body, trail.pose, step, spread, levels.at(frame), rough.at(frame), coarse=coarse, settings=settings.samples
         )
         if sampled.score > candidate.score + settings.gain:
             candidate = sampled
         candidate = _search_limbs(candidate, coarse, levels, rough, frame)
-        bare = unexplained(candidate.posed, levels.at(frame))
-    trail.bare[frame] = bare
+        uncovered = uncovered_share(candidate.posed, levels.at(frame))
+    trail.uncovered[frame] = uncovered
     return candidate
 
 
-def _follow(
+def _fit_prediction(
     predicted: PosedBody, levels: FrameLevels, frame: int, spread: Floats, settings: TrackSettings
 ) -> Candidate:
     level = levels.at(frame)
@@ -186,7 +197,7 @@ def _follow(
 
 
 def _search_limbs(candidate: Candidate, coarse: Body, levels: FrameLevels, rough: FrameLevels, frame: int) -> Candidate:
-    """Look for every limb anew at the rough level, then fit again at the fine one."""
+    """Search for every limb at the rough level, then fit again at the fine one."""
     body = candidate.posed.body
     small = Search(rough.at(frame), StartSettings())
     searched = small.limbs(small.judge(replace(candidate.posed, body=coarse)), numbers=0)
@@ -195,14 +206,14 @@ def _search_limbs(candidate: Candidate, coarse: Body, levels: FrameLevels, rough
     return max(candidate, again, key=lambda c: c.score)
 
 
-def unexplained(posed: PosedBody, level: Level) -> float:
-    """Give the share of the silhouettes that the body leaves uncovered but for thin edges; mean of the cameras."""
+def uncovered_share(posed: PosedBody, level: SilhouetteLevel) -> float:
+    """Return the share of the silhouettes that the body leaves uncovered, without thin edges; the mean over cameras."""
     shares = []
     for camera, mask in zip(level.cameras, level.masks, strict=True):
         area = int(np.count_nonzero(mask))
         if area:
-            bare = (mask & ~view_of(posed, camera).mask()).astype(np.uint8)
-            shares.append(np.count_nonzero(cv2.erode(bare, np.ones((3, 3), np.uint8))) / area)
+            uncovered = (mask & ~view_of(posed, camera).mask()).astype(np.uint8)
+            shares.append(np.count_nonzero(cv2.erode(uncovered, np.ones((3, 3), np.uint8))) / area)
     return float(np.mean(shares)) if shares else 0.0
 
 
@@ -215,19 +226,33 @@ def repair(
     rate: float,
     settings: TrackSettings | None = None,
     roughness: float = 0.0015,
-    done: Callable[[int], None] = lambda frame: None,
-    memory: MutableMapping[tuple[int, int], Candidate] | None = None,
+    progress: Callable[[int], None] = lambda frame: None,
+    checkpoint: MutableMapping[tuple[int, int], Candidate] | None = None,
 ) -> dict[int, Candidate]:
-    """Mend frames that agree worse, explain less, or move more roughly than their neighbours.
+    """Repair frames that agree worse, cover less, or move less smoothly than their neighbours.
 
-    Each such frame tries its neighbours' poses, the pose midway between them, a search of its limbs, and where
-    that is not enough starts sampled about the neighbour that was mended before it; agreement decides, less the
-    distance (in degrees) from that neighbour. One sweep goes forward and one back, so that a run of bad frames is
-    mended from both its ends. A memory, by way (1 or -1) and frame, takes every mended frame as soon as it is found;
-    what it holds already is not sought again.
+    Each such frame is fitted from its neighbours' poses, from the pose midway between them, by a search of its limbs,
+    and, if that is not enough, from starts sampled about the neighbour that was repaired before it. The candidate of
+    best agreement, less a cost of the distance from that neighbour, is kept. One sweep goes forward and one backward,
+    so that a run of bad frames is repaired from both ends.
+
+    Args:
+        found: Candidates by frame.
+        levels: Silhouettes for the fit.
+        rough: Smaller silhouettes for the search of limbs.
+        coarse: The same body with few vertices.
+        rate: Frame rate [Hz].
+        settings: Settings of the tracking.
+        roughness: Cost of the distance from the neighbour, as agreement per degree.
+        progress: Called with each frame that was repaired.
+        checkpoint: Receives every repaired frame, by direction of the sweep (1 or -1) and frame, as soon as it is
+            found; frames that it already holds are reused.
+
+    Returns:
+        All candidates by frame.
     """
     settings = settings or TrackSettings()
-    memory = {} if memory is None else memory
+    checkpoint = {} if checkpoint is None else checkpoint
     found = dict(found)
     suspects = _suspects(found, levels, settings)
     if not suspects:
@@ -235,19 +260,21 @@ def repair(
     spread = prediction_spread(coarse.skeleton, settings, rate=rate)
     for order, step in ((suspects, 1), (suspects[::-1], -1)):
         for frame in order:
-            if (step, frame) not in memory:
-                memory[step, frame] = _mend(frame, step, found, levels, rough, coarse, spread, roughness, settings)
-            found[frame] = memory[step, frame]
-            done(frame)
+            if (step, frame) not in checkpoint:
+                checkpoint[step, frame] = _repair_frame(
+                    frame, step, found, levels, rough, coarse, spread, roughness, settings
+                )
+            found[frame] = checkpoint[step, frame]
+            progress(frame)
     return found
 
 
 def _roughness(pose: Pose, before: Pose, after: Pose) -> float:
-    return _apart(pose, before.between(after, 0.5))
+    return _rms_turn(pose, before.between(after, 0.5))
 
 
-def _apart(pose: Pose, other: Pose) -> float:
-    """Give the root mean square of the turns between two poses [degrees]."""
+def _rms_turn(pose: Pose, other: Pose) -> float:
+    """Return the root mean square of the rotations between two poses [degrees]."""
     return float(np.degrees(np.sqrt(np.mean(other.change_to(pose)[3:] ** 2))))
 
 
@@ -256,20 +283,20 @@ def _suspects(found: dict[int, Candidate], levels: FrameLevels, settings: TrackS
     if len(frames) < 5:
         return []
     rough = {f: _roughness(*(found[f + k].posed.pose for k in (0, -1, 1))) for f in frames}
-    # Copies, so that the skin of thousands of frames does not stay in memory.
+    # Copies are posed, so that the skin of thousands of frames is not kept in memory.
     seen = ((replace(found[f].posed), levels.at(f)) for f in frames)
-    bare = dict(zip(frames, side_by_side(lambda task: unexplained(*task), seen), strict=True))
-    usual, clean = float(np.median(list(rough.values()))), float(np.quantile(list(bare.values()), 0.25))
+    uncovered = dict(zip(frames, map_in_threads(lambda task: uncovered_share(*task), seen), strict=True))
+    usual, clean = float(np.median(list(rough.values()))), float(np.quantile(list(uncovered.values()), 0.25))
     suspects = []
     for f in frames:
         near = [found[g].score for g in range(f - 8, f + 9) if g in found]
         low = found[f].score < np.median(near) - 0.01
-        if low or rough[f] > 3 * usual or bare[f] > clean + settings.unexplained:
+        if low or rough[f] > 3 * usual or uncovered[f] > clean + settings.uncovered_share:
             suspects.append(f)
     return suspects
 
 
-def _mend(
+def _repair_frame(
     frame: int,
     step: int,
     found: dict[int, Candidate],
@@ -288,7 +315,7 @@ def _mend(
         tries.append(search.fit(replace(current.posed, pose=pose), numbers=0, iterations=6, gate=(16.0, 5.0)))
     tries.append(_search_limbs(current, coarse, levels, rough, frame))
     if max(c.score for c in tries) < found[frame - step].score - settings.fall:
-        # The neighbour is right and this frame is not: the motion between them is larger than a fit can follow.
+        # The neighbour fits and this frame does not: the motion between them is too large for a single fit.
         before = found.get(frame - 2 * step)
         change = np.zeros(len(spread)) if before is None else before.posed.pose.change_to(last)
         tries.append(
@@ -297,4 +324,4 @@ def _mend(
                 settings=settings.samples,
             )
         )  # fmt: skip
-    return max(tries, key=lambda c: c.score - weight * _apart(c.posed.pose, last))
+    return max(tries, key=lambda c: c.score - weight * _rms_turn(c.posed.pose, last))

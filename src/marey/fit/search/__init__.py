@@ -1,1 +1,1 @@
-"""Finding a posture from silhouettes when nothing is known of it."""
+"""Search for a posture in silhouettes without a prediction."""

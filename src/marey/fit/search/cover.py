@@ -1,4 +1,4 @@
-"""Kernels that compare many poses with silhouettes: only what is covered counts, depth does not matter."""
+"""Kernels that compare many poses with silhouettes by the covered pixels, without a depth buffer."""
 
 import numpy as np
 
@@ -9,17 +9,17 @@ from marey.kernels import kernel
 
 @kernel
 def stamp_faces(projected, faces, stamp, canvas, mask):
-    """Write a stamp into every pixel whose centre lies in a front face, but where -1 stands.
+    """Write a stamp into every pixel whose centre lies in a front face, except pixels of value -1.
 
     Args:
         projected: (V, 3) columns and rows [px] first.
         faces: (T, 3).
-        stamp: no zero.
+        stamp: Any value but zero.
         canvas: (h, w) of int32.
         mask: (h, w) the silhouette.
 
     Returns:
-        How many pixels inside the silhouette, and how many outside, got the stamp that did not have it.
+        The number of newly stamped pixels inside the silhouette, and outside it.
     """
     height, width = canvas.shape
     inside = outside = 0
@@ -56,10 +56,10 @@ def score_poses(
     parents, coordinate_segment, axes, joints, vertices, vertex_segments, vertex_weights, faces,
     rotations, translations, angles, cameras, widths, heights, masks,
 ):  # fmt: skip
-    """Give the mean intersection over union of many poses (n,) with the silhouettes of all cameras.
+    """Return the mean intersection over union of many poses (n,) with the silhouettes of all cameras.
 
     Args:
-        parents: and the following seven describe the body at rest, see `Body`.
+        parents: (S,) This and the next seven describe the body at rest, see `Body`.
         coordinate_segment: (D - 6,).
         axes: (D - 6, 3).
         joints: (S, 3).
@@ -101,17 +101,28 @@ def score_limb(
     parents, coordinate_segment, axes, joints, vertices, vertex_segments, vertex_weights, limb_faces, other_faces,
     limb_vertices, rotation, translation, angles, columns, candidates, cameras, widths, heights, masks,
 ):  # fmt: skip
-    """Give the score of a pose for many placements of one limb: only newly covered pixels are counted.
+    """Return the score of a pose for many placements of one limb; only newly covered pixels are counted.
 
-    Args: as in `score_poses`, and
-        limb_faces: (T', 3) the limb's.
-        other_faces: (T'', 3) all others.
-        limb_vertices: (V',) those of the limb's faces.
+    Args:
+        parents: (S,) This and the next six describe the body at rest, see `Body`.
+        coordinate_segment: (D - 6,).
+        axes: (D - 6, 3).
+        joints: (S, 3).
+        vertices: (V, 3).
+        vertex_segments: (V, 4).
+        vertex_weights: (V, 4).
+        limb_faces: (T', 3) the limb's faces.
+        other_faces: (T'', 3) all other faces.
+        limb_vertices: (V',) the vertices of the limb's faces.
         rotation: (3, 3) of the root.
-        translation: (3,).
+        translation: (3,) of the root.
         angles: (D - 6,) of the pose whose limb is moved.
         columns: (k,) the limb's joint coordinates.
         candidates: (n, k) their angles.
+        cameras: (C, P) packed.
+        widths: (C,) of the pictures; the masks are padded to a common size.
+        heights: (C,).
+        masks: (C, h, w) of bool.
     """
     views = cameras.shape[0]
     canvas = np.zeros((views, masks.shape[1], masks.shape[2]), np.int32)

@@ -1,4 +1,4 @@
-"""The visual hull: where in space a person may be whose silhouettes are known."""
+"""Visual hull of a person: the space that all silhouettes have in common."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,27 +14,27 @@ from marey.kernels import kernel
 
 
 def visual_hull(cameras: Sequence[Camera], masks: Sequence[Mask], *, cell: float = 0.04, reach: float = 1.4) -> Floats:
-    """Fill the space whose points lie in every silhouette that has them in its picture.
+    """Return the cells of space whose centres lie in the silhouette of every camera that has them in view.
 
     Args:
-        cameras: at least two that see something.
-        masks: (height, width) of each; an empty one says nothing.
-        cell: edge of the cells [m].
-        reach: half the edge of the cube that is searched, about the point where the lines of sight meet [m].
+        cameras: At least two with a silhouette.
+        masks: (height, width) of each camera; an empty mask is ignored.
+        cell: Edge of the cells [m].
+        reach: Half the edge of the cube that is searched, about the point where the lines of sight meet [m].
 
     Returns:
-        (n, 3) centres of the filled cells [m]; empty where the silhouettes have nothing in common.
+        (n, 3) centres of the filled cells [m]; empty if the silhouettes have no point in common.
     """
     seeing = [(camera, mask) for camera, mask in zip(cameras, masks, strict=True) if mask.any()]
     if not seeing:
         return np.zeros((0, 3))
-    grid = Grid.about(meeting_point(seeing), reach, cell)
-    # A cell that fewer than two cameras have in view is anybody's guess.
+    grid = HullGrid.about(meeting_point(seeing), reach, cell)
+    # A cell must be in view of at least two cameras.
     return grid.centres(filled(seeing, grid, witnesses=min(2, len(seeing))))
 
 
 @dataclass(frozen=True, eq=False)
-class Grid:
+class HullGrid:
     """Cells of space in rows, columns and layers along the world's axes."""
 
     origin: Floats
@@ -42,27 +42,34 @@ class Grid:
     cell: float
     """Edge of a cell [m]."""
     counts: tuple[int, int, int]
+    """Number of cells along each axis."""
 
     @staticmethod
-    def about(centre: Floats, reach: float, cell: float) -> "Grid":
-        """Fill a cube with cells: its middle (3,) and half its edge [m]."""
+    def about(centre: Floats, reach: float, cell: float) -> "HullGrid":
+        """Return a cube of cells, given its middle (3,) and half its edge [m]."""
         half = round(reach / cell)
-        return Grid(centre - half * cell, cell, (2 * half + 1,) * 3)
+        return HullGrid(centre - half * cell, cell, (2 * half + 1,) * 3)
 
     @staticmethod
-    def holding(points: Floats, margin: float, cell: float) -> "Grid":
-        """Fill the box about points (n, 3) with cells, a margin all round [m]."""
+    def holding(points: Floats, margin: float, cell: float) -> "HullGrid":
+        """Return a grid that contains points (n, 3) with a margin on all sides [m]."""
         origin = points.min(0) - margin
         x, y, z = np.ceil((points.max(0) + margin - origin) / cell).astype(int) + 1
-        return Grid(origin, cell, (int(x), int(y), int(z)))
+        return HullGrid(origin, cell, (int(x), int(y), int(z)))
 
     def centres(self, chosen: Mask) -> Floats:
-        """Give the centres (n, 3) of chosen cells [m]."""
+        """Return the centres (n, 3) of chosen cells [m]."""
         return np.asarray(self.origin + np.argwhere(chosen) * self.cell, float)
 
 
-def filled(seeing: Sequence[tuple[Camera, Mask]], grid: Grid, *, witnesses: int) -> Mask:
-    """Tell which cells of a grid lie in every silhouette that has them in its picture; at least so many must."""
+def filled(seeing: Sequence[tuple[Camera, Mask]], grid: HullGrid, *, witnesses: int) -> Mask:
+    """Return the cells of a grid that lie in the silhouette of every camera that has them in view.
+
+    Args:
+        seeing: Cameras with their silhouettes.
+        grid: The cells.
+        witnesses: Least number of cameras that must have a cell in view.
+    """
     widths = np.array([camera.width for camera, _ in seeing])
     heights = np.array([camera.height for camera, _ in seeing])
     masks = np.zeros((len(seeing), heights.max(), widths.max()), bool)
@@ -82,7 +89,7 @@ def _filled(packed, widths, heights, masks, origin, cell, counts, witnesses):
                 seen = 0
                 for c in range(len(packed)):
                     column, row, _ = lens.project(packed[c], x, y, z)
-                    # Where there is no picture the pixel is no number, and no comparison holds.
+                    # Outside the lens' range the pixel is NaN, and no comparison holds.
                     if not (-0.5 <= column <= widths[c] - 0.5 and -0.5 <= row <= heights[c] - 0.5):
                         continue
                     seen += 1
@@ -94,33 +101,33 @@ def _filled(packed, widths, heights, masks, origin, cell, counts, witnesses):
 
 
 def common_parts(cameras: Sequence[Camera], masks: Sequence[Mask], *, cell: float = 0.04) -> list[Mask]:
-    """Leave of silhouettes what belongs to the largest thing that stands in all of them.
+    """Reduce silhouettes to the largest object that appears in all of them.
 
-    Ours: what only some cameras take for a person - somebody behind, furniture that was moved since the
-    empty room was filmed - has no place in space. What a single camera misses of the person is missing
-    in all of them afterwards.
+    Ours: what only some cameras show as a person (somebody in the background, furniture that was moved since the empty
+    room was filmed) has no common place in space. Parts of the person that a single camera misses are missing in all of
+    them afterwards.
 
     Args:
-        cameras: at least two that see something.
-        masks: (height, width) of each.
-        cell: edge of the cells of space [m].
+        cameras: At least two with a silhouette.
+        masks: (height, width) of each camera.
+        cell: Edge of the cells of space [m].
     """
     seeing = [(camera, mask) for camera, mask in zip(cameras, masks, strict=True) if mask.any()]
     witnesses = min(3, len(seeing))
     if witnesses < 2:
         return [np.asarray(mask) for mask in masks]
     centre, reach = room_between([camera for camera, _ in seeing])
-    rough = Grid.about(centre, reach, 3 * cell)
+    rough = HullGrid.about(centre, reach, 3 * cell)
     somewhere = rough.centres(largest_part(filled(seeing, rough, witnesses=witnesses)))
     if len(somewhere) == 0:
         return [np.zeros_like(mask) for mask in masks]
-    grid = Grid.holding(somewhere, 0.5, cell)
+    grid = HullGrid.holding(somewhere, 0.5, cell)
     cells = grid.centres(largest_part(filled(seeing, grid, witnesses=witnesses)))
     return [mask & drawn_cells(camera, cells, cell) for camera, mask in zip(cameras, masks, strict=True)]
 
 
 def room_between(cameras: Sequence[Camera]) -> tuple[Floats, float]:
-    """Give the point (3,) nearest to the cameras' axes, and how far from it people may be [m]."""
+    """Return the point (3,) nearest to the cameras' axes, and the largest distance of a person from it [m]."""
     middle = [np.array([[0.5 * (camera.width - 1), 0.5 * (camera.height - 1)]]) for camera in cameras]
     axes = [camera.rays(pixel).directions[0] for camera, pixel in zip(cameras, middle, strict=True)]
     centres = np.array([camera.centre for camera in cameras])
@@ -129,7 +136,7 @@ def room_between(cameras: Sequence[Camera]) -> tuple[Floats, float]:
 
 
 def largest_part(cells: Mask) -> Mask:
-    """Keep the largest connected part of a grid's cells (x, y, z), which may touch at corners."""
+    """Return the largest connected part of a grid's cells (x, y, z); cells that touch at corners are connected."""
     parts, count = scipy.ndimage.label(cells, np.ones((3, 3, 3)))
     if count == 0:
         return cells
@@ -137,7 +144,7 @@ def largest_part(cells: Mask) -> Mask:
 
 
 def drawn_cells(camera: Camera, cells: Floats, cell: float) -> Mask:
-    """Draw cells of space (n, 3) as a camera sees them, each a little larger than it is: (height, width)."""
+    """Draw cells of space (n, 3) in a camera's picture (height, width), each slightly larger than it is."""
     pixels = np.empty_like(cells)
     lens.project_points(camera.packed, cells, pixels)
     shown = camera.sees(pixels[:, :2])
@@ -151,14 +158,14 @@ def drawn_cells(camera: Camera, cells: Floats, cell: float) -> Mask:
 
 
 def meeting_point(seeing: Sequence[tuple[Camera, Mask]]) -> Floats:
-    """Find the point (3,) nearest to the rays through the silhouettes' centroids."""
+    """Return the point (3,) nearest to the rays through the silhouettes' centroids [m]."""
     centroids = [np.argwhere(mask).mean(0)[None, ::-1] for _, mask in seeing]
     rays = [camera.rays(pixel).directions[0] for (camera, _), pixel in zip(seeing, centroids, strict=True)]
     return nearest_point(np.array([camera.centre for camera, _ in seeing]), np.array(rays))
 
 
 def nearest_point(origins: Floats, directions: Floats) -> Floats:
-    """Find the point (3,) nearest to lines through origins (n, 3) along unit directions (n, 3)."""
+    """Return the point (3,) nearest to lines through origins (n, 3) along unit directions (n, 3)."""
     across = np.eye(3) - directions[:, :, None] * directions[:, None, :]
     right = np.einsum("nij,nj->i", across, origins)
     return np.asarray(np.linalg.lstsq(across.sum(0), right, rcond=None)[0], float)

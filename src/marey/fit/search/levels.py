@@ -1,4 +1,4 @@
-"""The silhouettes of a frame at one size of the pictures, shrunken for speed."""
+"""Silhouettes of a frame, reduced to one size of the pictures for speed."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -12,44 +12,46 @@ from marey.arrays import Floats, Integers, Mask
 from marey.cameras.camera import Camera
 from marey.images.silhouettes.contours import trace_contour
 from marey.images.silhouettes.interior import InteriorEdges
-from marey.observations.correspondence import Sighting
+from marey.observations.correspondence import ObservedOutline
 
 _PIXEL_BYTES = 160
-"""Of a contour's pixel: place, normal, plane, scale, cell."""
+"""Memory per contour pixel for its position, normal, plane, scale and cell [bytes]."""
 
 
 @dataclass(frozen=True, eq=False)
-class Level:
+class SilhouetteLevel:
     """One frame's silhouettes at one size of the pictures."""
 
     cameras: tuple[Camera, ...]
     masks: tuple[Mask, ...]
-    sightings: tuple[Sighting, ...]
+    sightings: tuple[ObservedOutline, ...]
 
     @staticmethod
-    def of(cameras: Sequence[Camera], masks: Sequence[Mask], factor: float) -> "Level":
-        """Shrink silhouettes and cameras by a factor."""
+    def of(cameras: Sequence[Camera], masks: Sequence[Mask], factor: float) -> "SilhouetteLevel":
+        """Reduce silhouettes and cameras by a factor."""
         small = tuple(camera.scaled(factor) for camera in cameras)
-        return Level.at_size(small, [shrink(mask, camera.size) for mask, camera in zip(masks, small, strict=True)])
+        return SilhouetteLevel.at_size(
+            small, [shrink(mask, camera.size) for mask, camera in zip(masks, small, strict=True)]
+        )
 
     @staticmethod
     def at_size(
         cameras: Sequence[Camera], masks: Sequence[Mask], edges: Sequence[InteriorEdges] | None = None
-    ) -> "Level":
-        """Trace silhouettes that have their cameras' size already, with the edges inside of them if they are known."""
+    ) -> "SilhouetteLevel":
+        """Trace silhouettes that already have their cameras' size, with the edges inside them if they are known."""
         inside: Sequence[InteriorEdges | None] = edges or [None] * len(masks)
         seen = zip(cameras, masks, inside, strict=True)
-        sightings = tuple(Sighting(camera, trace_contour(mask), interior) for camera, mask, interior in seen)
-        return Level(tuple(cameras), tuple(masks), sightings)
+        sightings = tuple(ObservedOutline(camera, trace_contour(mask), interior) for camera, mask, interior in seen)
+        return SilhouetteLevel(tuple(cameras), tuple(masks), sightings)
 
     @property
     def size(self) -> int:
-        """What it takes in memory [bytes], about: masks, and what belongs to each pixel of the contours."""
+        """Approximate memory of masks and contours [bytes]."""
         pixels = sum(len(sighting.contour.pixels) for sighting in self.sightings)
         return sum(mask.nbytes for mask in self.masks) + _PIXEL_BYTES * pixels
 
     def packed(self) -> tuple[Floats, Integers, Integers, Mask]:
-        """Give cameras (C, P), widths, heights and masks padded to one size, for the kernels."""
+        """Return cameras (C, P), widths, heights and masks padded to a common size, for the kernels."""
         widths = np.array([camera.width for camera in self.cameras])
         heights = np.array([camera.height for camera in self.cameras])
         padded = np.zeros((len(self.cameras), heights.max(), widths.max()), bool)
@@ -59,38 +61,38 @@ class Level:
 
 
 def shrink(mask: Mask, size: tuple[int, int]) -> Mask:
-    """Shrink a silhouette: a pixel is inside where most of what it stands for is."""
+    """Reduce a silhouette; a pixel is inside if more than half of the area it represents is."""
     if (mask.shape[1], mask.shape[0]) == size:
         return mask
     share = cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA)
-    # Half pixels are many at a factor of two: all left out, they would make the person thinner by a quarter of a pixel.
+    # At a factor of two, many pixels are half inside; without them the person would be a quarter of a pixel thinner.
     row, column = np.indices(share.shape)
     return (share > 0.5) | ((share == 0.5) & ((row + column) % 2 == 0))
 
 
 def level_factor(masks: Sequence[Mask], height: float) -> float:
-    """Choose the power of two by which silhouettes shrink to about a height [px]."""
+    """Return the power of two by which silhouettes are reduced to about a height [px]."""
     tallest = max([int(np.count_nonzero(mask.any(1))) for mask in masks] + [1])
     return min(1.0, float(2.0 ** np.round(np.log2(height / tallest))))
 
 
 KEPT_BYTES = 1 << 28
-"""What the levels of one size may take in memory: some hundred frames of four small cameras."""
+"""Memory for the levels of one size: about a hundred frames of four small cameras [bytes]. Chosen by hand."""
 
 
 class FrameLevels:
-    """The frames of a take at one size, made when they are asked for.
+    """The frames of a take at one size, computed on demand.
 
-    The first ones are kept for as long as there is room, since refinement goes through a take many times; of the
-    others the last few.
+    The first frames are kept as long as there is room, since refinement visits a take many times; of the others, only
+    the last few are kept.
 
     Args:
-        cameras: of the whole pictures.
-        masks_of: gives the silhouettes (height, width) of a frame, one a camera.
-        factor: new size over old size.
-        edges_of: gives the edges inside of a frame's silhouettes, one set a camera, in whole pictures; None where
-            nobody looked.
-        room: bytes that may be kept.
+        cameras: Cameras of the full pictures.
+        masks_of: Returns the silhouettes (height, width) of a frame, one per camera.
+        factor: New size over old size.
+        edges_of: Returns the edges inside a frame's silhouettes, one set per camera, in full pictures; None if they
+            were not extracted.
+        room: Memory for levels that are kept [bytes].
     """
 
     def __init__(
@@ -105,12 +107,12 @@ class FrameLevels:
         self.factor = factor
         self._small = tuple(camera.scaled(factor) for camera in cameras)
         self._masks_of, self._edges_of = masks_of, edges_of
-        self._kept: dict[int, Level] = {}
+        self._kept: dict[int, SilhouetteLevel] = {}
         self._room = room
         self._last = lru_cache(maxsize=16)(self._made)
 
-    def at(self, frame: int) -> Level:
-        """Give the level of a frame."""
+    def at(self, frame: int) -> SilhouetteLevel:
+        """Return the level of a frame."""
         if frame in self._kept:
             return self._kept[frame]
         level = self._last(frame)
@@ -120,13 +122,13 @@ class FrameLevels:
         return level
 
     def forget(self) -> None:
-        """Let go of all levels that are kept; they are made again when they are asked for."""
+        """Release all levels; they are computed again on demand."""
         self._room += sum(level.size for level in self._kept.values())
         self._kept.clear()
         self._last.cache_clear()
 
     def ahead(self, frames: Iterable[int]) -> Iterator[int]:
-        """Go through frames; the next one is made ready while the caller works on this one."""
+        """Iterate over frames; a second thread prepares the next one while the caller works on the current one."""
         with ThreadPoolExecutor(1) as helper:
             last: int | None = None
             for frame in frames:
@@ -139,10 +141,12 @@ class FrameLevels:
 
     def _make_ready(self, frame: int) -> None:
         for sighting in self.at(frame).sightings:
-            # Asked for once, they are there.
+            # Accessed once, they are cached.
             _ = sighting.planes, sighting.radians_per_pixel, sighting.contour.cells
 
-    def _made(self, frame: int) -> Level:
+    def _made(self, frame: int) -> SilhouetteLevel:
         shrunk = [shrink(m, c.size) for m, c in zip(self._masks_of(frame), self._small, strict=True)]
         edges = self._edges_of(frame)
-        return Level.at_size(self._small, shrunk, None if edges is None else [e.scaled(self.factor) for e in edges])
+        return SilhouetteLevel.at_size(
+            self._small, shrunk, None if edges is None else [e.scaled(self.factor) for e in edges]
+        )

@@ -1,4 +1,4 @@
-"""Starts sampled about a prediction, for motion that it does not foresee; silhouettes choose among them."""
+"""Starts sampled about a prediction, for motion that it misses; the silhouettes choose among them."""
 
 from dataclasses import dataclass, replace
 
@@ -8,30 +8,33 @@ from marey.arrays import Floats
 from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.articulation.surface import Body
 from marey.fit.search.hull import meeting_point
-from marey.fit.search.levels import Level
+from marey.fit.search.levels import SilhouetteLevel
 from marey.fit.search.search import Candidate, Search, StartSettings
 from marey.observations.correspondence import view_of
 
 
 @dataclass(frozen=True, kw_only=True)
 class SampleSettings:
-    """How many starts are sampled about a prediction, and how far from it."""
+    """Settings of the starts sampled about a prediction. Chosen by hand; other values were not measured."""
 
     momenta: tuple[float, ...] = (0.7, 0.0, 1.0, 1.5)
-    """Shares of the last frame's motion that the predictions repeat, the usual one first."""
+    """Shares of the last frame's motion that the predictions repeat, the usual share first."""
     samples: int = 32
-    """Sampled starts about each of the likeliest predictions."""
+    """Number of starts sampled about each of the likeliest predictions."""
     turn: float = 2.0
-    """Spread of the samples' turn about the vertical, in spreads of the prediction: people turn more than they tilt."""
+    """Standard deviation of the samples' rotation about the vertical, in those of the prediction: people turn more than
+    they tilt."""
     rest: float = 0.25
-    """Spread of all else, in spreads of the prediction: limbs are searched one by one afterwards."""
+    """Standard deviation of all other coordinates, in those of the prediction: limbs are searched one by one
+    afterwards."""
     farthest_turn: float = float(np.deg2rad(60.0))
-    """No turn is sampled with a greater spread [rad]."""
+    """Largest standard deviation of a sampled angle [rad]."""
     fitted: int = 10
-    """Starts that are fitted at the rough level."""
+    """Number of starts that are fitted at the rough level."""
     finalists: int = 3
-    """Starts that are fitted at the fine level."""
+    """Number of starts that are fitted at the fine level."""
     seed: int = 2006
+    """Seed of the samples, which are the same in every run."""
 
 
 def best_of_samples(
@@ -39,27 +42,27 @@ def best_of_samples(
     last: Pose,
     step: Floats,
     spread: Floats,
-    fine: Level,
-    rough: Level,
+    fine: SilhouetteLevel,
+    rough: SilhouetteLevel,
     *,
     coarse: Body,
     settings: SampleSettings | None = None,
 ) -> Candidate:
-    """Start from several poses about the predictions; give the one that explains the silhouettes best.
+    """Fit several poses sampled about the predictions, and return the candidate of best agreement.
 
     All starts are compared with the small silhouettes, the best are fitted to them with the body of few vertices, and
     the best of those to the larger ones ([Rosenhahn2006] section 3: several starts about the prediction, of which the
     error between silhouettes chooses). Unlike the paper, the place where the silhouettes meet also moves the starts.
 
     Args:
-        body: whose shape stays as it is.
-        last: the pose of the last frame.
-        step: (D,) how it came there from the frame before.
-        spread: (D,) of each coordinate about its prediction.
-        fine: the silhouettes of the fit.
-        rough: the same, smaller.
-        coarse: the body with few vertices.
-        settings: how many starts.
+        body: Body of fixed shape.
+        last: Pose of the last frame.
+        step: (D,) change to it from the frame before.
+        spread: (D,) standard deviation of each coordinate from its prediction.
+        fine: Silhouettes of the final fit.
+        rough: The same silhouettes at a smaller size.
+        coarse: The body with few vertices.
+        settings: Numbers and spread of the samples.
     """
     settings = settings or SampleSettings()
     small, large = Search(rough, StartSettings()), Search(fine, StartSettings())
@@ -75,9 +78,9 @@ def best_of_samples(
 
 
 def sampled_poses(
-    body: Body, last: Pose, step: Floats, spread: Floats, level: Level, settings: SampleSettings
+    body: Body, last: Pose, step: Floats, spread: Floats, level: SilhouetteLevel, settings: SampleSettings
 ) -> list[Pose]:
-    """List starts: the motion repeated in several shares, there and where the silhouettes meet, and samples about it.
+    """Return starts: predictions with several shares of the motion, there and where the silhouettes meet, and samples.
 
     The samples are the same in every run.
     """
@@ -94,10 +97,10 @@ def sampled_poses(
     return poses
 
 
-def shift_to_silhouettes(posed: PosedBody, level: Level) -> Floats:
-    """Give the shift (3,) [m] that carries the body to where the middles of its silhouettes meet; none where none do.
+def shift_to_silhouettes(posed: PosedBody, level: SilhouetteLevel) -> Floats:
+    """Return the shift (3,) [m] of the body to the place where the centroids of its silhouettes meet; zero if unknown.
 
-    What the picture's border cuts counts in both alike, since the body is drawn into the same pictures.
+    The picture's border affects both alike, since the body is drawn into the same pictures.
     """
     seen, drawn = [], []
     for camera, mask in zip(level.cameras, level.masks, strict=True):

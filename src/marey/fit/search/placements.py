@@ -1,4 +1,4 @@
-"""Postures worth trying before anything is known: whole bodies, and single limbs."""
+"""Initial postures for a search without a prediction: whole bodies, and single limbs."""
 
 from dataclasses import dataclass
 
@@ -8,13 +8,16 @@ from marey.arrays import Floats, Integers
 from marey.body.articulation.skeleton import Skeleton
 from marey.geometry import rotations
 
-LIMBS = ("left_arm", "right_arm", "left_leg", "right_leg")
+SEARCHED_LIMBS = ("left_arm", "right_arm", "left_leg", "right_leg")
+"""Names of the limbs that are searched on their own."""
 _HINGES = {"arm": "elbow_flexion", "leg": "knee_flexion"}
+"""Coordinate of the elbow or knee, by kind of limb."""
 _SEGMENTS = {"arm": ("upperarm", "forearm", "hand"), "leg": ("thigh", "shank", "foot", "toes")}
+"""Segments by kind of limb, from the trunk outwards."""
 
 
 @dataclass(frozen=True, eq=False)
-class Limb:
+class LimbCoordinates:
     """One limb: its segments and the coordinates that place it."""
 
     name: str
@@ -24,7 +27,7 @@ class Limb:
     hinge: int
     """The joint coordinate of its elbow or knee."""
     others: Integers
-    """Its further joint coordinates, which a placement sets to zero."""
+    """Its other joint coordinates, which a placement sets to zero."""
 
     @property
     def columns(self) -> Integers:
@@ -32,33 +35,33 @@ class Limb:
         return np.concatenate([self.ball, [self.hinge], self.others])
 
 
-def limbs_of(skeleton: Skeleton) -> dict[str, Limb]:
-    """Find the limbs whose shoulder or hip and hinge the skeleton leaves free, by their names in `LIMBS`."""
+def limbs_of(skeleton: Skeleton) -> dict[str, LimbCoordinates]:
+    """Return the limbs whose shoulder or hip and hinge are free in the skeleton, by their names in `SEARCHED_LIMBS`."""
     names = {c.name for c in skeleton.coordinates}
     hinges = {f"{side}_{kind}": f"{side}_{hinge}" for side in ("left", "right") for kind, hinge in _HINGES.items()}
-    return {limb: limb_of(skeleton, limb) for limb in LIMBS if hinges[limb] in names}
+    return {limb: limb_of(skeleton, limb) for limb in SEARCHED_LIMBS if hinges[limb] in names}
 
 
-def limb_of(skeleton: Skeleton, name: str) -> Limb:
-    """Find a limb's coordinates by its name, one of `LIMBS`."""
+def limb_of(skeleton: Skeleton, name: str) -> LimbCoordinates:
+    """Return a limb's coordinates by its name, one of `SEARCHED_LIMBS`."""
     side, kind = name.split("_")
     segments = tuple(f"{side}_{segment}" for segment in _SEGMENTS[kind])
     own = [i for i, c in enumerate(skeleton.coordinates) if c.segment in segments]
     ball = [i for i in own if skeleton.coordinates[i].segment == segments[0]]
     hinge = next(i for i in own if skeleton.coordinates[i].name == f"{side}_{_HINGES[kind]}")
     others = [i for i in own if i not in ball and i != hinge]
-    return Limb(name, segments, np.array(ball), hinge, np.array(others, dtype=np.int64))
+    return LimbCoordinates(name, segments, np.array(ball), hinge, np.array(others, dtype=np.int64))
 
 
 def ball_angles(axes: Floats, rotation: Floats) -> Floats:
-    """Split rotations into successive turns about three axes that stand at right angles.
+    """Decompose rotations into successive rotations about three orthogonal axes.
 
     Args:
-        axes: (3, 3) unit axes, one a row.
+        axes: (3, 3) unit axes, one per row.
         rotation: (..., 3, 3).
 
     Returns:
-        (..., 3) [rad], so that rotation = turn about axes[0], times about axes[1], times about axes[2].
+        (..., 3) [rad], so that rotation is the product of the rotations about axes[0], axes[1] and axes[2].
     """
     hand = np.sign(np.linalg.det(axes))
     frame = axes * np.array([1.0, 1.0, hand])[:, None]
@@ -70,7 +73,7 @@ def ball_angles(axes: Floats, rotation: Floats) -> Floats:
 
 
 def directions(count: int) -> Floats:
-    """Spread unit vectors (count, 3) evenly over the sphere: a Fibonacci lattice."""
+    """Return unit vectors (count, 3) evenly spread over the sphere (a Fibonacci lattice)."""
     i = np.arange(count) + 0.5
     z = 1 - 2 * i / count
     turn = np.pi * (1 + np.sqrt(5)) * i
@@ -79,7 +82,7 @@ def directions(count: int) -> Floats:
 
 
 def shortest_turn(start: Floats, end: Floats) -> Floats:
-    """Give the rotations (n, 3, 3) of least angle that carry a unit vector (3,) to others (n, 3)."""
+    """Return the rotations (n, 3, 3) of least angle that map a unit vector (3,) to others (n, 3)."""
     axis = np.cross(start, end)
     sine = np.linalg.norm(axis, axis=-1, keepdims=True)
     angle = np.arctan2(sine[..., 0], end @ start)
@@ -89,17 +92,17 @@ def shortest_turn(start: Floats, end: Floats) -> Floats:
     return rotations.about(axis, angle)
 
 
-def limb_placements(skeleton: Skeleton, limb: Limb, rest: Floats, *, count: int) -> Floats:
-    """List placements of a limb within its joints' limits: directions, turns about itself, bends.
+def limb_placements(skeleton: Skeleton, limb: LimbCoordinates, rest: Floats, *, count: int) -> Floats:
+    """List placements of a limb within its joints' limits: directions, rotations about itself, and bends.
 
     Args:
-        skeleton: whose limits count.
-        limb: which limb.
+        skeleton: Skeleton with the limits.
+        limb: The limb.
         rest: (3,) direction of the limb at rest.
-        count: about how many directions to try on the whole sphere.
+        count: Approximate number of directions on the whole sphere.
 
     Returns:
-        (n, k) angles for `limb.columns`.
+        (n, k) angles for `limb.columns` [rad].
     """
     limits = skeleton.limits[limb.ball]
     rest = rest / np.linalg.norm(rest)
@@ -116,17 +119,18 @@ def limb_placements(skeleton: Skeleton, limb: Limb, rest: Floats, *, count: int)
     return np.concatenate(placements)
 
 
-# How far the hinge bends and how the limb turns about itself [deg]; a straight limb's turn does not show.
 _ARM_BENDS = ((8, (0,)), (45, range(-100, 101, 50)), (85, range(-100, 101, 40)), (125, range(-100, 101, 50)))
+"""Bend of the elbow with the arm's rotations about itself [deg]; that of a nearly straight arm is not visible.
+Chosen by hand."""
 _LEG_BENDS = ((5, (0,)), (40, (-20, 20)), (80, (-20, 20)), (115, (-20, 20)))
+"""Bend of the knee with the leg's rotations about itself [deg]. Chosen by hand."""
 
 
-def _point(skeleton: Skeleton, limb: Limb, rest: Floats, towards: Floats, bend: float) -> Floats:
+def _point(skeleton: Skeleton, limb: LimbCoordinates, rest: Floats, towards: Floats, bend: float) -> Floats:
     turn = shortest_turn(rest / np.linalg.norm(rest), np.asarray(towards, float)[None] / np.linalg.norm(towards))
     return np.append(ball_angles(skeleton.axes[limb.ball], turn)[0], np.deg2rad(bend))
 
 
-# Directions in the rest posture's axes for the left side: x to the left, y backward, z up; bend in degrees.
 _ARMS = {
     "hanging": ((0.15, 0, -1), 10),
     "aside": ((0.7, 0, -0.7), 10),
@@ -137,10 +141,13 @@ _ARMS = {
     "bent": ((0.25, -0.2, -1), 90),
     "folded": ((0.4, -0.6, -0.6), 100),
 }
+"""Directions of the left arm in the axes of the rest posture (x to the left, y backward, z up), and the elbow's bend
+[deg]. Chosen by hand."""
 _ARM_PAIRS = (
     ("hanging", "hanging"), ("aside", "aside"), ("level", "level"), ("raised", "raised"), ("overhead", "overhead"),
     ("forward", "forward"), ("bent", "bent"), ("folded", "folded"), ("raised", "hanging"), ("hanging", "raised"),
 )  # fmt: skip
+"""Combinations of left and right arm in `_ARMS`."""
 _LEGS = {
     "straight": ((0.08, 0, -1), 5),
     "apart": ((0.4, 0, -1), 5),
@@ -150,17 +157,20 @@ _LEGS = {
     "seated": ((0.15, -1, -0.1), 90),
     "squat": ((0.2, -0.7, -0.7), 80),
 }
+"""Directions of the left leg in the axes of the rest posture (x to the left, y backward, z up), and the knee's bend
+[deg]. Chosen by hand."""
 _LEG_PAIRS = (
     ("straight", "straight"), ("apart", "apart"), ("ahead", "behind"), ("behind", "ahead"),
     ("lifted", "straight"), ("straight", "lifted"), ("squat", "squat"), ("seated", "seated"),
 )  # fmt: skip
+"""Combinations of left and right leg in `_LEGS`."""
 
 
 def whole_postures(skeleton: Skeleton, arm: Floats, leg: Floats) -> Floats:
     """List postures of the whole body (n, D - 6): every pair of arms with every pair of legs.
 
     Args:
-        skeleton: full, or with some of the limbs.
+        skeleton: Full skeleton, or one with some of the limbs.
         arm: (3,) direction of the left arm at rest.
         leg: (3,) direction of the left leg at rest.
     """

@@ -1,4 +1,4 @@
-"""Steps of a search among many poses: score, fit, place a limb anew, exchange limbs, turn about."""
+"""Steps of a search among many poses: score, fit, placement of limbs, exchange of limbs, and reversal of the facing."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -9,7 +9,7 @@ from marey.arrays import Floats
 from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.articulation.surface import Body
 from marey.fit.search import cover, placements
-from marey.fit.search.levels import Level
+from marey.fit.search.levels import SilhouetteLevel
 from marey.fit.solver.body_solver import fit_body
 from marey.fit.solver.pose_solver import Schedule, fit_pose
 from marey.geometry import rotations
@@ -19,44 +19,54 @@ from marey.observations.prior import Habit, JointLimits, ShapePrior
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A body in a pose, and how well it explains the silhouettes."""
+    """A body in a pose, and its agreement with the silhouettes."""
 
     posed: PosedBody
     score: float
-    """Mean intersection over union less the cost of an unlikely posture."""
+    """Mean intersection over union, less the cost of an unlikely posture."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class StartSettings:
-    """How thoroughly a start is searched."""
+    """Extent of the search for a start. Chosen by hand unless docs/accuracy.md compares other values."""
 
     yaws: int = 12
+    """Number of headings, evenly spaced, in which the whole postures are tried."""
     kept: int = 12
-    """Candidates whose limbs are searched."""
+    """Number of candidates whose limbs are searched."""
     finalists: int = 5
+    """Number of candidates that are fitted at the larger size."""
     arm_directions: int = 60
+    """Number of directions in which an arm is tried."""
     leg_directions: int = 50
-    doubtful: float = 0.72
-    """Score below which a person who hangs head down is looked for as well."""
+    """Number of directions in which a leg is tried."""
+    upside_down_below: float = 0.72
+    """Score below which postures with the head down are searched, too."""
     good: float = 0.93
     """Score at which no other frame is tried."""
     prior_cost: float = 3e-4
-    """What a unit of the posture's prior cost takes from the score."""
+    """Decrease of the score per unit of the posture's prior cost."""
     coarse_height: float = 80.0
+    """Height of the person in the pictures of the search [px]."""
     fine_height: float = 160.0
-    """Height of the person in the shrunken pictures [px]."""
+    """Height of the person in the pictures of the final fit [px]."""
 
 
 class Search:
-    """The steps of the search at one level."""
+    """Steps of the search at one level.
 
-    def __init__(self, level: Level, settings: StartSettings):
+    Args:
+        level: Silhouettes.
+        settings: Extent of the search.
+    """
+
+    def __init__(self, level: SilhouetteLevel, settings: StartSettings):
         self.level = level
         self.settings = settings
         self.packed = level.packed()
 
     def score(self, body: Body, poses: Sequence[Pose]) -> Floats:
-        """Give the mean intersection over union of poses."""
+        """Return the mean intersection over union of poses (n,)."""
         return cover.score_poses(
             *_rest(body), body.faces,
             np.array([pose.rotation for pose in poses]), np.array([pose.translation for pose in poses]),
@@ -64,13 +74,13 @@ class Search:
         )  # fmt: skip
 
     def judge(self, posed: PosedBody) -> Candidate:
-        """Score a posed body."""
+        """Return a posed body with its score."""
         cost = sum(float(np.sum(prior.whiten(posed).residual ** 2)) for prior in (Habit(), JointLimits()))
         overlap = float(self.score(posed.body, [posed.pose])[0])
         return Candidate(posed, overlap - self.settings.prior_cost * cost)
 
     def fit(self, posed: PosedBody, *, numbers: int, iterations: int, gate: tuple[float, float]) -> Candidate:
-        """Fit the pose and the first shape numbers, of which there may be none, as a scan has."""
+        """Fit the pose and at most `numbers` leading shape numbers; a body without shape numbers keeps its shape."""
         numbers = min(numbers, len(posed.body.space))
         schedule = Schedule(iterations=iterations, gate=gate, scale=(10.0, 3.0) if iterations > 5 else (6.0, 3.0))
         others: list[Observation] = [JointLimits(), Habit(share=0.03)]
@@ -82,7 +92,7 @@ class Search:
         return self.judge(replace(fitted, body=_widen(fitted.body, posed.body)))
 
     def coarse_poses(self, body: Body, hull: Floats, ways: Sequence[Floats]) -> list[PosedBody]:
-        """Compare the whole postures in all directions; keep the two best of each direction."""
+        """Compare the whole postures in all directions, and return the two best of each direction."""
         arm, leg = limb_directions(body)
         postures = placements.whole_postures(body.skeleton, arm, leg)
         centre = hull.mean(0)
@@ -97,7 +107,7 @@ class Search:
         return kept
 
     def limbs(self, candidate: Candidate, *, numbers: int) -> Candidate:
-        """Search every limb on its own, then exchange both arms and both legs; keep what is better."""
+        """Search every limb on its own, then exchange both arms and both legs; keep changes that raise the score."""
         limbs = placements.limbs_of(candidate.posed.body.skeleton)
         for name in limbs:
             for posed in self.limb_proposals(candidate.posed, name):
@@ -108,12 +118,12 @@ class Search:
         return candidate
 
     def better(self, candidate: Candidate, posed: PosedBody, numbers: int) -> Candidate:
-        """Refit a proposal; take it where the score rises."""
+        """Fit a proposal, and return it if its score is higher."""
         fitted = self.fit(posed, numbers=numbers, iterations=5, gate=(16.0, 8.0))
         return fitted if fitted.score > candidate.score + 0.002 else candidate
 
     def limb_proposals(self, posed: PosedBody, name: str, *, count: int = 2) -> list[PosedBody]:
-        """List the most promising distinct placements of a limb."""
+        """Return the most promising distinct placements of a limb."""
         body, pose = posed.body, posed.pose
         limb = placements.limb_of(body.skeleton, name)
         arm, leg = limb_directions(body)
@@ -141,7 +151,7 @@ class Search:
 
 
 def exchanged(posed: PosedBody, kind: str) -> PosedBody:
-    """Give the left limb of a kind ("arm" or "leg") the angles of the right one, and the other way round."""
+    """Exchange the angles of the left and right limbs of a kind ("arm" or "leg")."""
     angles = np.array(posed.pose.angles)
     left, right = (placements.limb_of(posed.body.skeleton, f"{side}_{kind}").columns for side in ("left", "right"))
     angles[left], angles[right] = posed.pose.angles[right], posed.pose.angles[left]
@@ -149,7 +159,7 @@ def exchanged(posed: PosedBody, kind: str) -> PosedBody:
 
 
 def limb_directions(body: Body) -> tuple[Floats, Floats]:
-    """Give the unit directions (3,) of the left arm and the left leg at rest."""
+    """Return the unit directions (3,) of the left arm and the left leg at rest."""
     at = {name: body.joint_centres[k] for k, name in enumerate(body.skeleton.segment_names)}
     arm = at["left_hand"] - at["left_upperarm"]
     leg = at["left_foot"] - at["left_thigh"]
@@ -168,7 +178,7 @@ def _centroids(body: Body, postures: Floats) -> Floats:
 
 
 def standing_ways(hull: Floats) -> list[Floats]:
-    """Give the turns (3, 3) from upright to the ways a body may stand: upright, and along the hull's long axis."""
+    """Return rotations (3, 3) from upright to the directions in which a body may stand: upright, and along the hull."""
     spread = np.linalg.svd(hull - hull.mean(0), full_matrices=False)
     upright = np.array([0.0, 0.0, 1.0])
     axis = spread[2][0] * (1 if spread[2][0, 2] >= 0 else -1)
@@ -180,13 +190,13 @@ def standing_ways(hull: Floats) -> list[Floats]:
         middle = axis + upright
         ways.append(middle / np.linalg.norm(middle))
     if lean > 60:
-        # Somebody who lies: the head may be at either end.
+        # The person lies: the head may be at either end.
         ways.append(-axis)
     return [placements.shortest_turn(upright, way[None])[0] for way in ways]
 
 
 def _narrow(posed: PosedBody, numbers: int) -> PosedBody:
-    """Leave only the first shape numbers, or leading directions of them, free; the others stay as they are."""
+    """Keep only the leading shape numbers, or leading directions of them, free; the others are fixed."""
     body, whole = posed.body, posed.body.space.by_rank
     steps = np.linalg.solve(body.space.leading.T, body.numbers)
     fixed = np.arange(len(whole)) >= numbers
@@ -195,18 +205,18 @@ def _narrow(posed: PosedBody, numbers: int) -> PosedBody:
 
 
 def _widen(narrow: Body, wide: Body) -> Body:
-    """Give the whole body the numbers that were free."""
+    """Return the whole body with the numbers that were free."""
     leading = wide.space.leading
     steps = np.linalg.solve(leading.T, wide.numbers)
     steps[: len(narrow.numbers)] = narrow.numbers
     return wide.with_numbers(leading.T @ steps)
 
 
-def about_face(posed: PosedBody) -> Pose:
-    """Turn a pose about so that the silhouettes stay nearly alike: front becomes back, left becomes right.
+def turned_about(posed: PosedBody) -> Pose:
+    """Reverse the facing of a pose with nearly the same silhouettes: front becomes back, left becomes right.
 
-    Every segment takes the place of its counterpart on the other side, turned by half a turn about
-    its own long axis: R'_left = R_right diag(-1, -1, 1).
+    Every segment takes the place of its counterpart on the other side, turned by half a turn about its own long axis:
+    R'_left = R_right diag(-1, -1, 1).
     """
     segments, _ = posed.body.skeleton.mirrored()
     half_turn = np.diag([-1.0, -1.0, 1.0])
@@ -215,7 +225,7 @@ def about_face(posed: PosedBody) -> Pose:
 
 
 def pose_from_rotations(body: Body, translation: Floats, wanted: Floats) -> Pose:
-    """Find the joint angles whose segments come nearest to wanted rotations (S, 3, 3), within the limits."""
+    """Find the joint angles within the limits whose segments come nearest to given rotations (S, 3, 3)."""
     skeleton = body.skeleton
     angles = np.zeros(len(skeleton) - 6)
     reached = np.array(wanted)

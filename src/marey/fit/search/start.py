@@ -1,4 +1,4 @@
-"""The start without clicks: the pose and the rough shape of a person in one frame, whatever the posture."""
+"""Search for the pose and rough shape of a person in one frame, in any posture, without clicked points."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -9,9 +9,9 @@ from marey.arrays import Floats, Mask
 from marey.body.articulation.surface import Body
 from marey.cameras.camera import Camera
 from marey.fit.search.hull import visual_hull
-from marey.fit.search.levels import Level, level_factor
-from marey.fit.search.search import Candidate, Search, StartSettings, about_face, standing_ways
-from marey.fit.solver.side_by_side import side_by_side
+from marey.fit.search.levels import SilhouetteLevel, level_factor
+from marey.fit.search.search import Candidate, Search, StartSettings, standing_ways, turned_about
+from marey.fit.solver.threads import map_in_threads
 
 
 def find_start(
@@ -19,27 +19,27 @@ def find_start(
 ) -> Candidate | None:
     """Find a person's pose and rough shape from the silhouettes of one frame.
 
-    Ours: many coarse poses are compared with the silhouettes, the best are fitted, each limb is
-    searched on its own, and at last the winner is compared with itself facing the other way.
+    Ours: many coarse poses are compared with the silhouettes, the best are fitted, each limb is searched on its own,
+    and at last the winner is compared with itself facing the other way.
 
     Args:
-        cameras: those that see the person.
-        masks: (height, width) one a camera.
-        coarse: the body with few vertices, at its prior's mean.
-        fine: the same body with more vertices.
-        settings: how thorough the search is.
+        cameras: Cameras with the person in view.
+        masks: (height, width) one per camera.
+        coarse: Body with few vertices, at its prior's mean.
+        fine: The same body with more vertices.
+        settings: Extent of the search.
 
     Returns:
-        The best candidate with the fine body, or None where the silhouettes have nothing in common.
+        The best candidate with the fine body, or None if the silhouettes have no point in common.
     """
     settings = settings or StartSettings()
     hull = visual_hull(cameras, masks)
     if len(hull) == 0:
         return None
     found = _search(cameras, masks, hull, coarse, fine, settings, standing_ways(hull))
-    if found.score >= settings.doubtful:
+    if found.score >= settings.upside_down_below:
         return found
-    # Nobody explains the silhouettes well: perhaps the person hangs, or the world stands on its head.
+    # No candidate agrees well: the person may hang head down, or the world's Z axis may point down.
     hanging = _search(cameras, masks, hull, coarse, fine, settings, [np.diag([1.0, -1.0, -1.0])])
     return max(found, hanging, key=lambda candidate: candidate.score)
 
@@ -48,43 +48,49 @@ def _search(
     cameras: Sequence[Camera], masks: Sequence[Mask], hull: Floats, coarse: Body, fine: Body,
     settings: StartSettings, ways: Sequence[Floats],
 ) -> Candidate:  # fmt: skip
-    """Search among bodies that stand in the given ways, see `standing_ways`."""
-    rough = Level.of(cameras, masks, level_factor(masks, settings.coarse_height))
-    medium = Level.of(cameras, masks, level_factor(masks, settings.fine_height))
+    """Search among bodies that stand in the given directions, see `standing_ways`."""
+    rough = SilhouetteLevel.of(cameras, masks, level_factor(masks, settings.coarse_height))
+    medium = SilhouetteLevel.of(cameras, masks, level_factor(masks, settings.fine_height))
     search = Search(rough, settings)
     first = search.coarse_poses(coarse, hull, ways)
-    fitted = list(side_by_side(lambda posed: search.fit(posed, numbers=3, iterations=10, gate=(25.0, 8.0)), first))
+    fitted = list(map_in_threads(lambda posed: search.fit(posed, numbers=3, iterations=10, gate=(25.0, 8.0)), first))
     kept = _best(fitted, settings.kept, apart=2)
-    searched = list(side_by_side(lambda candidate: search.limbs(candidate, numbers=4), kept))
+    searched = list(map_in_threads(lambda candidate: search.limbs(candidate, numbers=4), kept))
     return _finish(searched, rough, medium, fine, settings)
 
 
-def _finish(searched: list[Candidate], rough: Level, medium: Level, fine: Body, settings: StartSettings) -> Candidate:
+def _finish(
+    searched: list[Candidate], rough: SilhouetteLevel, medium: SilhouetteLevel, fine: Body, settings: StartSettings
+) -> Candidate:
     search, last = Search(rough, settings), Search(medium, settings)
 
     def polish(candidate: Candidate) -> Candidate:
         for _ in range(2):
             candidate = search.limbs(candidate, numbers=6)
-        posed = replace(candidate.posed, body=_on(candidate.posed.body, fine))
+        posed = replace(candidate.posed, body=_with_numbers_of(candidate.posed.body, fine))
         return last.fit(posed, numbers=8, iterations=12, gate=(16.0, 5.0))
 
-    polished = list(side_by_side(polish, _best(searched, settings.finalists, apart=2)))
+    polished = list(map_in_threads(polish, _best(searched, settings.finalists, apart=2)))
     winner = max(polished, key=lambda candidate: candidate.score)
     turned = polish(
         search.judge(
-            replace(winner.posed, body=_on(winner.posed.body, searched[0].posed.body), pose=about_face(winner.posed))
+            replace(
+                winner.posed,
+                body=_with_numbers_of(winner.posed.body, searched[0].posed.body),
+                pose=turned_about(winner.posed),
+            )
         )
     )
     return max(winner, turned, key=lambda candidate: candidate.score)
 
 
-def _on(body: Body, other: Body) -> Body:
-    """Give another level's body the shape numbers of this one."""
+def _with_numbers_of(body: Body, other: Body) -> Body:
+    """Return the other body, of another level of detail, with the shape numbers of the first one."""
     return other.with_numbers(body.numbers)
 
 
 def _best(candidates: list[Candidate], count: int, *, apart: int) -> list[Candidate]:
-    """Keep the best candidates, at most so many that face the same way (within an eighth of a turn)."""
+    """Return the best candidates, at most `apart` of which face the same way (within an eighth of a turn)."""
     kept: list[Candidate] = []
     for candidate in sorted(candidates, key=lambda c: -c.score):
         facing = candidate.posed.pose.rotation[:, 1]

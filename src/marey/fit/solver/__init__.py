@@ -1,1 +1,1 @@
-"""Weighted least squares over poses and shapes: equations, steps, robust weights."""
+"""Weighted least squares over poses and shapes: equations, steps and robust weights."""

@@ -1,4 +1,4 @@
-"""Normal equations of a stretch of poses: banded over three neighbours in time, bordered by the shape."""
+"""Normal equations of a stretch of poses, banded over three neighbours in time and bordered by the shape."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from marey.body.articulation.pose import Pose
 
 
 @dataclass(eq=False)
-class System:
+class BandedSystem:
     """Normal equations of F poses of D coordinates, banded over three neighbours, bordered by M shape numbers."""
 
     band: Floats
@@ -23,15 +23,15 @@ class System:
     """(F D,)."""
 
     @staticmethod
-    def empty(frames: int, degrees: int, numbers: int) -> "System":
-        """Give the equations of which nothing is known yet."""
+    def empty(frames: int, degrees: int, numbers: int) -> "BandedSystem":
+        """Return a system whose equations are all zero."""
         size = frames * degrees
-        return System(
+        return BandedSystem(
             np.zeros((3 * degrees, size)), np.zeros((size, numbers)), np.zeros(size)
         )  # fmt: skip
 
     def add_block(self, row: int, column: int, block: Floats) -> None:
-        """Add a block (D, D) of the upper triangle; the lower half of a diagonal block is left out."""
+        """Add a block (D, D) of the upper triangle; the lower half of a diagonal block is ignored."""
         degrees = len(block)
         last = len(self.band) - 1
         i, j = np.meshgrid(np.arange(degrees), np.arange(degrees), indexing="ij")
@@ -40,7 +40,7 @@ class System:
         self.band[(last + r - c)[upper], c[upper]] += block[upper]
 
     def add_frame(self, f: int, hessian: Floats, gradient: Floats, degrees: int) -> None:
-        """Add the equations of one frame, with or without the shape; what they say of the shape alone is left out."""
+        """Add the equations of one frame, with or without the shape; its block of the shape alone is not stored."""
         here = slice(f * degrees, (f + 1) * degrees)
         self.add_block(f, f, hessian[:degrees, :degrees])
         self.gradient[here] += gradient[:degrees]
@@ -48,7 +48,7 @@ class System:
             self.border[here] += hessian[:degrees, degrees:]
 
     def add_smoothness(self, f: int, poses: Sequence[Pose], spread: Floats) -> None:
-        """Draw the change from f-1 to f and that from f to f+1 together: their difference is an acceleration."""
+        """Add the prior that the acceleration at f, the change from f to f+1 less that from f-1 to f, is zero."""
         degrees = len(spread)
         residual = poses[f].change_to(poses[f + 1]) - poses[f - 1].change_to(poses[f])
         weight = 1.0 / spread**2
@@ -65,19 +65,21 @@ class System:
         columns = np.arange(column * degrees, (column + 1) * degrees)
         self.band[len(self.band) - 1 - offset, columns] += values
 
-    def eliminate(self, trust: Floats, core: slice) -> dict[str, Floats]:
-        """Eliminate the poses: say how they answer, and what they take from the shape's equations.
+    def eliminate(self, step_sd: Floats, core: slice) -> dict[str, Floats]:
+        """Eliminate the poses: express them by the shape, and reduce the shape's equations.
 
         Args:
-            trust: (D,) how far a coordinate is believed to lie from where it stands; it damps what nothing fixes.
-            core: the frames whose answer is wanted; those about them only lend it their neighbourhood.
+            step_sd: (D,) standard deviation of a coordinate's step, which damps what no observation determines [m,
+                rad].
+            core: Frames whose solution is wanted; the others only provide their neighbourhood.
 
         Returns:
-            `own` (n D,) and `by_shape` (n D, M): the poses' step is -(own + by_shape times the shape's step); `taken`
-            (M, M) and `taken_gradient` (M,), what the core's freedom takes from the shape's information and gradient.
+            `own` (n D,) and `by_shape` (n D, M): the poses' step is -(own + by_shape times the shape's step). `taken`
+            (M, M) and `taken_gradient` (M,): what the elimination of the core's poses subtracts from the shape's
+            information and gradient.
         """
-        degrees = len(trust)
-        damped = np.tile(1.0 / trust**2, self.band.shape[1] // degrees)
+        degrees = len(step_sd)
+        damped = np.tile(1.0 / step_sd**2, self.band.shape[1] // degrees)
         solved = self._solved(damped, np.concatenate([self.gradient[:, None], self.border], 1))[1]
         rows = slice(core.start * degrees, core.stop * degrees)
         solved, border = solved[rows].copy(), self.border[rows]
@@ -89,14 +91,15 @@ class System:
         }
 
     def covariances(self, degrees: int, core: slice) -> dict[str, Floats]:
-        """Say how uncertain the poses are, by the recursion of the banded factor.
+        """Compute the covariances of the poses by the recursion of the banded factor.
 
-        Ours: the poses' inverse is needed near its diagonal only, where it follows backwards from the Cholesky
-        factor ([Takahashi1973]); the shape's share comes on top.
+        Ours: the poses' inverse is needed near its diagonal only, where it follows backwards from the Cholesky factor
+        ([Takahashi1973]); the shape's contribution is added to it.
 
         Returns:
-            `blocks` (n, D, D) of the core's poses for a known shape; `spread` (n, D, M), how they follow the shape,
-            see `with_shape_covariance`; `loss` (M, M), what the core takes from the shape's information.
+            `blocks` (n, D, D) of the core's poses for a known shape; `spread` (n, D, M), the poses' derivative by the
+            shape, see `with_shape_covariance`; `loss` (M, M), what the core's elimination subtracts from the shape's
+            information.
         """
         slight = np.full(self.band.shape[1], 1e-12 * self.band[-1].max())
         factor, solved = self._solved(slight, self.border)
@@ -106,7 +109,7 @@ class System:
         return {"blocks": blocks, "spread": spread.copy(), "loss": self.border[rows].T @ solved[rows]}
 
     def _solved(self, more: Floats, right: Floats) -> tuple[Floats, Floats]:
-        """Factor the band with more (F D,) on its diagonal, and solve for right sides (F D, k)."""
+        """Factor the band with `more` (F D,) added to its diagonal, and solve for right sides (F D, k)."""
         band = self.band.copy()
         band[-1] += more
         factor = scipy.linalg.cholesky_banded(band, overwrite_ab=True, check_finite=False)
@@ -116,12 +119,12 @@ class System:
 
 
 def with_shape_covariance(blocks: Floats, spread: Floats, shape: Floats) -> Floats:
-    """Join the covariances of poses for a known shape with the shape's own.
+    """Combine the covariances of poses for a known shape with the covariance of the shape.
 
     Args:
-        blocks: (n, D, D) see `System.covariances`.
-        spread: (n, D, M), or (n, D, 0) where these poses know nothing of the shape.
-        shape: (M, M) the shape's covariance.
+        blocks: (n, D, D) see `BandedSystem.covariances`.
+        spread: (n, D, M), or (n, D, 0) where these poses do not depend on the shape.
+        shape: (M, M) covariance of the shape.
 
     Returns:
         (n, D + M, D + M).
@@ -140,24 +143,31 @@ def with_shape_covariance(blocks: Floats, spread: Floats, shape: Floats) -> Floa
 
 @dataclass(frozen=True)
 class Window:
-    """A stretch of a sequence that is solved at once: frames whose answer counts, and neighbours on both sides."""
+    """A stretch of a sequence that is solved at once: core frames, and neighbours on both sides."""
 
     first: int
+    """The first frame that is used."""
     last: int
-    """One beyond the last frame that is looked at."""
+    """One beyond the last frame that is used."""
     begin: int
-    """The first frame whose answer counts."""
+    """The first frame of the core, whose solution is kept."""
     end: int
-    """One beyond the last frame whose answer counts."""
+    """One beyond the last frame of the core."""
 
     @property
     def core(self) -> slice:
-        """The frames whose answer counts, from the window's first."""
+        """The frames of the core, counted from the window's first."""
         return slice(self.begin - self.first, self.end - self.first)
 
 
 def windows(count: int, length: int, overlap: int) -> list[Window]:
-    """Divide a sequence into windows of about a length, each with neighbours; a short one is a single window."""
+    """Divide a sequence into windows of a given length, each with neighbours; a short sequence is a single window.
+
+    Args:
+        count: Number of frames.
+        length: Approximate length of the windows' cores, in frames.
+        overlap: Number of neighbours on each side.
+    """
     if count <= length + 2 * overlap:
         return [Window(0, count, 0, count)]
     edges = np.linspace(0, count, -(-count // length) + 1).astype(int)
@@ -165,7 +175,7 @@ def windows(count: int, length: int, overlap: int) -> list[Window]:
 
 
 def _inverse_blocks(factor: Floats, count: int, degrees: int) -> Floats:
-    """Give the diagonal blocks of (U'U)^-1 for a banded factor U of two blocks beside the diagonal."""
+    """Return the diagonal blocks (F, D, D) of (U'U)^-1 for a banded factor U of two blocks beside the diagonal."""
 
     def upper(row: int, column: int) -> Floats:
         block = np.zeros((degrees, degrees))

@@ -1,4 +1,4 @@
-"""Pose and shape of one frame together, by dense normal equations."""
+"""Least squares for pose and shape of one frame together, by dense normal equations."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -10,9 +10,13 @@ import scipy.optimize
 from marey.arrays import Floats
 from marey.body.articulation.pose import PosedBody
 from marey.body.articulation.surface import Body
-from marey.fit.solver.pose_solver import LONGEST_TURN, Schedule, add_dense, match_all, solve_step
-from marey.observations.correspondence import Sighting
+from marey.fit.solver.pose_solver import LONGEST_STEP_RAD, Schedule, add_dense, match_all, solve_step
+from marey.observations.correspondence import ObservedOutline
 from marey.observations.observation import Observation, SurfaceObservation
+
+STEP_SD_M, STEP_SD_RAD = 0.1, 0.2
+"""Standard deviation of a pose coordinate's step, which damps what the observations do not determine [m, rad].
+Chosen by hand; other values were not measured."""
 
 
 def dense_equations(
@@ -34,7 +38,7 @@ def dense_equations(
 
 def fit_body(
     posed: PosedBody,
-    sightings: Sequence[Sighting],
+    sightings: Sequence[ObservedOutline],
     others: Sequence[Observation],
     *,
     schedule: Schedule,
@@ -43,11 +47,11 @@ def fit_body(
     """Fit pose and shape of one frame to its silhouettes.
 
     Args:
-        posed: the body where the search starts.
-        sightings: one for each camera.
-        others: priors of pose and shape; both need one.
-        schedule: how the search narrows.
-        clip: no shape number goes farther from the prior's mean than so many standard deviations.
+        posed: Body at the start of the search.
+        sightings: One per camera.
+        others: Priors of pose and shape; both need one.
+        schedule: How gates and scales narrow.
+        clip: Largest distance of a shape number from the prior's mean, in standard deviations.
     """
     degrees = len(posed.body.skeleton)
     for iteration in range(schedule.iterations):
@@ -61,7 +65,7 @@ def fit_body(
 
 
 def shape_reach(body: Body, clip: float) -> tuple[Floats, Floats]:
-    """Give the least and the greatest step (M,) that the shape's numbers may take."""
+    """Return the smallest and the largest step (M,) that the shape numbers may take."""
     space = body.space
     reach = clip * np.sqrt(np.diag(space.prior_covariance))
     from_mean = body.numbers - space.prior_mean
@@ -79,15 +83,15 @@ def bounded_step(information: Floats, gradient: Floats, least: Floats, greatest:
     """
     upper = scipy.linalg.cholesky(information)
     target = -scipy.linalg.solve_triangular(upper, gradient, trans="T")
-    # The solver wants room between the bounds.
+    # The solver requires a gap between the bounds.
     found = scipy.optimize.lsq_linear(upper, target, (least - 1e-9, greatest + 1e-9), method="bvls").x
     return np.clip(found, least, greatest)
 
 
 def bounded_body_step(hessian: Floats, gradient: Floats, degrees: int, reach: tuple[Floats, Floats]) -> Floats:
-    """Solve for a Gauss-Newton step (D + M,) whose shape stays within reach; the pose's step suits the shape's.
+    """Solve for a Gauss-Newton step (D + M,) whose shape stays within bounds; the pose's step is optimal for it.
 
-    A shape cut off afterwards would leave the pose to make up for a change that never came.
+    Clipping the shape afterwards would leave in the pose the response to a change of shape that is not made.
     """
     step = solve_step(hessian, gradient, degrees=degrees)
     least, greatest = reach
@@ -99,4 +103,4 @@ def bounded_body_step(hessian: Floats, gradient: Floats, degrees: int, reach: tu
     shape = bounded_step(information, gradient[degrees:] - cross.T @ answer[:, 0], least, greatest)
     whole = np.concatenate([-(answer[:, 0] + answer[:, 1:] @ shape), shape])
     longest = np.abs(whole[3:degrees]).max()
-    return whole if longest <= LONGEST_TURN else whole * (LONGEST_TURN / longest)
+    return whole if longest <= LONGEST_STEP_RAD else whole * (LONGEST_STEP_RAD / longest)

@@ -1,7 +1,7 @@
-"""The moments of surface observations: gathered once, after which a step costs the same for any number of points.
+"""Moments of surface observations, which make the cost of a step independent of the number of points.
 
 A surface point p is the sum over its segments k of T_k y_k. For residuals A p - b the cost is a quadratic
-in the segments' motions T for as long as the correspondences are fixed: all of it lies in the moments
+in the segments' motions T for as long as the correspondences are fixed: it is determined by the moments
 W = sum w (A'A) x (y_k y_l') and U = sum w (A'b) y_k'. Ours: pairs of segments, so that blended skin is exact.
 """
 
@@ -19,15 +19,13 @@ from marey.observations.observation import SurfaceObservation
 
 @dataclass(frozen=True, eq=False)
 class Moments:
-    """What the normal equations need to know of all surface observations."""
+    """Moments of all surface observations, from which the normal equations are assembled."""
 
     pairs: Integers
     """(P, 2) pairs of segments k <= l that share an observation."""
     products: Floats
-    """(P, 4, 4, 8) of the pairs: rows of k, columns of l, and the six entries of the symmetric A'A.
-
-    The entries stand in the order 00 01 02 11 12 22; two zeros make them eight (see `marey.lanes`).
-    """
+    """(P, 4, 4, 8) of the pairs: rows of k, columns of l, and the six entries of the symmetric A'A in the order 00 01
+    02 11 12 22, followed by two zeros (see `marey.lanes`)."""
     linear: Floats
     """(S, 4, 8) of the segments: rows of y_k, and the three entries of A'b."""
     constant: float
@@ -37,12 +35,12 @@ class Moments:
 def gather_moments(
     posed: PosedBody, observations: Sequence[SurfaceObservation], weights: Sequence[Floats] | None = None
 ) -> Moments:
-    """Gather the moments of surface observations.
+    """Sum the moments of surface observations.
 
     Args:
-        posed: the body; only its rest shape and the constraints' scales matter, not its pose.
-        observations: any kinds.
-        weights: for each observation (n,) robust weights of its points; all one when missing.
+        posed: The body; only its rest shape and the constraints' scales are used, not its pose.
+        observations: Surface observations of any kinds.
+        weights: For each observation (n,) robust weights of its points; all one if None.
     """
     body = posed.body
     segments = len(body.skeleton.segment_names)
@@ -71,9 +69,9 @@ def gather_moments(
 def add_moments(
     faces, vertices, joints, shares, face, barycentric, rows, offsets, weight, slot, used, products, linear
 ):  # fmt: skip
-    """Add observations to the moments; give the number of pairs in use and the sum of w b'b.
+    """Add observations to the moments; return the number of pairs in use and the sum of w b'b.
 
-    products and linear are flat; of a segment's own products only the upper triangle is written.
+    `products` and `linear` are flat; of a segment's own products only the upper triangle is written.
     """
     constant = 0.0
     part = np.empty((shares.segment.shape[1], 4))
@@ -129,7 +127,7 @@ def add_moments(
 
 @kernel(inline="always", fastmath=True)
 def _part(faces, vertices, joints, weight, f, barycentric, i, k):
-    """Give the share of segment k in point i of face f: weighted rest positions from its joint centre, the weight."""
+    """Return the part of segment k in point i of face f: its weighted rest position from the joint, and its weight."""
     a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
     wa, wb, wc = weight[0] * barycentric[i, 0], weight[1] * barycentric[i, 1], weight[2] * barycentric[i, 2]
     w = wa + wb + wc
@@ -141,7 +139,7 @@ def _part(faces, vertices, joints, weight, f, barycentric, i, k):
 
 @kernel(inline="always", fastmath=True)
 def _add_square(products, to, y0, y1, y2, y3, square):
-    """Add a part's products with itself: the upper triangle only, `_mirror` does the rest."""
+    """Add a part's products with itself: the upper triangle, which `_mirror` completes."""
     add_row(products, to, y0 * y0, square)
     add_row(products, to + LANES, y0 * y1, square)
     add_row(products, to + 2 * LANES, y0 * y2, square)

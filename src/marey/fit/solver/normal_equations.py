@@ -1,4 +1,4 @@
-"""The pose's normal equations from moments, in any pose."""
+"""Normal equations of a pose from the moments of its surface observations."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from marey.kernels import kernel
 from marey.lanes import LANES, put_combination
 
 _ENTRY = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
-"""Where the entry (a, b) of a symmetric matrix stands among its six."""
+"""Index of the entry (a, b) of a symmetric matrix among its six stored values."""
 
 
 def normal_equations(posed: PosedBody, moments: Moments) -> tuple[Floats, Floats, float]:
@@ -27,7 +27,7 @@ def normal_equations(posed: PosedBody, moments: Moments) -> tuple[Floats, Floats
 
 @kernel
 def coordinate_twists(coordinate_segment, origin, world_axes):
-    """Give for each coordinate the segment with which its motion begins, and its twist (v, w) about the world's origin.
+    """Return the first segment that each coordinate moves, and the coordinate's twist (v, w) about the world's origin.
 
     Returns:
         start (D,), twist (D, 6).
@@ -54,10 +54,10 @@ def coordinate_twists(coordinate_segment, origin, world_axes):
 def assemble(
     parents, coordinate_segment, rotation, origin, world_axes, pairs, products, linear, hessian, gradient
 ):  # fmt: skip
-    """Add the normal equations of all pairs of segments; give the cost without its constant.
+    """Add the normal equations of all pairs of segments; return the cost without its constant.
 
-    A coordinate moves its segment and all that hang on it: what pairs of segments say is first summed
-    from the far ends of the limbs towards the root, and each pair of coordinates then needs one product.
+    A coordinate moves its segment and all segments beyond it: the terms of pairs of segments are therefore first summed
+    from the ends of the limbs towards the root, after which each pair of coordinates needs one product.
     """
     segments = parents.shape[0]
     size = 6 * LANES
@@ -96,9 +96,9 @@ def assemble(
 
 @kernel(fastmath=True)
 def _pair_sums(rotation, origin, pairs, products, blocks, force):
-    """Write each pair's block of twists, add the points' pull to the forces; give the cost's square part.
+    """Write each pair's block of twists and add the points' forces; return the quadratic part of the cost.
 
-    The blocks are flat (S, S, 6, 8): the entry (a, b) of the pair (k, j) stands at [k, j, a, b].
+    The blocks are flat (S, S, 6, 8): the entry (a, b) of the pair (k, j) is at [k, j, a, b].
     """
     half = np.empty(16 * LANES)
     z = np.empty((4, 4, LANES))
@@ -158,7 +158,7 @@ def _pair_block(z, blocks, at, column, row):
 
 @kernel(fastmath=True)
 def _add_forces(z, k, j, force):
-    """Add what the points of the pair pull at each of its two segments."""
+    """Add the forces of the pair's points on each of its two segments."""
     for c in range(3):
         c1, c2 = (c + 1) % 3, (c + 2) % 3
         for b in range(3):
@@ -171,7 +171,7 @@ def _add_forces(z, k, j, force):
 
 @kernel(fastmath=True)
 def _subtract_target(rotation, origin, linear, force):
-    """Subtract the pull of the targets from a segment's force; give the cost's linear part."""
+    """Subtract the force of the targets from a segment's force; return the linear part of the cost."""
     y = np.empty((3, 4))
     cost = 0.0
     for a in range(3):

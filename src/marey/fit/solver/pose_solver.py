@@ -1,4 +1,4 @@
-"""The pose of one frame: correspondence and least squares in turn, until they agree (figure 1 of the paper)."""
+"""Least squares for the pose of one frame, alternating with matching ([Rosenhahn2006] figure 1)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -12,39 +12,42 @@ from marey.body.articulation.pose import Pose, PosedBody
 from marey.cameras.visibility import View
 from marey.fit.solver.moments import Moments, gather_moments
 from marey.fit.solver.normal_equations import normal_equations
-from marey.fit.solver.pose_steps import DAMPING, LONGEST_TURN, Known, descend
-from marey.fit.solver.side_by_side import together
+from marey.fit.solver.pose_steps import DAMPING, LONGEST_STEP_RAD, PackedPriors, descend
+from marey.fit.solver.threads import map_in_two_threads
 from marey.fit.solver.weights import geman_mcclure
-from marey.observations.correspondence import Matching, Residual, Sighting
-from marey.observations.interior import see_all
+from marey.observations.correspondence import ObservedOutline, OutlineMatchSettings, Residual
+from marey.observations.interior import all_matches
 from marey.observations.observation import AngleObservation, Observation, SurfaceObservation
 from marey.observations.prior import JointLimits
 
 
 @dataclass(frozen=True, kw_only=True)
 class Schedule:
-    """How the search narrows: distances shrink geometrically from their first to their last value."""
+    """Iterations of a fit: gate and scale shrink geometrically from their first to their last value."""
 
     iterations: int = 6
+    """Number of times that correspondences are matched."""
     gate: tuple[float, float] = (25.0, 6.0)
     """Greatest distance of a match [px]."""
     scale: tuple[float, float] = (10.0, 3.0)
     """Scale of the robust weights [px]."""
     cosine: float = 0.3
+    """Least cosine between the normals of a match."""
     sigma_px: float = 3.2
-    """Standard deviation of a match; neighbours of a contour are alike, so it exceeds one pixel's own."""
+    """Standard deviation of a match [px]; above one pixel's own, because neighbours on a contour are correlated."""
     residual: Residual = "plane"
-    """What a contour's pixel says: its tangent plane, or the paper's ray."""
+    """Residual of a contour pixel: the distance from its tangent plane ("plane"), or from its ray as in the paper
+    ("ray")."""
     vote: bool = False
-    """Whether neighbours decide where a contour pixel could belong to two limbs."""
+    """Whether neighbours decide to which of two limbs a contour pixel belongs."""
     interior: bool = False
-    """Whether edges inside of the silhouettes count: they were looked for about a body that is nearly in place."""
+    """Whether edges inside the silhouettes are used. They are extracted near a body that is nearly in place."""
 
-    def at(self, iteration: int) -> tuple[Matching, float]:
-        """Give the matching and the robust scale of an iteration."""
+    def at(self, iteration: int) -> tuple[OutlineMatchSettings, float]:
+        """Return the match settings and the robust scale [px] of an iteration."""
         share = iteration / max(self.iterations - 1, 1)
         gate, scale = (first * (last / first) ** share for first, last in (self.gate, self.scale))
-        matching = Matching(
+        matching = OutlineMatchSettings(
             gate=gate, cosine=self.cosine, sigma_px=self.sigma_px, residual=self.residual, vote=self.vote,
             interior=self.interior,
         )  # fmt: skip
@@ -53,34 +56,36 @@ class Schedule:
 
 @dataclass(frozen=True, eq=False)
 class PoseFit:
-    """An estimated pose and the system that gave it."""
+    """An estimated pose with the information about it."""
 
     posed: PosedBody
+    """The body in the estimated pose."""
     hessian: Floats
     """(D, D) information of the pose from all observations."""
     matches: int
-    """Pairs of rim and contour in the last iteration."""
+    """Number of pairs of rim and contour points in the last iteration."""
 
 
-OPEN = "the observations leave a coordinate open; a prior is missing"
+UNDETERMINED = "the observations do not determine every coordinate; add a prior"
+"""Text of the error raised if the normal equations are singular."""
 
 
 def solve_step(hessian: Floats, gradient: Floats, *, degrees: int | None = None) -> Floats:
-    """Solve for a Gauss-Newton step, shortened where it turns one of the pose's degrees of freedom too far."""
+    """Solve for a Gauss-Newton step, shortened so that no angle of the pose changes by more than `LONGEST_STEP_RAD`."""
     damped = hessian.copy()
     np.einsum("ii->i", damped)[:] += DAMPING * np.trace(hessian) / len(hessian)
     factor, failed = scipy.linalg.lapack.dpotrf(damped)
     if failed:
-        raise np.linalg.LinAlgError(OPEN)
+        raise np.linalg.LinAlgError(UNDETERMINED)
     step = -scipy.linalg.lapack.dpotrs(factor, gradient)[0]
     longest = np.abs(step[3:degrees]).max()
-    return step if longest <= LONGEST_TURN else step * (LONGEST_TURN / longest)
+    return step if longest <= LONGEST_STEP_RAD else step * (LONGEST_STEP_RAD / longest)
 
 
 def add_dense(
     posed: PosedBody, observations: Sequence[Observation], hessian: Floats, gradient: Floats, *, shape: bool = False
 ) -> float:
-    """Add observations that are no surface points to the equations of the pose (and the shape); give their cost."""
+    """Add observations other than surface points to the equations of the pose (and the shape); return their cost."""
     cost = 0.0
     diagonal = np.einsum("ii->i", hessian)
     angles = slice(6, len(posed.body.skeleton))
@@ -102,19 +107,22 @@ def add_dense(
 def solve_pose(
     posed: PosedBody, moments: Moments, others: Sequence[Observation], *, steps: int = 2, stop: float = 1e-5
 ) -> tuple[PosedBody, Floats]:
-    """Find the pose for fixed correspondences ([Rosenhahn2006] eq. (12)) by Gauss-Newton.
+    """Estimate the pose for fixed correspondences ([Rosenhahn2006] eq. (12)) by Gauss-Newton.
 
     Args:
-        posed: where to start.
-        moments: of the surface observations.
-        others: limits, priors and whatever else is known.
-        steps: at most this many.
-        stop: a shorter step [m, rad] ends the search.
+        posed: Body at the start.
+        moments: Of the surface observations.
+        others: Joint limits, priors and other observations.
+        steps: Largest number of steps.
+        stop: A shorter step ends the iteration [m, rad].
 
     Returns:
         The body in the new pose, and the information (D, D) at the last linearisation.
+
+    Raises:
+        numpy.linalg.LinAlgError: The observations do not determine the pose.
     """
-    known = Known.of(posed.body.skeleton, others)
+    known = PackedPriors.of(posed.body.skeleton, others)
     if known is None or steps == 0:
         return solve_pose_step_by_step(posed, moments, others, steps=steps, stop=stop)
     rotation, translation, angles, hessian, solved = descend(
@@ -122,14 +130,14 @@ def solve_pose(
         moments.pairs, moments.products, moments.linear, known, steps, stop,
     )  # fmt: skip
     if not solved:
-        raise np.linalg.LinAlgError(OPEN)
+        raise np.linalg.LinAlgError(UNDETERMINED)
     return replace(posed, pose=Pose(translation, rotation, angles)), hessian
 
 
 def solve_pose_step_by_step(
     posed: PosedBody, moments: Moments, others: Sequence[Observation], *, steps: int, stop: float
 ) -> tuple[PosedBody, Floats]:
-    """Do what `solve_pose` does with observations of any kind; the plain meaning of its kernel."""
+    """Solve as `solve_pose` does, for observations of any kind; the reference implementation of its kernel."""
     hessian: Floats = np.zeros(0)
     for _ in range(steps):
         hessian, gradient, _ = normal_equations(posed, moments)
@@ -142,12 +150,17 @@ def solve_pose_step_by_step(
 
 
 def match_all(
-    posed: PosedBody, sightings: Sequence[Sighting], matching: Matching, scale: float
+    posed: PosedBody, sightings: Sequence[ObservedOutline], matching: OutlineMatchSettings, scale: float
 ) -> tuple[list[SurfaceObservation], list[Floats]]:
-    """Match the surface in all cameras; give the matches and their weights: robust ones, twice where found twice."""
+    """Match the surface in all cameras; return the matches and their weights.
+
+    A weight is the robust weight of the residual, times two for a pair that was found from both sides.
+    """
     found: list[SurfaceObservation] = []
     weights: list[Floats] = []
-    for outline in chain.from_iterable(together(lambda sighting: see_all(posed, sighting, matching), sightings)):
+    for outline in chain.from_iterable(
+        map_in_two_threads(lambda sighting: all_matches(posed, sighting, matching), sightings)
+    ):
         found.append(outline.match)
         weights.append(outline.counts * geman_mcclure(outline.match.residuals(posed), scale))
     return found, weights
@@ -155,7 +168,7 @@ def match_all(
 
 def fit_pose(
     posed: PosedBody,
-    sightings: Sequence[Sighting],
+    sightings: Sequence[ObservedOutline],
     others: Sequence[Observation] = (JointLimits(),),
     *,
     schedule: Schedule,
@@ -163,10 +176,10 @@ def fit_pose(
     """Fit the pose of one frame to its silhouettes.
 
     Args:
-        posed: the body where the search starts.
-        sightings: one for each camera that saw the person.
-        others: further observations; a body whose views leave something open needs a prior.
-        schedule: how the search narrows.
+        posed: Body at the start of the search.
+        sightings: One for each camera in which the person was detected.
+        others: Further observations; a body that the views do not determine needs a prior.
+        schedule: How gates and scales narrow.
     """
     hessian: Floats = np.zeros(0)
     matches = 0
@@ -180,12 +193,12 @@ def fit_pose(
 
 
 def agreement(views: Sequence[View], masks: Sequence[Mask]) -> Floats:
-    """Compare surface and silhouettes: intersection over union for each camera, NaN where both are empty."""
+    """Compute the intersection over union of surface and silhouette for each camera (C,), NaN where both are empty."""
     return np.array([overlap(view, mask) for view, mask in zip(views, masks, strict=True)])
 
 
 def overlap(view: View, mask: Mask) -> float:
-    """Give intersection over union of a drawn surface and a silhouette (height, width)."""
+    """Compute the intersection over union of a drawn surface and a silhouette (height, width)."""
     x, y = view.corner
     h, w = view.face.shape
     covered = view.covered

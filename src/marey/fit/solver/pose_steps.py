@@ -1,4 +1,4 @@
-"""Gauss-Newton steps of a pose on moments, from the first to the last without a return to Python."""
+"""Gauss-Newton steps of a pose on moments, in one kernel."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -14,36 +14,36 @@ from marey.kernels import kernel
 from marey.observations.observation import Observation
 from marey.observations.prior import Habit, JointLimits, NearPose
 
-LONGEST_TURN = 0.5
-"""No coordinate turns farther in one step [rad]."""
+LONGEST_STEP_RAD = 0.5
+"""Largest change of an angle in one Gauss-Newton step [rad]. Chosen by hand; other values were not measured."""
 
 DAMPING = 1e-9
-"""Added to the diagonal, as a share of its mean."""
+"""Added to the diagonal of the normal equations, as a share of its mean: above rounding, below any prior."""
 
 
-class Known(NamedTuple):
-    """Priors of a pose as plain arrays, for the kernel; a weight of zero stands for none."""
+class PackedPriors(NamedTuple):
+    """Priors of a pose as arrays for the kernel; a weight of zero stands for no prior."""
 
     limits: Floats
     """(D - 6, 2) [rad]."""
     limit_weight: float
-    """Of what lies beyond a limit [1/rad2]."""
+    """Weight of an angle's excess over its limit [1/rad2]."""
     habit: Floats
-    """(D - 6,) [rad]."""
+    """(D - 6,) usual joint angles [rad]."""
     habit_weight: Floats
     """(D - 6,) [1/rad2]."""
     translation: Floats
-    """(3,) of a pose nearby [m]."""
+    """(3,) of the predicted pose [m]."""
     rotation: Floats
-    """(3, 3) of a pose nearby."""
+    """(3, 3) of the predicted pose."""
     angles: Floats
-    """(D - 6,) of a pose nearby [rad]."""
+    """(D - 6,) of the predicted pose [rad]."""
     near_weight: Floats
     """(D,) [1/m2, 1/rad2]."""
 
     @staticmethod
-    def of(skeleton: Skeleton, others: Sequence[Observation]) -> "Known | None":
-        """Gather priors, at most one of each kind; None where there is anything else."""
+    def of(skeleton: Skeleton, others: Sequence[Observation]) -> "PackedPriors | None":
+        """Pack priors, at most one of each kind; return None if there is any other observation."""
         kinds = {type(other): other for other in others}
         if len(kinds) < len(others) or not kinds.keys() <= {JointLimits, Habit, NearPose}:
             return None
@@ -51,7 +51,7 @@ class Known(NamedTuple):
         mean, sd = skeleton.habit
         share = 1.0 / habit.sigma**2 if habit is not None else 0.0
         pose = near.pose if isinstance(near, NearPose) else None
-        return Known(
+        return PackedPriors(
             limits=skeleton.limits, limit_weight=1.0 / limits.sigma**2 if limits is not None else 0.0,
             habit=mean, habit_weight=share / sd**2,
             translation=frozen(np.zeros(3)) if pose is None else pose.translation,
@@ -65,20 +65,20 @@ class Known(NamedTuple):
 def descend(
     skeleton, joints, rotation, translation, angles, pairs, products, linear, known, steps, stop
 ):  # fmt: skip
-    """Do Gauss-Newton steps, until one is shorter than stop; see `pose_solver.solve_pose`.
+    """Take Gauss-Newton steps until one is shorter than `stop`; see `pose_solver.solve_pose`.
 
     Args:
         skeleton: `PackedSkeleton`.
         joints: (S, 3) at rest.
-        rotation: (3, 3) of the root where the steps begin.
-        translation: (3,) of the root.
-        angles: (D - 6,).
-        pairs: of `Moments`.
-        products: of `Moments`.
-        linear: of `Moments`.
-        known: priors.
-        steps: at most this many.
-        stop: [m, rad].
+        rotation: (3, 3) of the root at the start.
+        translation: (3,) of the root at the start.
+        angles: (D - 6,) at the start.
+        pairs: Of `Moments`.
+        products: Of `Moments`.
+        linear: Of `Moments`.
+        known: `PackedPriors`.
+        steps: Largest number of steps.
+        stop: Length of the step that ends the iteration [m, rad].
 
     Returns:
         Rotation, translation and angles, the information (D, D) at the last linearisation, and whether
@@ -96,7 +96,7 @@ def descend(
             skeleton.parents, skeleton.coordinate_segment, turns, origin, axes, pairs, products, linear,
             hessian, gradient,
         )  # fmt: skip
-        add_known(known, rotation, translation, angles, hessian, gradient)
+        add_priors(known, rotation, translation, angles, hessian, gradient)
         if not solve_step_into(hessian, gradient, factor, change):
             return rotation, translation, angles, hessian, False
         rotation = turned(rotation, change[3:6])
@@ -108,7 +108,7 @@ def descend(
 
 
 @kernel
-def add_known(known, rotation, translation, angles, hessian, gradient):
+def add_priors(known, rotation, translation, angles, hessian, gradient):
     """Add the priors to the normal equations, as `pose_solver.add_dense` does."""
     for i in range(angles.shape[0]):
         low, high = known.limits[i, 0], known.limits[i, 1]
@@ -131,7 +131,7 @@ def add_known(known, rotation, translation, angles, hessian, gradient):
 
 @kernel(fastmath=True)
 def solve_step_into(hessian, gradient, factor, change):
-    """Solve for a Gauss-Newton step by Cholesky's method, as `pose_solver.solve_step`; false where that fails."""
+    """Solve for a Gauss-Newton step by Cholesky's method, as `pose_solver.solve_step`; return False if that fails."""
     degrees = hessian.shape[0]
     damping = 0.0
     for i in range(degrees):
@@ -159,6 +159,6 @@ def solve_step_into(hessian, gradient, factor, change):
         for k in range(i):
             change[k] -= factor[i, k] * change[i]
     longest = np.abs(change[3:]).max()
-    if longest > LONGEST_TURN:
-        change *= LONGEST_TURN / longest
+    if longest > LONGEST_STEP_RAD:
+        change *= LONGEST_STEP_RAD / longest
     return True

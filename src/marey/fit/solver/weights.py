@@ -1,8 +1,8 @@
-"""Robust weights of residuals, and the uncertainty of each kind of observation estimated from its residuals.
+"""Robust weights of residuals, and the standard deviations of kinds of observations estimated from their residuals.
 
 The a priori standard deviations of [Plaenkers1999] eq. (10)-(12) weigh kinds of observations against each other. Ours:
-as in geodesy they are then estimated from the residuals ([Foerstner1979]), each kind's sum of squares over what the fit
-left it free to have.
+as in geodesy they are then estimated from the residuals ([Foerstner1979]): each kind's sum of squares is compared with
+its redundancy.
 """
 
 import numpy as np
@@ -10,31 +10,35 @@ import scipy.optimize
 
 from marey.arrays import Floats
 
+SCALE_IN_SD = 4.0
+"""Robust scale in standard deviations of an observation: one twice as far has almost no weight. Chosen by hand."""
+
 
 def geman_mcclure(residual: Floats, scale: float) -> Floats:
-    """Weigh residuals by (1 + (r / scale)^2)^-2: far ones fade out altogether.
+    """Weigh residuals by (1 + (r / scale)^2)^-2, so that distant ones have almost no weight.
 
     Args:
-        residual: (n,) or (n, r); rows count by their length.
-        scale: the length at which an observation counts a quarter, in the residual's unit.
+        residual: (n,) or (n, r); the length of a row counts.
+        scale: Residual of weight 1/4, in the residual's unit.
     """
     squared = residual**2 if residual.ndim == 1 else (residual**2).sum(1)
     return 1.0 / (1.0 + squared / scale**2) ** 2
 
 
-def component(residual: Floats, known: Floats, weight: Floats | None = None, *, left: float = 1.0) -> float:
-    """Estimate a standard deviation that all observations of a kind have on top of a known one each.
+def component_sd(residual: Floats, known: Floats, weight: Floats | None = None, *, left: float = 1.0) -> float:
+    """Estimate a standard deviation that all observations of a kind have in addition to a known one each.
 
-    The most likely one under normal deviations: what it predicts for the weighted squares is what they are.
+    It is the maximum-likelihood estimate under normal deviations, at which the weighted squares equal their
+    expectation.
 
     Args:
         residual: (n,) in any unit.
         known: (n,) variances that are known beforehand, in the unit squared.
-        weight: (n,) robust weights, all one when None.
-        left: share of the observations that the fit left over ([Foerstner1979]), what parameters took taken off.
+        weight: (n,) robust weights, all one if None.
+        left: Redundancy as a share of the observations ([Foerstner1979]): one less the parameters per observation.
 
     Returns:
-        In the residuals' unit; zero where the known variances explain them.
+        The standard deviation in the residuals' unit; zero if the known variances explain the residuals.
     """
     weight = np.ones(len(residual)) if weight is None else weight
     square = residual**2 / left

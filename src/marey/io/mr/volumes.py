@@ -51,6 +51,12 @@ def read_volume(path: Path | str) -> Volume:
         FileProblem: It is missing or of an unknown format, has colours or four dimensions, is another modality than
             MR, holds one value throughout or values far below zero, or its slices lie at uneven distances.
         MareyError: SimpleITK is not installed.
+
+    Example:
+        >>> import marey
+        >>> volume = marey.read_volume("knee.nii.gz")  # doctest: +SKIP
+        >>> volume.intensity.shape  # doctest: +SKIP
+        (160, 384, 384)
     """
     path = Path(path)
     image = _read_series(path) if path.is_dir() else _read_file(path)

@@ -7,7 +7,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from marey.body.articulation.coordinate_functions import PiecewisePolynomial, constant, linear, scaled
-from marey.body.articulation.jointed_body import JointMotion, ModelBody, ModelCoordinate
+from marey.body.articulation.jointed_body import JointTwist, ModelBody, ModelCoordinate
 from marey.errors import FileProblem
 from marey.geometry.rigid import RigidTransform
 from marey.io.opensim.osim_functions import function_in, numbers, text, truth
@@ -36,7 +36,7 @@ class Joint:
     parent: str | None
     before: RigidTransform
     """Parent body from the joint's frame on it."""
-    motions: tuple[JointMotion, ...]
+    motions: tuple[JointTwist, ...]
     child: str | None
     after: RigidTransform
     """Child body from the joint's frame on it."""
@@ -84,7 +84,7 @@ def read_joint(
         read = [coordinate_of(path, c, rotational=s[0] == "r") for c, s in zip(given, steps, strict=False)]
         read = [replace(c, name=c.name or f"{name}_coord_{i}") for i, c in enumerate(read)]
         motions = tuple(
-            JointMotion(
+            JointTwist(
                 turns=step[0] == "r", axis=np.eye(3)["xyz".index(step[1])], coordinate=c.name, function=linear(1.0)
             )
             for step, c in sorted(zip(steps, read, strict=True), key=lambda pair: pair[0][0] == "r")
@@ -105,7 +105,7 @@ def _is_angle(coordinate: Element, angles: set[str | None]) -> bool:
     return said == "rotational" if said in ("rotational", "translational") else coordinate.get("name") in angles
 
 
-def _custom(path: Path | str, element: Element, joint: str) -> tuple[JointMotion, ...]:
+def _custom(path: Path | str, element: Element, joint: str) -> tuple[JointTwist, ...]:
     """Read the axes of a CustomJoint: the shifts come first, then the turns, each about the axis the last has moved."""
     given = element.findall("SpatialTransform/TransformAxis")
     named = {axis.get("name", ""): axis for axis in given}
@@ -120,7 +120,7 @@ def _custom(path: Path | str, element: Element, joint: str) -> tuple[JointMotion
     return tuple(moving)
 
 
-def _axis(path: Path | str, element: Element, joint: str, *, turns: bool) -> JointMotion:
+def _axis(path: Path | str, element: Element, joint: str, *, turns: bool) -> JointTwist:
     """Read one axis of a CustomJoint."""
     where = f"{element.get('name', 'an axis')} of the joint {joint!r}"
     names = text(element, "coordinates").split()
@@ -133,7 +133,7 @@ def _axis(path: Path | str, element: Element, joint: str, *, turns: bool) -> Joi
     length = float(np.linalg.norm(axis))
     if length == 0:
         raise FileProblem(path, f"has no direction in <axis> of {where}", "Write a vector.")
-    return JointMotion(
+    return JointTwist(
         turns=turns, axis=axis / length, coordinate=names[0] if names else None, function=_settled(function, names)
     )
 

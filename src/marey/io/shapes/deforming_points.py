@@ -12,7 +12,7 @@ from marey.errors import FileProblem, SettingProblem
 from marey.io.markers.readers import read_markers
 from marey.io.markers.results import is_y_up
 from marey.io.npz import read_arrays
-from marey.nonrigid.recovered import UNSAID
+from marey.nonrigid.recovered import UNKNOWN_UNIT
 
 _REMEDY = "An NPZ holds `tracks` (frames, 2, points) or (cameras, frames, 2, points), or `points` (frames, 3, points)."
 _SHAPES = {
@@ -89,7 +89,7 @@ def deforming_points(path: Path, arrays: dict[str, np.ndarray]) -> DeformingPoin
     if unused:
         notes.append(f"Passed over in {path.name}: {', '.join(unused)}.")
     return DeformingPoints(
-        tracks=tracks, points=points, unit=UNSAID, labels=_labels(path, arrays, count),
+        tracks=tracks, points=points, unit=UNKNOWN_UNIT, labels=_labels(path, arrays, count),
         edges=_edges(path, arrays, count), rate=_rate(path, arrays), notes=tuple(notes),
     )  # fmt: skip
 

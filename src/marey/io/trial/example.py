@@ -15,6 +15,11 @@ def example_folder() -> Path:
 
     Raises:
         FileProblem: It is in neither place.
+
+    Example:
+        >>> import marey
+        >>> marey.example_folder().name
+        'reach'
     """
     clone = Path(marey.__file__).resolve().parents[2] / "examples" / "reach"
     installed = Path(sys.prefix) / "share" / "marey" / "examples" / "reach"

@@ -112,7 +112,7 @@ def _covariance(rotation: Floats, shape: Floats, weight: Floats) -> Floats:
     answered = np.isfinite(rotation).all((1, 2))
     covariance = np.full_like(information, np.nan)
     covariance[answered] = np.linalg.inv(information[answered])
-    return covariance
+    return np.asarray(covariance)
 
 
 def _ratio(residuals: Floats, weight: Floats, used: Mask) -> Floats:

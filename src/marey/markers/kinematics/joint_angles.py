@@ -9,7 +9,7 @@ import numpy as np
 from marey.arrays import Floats, freeze_fields
 from marey.geometry import rotations
 from marey.markers.data.bone_motion import BoneMotion
-from marey.motion.anatomical import JOINTS, LARGEST_ANGLE_SD, euler_angles
+from marey.motion.anatomical import JOINTS, LARGEST_ANGLE_SD, SIDE_PREFIXES, euler_angles
 
 TRANSLATIONS = ("lateral", "anterior", "distraction")
 """Names of the three translations, in the order of the joint's axes ([Grood1983])."""
@@ -19,8 +19,6 @@ _DEFAULT_ANGLES = (("flexion", 1.0), ("adduction", 1.0), ("rotation", 1.0))
 """Names and signs of the angles of joints without names of their own."""
 _STEP = 1e-6
 """Step of central differences [rad or m]; numerical."""
-_SIDES = ("left_", "right_")
-"""Prefixes of the segments of a side."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +67,7 @@ def joint_of(parent: str, child: str, side: str | None = None) -> BoneJoint:
     Returns:
         The joint.
     """
-    own = next((s for s in _SIDES if child.startswith(s)), "")
+    own = next((s for s in SIDE_PREFIXES if child.startswith(s)), "")
     at_left = own == "left_" or (not own and side == "left")
     for row in JOINTS:
         if row.sequence == _SEQUENCE and row.child == child.removeprefix(own):
@@ -89,7 +87,7 @@ def usual_joints(segments: Sequence[str]) -> tuple[tuple[str, str], ...]:
     """List the pairs (parent, child) of bones that form a joint of the human body, by their names."""
     found = []
     for child in segments:
-        side = next((s for s in _SIDES if child.startswith(s)), "")
+        side = next((s for s in SIDE_PREFIXES if child.startswith(s)), "")
         for row in JOINTS:
             if row.sequence == _SEQUENCE and row.parent is not None and row.child == child.removeprefix(side):
                 parent = next((p for p in (f"{side}{row.parent}", row.parent) if p in segments), None)

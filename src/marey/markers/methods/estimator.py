@@ -62,7 +62,7 @@ class SkinAndJointsSettings:
 
 
 _SETTINGS = SkinAndJointsSettings()
-"""The default settings."""
+"""Default settings of the method."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

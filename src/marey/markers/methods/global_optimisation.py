@@ -62,7 +62,7 @@ class GlobalOptimisationSettings:
 
 
 _SETTINGS = GlobalOptimisationSettings()
-"""The default settings."""
+"""Default settings of the method."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -281,7 +281,7 @@ def _prior_sd(joint: ChainJoint, frames: int, sightings: int) -> Floats:
         if joint.constrained_rotations == 2
         else frames / _SETTINGS.independent_frames
     )
-    return np.array([_SETTINGS.centre_prior_sd_m] * 6 + [np.pi] * 4) / np.sqrt(max(1.0, worth))
+    return np.asarray(np.array([_SETTINGS.centre_prior_sd_m] * 6 + [np.pi] * 4) / np.sqrt(max(1.0, worth)))
 
 
 def _estimated(joint: ChainJoint) -> Mask:

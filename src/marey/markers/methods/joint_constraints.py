@@ -6,7 +6,7 @@ import numpy as np
 
 from marey.arrays import Floats, Integers, Mask
 from marey.geometry import rotations
-from marey.motion.anatomical import euler_angles
+from marey.motion.anatomical import SIDE_PREFIXES, euler_angles
 
 
 def krige(to_known: Floats, among_known: Floats) -> tuple[Floats, Floats]:
@@ -37,8 +37,6 @@ _CORRELATION_ANGLE = np.radians(20)
 """Main rotation over which the small motions of a joint are correlated [rad]. Chosen by hand."""
 _REFERENCE_ANGLE = np.radians(45)
 """Main rotation to which `JointVariation.rotation_sd` refers [rad]; a convention."""
-_SIDES = ("left_", "right_")
-"""Prefixes of the segments of a side."""
 _SYNONYMS = {"femur": "thigh", "tibia": "shank", "humerus": "upperarm", "ulna": "forearm", "calcaneus": "foot"}
 """Maps the name of a bone to that of its segment."""
 
@@ -111,7 +109,7 @@ def laxity(parent: str, child: str) -> JointLaxity:
 
 def _segment_kind(segment: str) -> str:
     """Return a segment's name without its side, and for a bone the name of its segment."""
-    for side in _SIDES:
+    for side in SIDE_PREFIXES:
         segment = segment.removeprefix(side)
     return _SYNONYMS.get(segment, segment)
 

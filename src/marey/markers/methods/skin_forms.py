@@ -25,7 +25,7 @@ class SkinForm:
     @property
     def count(self) -> int:
         """Number Q of functions."""
-        return self.functions.shape[1]
+        return int(self.functions.shape[1])
 
 
 def constant(frames: int) -> SkinForm:

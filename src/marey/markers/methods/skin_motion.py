@@ -83,7 +83,7 @@ class SkinMotionSettings:
 
 
 _SETTINGS = SkinMotionSettings()
-"""The default settings."""
+"""Default settings of the estimation."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -204,7 +204,7 @@ def shrink_sizes(skins: Sequence[SkinMotion], settings: SkinMotionSettings = _SE
 
 def first_posture_shape(data: ClusterData) -> Floats:
     """Return the cluster's shape (M, 3) [m] in the first known posture, with missing markers from the nearest one."""
-    return filled_postures(data)[0]
+    return np.asarray(filled_postures(data)[0])
 
 
 def filled_postures(data: ClusterData) -> Floats:
@@ -220,12 +220,12 @@ def filled_postures(data: ClusterData) -> Floats:
 
 def _log_relative_size(segment: str) -> float:
     """Return the logarithm of a segment's skin motion relative to an average segment."""
-    return _LOG_RELATIVE_SIZE.get(segment.removeprefix("left_").removeprefix("right_"), 0.0)
+    return float(_LOG_RELATIVE_SIZE.get(segment.removeprefix("left_").removeprefix("right_"), 0.0))
 
 
 def _displacements(fit: RigidFit) -> Floats:
     """Return the residuals (F, M, 3) of a rigid fit along the bone's axes [m]; NaN for unused markers."""
-    return np.einsum("fji,fmj->fmi", fit.rotation, fit.residuals)
+    return np.asarray(np.einsum("fji,fmj->fmi", fit.rotation, fit.residuals))
 
 
 def _relative_sds(data: ClusterData, noise_m: float, settings: SkinMotionSettings) -> Floats:
@@ -287,7 +287,7 @@ def _scored_frames(fit: RigidFit, first: int, most: int) -> Integers:
     answered = np.flatnonzero(np.isfinite(fit.rotation).all((1, 2)) & (np.arange(len(fit.rotation)) != first))
     if len(answered) <= most:
         return answered
-    return answered[np.linspace(0, len(answered) - 1, most).round().astype(int)]
+    return np.asarray(answered[np.linspace(0, len(answered) - 1, most).round().astype(int)])
 
 
 def _score_candidates(

@@ -11,8 +11,8 @@ from marey.markers.data.clusters import Cluster
 from marey.markers.data.trajectories import MarkerTrajectories
 
 _MAXIMUM_ERROR_RATIO = 0.5
-"""After the exchange, the error of the distances must be below this ratio of the error before. Chosen by hand; the
-detection rate is in docs/accuracy/markers.md (exchanged labels), other values were not measured."""
+"""After the exchange, the error of the distances must be below this ratio of the error before. Chosen by hand; results
+were not measured against other values."""
 _MINIMUM_GAIN_M = 0.008
 """And smaller by at least this much (RMS) [m], because skin changes distances by a few millimetres. Chosen by hand."""
 _WHOLE_TRIAL_SHARE = 0.9
@@ -165,7 +165,7 @@ def _exchanging(pair: tuple[int, int], count: int) -> Integers:
 
 def _distances(first: Floats, second: Floats) -> Floats:
     """Return the distances (F, M, N) between points (F, M, 3) and (F, N, 3)."""
-    return np.linalg.norm(first[:, :, None] - second[:, None], axis=-1)
+    return np.asarray(np.linalg.norm(first[:, :, None] - second[:, None], axis=-1))
 
 
 def _median(values: Floats) -> Floats:
@@ -173,7 +173,7 @@ def _median(values: Floats) -> Floats:
     ordered = np.sort(values, 0)  # NaN last
     count = np.isfinite(values).sum(0)
     middle = np.maximum(count - 1, 0) // 2
-    return np.take_along_axis(ordered, middle[None], 0)[0]
+    return np.asarray(np.take_along_axis(ordered, middle[None], 0)[0])
 
 
 def _distance_error(between: Floats, usual: Floats, at: int, label: int, others: list[int]) -> Floats:

@@ -8,12 +8,12 @@ from scipy.signal import find_peaks
 from marey.arrays import Floats, Mask
 from marey.errors import MareyError
 from marey.markers.data.force_plates import LOADED_N, ForcePlate
-from marey.motion.filters import known_runs, low_pass
+from marey.motion.filters import MINIMUM_RATE_RATIO, known_runs, low_pass
 from marey.motion.gait import OFF, STRIKE, GaitEvent
 
 _CUTOFF_HZ = 20.0
-"""Cut-off of the low-pass filter for heel and toe [Hz]. Chosen by hand; the errors of the events are in
-docs/accuracy/markers.md (gait events), other values were not measured."""
+"""Cut-off of the low-pass filter for heel and toe [Hz]. Chosen by hand; results were not measured against other
+values."""
 _SHORTEST_CYCLE_S = 0.5
 """Shortest gait cycle [s]. Chosen by hand."""
 _MINIMUM_PROMINENCE = 0.4
@@ -30,8 +30,6 @@ _SHORTEST_CONTACT_S = 0.1
 """Shortest contact with a force plate [s]; shorter loads are disturbances. Chosen by hand."""
 _FOOT_DISTANCE_M = 0.3
 """Largest distance between a foot's marker and the centre of pressure beneath it [m]. Chosen by hand."""
-_MINIMUM_RATE_RATIO = 2.2
-"""Points are filtered only at rates above this multiple of the cut-off; the filter requires more than 2."""
 
 
 def events_from_markers(
@@ -84,7 +82,7 @@ def events_from_markers(
 
 def _smooth(points: Floats, rate: float) -> Floats:
     """Remove noise that would cause false extremes."""
-    slow = rate < _MINIMUM_RATE_RATIO * _CUTOFF_HZ
+    slow = rate < MINIMUM_RATE_RATIO * _CUTOFF_HZ
     return np.asarray(points, float) if slow else low_pass(points, rate=rate, cutoff_hz=_CUTOFF_HZ)
 
 

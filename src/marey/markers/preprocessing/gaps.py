@@ -51,7 +51,7 @@ class HeldOutGapSettings:
 
 
 HELD_OUT_GAPS = HeldOutGapSettings()
-"""The default settings."""
+"""Default settings of artificial gaps."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

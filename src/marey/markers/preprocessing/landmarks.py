@@ -13,6 +13,7 @@ from marey.geometry import rotations
 from marey.markers.data.clusters import Cluster
 from marey.markers.data.trajectories import MarkerTrajectories
 from marey.markers.preprocessing.own_frames import BonesAndMarkers
+from marey.motion.anatomical import SIDE_PREFIXES
 
 _STEP_M = 1e-5
 """Step of a landmark's coordinate for central differences [m]; numerical, not tuned."""
@@ -164,7 +165,7 @@ def _mean_places(static: MarkerTrajectories) -> tuple[Floats, list[str]]:
 
 def _kind(segment: str) -> tuple[str, str | None]:
     """Split a segment's name into its side prefix (`left_`) and the kind of its frame; None if unknown."""
-    prefix = next((side for side in ("left_", "right_") if segment.startswith(side)), "")
+    prefix = next((side for side in SIDE_PREFIXES if segment.startswith(side)), "")
     return prefix, _KINDS.get(segment.removeprefix(prefix))
 
 

@@ -1,1 +1,1 @@
-"""Building blocks that all factorisations share."""
+"""Building blocks shared by all factorisations."""

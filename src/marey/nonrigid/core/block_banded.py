@@ -1,4 +1,4 @@
-"""Linear equations of a sequence in which every frame touches its next two: solution, and covariances near by."""
+"""Linear equations of a sequence in which each frame is coupled to its next two: solution and local covariances."""
 
 import numpy as np
 
@@ -14,9 +14,9 @@ def solve_banded(  # pragma: no cover - compiled
 
     Args:
         diagonal: (F, D, D) blocks at (f, f).
-        first: (F, D, D) blocks at (f, f + 1); the last is not looked at.
-        second: (F, D, D) blocks at (f, f + 2); the last two are not looked at.
-        right: (F, D) right side.
+        first: (F, D, D) blocks at (f, f + 1); the last is ignored.
+        second: (F, D, D) blocks at (f, f + 2); the last two are ignored.
+        right: (F, D) right-hand side.
 
     Returns:
         Solution (F, D); the inverse's blocks at (f, f), (f, f + 1) and (f, f + 2), each (F, D, D); the logarithm of the
@@ -29,7 +29,7 @@ def solve_banded(  # pragma: no cover - compiled
 
 @kernel
 def _factored(diagonal, first, second, right):  # pragma: no cover - compiled
-    """Cholesky's factors: the blocks' inverses, what couples to the next and the one after, the forward solution."""
+    """Cholesky factors: inverse blocks, couplings to the next frame and the one after, forward substitution."""
     frames, size = right.shape
     inverse = np.zeros((frames, size, size))
     near, far = np.zeros((frames, size, size)), np.zeros((frames, size, size))
@@ -60,7 +60,7 @@ def _factored(diagonal, first, second, right):  # pragma: no cover - compiled
 
 @kernel
 def _substituted_back(inverse, near, far, forward):  # pragma: no cover - compiled
-    """Solution, and the inverse's blocks, from the last frame to the first."""
+    """Solution and blocks of the inverse, from the last frame to the first."""
     frames, size = forward.shape
     solution = np.zeros((frames, size))
     here, next_, beyond = (

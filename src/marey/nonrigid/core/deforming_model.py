@@ -1,11 +1,11 @@
-"""A deforming shape before one camera or more as a Gaussian model, fitted by expectation and maximisation.
+"""Gaussian model of a deforming shape before one or more orthographic cameras, fitted by expectation maximisation.
 
-Frame f shows P R_f (M + c_f1 B_1 + ...) + t_f with white noise; P is the first two rows of the identity for one camera,
-and the rows of all of them for several that stand fixed to each other. The weights c are processes that each remember
-two frames (autoregressive, learned); turns of the camera change their rate at random by a learned amount. Every
-frame's turn, shift and weights are solved together over the whole sequence by Gauss-Newton, with their covariance; the
-shapes then point by point; then the noise and the processes ([Torresani2008], there with a memory of one frame and
-without the camera in the same equations).
+Frame f shows P R_f (M + c_f1 B_1 + ...) + t_f with white noise. P is the first two rows of the identity for one camera,
+and the stacked rows of all cameras for several that are fixed to each other. The weights c are second-order
+autoregressive processes, and the angular acceleration of the camera is white noise; their parameters are estimated.
+Rotations, shifts and weights of all frames are solved together by Gauss-Newton, with their covariance; then the shapes
+point by point; then the noise and the processes. Unlike [Torresani2008], where the processes are of first order and the
+camera is not part of the same equations.
 """
 
 from dataclasses import dataclass
@@ -18,71 +18,83 @@ from marey.nonrigid.core import kept_lengths
 from marey.nonrigid.core.block_banded import solve_banded
 from marey.nonrigid.core.completion import singular_vectors
 from marey.nonrigid.core.kept_lengths import KeptLengths
-from marey.nonrigid.core.rotation_paths import acceleration_jacobians, accelerations, add_steadiness
+from marey.nonrigid.core.rotation_paths import acceleration_jacobians, accelerations, add_acceleration_penalty
+from marey.nonrigid.core.weight_processes import INITIAL_AUTOREGRESSION, WeightProcesses, estimated_processes
 
 ONE_CAMERA = np.eye(2, 3)
+"""Projection by a single orthographic camera along the third axis."""
 TURN = 3
-"""Unknowns of a frame that come first; its shifts follow, two a camera, then the weights."""
-LONGEST_TURN = 0.3
-FIRST_MEMORY = (1.9, -0.95)
-STEADIEST = 1e-6
-"""Least standard deviation of the camera's acceleration that is believed [rad]."""
-LEAST = 1e-12
-PRICE_A_POINT = 1.5
-"""Half of a number for each coordinate of a point in a mode, see `basis_cost`."""
+"""Number of rotation unknowns of a frame, which come first; two shift unknowns per camera follow, then the weights."""
+COST_PER_MODE_POINT = 1.5
+"""Cost in `basis_cost` of a point in a mode: one half for each of its three coordinates (Laplace's approximation)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeformingModelSettings:
+    """Numerical settings of the Gaussian model of a deforming shape."""
+
+    longest_turn: float = 0.3
+    """Gauss-Newton steps are shortened so that no rotation vector component exceeds this [rad]. Chosen by hand;
+    results were not measured against other values."""
+    least_acceleration_sd: float = 1e-6
+    """Least standard deviation of the camera's angular acceleration [rad per frame squared]; keeps exact data
+    solvable."""
+    least_variance: float = 1e-12
+    """Added to initial variances of the weights, as a fraction of the mean shape's mean square; keeps rigid shapes
+    solvable."""
+    least_noise: float = 1e-6
+    """Least standard deviation of the noise, as a fraction of the object's size; keeps exact data solvable."""
 
 
 @dataclass
 class DeformingModel:
-    """The model and what is known of its sequence; changed by the steps below."""
+    """Estimates of the model's parameters and of the sequence; the functions below change it in place."""
 
     rotation: Floats
-    """(F, 3, 3)."""
+    """(F, 3, 3) first camera from object."""
     shift: Floats
-    """(F, 2C)."""
+    """(F, 2C) translation in the images."""
     mean: Floats
-    """(3, P)."""
+    """(3, P) mean shape."""
     modes: Floats
-    """(M, 3, P)."""
+    """(M, 3, P) deformation modes."""
     weights: Floats
     """(F, M)."""
-    spread: Floats
-    """(M,) variance of the weights."""
-    memory: Floats
-    """(M, 2) share of the last weight and of the one before."""
-    surprise: Floats
-    """(M,) variance of what the memory does not foretell."""
-    unsteadiness: float
-    """Variance of the camera's acceleration [rad2]."""
+    processes: WeightProcesses
+    """Autoregressive processes of the weights."""
+    acceleration_variance: float
+    """Variance of the camera's angular acceleration [rad2]."""
     variance: float
-    """Of a coordinate of the tracks about the model."""
+    """Variance of a track coordinate about the model."""
     covariance: tuple[Floats, Floats, Floats]
-    """(F, D, D) of each frame's unknowns, and with the next and the next but one; D = 3 + 2C + M."""
+    """(F, D, D) of each frame's unknowns, with those of the next frame and of the next but one; D = 3 + 2C + M."""
     projection: Floats
-    """(2C, 3) P, what the cameras show of the first camera's axes."""
+    """(2C, 3) stacked projections of the cameras, from the first camera's axes."""
     cost: float = np.inf
-    """Minus the logarithm of the tracks' probability, up to a constant."""
+    """Minus the log-probability of the tracks, up to a constant."""
     lengths: KeptLengths | None = None
-    """Distances that are held too, if any."""
+    """Distances that are constrained to stay constant, if any."""
+    settings: DeformingModelSettings = DeformingModelSettings()
+    """Numerical settings."""
 
     @property
     def shapes(self) -> Floats:
-        """(F, 3, P)."""
+        """(F, 3, P) shapes in the object's frame."""
         moved = self.weights @ self.modes.reshape(len(self.modes), self.mean.size)
         return np.asarray(self.mean + moved.reshape(-1, *self.mean.shape))
 
     @property
     def first_weight(self) -> int:
-        """Place of the first weight among a frame's unknowns."""
+        """Index of the first weight among a frame's unknowns."""
         return TURN + len(self.projection)
 
     def mode_sizes(self) -> Floats:
-        """Give what each mode does (M,), root mean square over frames and points."""
+        """Compute the displacement by each mode (M,), root mean square over frames and points."""
         points = self.mean.shape[1]
         return np.asarray(np.sqrt((self.weights**2).mean(0) * (self.modes**2).sum((1, 2)) / points))
 
 
-def begin(
+def initial_model(
     tracks: Floats,
     seen: Floats,
     rotation: Floats,
@@ -90,17 +102,19 @@ def begin(
     modes: int,
     noise: float,
     projection: Floats = ONE_CAMERA,
+    settings: DeformingModelSettings = DeformingModelSettings(),
 ) -> DeformingModel:
-    """Start from rotations and shapes.
+    """Create a model from rotations and shapes.
 
     Args:
-        tracks: (F, 2C, P), of any finite value where not seen.
+        tracks: (F, 2C, P), with arbitrary finite values where not seen.
         seen: (F, P), or (F, C, P) for several cameras.
         rotation: (F, 3, 3) first camera from object.
         shapes: (F, 3, P).
-        modes: their number at most.
-        noise: a first guess of its standard deviation, in the tracks' unit.
-        projection: (2C, 3).
+        modes: Largest number of modes.
+        noise: Initial standard deviation of a coordinate, in the tracks' unit.
+        projection: (2C, 3) stacked projections of the cameras.
+        settings: Numerical settings.
     """
     shapes = shapes - shapes.mean(2, keepdims=True)
     frames, _, points = shapes.shape
@@ -108,17 +122,19 @@ def begin(
     u, d, vt = singular_vectors((shapes - mean).reshape(frames, -1))
     modes = min(modes, len(d))
     weights = u[:, :modes] * d[:modes] / np.sqrt(points)
-    memory = np.tile(FIRST_MEMORY, (modes, 1))
-    foretold = memory[:, 0] * weights[1:-1] + memory[:, 1] * weights[:-2]
-    floor = LEAST * float(np.mean(mean**2))
+    autoregression = np.tile(INITIAL_AUTOREGRESSION, (modes, 1))
+    predicted = autoregression[:, 0] * weights[1:-1] + autoregression[:, 1] * weights[:-2]
+    floor = settings.least_variance * float(np.mean(mean**2))
+    innovation = ((weights[2:] - predicted) ** 2).mean(0) + floor
     unknowns = TURN + len(projection) + modes
     model = DeformingModel(
         rotation=rotation, projection=projection, shift=np.zeros((frames, len(projection))),
-        mean=mean, weights=weights, memory=memory,
-        modes=(vt[:modes] * np.sqrt(points)).reshape(modes, 3, points), spread=(weights**2).mean(0) + floor,
-        surprise=((weights[2:] - foretold) ** 2).mean(0) + floor,
-        unsteadiness=max(float((accelerations(rotation) ** 2).mean()), STEADIEST**2),
-        variance=noise**2, covariance=(np.zeros((frames, unknowns, unknowns)),) * 3,
+        mean=mean, weights=weights, modes=(vt[:modes] * np.sqrt(points)).reshape(modes, 3, points),
+        processes=WeightProcesses((weights**2).mean(0) + floor, autoregression, innovation),
+        acceleration_variance=max(
+            float((accelerations(rotation) ** 2).mean()), settings.least_acceleration_sd**2
+        ),
+        variance=noise**2, covariance=(np.zeros((frames, unknowns, unknowns)),) * 3, settings=settings,
     )  # fmt: skip
     rows = by_row(seen)
     model.shift = ((tracks - projection @ rotation @ shapes) * rows).sum(2) / np.maximum(rows.sum(2), 1)
@@ -126,19 +142,19 @@ def begin(
 
 
 def by_row(seen: Floats) -> Floats:
-    """Say of both coordinates (F, 2C, P) what is said of the points (F, P) or (F, C, P)."""
+    """Repeat values of points, (F, P) or (F, C, P), for both of their coordinates, (F, 2C, P)."""
     return np.repeat(seen.reshape(len(seen), -1, seen.shape[-1]), 2, axis=1)
 
 
 def residuals_and_jacobians(model: DeformingModel, tracks: Floats, seen: Floats) -> tuple[Floats, Floats]:
-    """Give the residuals (F, 2C, P) and the model's derivative (F, 2C, P, D) by left turn, shift and weights."""
+    """Compute residuals (F, 2C, P) and the model's derivatives (F, 2C, P, D) by left rotation, shift and weights."""
     frames, count, points = tracks.shape
     known = by_row(seen)
     carried = model.rotation @ model.shapes
     residual = (tracks - model.projection @ carried - model.shift[:, :, None]) * known
     jacobian = np.zeros((frames, count, points, model.first_weight + len(model.modes)))
     for row, sight in enumerate(model.projection):
-        # a turn d moves the point y by d x y, and what a row p shows of it by p . (d x y) = d . (y x p)
+        # a rotation d moves the point y by d x y, and its projection on a row p by p . (d x y) = d . (y x p)
         jacobian[:, row, :, :TURN] = np.cross(np.swapaxes(carried, 1, 2), sight)
         jacobian[:, row, :, TURN + row] = 1
     by_weight = model.projection @ model.rotation @ model.modes.transpose(1, 2, 0).reshape(3, -1)
@@ -149,18 +165,18 @@ def residuals_and_jacobians(model: DeformingModel, tracks: Floats, seen: Floats)
 
 
 def solve_frames(model: DeformingModel, tracks: Floats, seen: Floats) -> None:
-    """Do one Gauss-Newton step of all frames together; sets covariance and cost."""
+    """Do one Gauss-Newton step of all frames together, and set covariance and cost."""
     residual, jacobian = residuals_and_jacobians(model, tracks, seen)
     frames, unknowns = len(tracks), jacobian.shape[-1]
     flat = jacobian.reshape(frames, -1, unknowns)
     turned = np.swapaxes(flat, 1, 2)
     diagonal = turned @ flat / model.variance
     right = (turned @ residual.reshape(frames, -1, 1))[..., 0] / model.variance
-    # of what nothing is seen, a camera's shift too, nothing is learned, and the equations stay solvable
+    # keeps the equations solvable where a frame, or the shift of a camera, is not observed
     diagonal[:, range(model.first_weight), range(model.first_weight)] += 1e-8
     first, second = np.zeros_like(diagonal), np.zeros_like(diagonal)
-    add_steadiness(diagonal, first, second, right, model.rotation, 1 / model.unsteadiness)
-    surprise = _add_memory(model, diagonal, first, second, right)
+    add_acceleration_penalty(diagonal, first, second, right, model.rotation, 1 / model.acceleration_variance)
+    innovations = model.processes.add(diagonal, first, second, right, model.weights, model.first_weight)
     if model.lengths is not None:
         normal, side = kept_lengths.weight_equations(model.lengths, model.shapes, model.modes)
         diagonal[:, model.first_weight :, model.first_weight :] += normal
@@ -169,45 +185,30 @@ def solve_frames(model: DeformingModel, tracks: Floats, seen: Floats) -> None:
     model.covariance = (covariance[0], covariance[1], covariance[2])
     model.cost = 0.5 * (
         float((residual**2).sum()) / model.variance
-        + float((accelerations(model.rotation) ** 2).sum()) / model.unsteadiness
-        + surprise + determinant + 2 * float(seen.sum()) * np.log(model.variance)
-        + 3 * (frames - 2) * np.log(model.unsteadiness)
-        + float((frames - 2) * np.log(model.surprise).sum() + 2 * np.log(model.spread).sum())
+        + float((accelerations(model.rotation) ** 2).sum()) / model.acceleration_variance
+        + innovations + determinant + 2 * float(seen.sum()) * np.log(model.variance)
+        + 3 * (frames - 2) * np.log(model.acceleration_variance)
+        + float(
+            (frames - 2) * np.log(model.processes.innovation_variance).sum()
+            + 2 * np.log(model.processes.weight_variance).sum()
+        )
     ) + (0.0 if model.lengths is None else kept_lengths.cost(model.lengths, model.shapes))  # fmt: skip
-    share = min(1.0, LONGEST_TURN / max(float(np.abs(step[:, :3]).max()), 1e-300))
+    share = min(1.0, model.settings.longest_turn / max(float(np.abs(step[:, :3]).max()), 1e-300))
     model.rotation = rotations.exp(share * step[:, :3]) @ model.rotation
     model.shift = model.shift + share * step[:, TURN : model.first_weight]
     model.weights = model.weights + share * step[:, model.first_weight :]
 
 
-def _add_memory(model: DeformingModel, diagonal: Floats, first: Floats, second: Floats, right: Floats) -> float:
-    """Add the weights' processes to the normal equations; give their squared surprises over the variances."""
-    frames, own = len(right), np.arange(model.first_weight, right.shape[1])
-    left = model.weights[2:] - model.memory[:, 0] * model.weights[1:-1] - model.memory[:, 1] * model.weights[:-2]
-    precision = 1 / model.surprise
-    by = (-model.memory[:, 1], -model.memory[:, 0], np.ones(len(own)))
-    for k in range(3):
-        span = slice(k, frames - 2 + k)
-        diagonal[span, own, own] += precision * by[k] ** 2
-        right[span, model.first_weight :] -= precision * by[k] * left
-    first[:-2, own, own] += precision * by[0] * by[1]
-    first[1:-1, own, own] += precision * by[1] * by[2]
-    second[:-2, own, own] += precision * by[0] * by[2]
-    diagonal[:2, own, own] += 1 / model.spread
-    right[:2, model.first_weight :] -= model.weights[:2] / model.spread
-    return float((left**2 * precision).sum() + (model.weights[:2] ** 2 / model.spread).sum())
-
-
 def solve_shapes(model: DeformingModel, tracks: Floats, seen: Floats) -> None:
-    """Solve for the mean shape and the modes of every point, given what is known of the frames."""
+    """Solve for the mean shape and the modes of each point, given the estimates of the frames."""
     points = tracks.shape[2]
-    row, square = _known_weights(model)
+    row, square = _expected_weights(model)
     rows = model.projection @ model.rotation
-    blocks = _seen_blocks(model, seen)
+    blocks = _track_information(model, seen)
     left = (tracks - model.shift[:, :, None]) * by_row(seen)
     side = np.swapaxes(rows, 1, 2) @ left / model.variance
     if model.lengths is not None:
-        # Both ends of a pair move at once: each answers for twice its share, so that together they do not overshoot.
+        # Both ends of a pair move at once: each is penalised twice as much, so that together they do not overshoot.
         held, pull = kept_lengths.point_equations(model.lengths, model.shapes)
         blocks += 2 * held
         side += pull
@@ -225,16 +226,16 @@ def solve_shapes(model: DeformingModel, tracks: Floats, seen: Floats) -> None:
     model.shift = model.shift + np.einsum("fij,fj->fi", rows, middle + model.weights @ middles)
 
 
-def _known_weights(model: DeformingModel) -> tuple[Floats, Floats]:
-    """Give 1 and the weights of every frame (F, 1 + M), and their expected products (F, 1 + M, 1 + M)."""
+def _expected_weights(model: DeformingModel) -> tuple[Floats, Floats]:
+    """Compute 1 and the weights of each frame (F, 1 + M), and their expected products (F, 1 + M, 1 + M)."""
     row = np.concatenate([np.ones((len(model.weights), 1)), model.weights], 1)
     square = row[:, :, None] * row[:, None]
     square[:, 1:, 1:] += model.covariance[0][:, model.first_weight :, model.first_weight :]
     return row, square
 
 
-def _seen_blocks(model: DeformingModel, seen: Floats) -> Floats:
-    """Give what the tracks tell of every point's place (F, P, 3, 3), as inverse covariance."""
+def _track_information(model: DeformingModel, seen: Floats) -> Floats:
+    """Compute the information (F, P, 3, 3) of the tracks about each point, as inverse covariance."""
     cameras = seen.reshape(len(seen), -1, seen.shape[-1]) / model.variance
     blocks = np.zeros((len(seen), seen.shape[-1], 3, 3))
     for camera in range(cameras.shape[1]):
@@ -244,7 +245,7 @@ def _seen_blocks(model: DeformingModel, seen: Floats) -> Floats:
 
 
 def _point_normals(square: Floats, blocks: Floats) -> Floats:
-    """Give every point's normal matrix (P, 3 + 3M, 3 + 3M) of its mean place and modes."""
+    """Compute the normal matrix (P, 3 + 3M, 3 + 3M) of each point's mean position and modes."""
     frames, count, _ = square.shape
     points = blocks.shape[1]
     normal = square.reshape(frames, -1).T @ blocks.reshape(frames, -1)
@@ -252,15 +253,19 @@ def _point_normals(square: Floats, blocks: Floats) -> Floats:
 
 
 def shape_variance(model: DeformingModel, seen: Floats) -> Floats:
-    """Give the variance (F, 3, P) of the shapes: of the weights, given the modes, and of the modes, given the weights.
+    """Compute the variance (F, 3, P) of the shapes, from those of the weights given the modes and vice versa.
 
-    Coordinates of the modes are believed to be of size 1 beforehand.
+    The prior of a mode's coordinate has standard deviation 1.
+
+    Args:
+        model: After `refine`.
+        seen: (F, P) or (F, C, P).
     """
     of_weights = model.covariance[0][:, model.first_weight :, model.first_weight :]
     by_weight = np.moveaxis(model.modes, 0, 2).reshape(model.mean.size, len(model.modes))
     first = ((by_weight @ of_weights) * by_weight).sum(2).reshape(len(seen), *model.mean.shape)
-    _, square = _known_weights(model)
-    blocks = _seen_blocks(model, seen)
+    _, square = _expected_weights(model)
+    blocks = _track_information(model, seen)
     if model.lengths is not None:
         blocks += kept_lengths.point_equations(model.lengths, model.shapes)[0]
     normal = _point_normals(square, blocks)
@@ -272,37 +277,26 @@ def shape_variance(model: DeformingModel, seen: Floats) -> Floats:
 
 
 def solve_processes(model: DeformingModel, tracks: Floats, seen: Floats, least_noise: float) -> None:
-    """Estimate the noise, the weights' processes and the camera's unsteadiness anew."""
+    """Estimate the noise, the weights' processes and the camera's acceleration variance."""
     residual, jacobian = residuals_and_jacobians(model, tracks, seen)
     frames = len(tracks)
     flat = jacobian.reshape(frames, -1, jacobian.shape[-1])
-    doubt = float(np.einsum("fde,fde->", np.swapaxes(flat, 1, 2) @ flat, model.covariance[0]))
-    model.variance = max((float((residual**2).sum()) + doubt) / (2 * float(seen.sum())), least_noise**2)
-    here, near, far = (
-        np.einsum("fmm->fm", part[:, model.first_weight :, model.first_weight :]) for part in model.covariance
-    )
-    c = model.weights
-    now, last, before = ((c[k:][: frames - 2] ** 2 + here[k:][: frames - 2]).sum(0) for k in (2, 1, 0))
-    now_last, last_before = (c[2:] * c[1:-1] + near[1:-1]).sum(0), (c[1:-1] * c[:-2] + near[:-2]).sum(0)
-    now_before = (c[2:] * c[:-2] + far[:-2]).sum(0)
-    normal = np.moveaxis(np.array([[last, last_before], [last_before, before]]), -1, 0)
-    normal = normal + 1e-12 * (last + before)[:, None, None] * np.eye(2)
-    right = np.stack([now_last, now_before], 1)
-    model.memory = np.linalg.solve(normal, right[..., None])[..., 0]
-    left = now - 2 * (model.memory * right).sum(1) + np.einsum("mi,mij,mj->m", model.memory, normal, model.memory)
-    model.surprise = np.maximum(left / (frames - 2), 1e-16 * now / frames + 1e-300)
-    model.spread = (c**2 + here).mean(0)
-    model.unsteadiness = max(_unsteadiness(model), STEADIEST**2)
+    uncertainty = float(np.einsum("fde,fde->", np.swapaxes(flat, 1, 2) @ flat, model.covariance[0]))
+    model.variance = max((float((residual**2).sum()) + uncertainty) / (2 * float(seen.sum())), least_noise**2)
+    here, near, far = (part[:, model.first_weight :, model.first_weight :] for part in model.covariance)
+    model.processes = estimated_processes(model.weights, (here, near, far))
+    model.acceleration_variance = max(_mean_square_acceleration(model), model.settings.least_acceleration_sd**2)
     if model.lengths is not None:
         _, along = kept_lengths.departures(model.lengths, model.shapes)
         by_weight = kept_lengths.derivatives(model.lengths, along, model.modes)
-        of_weights = model.covariance[0][:, model.first_weight :, model.first_weight :]
-        doubted = ((by_weight @ of_weights) * by_weight).sum(2).mean(0)
-        model.lengths = kept_lengths.learned(model.lengths.pairs, model.shapes, doubted)
+        variance = ((by_weight @ here) * by_weight).sum(2).mean(0)
+        model.lengths = kept_lengths.estimated_lengths(
+            model.lengths.pairs, model.shapes, variance, settings=model.lengths.settings
+        )
 
 
-def _unsteadiness(model: DeformingModel) -> float:
-    """Give the mean square of the camera's acceleration, what is not known of it included."""
+def _mean_square_acceleration(model: DeformingModel) -> float:
+    """Compute the expected mean square of the camera's angular acceleration, including its uncertainty."""
     jacobians = acceleration_jacobians(model.rotation)
     frames = len(model.rotation)
     total = float((accelerations(model.rotation) ** 2).sum())
@@ -313,9 +307,17 @@ def _unsteadiness(model: DeformingModel) -> float:
     return total / (3 * (frames - 2))
 
 
-def improve(model: DeformingModel, tracks: Floats, seen: Floats, rounds: int, least_noise: float = 0.0) -> None:
-    """Do rounds of all three steps, and once more the first, so that covariance and cost are those of the end."""
-    floor = max(least_noise, 1e-6 * float(np.sqrt(np.mean(model.mean**2))))
+def refine(model: DeformingModel, tracks: Floats, seen: Floats, rounds: int, least_noise: float = 0.0) -> None:
+    """Do rounds of all three steps, then the first again, so that covariance and cost belong to the final estimate.
+
+    Args:
+        model: Changed in place.
+        tracks: (F, 2C, P), with arbitrary finite values where not seen.
+        seen: (F, P), or (F, C, P) for several cameras.
+        rounds: Number of rounds.
+        least_noise: Least standard deviation of the noise, in the tracks' unit.
+    """
+    floor = max(least_noise, model.settings.least_noise * float(np.sqrt(np.mean(model.mean**2))))
     for _ in range(rounds):
         solve_frames(model, tracks, seen)
         solve_shapes(model, tracks, seen)
@@ -324,19 +326,20 @@ def improve(model: DeformingModel, tracks: Floats, seen: Floats, rounds: int, le
 
 
 def keep_modes(model: DeformingModel, kept: Mask) -> None:
-    """Leave out all modes but those kept (M,)."""
+    """Remove all modes but those in the mask (M,)."""
     unknowns = np.concatenate([np.ones(model.first_weight, bool), kept])
     here, near, far = (part[:, unknowns][:, :, unknowns] for part in model.covariance)
     model.covariance = (here, near, far)
-    model.modes, model.weights, model.memory = model.modes[kept], model.weights[:, kept], model.memory[kept]
-    model.spread, model.surprise = model.spread[kept], model.surprise[kept]
+    model.modes, model.weights = model.modes[kept], model.weights[:, kept]
+    model.processes = model.processes.among(np.flatnonzero(kept))
 
 
 def basis_cost(model: DeformingModel) -> float:
-    """Give minus the logarithm of what the modes' freedom costs the tracks' probability, up to a constant.
+    """Compute the loss of log-probability by the freedom of the modes, up to a constant (Laplace's approximation).
 
-    Each coordinate of a mode of root mean square 1 is believed to be of size 1 beforehand; one camera tells two of
-    three coordinates a frame, so the tracks narrow it by the square root of 1 + 2 sum(c^2) / (3 noise^2) (Laplace).
+    The prior of a mode's coordinate has standard deviation 1 (modes have root mean square 1 per point). One camera
+    observes two of three coordinates per frame, so the tracks narrow the prior by the square root of
+    1 + 2 sum(c^2) / (3 noise^2).
     """
     share = float((model.projection**2).sum()) / 3
     weights = model.weights - model.weights.mean(0)
@@ -344,4 +347,4 @@ def basis_cost(model: DeformingModel) -> float:
     square = left @ left.T if len(left) < left.shape[1] else left.T @ left
     size = np.maximum(np.linalg.eigvalsh(square)[::-1][: len(model.modes)], 0)
     points = model.mean.shape[1]
-    return float(PRICE_A_POINT * points * np.log1p(share * size / (points * model.variance)).sum())
+    return float(COST_PER_MODE_POINT * points * np.log1p(share * size / (points * model.variance)).sum())

@@ -1,82 +1,116 @@
-"""Distances between points of a deforming object that hardly change: what limbs and skin tell beside the tracks.
+"""Distances between points of a deforming object that stay nearly constant, as additional observations.
 
-Where the camera goes round slowly, depth is told by little but the model's own smoothness. Points of one limb, or next
-to each other on skin, keep their distance; which do, and how well, is learned with the shapes. Few basis shapes do not
-say this: a displacement that turns a limb also stretches it.
+Where the camera rotates slowly, only the smoothness of the model constrains depth. Points of one limb, or neighbours on
+skin, keep their distance; which pairs do, and how well, is estimated with the shapes. A small number of basis shapes
+does not imply this: a deformation mode that rotates a limb also stretches it.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from marey.arrays import Floats, Integers
+from marey.arrays import Floats, Integers, freeze_fields
 
-NEIGHBOURS = 6
-"""Distances of each point that are believed to be kept: those that change least, in its own row of distances."""
-STIFFEST = 0.01
-"""Least standard deviation of a kept distance that is believed, as a share of the object's size: without it a distance
-that is wrong would be believed the more the longer it is held."""
-LIKE_FRAMES = 20
-"""Frames over which departures from a distance are alike: so many say as much as one."""
-LEAST = 1e-12
+_LEAST_LENGTH = 1e-12
+"""Added to distances before division by them; keeps coinciding points harmless."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class KeptLengthSettings:
+    """Settings of the distances that are taken to be constant."""
+
+    neighbours: int = 6
+    """Number of distances selected for each point: those that vary least. Chosen by hand; results were not measured
+    against other values."""
+    least_sd: float = 0.01
+    """Least standard deviation of a distance, as a fraction of the object's size. Without it the weight of a wrong
+    distance grows with each round (docs/explanation/nonrigid.md, "What was tried")."""
+    correlated_frames: float = 20
+    """Number of frames over which departures from a distance are correlated; so many frames count as one observation.
+    With 5 depth improved by a third before slow cameras, but was worse for `pickup` (docs/explanation/nonrigid.md)."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class KeptLengths:
-    """Pairs of points and how well their distance is kept; lengths in the unit of the object's size."""
+    """Pairs of points with their mean distance and its variance, as fractions of the object's size."""
 
     pairs: Integers
-    """(Q, 2)."""
+    """(Q, 2) indices of points."""
     lengths: Floats
-    """(Q,)."""
+    """(Q,) mean distances."""
     variances: Floats
-    """(Q,) of the distance over the frames."""
+    """(Q,) variance of each distance over the frames."""
+    settings: KeptLengthSettings = KeptLengthSettings()
+    """Settings with which the distances were selected."""
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, "pairs", dtype=np.int64)
+        freeze_fields(self, "lengths", "variances")
 
     @property
     def precisions(self) -> Floats:
         """(Q,) weight of a squared departure in one frame."""
-        return np.asarray(1 / (self.variances * LIKE_FRAMES))
+        return np.asarray(1 / (self.variances * self.settings.correlated_frames))
 
     def incidence(self, points: int) -> Floats:
-        """Give (Q, P): 1 at the first point of a pair, -1 at the second."""
+        """Compute the incidence matrix (Q, P): 1 at the first point of a pair, -1 at the second."""
         matrix, rows = np.zeros((len(self.pairs), points)), np.arange(len(self.pairs))
         matrix[rows, self.pairs[:, 0]], matrix[rows, self.pairs[:, 1]] = 1, -1
         return matrix
 
 
-def choose_lengths(shapes: Floats) -> KeptLengths:
-    """Take of each point the distances that change least over the frames of the shapes (F, 3, P)."""
+def choose_lengths(shapes: Floats, settings: KeptLengthSettings = KeptLengthSettings()) -> KeptLengths:
+    """Select for each point the distances that vary least over the frames.
+
+    Args:
+        shapes: (F, 3, P), of size 1.
+        settings: Number of distances per point and their variance.
+    """
     points = shapes.shape[2]
-    spread = np.full((points, points), np.inf)
+    sd = np.full((points, points), np.inf)
     for i in range(points - 1):
         away = np.linalg.norm(shapes[:, :, i + 1 :] - shapes[:, :, i : i + 1], axis=1)
-        spread[i, i + 1 :] = spread[i + 1 :, i] = away.std(0)
-    near = np.argsort(spread, 1)[:, : min(NEIGHBOURS, points - 1)]
+        sd[i, i + 1 :] = sd[i + 1 :, i] = away.std(0)
+    near = np.argsort(sd, 1)[:, : min(settings.neighbours, points - 1)]
     ends = np.stack([np.repeat(np.arange(points), near.shape[1]), near.ravel()], 1)
-    return learned(np.unique(np.sort(ends, 1), axis=0), shapes)
+    return estimated_lengths(np.unique(np.sort(ends, 1), axis=0), shapes, settings=settings)
 
 
-def learned(pairs: Integers, shapes: Floats, doubt: Floats | float = 0.0) -> KeptLengths:
-    """Learn lengths and variances; `doubt` (Q,) is the mean variance of what is not known of the distances."""
+def estimated_lengths(
+    pairs: Integers,
+    shapes: Floats,
+    uncertainty: Floats | float = 0.0,
+    *,
+    settings: KeptLengthSettings = KeptLengthSettings(),
+) -> KeptLengths:
+    """Estimate the mean and the variance of distances.
+
+    Args:
+        pairs: (Q, 2) indices of points.
+        shapes: (F, 3, P).
+        uncertainty: (Q,) mean variance of the distances' estimates, added to that over the frames.
+        settings: Least variance.
+    """
     away = np.linalg.norm(shapes[:, :, pairs[:, 0]] - shapes[:, :, pairs[:, 1]], axis=1)
-    return KeptLengths(pairs=pairs, lengths=away.mean(0), variances=away.var(0) + doubt + STIFFEST**2)
+    variances = away.var(0) + uncertainty + settings.least_sd**2
+    return KeptLengths(pairs=pairs, lengths=away.mean(0), variances=variances, settings=settings)
 
 
 def departures(kept: KeptLengths, shapes: Floats) -> tuple[Floats, Floats]:
-    """Give how much too long each pair is (F, Q), and its direction (F, 3, Q), from the second point to the first."""
+    """Compute the excess length of each pair (F, Q) and its direction (F, 3, Q), from the second point to the first."""
     apart = shapes[:, :, kept.pairs[:, 0]] - shapes[:, :, kept.pairs[:, 1]]
-    away = np.linalg.norm(apart, axis=1) + LEAST
+    away = np.linalg.norm(apart, axis=1) + _LEAST_LENGTH
     return away - kept.lengths, apart / away[:, None]
 
 
 def derivatives(kept: KeptLengths, along: Floats, modes: Floats) -> Floats:
-    """Give the distances' derivatives (F, Q, M) by the weights of the modes (M, 3, P)."""
+    """Compute the derivatives (F, Q, M) of distances by the weights of the modes (M, 3, P)."""
     apart = modes[:, :, kept.pairs[:, 0]] - modes[:, :, kept.pairs[:, 1]]
     return np.asarray(np.swapaxes(along.transpose(2, 0, 1) @ apart.transpose(2, 1, 0), 0, 1))
 
 
 def weight_equations(kept: KeptLengths, shapes: Floats, modes: Floats) -> tuple[Floats, Floats]:
-    """Give normal matrices (F, M, M) and right sides (F, M) of the weights."""
+    """Compute normal matrices (F, M, M) and right-hand sides (F, M) of the weights."""
     longer, along = departures(kept, shapes)
     by_weight = derivatives(kept, along, modes)
     weighed = np.swapaxes(by_weight * kept.precisions[:, None], 1, 2)
@@ -84,7 +118,7 @@ def weight_equations(kept: KeptLengths, shapes: Floats, modes: Floats) -> tuple[
 
 
 def point_equations(kept: KeptLengths, shapes: Floats) -> tuple[Floats, Floats]:
-    """Give normal matrices (F, P, 3, 3) and right sides (F, 3, P) of every point's place, the others held."""
+    """Compute normal matrices (F, P, 3, 3) and right-hand sides (F, 3, P) of each point, the others being fixed."""
     longer, along = departures(kept, shapes)
     ends = kept.incidence(shapes.shape[2])
     right = -((kept.precisions * longer)[:, None] * along) @ ends
@@ -93,6 +127,7 @@ def point_equations(kept: KeptLengths, shapes: Floats) -> tuple[Floats, Floats]:
 
 
 def cost(kept: KeptLengths, shapes: Floats) -> float:
-    """Give minus the logarithm of the distances' probability, up to a constant."""
+    """Compute minus the log-probability of the distances, up to a constant."""
     longer, _ = departures(kept, shapes)
-    return float((longer**2 * kept.precisions).sum() + len(shapes) / LIKE_FRAMES * np.log(kept.variances).sum()) / 2
+    observations = len(shapes) / kept.settings.correlated_frames
+    return float((longer**2 * kept.precisions).sum() + observations * np.log(kept.variances).sum()) / 2

@@ -1,4 +1,4 @@
-"""Rotations over time: how unsteadily they change, steadier paths, and depth that was taken for its mirror image."""
+"""Rotations over time: angular accelerations, smoothed paths, and paths with mirrored depth."""
 
 import numpy as np
 
@@ -7,37 +7,41 @@ from marey.geometry import rotations
 from marey.nonrigid.core.block_banded import solve_banded
 
 MIRROR = np.diag([1.0, 1.0, -1.0])
-LONGEST_TURN = 0.3
-STEPS = 30
+"""Reflection in depth, which one orthographic camera cannot detect."""
+_LONGEST_TURN = 0.3
+"""Gauss-Newton steps are shortened so that no rotation vector component exceeds this [rad]. Chosen by hand; results
+were not measured against other values."""
+_STEPS = 30
+"""Largest number of Gauss-Newton steps of a smoothed path; a limit on time."""
 
 
 def accelerations(rotation: Floats) -> Floats:
-    """Give the change of the turn from frame to frame (F - 2, 3) [rad], in the camera's axes."""
+    """Compute the change of the rotation vector from frame to frame (F - 2, 3) [rad], in the camera's axes."""
     turns = rotations.log(rotation[1:] @ np.swapaxes(rotation[:-1], 1, 2))
     return np.asarray(turns[1:] - turns[:-1])
 
 
 def acceleration_jacobians(rotation: Floats) -> tuple[Floats, Floats, Floats]:
-    """Give the derivatives (F - 2, 3, 3) of an acceleration by turns of its three frames, each from the left.
+    """Compute the derivatives (F - 2, 3, 3) of accelerations by left rotations of their three frames.
 
-    With the turn r_f = log(R_f+1 R_f'), d r_f = w_f+1 - R_f+1 R_f' w_f to first order in r.
+    With r_f = log(R_f+1 R_f'), d r_f = w_f+1 - R_f+1 R_f' w_f to first order in r.
     """
     step = rotation[1:] @ np.swapaxes(rotation[:-1], 1, 2)
     return step[:-1], -(np.eye(3) + step[1:]), np.broadcast_to(np.eye(3), (len(rotation) - 2, 3, 3))
 
 
-def add_steadiness(
+def add_acceleration_penalty(
     diagonal: Floats, first: Floats, second: Floats, right: Floats, rotation: Floats, precision: float
 ) -> None:
-    """Add squared accelerations times a precision to normal equations whose first three unknowns a frame are the turn.
+    """Add squared angular accelerations to normal equations whose first three unknowns per frame are the rotation.
 
     Args:
-        diagonal: (F, D, D), with `first`, `second` and `right` (F, D) as in `solve_banded`; changed.
-        first: see there.
-        second: see there.
-        right: see there; minus the gradient.
+        diagonal: (F, D, D) blocks as in `solve_banded`; changed in place, as are the other blocks.
+        first: (F, D, D) blocks that couple a frame with the next.
+        second: (F, D, D) blocks that couple a frame with the next but one.
+        right: (F, D) right-hand side, minus the gradient.
         rotation: (F, 3, 3).
-        precision: 1 over the variance of an acceleration [1/rad2].
+        precision: Inverse variance of an acceleration [1/rad2].
     """
     value, jacobians = accelerations(rotation), acceleration_jacobians(rotation)
     a, b, c = (np.swapaxes(jacobian, 1, 2) * precision for jacobian in jacobians)
@@ -50,35 +54,36 @@ def add_steadiness(
     second[:-2, :3, :3] += a @ jacobians[2]
 
 
-def steadier(rotation: Floats, span: float) -> Floats:
-    """Find the path whose squared distance from the rotations and weighed squared accelerations sum to the least.
+def smoothed_path(rotation: Floats, span: float) -> Floats:
+    """Smooth a path of rotations, minimising its squared distance plus its weighted squared accelerations.
 
     Args:
         rotation: (F, 3, 3).
-        span: the weight of the accelerations; slower swings than about 6 times its fourth root in frames are kept.
+        span: Weight of the accelerations. Oscillations with periods above about 6 times its fourth root, in frames,
+            are kept.
 
     Returns:
-        (F, 3, 3).
+        Smoothed rotations (F, 3, 3).
     """
     if span == 0 or len(rotation) < 3:
         return rotation
     frames, path, weight = len(rotation), rotation, min(span, 1.0)
-    for _ in range(STEPS):
+    for _ in range(_STEPS):
         weight = min(span, 10 * weight)
         diagonal = np.tile(np.eye(3), (frames, 1, 1))
         first, second = np.zeros((frames, 3, 3)), np.zeros((frames, 3, 3))
         right = rotations.log(rotation @ np.swapaxes(path, 1, 2))
-        add_steadiness(diagonal, first, second, right, path, weight)
+        add_acceleration_penalty(diagonal, first, second, right, path, weight)
         step = solve_banded(diagonal, first, second, right)[0]
         longest = float(np.abs(step).max())
-        path = rotations.exp(step * min(1.0, LONGEST_TURN / max(longest, 1e-300))) @ path
+        path = rotations.exp(step * min(1.0, _LONGEST_TURN / max(longest, 1e-300))) @ path
         if weight == span and longest < 1e-5:
             break
     return np.asarray(path)
 
 
 def mirrored_after(rotation: Floats, frame: int) -> Floats:
-    """Mirror depth from a frame on, that frame itself unchanged: the other way to see the tracks of something rigid."""
+    """Mirror depth from a frame on, leaving that frame unchanged; the tracks of a rigid object stay the same."""
     out = rotation.copy()
     out[frame:] = MIRROR @ rotation[frame:] @ (rotation[frame].T @ MIRROR @ rotation[frame])
     return out

@@ -1,1 +1,1 @@
-"""Which point of one camera is which point of another."""
+"""Correspondence between the points of several cameras."""

@@ -1,4 +1,4 @@
-"""From the videos of several calibrated, synchronised cameras to tracks of the same points in all of them."""
+"""Tracks of the same points in the videos of several calibrated, synchronised cameras."""
 
 from collections.abc import Sequence
 
@@ -14,17 +14,18 @@ from marey.nonrigid.correspondence.calibrated_correspondence import match_calibr
 from marey.nonrigid.correspondence.uncalibrated_videos import (
     LEAST_PAIRS,
     PROBABLE,
-    Told,
+    ProgressReporter,
     ViewTracks,
     evidence_of_likeness,
     followed,
     in_first_video,
-    quiet,
+    no_progress,
     require_videos,
 )
 from marey.nonrigid.tracking.stray_places import without_strays
 
-UNTIED = "Camera '{camera}' shares no points with '{first}' that can be found: it is left out."
+NAMED_CAMERA_WITHOUT_POINTS = "Camera '{camera}' shares no points with '{first}' that could be found: it is ignored."
+"""Note of a camera without common points."""
 
 
 def track_calibrated_views(
@@ -36,41 +37,40 @@ def track_calibrated_views(
     within: Mask | None = None,
     points: Floats | None = None,
     patches: FollowSettings = DEFAULT,
-    told: Told = quiet,
+    progress: ProgressReporter = no_progress,
 ) -> ViewTracks:
-    """Choose points in the first camera, and track them in all cameras.
+    """Select points in the first camera, and track them in all cameras.
 
-    Places on a point's epipolar line that look like it are candidates; all are followed, and the one that stays on the
-    line of the point's track is the point (`match_calibrated`).
+    Positions on a point's epipolar line that resemble it are candidates. All are followed, and the one that stays on
+    the epipolar line of the point's track is the point (`match_calibrated`).
 
     Args:
-        videos: The cameras' grey pictures, the same instants in each.
+        videos: Grey images of the cameras, the same instants in each.
         rig: The cameras, in the order of the videos.
-        frame: The frame in which points are chosen and compared.
-        count: How many points at most.
-        within: (H, W) where points may lie in the first camera's picture; everywhere when None.
-        points: (P, 2) the points themselves in the first camera's picture, instead of chosen ones [px].
-        patches: How points are followed.
-        told: Is told of the progress.
+        frame: Frame in which points are selected and compared.
+        count: Largest number of points.
+        within: (H, W) mask of possible positions in the first camera's image; everywhere if None.
+        points: (P, 2) given points in the first camera's image instead of selected ones [px].
+        patches: Settings with which points are followed.
+        progress: Progress reporter.
 
     Returns:
-        The tracks of the points that at least two cameras share, without places that strayed off their points
-        (`without_strays`). Points that do not move are left out where points
-        were chosen.
+        The tracks of the points that at least two cameras share, without outliers (`without_strays`). Points that do
+        not move are excluded if points were selected.
 
     Raises:
-        SettingProblem: The videos do not fit the cameras or each other, or a number is impossible.
+        SettingProblem: The videos do not match the cameras or each other, or a number is impossible.
         MareyError: There is nothing to follow, or no camera shares enough points with the first.
     """
     require_videos(videos, frame)
     if len(videos) != len(rig):
-        raise SettingProblem(f"There are {len(videos)} videos, and the calibration has {len(rig)} cameras.")
-    points, first, first_sd = in_first_video(videos[0], frame, points, within, count, patches, told)
+        raise SettingProblem(f"There are {len(videos)} videos, but the calibration has {len(rig)} cameras.")
+    points, first, first_sd = in_first_video(videos[0], frame, points, within, count, patches, progress)
     tracks, spread, probability = [first], [first_sd], [np.ones(len(points), float)]
     for number in range(1, len(videos)):
         what = f"Following points in camera {number + 1}"
         pair = (rig.cameras[0], rig.cameras[number])
-        found = _in_camera((videos[0][frame], videos[number]), pair, (points, first), frame, patches, told, what)
+        found = _in_camera((videos[0][frame], videos[number]), pair, (points, first), frame, patches, progress, what)
         tracks.append(found[0])
         spread.append(found[1])
         probability.append(found[2])
@@ -83,19 +83,22 @@ def _in_camera(
     given: tuple[Floats, Floats],
     frame: int,
     patches: FollowSettings,
-    told: Told,
+    progress: ProgressReporter,
     what: str,
 ) -> tuple[Floats, Floats, Floats]:
-    """Find and follow points in one more camera; give tracks and deviations (F, 2, P), and probabilities (P,).
+    """Find and follow points in one more camera.
 
     Args:
-        pictures: The first camera's picture in which points were chosen, and the other's video.
-        cameras: Both.
-        given: The points (P, 2) and their tracks (F, 2, P) in the first camera.
-        frame: In which points were chosen.
-        patches: How points are followed.
-        told: Is told of the progress.
-        what: With these words.
+        pictures: First camera's image in which points were selected, and the other camera's video.
+        cameras: Both cameras.
+        given: Points (P, 2) and their tracks (F, 2, P) in the first camera.
+        frame: Frame in which points were selected.
+        patches: Settings with which points are followed.
+        progress: Progress reporter.
+        what: Description of the work for the progress reporter.
+
+    Returns:
+        Tracks and standard deviations (F, 2, P), and probabilities (P,).
     """
     (template, video), (points, first) = pictures, given
     tracks, spread = np.full((2, *first.shape), np.nan)
@@ -103,7 +106,7 @@ def _in_camera(
     candidates = find_on_lines(template, video[frame], points, cameras)
     if len(candidates.points) < LEAST_PAIRS:
         return tracks, spread, probability
-    own, own_sd = followed(video, candidates.pixels, frame, patches, told, what)
+    own, own_sd = followed(video, candidates.pixels, frame, patches, progress, what)
     looks = np.full((len(points), len(candidates.points)), -np.inf)
     looks[candidates.points, np.arange(len(candidates.points))] = evidence_of_likeness(candidates.correlation)
     found = match_calibrated(first, own, cameras, looks)
@@ -114,18 +117,20 @@ def _in_camera(
 
 
 def _shared(tracks: Floats, spread: Floats, probability: Floats, rig: Rig, frame: int) -> ViewTracks:
-    """Give the points that at least two cameras share, without places that strayed."""
-    tied = np.isfinite(probability).sum(1) >= LEAST_PAIRS
-    if tied.sum() < 2:
+    """Assemble the points that at least two cameras share, without outliers."""
+    connected = np.isfinite(probability).sum(1) >= LEAST_PAIRS
+    if connected.sum() < 2:
         raise MareyError(
             "No other camera shares points with the first: the calibration or the order of the cameras may be wrong, "
-            "the videos not of the same instants, or the views too far apart for the surface to look alike."
+            "the videos may show different instants, or the views may be too far apart."
         )
     notes = tuple(
-        UNTIED.format(camera=name, first=rig.names[0]) for name, good in zip(rig.names, tied, strict=True) if not good
+        NAMED_CAMERA_WITHOUT_POINTS.format(camera=name, first=rig.names[0])
+        for name, good in zip(rig.names, connected, strict=True)
+        if not good
     )
     kept = np.isfinite(probability).sum(0) >= 2
-    tracks[tied] = without_strays(tracks[tied], spread[tied])
+    tracks[connected] = without_strays(tracks[connected], spread[connected])
     return ViewTracks(
         tracks=tracks[..., kept], tracks_sd=np.where(np.isfinite(tracks), spread, np.nan)[..., kept],
         probability=probability[:, kept], start=frame, notes=notes,

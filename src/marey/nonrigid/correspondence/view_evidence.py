@@ -1,9 +1,9 @@
-"""How much more probable it is that two tracks of two cameras show one point than that they show two.
+"""Log-likelihood ratio that two tracks of two cameras show the same point.
 
-Tracks are given as few components in time (K, 2, P). Two things speak for a pair. Its two sides of the affine epipolar
-equation agree; this holds whatever the surface does. And the coordinate that the equation leaves free lies where the
-other camera's track foretells it, as far as tracks of one surface span one subspace. What pairs leave of both is
-measured component by component, so that lenses and perspective make the evidence weaker, not wrong.
+Tracks are represented by few components in time (K, 2, P). Two properties indicate a pair. The two sides of the affine
+epipolar equation agree, whatever the deformation. And the coordinate that the equation does not constrain is predicted
+by the other camera's track, as far as the tracks of one surface span one subspace. The residuals of pairs are measured
+for each component, so that lenses and perspective make the evidence weaker, not wrong.
 """
 
 from dataclasses import dataclass
@@ -14,53 +14,58 @@ from marey.arrays import Floats, Integers
 from marey.nonrigid.correspondence.affine_epipolar import fitted_equation
 
 FEWEST_PAIRS = 6
-"""Fewer pairs tell nothing about how far pairs lie apart."""
+"""Least number of pairs from which residuals are measured. Chosen by hand; results were not measured against other
+values."""
 _DIMENSIONS = 12
-"""Of the subspace in which a track foretells the other camera's."""
+"""Largest dimension of the subspace in which a track predicts that of the other camera. Chosen by hand; results were
+not measured against other values."""
 _RIDGES = 10.0 ** np.arange(-6, 1)
+"""Relative ridge penalties, of which the one with the least cross-validated residual is chosen."""
 _LEAST = 1e-10
-"""Least variance, of tracks of unit spread: exact tracks shall not divide by nothing."""
+"""Least variance of tracks of unit spread; keeps exact tracks solvable."""
 _FREEDOM = 6.0
-"""Degrees of freedom of the t distribution of what pairs leave: measured with few pairs, and some lie further off."""
-
-
+"""Degrees of freedom of the t distribution of residuals, which are measured with few pairs and have outliers. Chosen by
+hand; results were not measured against other values."""
 _ASTRAY = 0.01
-"""Share of the points that leave the subspace, so that nothing can be foretold of them."""
+"""Assumed fraction of points that leave the subspace and cannot be predicted. Chosen by hand; results were not measured
+against other values."""
+_LEAST_DIRECTION = 1e-6
+"""Least length of either half of an epipolar equation; with a shorter one, that camera contributes nothing."""
 
 
 @dataclass(frozen=True, eq=False)
 class PairTracks:
-    """The tracks of two cameras, and who is thought to be whose partner."""
+    """Tracks of two cameras with assumed pairs."""
 
     first: Floats
-    """(K, 2, P)."""
+    """(K, 2, P) components of the first camera's tracks."""
     second: Floats
-    """(K, 2, Q)."""
+    """(K, 2, Q) components of the second camera's tracks."""
     rows: Integers
-    """(n,) of the first camera."""
+    """(n,) points of the first camera."""
     columns: Integers
-    """(n,) of the second."""
+    """(n,) their partners in the second camera."""
 
 
 def pair_evidence(pairs: PairTracks, *, leniency: float = 1.0) -> Floats:
-    """Give the logarithm (P, Q) of how much more probable one point is than two.
+    """Compute the log-likelihood ratio (P, Q) that two tracks show the same point.
 
-    Each pair among those given is judged by the others.
+    Each of the given pairs is evaluated by the others.
 
     Args:
         pairs: Tracks and pairs.
-        leniency: Factor of the variance of what pairs leave: a few tight pairs are hard judges of the rest.
+        leniency: Factor of the residuals' variance; few close pairs underestimate it for the others.
     """
     equation = fitted_equation(pairs.first[:, :, pairs.rows], pairs.second[:, :, pairs.columns])
     here, there = np.hypot(*equation[:2]), np.hypot(*equation[2:])
-    if min(here, there) < 1e-6:
+    if min(here, there) < _LEAST_DIRECTION:
         return np.zeros((pairs.first.shape[2], pairs.second.shape[2]))
     left = np.einsum("i,kip->kp", equation[:2], pairs.first)
     right = -np.einsum("i,kip->kp", equation[2:], pairs.second)
     across_left = np.einsum("i,kip->kp", _perpendicular(equation[:2] / here), pairs.first)
     across_right = np.einsum("i,kip->kp", _perpendicular(equation[2:] / there), pairs.second)
-    forth = _foretold(pairs.first, across_right, pairs.rows, pairs.columns, leniency)
-    back = _foretold(pairs.second, across_left, pairs.columns, pairs.rows, leniency)
+    forth = _predicted(pairs.first, across_right, pairs.rows, pairs.columns, leniency)
+    back = _predicted(pairs.second, across_left, pairs.columns, pairs.rows, leniency)
     return _along(left, right, pairs.rows, pairs.columns, leniency) + (forth + back.T) / 2
 
 
@@ -69,9 +74,9 @@ def _perpendicular(direction: Floats) -> Floats:
 
 
 def _log_density(away: Floats, variance: Floats) -> Floats:
-    """Give the logarithm of the density of the t distribution over the first axis, up to a constant.
+    """Compute the log-density of a multivariate t distribution over the first axis, up to a constant.
 
-    It is that of all components together: a point that lies off in one lies off in others, too.
+    All components share one tail: an outlier in one component is likely to be one in the others.
     """
     together = 1 + np.sum(away**2 / variance, axis=0) / _FREEDOM
     volume = np.sum(np.log(np.broadcast_to(variance, away.shape)), axis=0)
@@ -79,16 +84,16 @@ def _log_density(away: Floats, variance: Floats) -> Floats:
 
 
 def _variance(away: Floats) -> Floats:
-    """Give the variance of each component (K,) of what pairs (K, n) leave, steadied by that of all components."""
+    """Estimate the variance of each component (K,) of residuals (K, n), regularised by that of all components."""
     square = np.sort(away**2, axis=1)
-    # The middle of the squares, so that a few wrong pairs do not count; 0.455 is that of the chi-square distribution.
+    # The median of the squares is robust to a few wrong pairs; that of the chi-square distribution is 0.455.
     middle = np.median(square, axis=1) / 0.455
     count = away.shape[1]
     return np.asarray((count * middle + 4 * middle.mean()) / (count + 4) * (count + 1) / (count - 1) + _LEAST)
 
 
 def _along(left: Floats, right: Floats, rows: Integers, columns: Integers, leniency: float) -> Floats:
-    """Compare both sides of the equation, (K, P) and (K, Q)."""
+    """Compute the log-likelihood ratio (P, Q) of both sides of the equation, (K, P) and (K, Q)."""
     paired = left[:, rows] - right[:, columns]
     offset = np.median(paired, axis=1)
     away = left[:, :, None] - right[:, None, :] - offset[:, None, None]
@@ -97,14 +102,14 @@ def _along(left: Floats, right: Floats, rows: Integers, columns: Integers, lenie
     return _log_density(away, variance[:, None, None]) - _log_density(away, apart[:, None, None])
 
 
-def _foretold(tracks: Floats, target: Floats, rows: Integers, columns: Integers, leniency: float) -> Floats:
-    """Compare a coordinate of the other camera (K, Q) with what one camera's tracks (K, 2, P) say about it."""
+def _predicted(tracks: Floats, target: Floats, rows: Integers, columns: Integers, leniency: float) -> Floats:
+    """Compute the log-likelihood ratio (P, Q) of a coordinate (K, Q) predicted from tracks (K, 2, P)."""
     features = _features(tracks, len(rows))
     scale = float(np.mean(features[rows] ** 2))
     fits = [_Regression(features, rows, target[:, columns].T, ridge * scale) for ridge in _RIDGES]
     fit = min(fits, key=lambda fit: float(np.log(np.median(fit.left**2, axis=0) + _LEAST).sum()))
     alone = np.maximum(np.var(target, axis=1), _LEAST)
-    variance = np.minimum(leniency * _variance(fit.left.T)[:, None] * fit.doubt, alone[:, None])
+    variance = np.minimum(leniency * _variance(fit.left.T)[:, None] * fit.inflation, alone[:, None])
     guess = np.repeat(fit.guess.T[:, :, None], target.shape[1], axis=2)
     guess[:, :, columns] = fit.guess_without()
     plain = _log_density(target - np.mean(target, axis=1)[:, None], alone[:, None])
@@ -113,7 +118,7 @@ def _foretold(tracks: Floats, target: Floats, rows: Integers, columns: Integers,
 
 
 def _features(tracks: Floats, count: int) -> Floats:
-    """Give the coefficients (P, 1 + r) of tracks in their own subspace, and a one."""
+    """Compute ones and the coefficients of tracks in their own subspace, (P, 1 + r)."""
     flat = tracks.reshape(-1, tracks.shape[2])
     _, d, vt = np.linalg.svd(flat - flat.mean(1, keepdims=True), full_matrices=False)
     rank = min(_DIMENSIONS, count // 2, len(d))
@@ -121,10 +126,10 @@ def _features(tracks: Floats, count: int) -> Floats:
 
 
 class _Regression:
-    """Ridge regression on pairs, in which no pair has a say about itself."""
+    """Ridge regression on pairs with leave-one-out predictions."""
 
     def __init__(self, features: Floats, rows: Integers, wanted: Floats, ridge: float):
-        """Solve it for features (P, r) and the n pairs' targets (n, K)."""
+        """Solve for features (P, r) and targets (n, K) of the n pairs."""
         known = features[rows]
         penalty = ridge * len(rows) * np.eye(known.shape[1])
         penalty[0, 0] = 0
@@ -135,16 +140,16 @@ class _Regression:
         self.own = np.minimum(np.diagonal(self.hat[rows]), 1 - 1e-6)
         self.error = wanted - self.fitted[rows]
         self.guess = self.fitted.copy()
-        """(P, K) what is foretold; of points in pairs by the other pairs."""
+        """(P, K) prediction, for points in pairs by the other pairs."""
         self.guess[rows] = wanted - self.error / (1 - self.own)[:, None]
-        self.doubt = 1 + np.einsum("pi,ij,pj->p", features, inverse, features)
-        """(P,) factor of its variance."""
-        self.doubt[rows] = 1 / (1 - self.own)
-        self.left = (wanted - self.guess[rows]) / np.sqrt(self.doubt[rows])[:, None]
-        """(n, K) what the others' guess leaves of each pair, over the root of that factor."""
+        self.inflation = 1 + np.einsum("pi,ij,pj->p", features, inverse, features)
+        """(P,) factor of the prediction's variance."""
+        self.inflation[rows] = 1 / (1 - self.own)
+        self.left = (wanted - self.guess[rows]) / np.sqrt(self.inflation[rows])[:, None]
+        """(n, K) leave-one-out residual of each pair, over the root of that factor."""
 
     def guess_without(self) -> Floats:
-        """Give what is foretold (K, P, n) when neither the point's own pair nor the n-th one has a say."""
+        """Compute predictions (K, P, n) without the point's own pair and without the n-th pair."""
         away = self.error / (1 - self.own)[:, None]
         without = self.fitted[:, None] - self.hat[:, :, None] * away
         cross = self.hat[self.rows]

@@ -1,4 +1,4 @@
-"""How far the shapes of the homogeneous factorisation may be off: by their weights, their basis, and what it leaves."""
+"""Uncertainty of the shapes of the homogeneous factorisation: of weights, of the basis, and unmodelled deformation."""
 
 import numpy as np
 
@@ -8,15 +8,16 @@ from marey.nonrigid.in_space.measured_places import MeasuredPlaces, departures
 from marey.nonrigid.in_space.model import HomogeneousModel, add_prior, basis_normal, free_share, turned
 
 FEW_PAIRS = 10
-"""A point with so many pairs of frames says as much of itself as all points say of it."""
+"""Number of pairs of frames at which a point's own estimate of the unmodelled deformation has the same weight as that
+of all points. Chosen by hand; results were not measured against other values."""
 
 
 def shape_covariance(model: HomogeneousModel, places: MeasuredPlaces) -> Floats:
-    """Give the covariance (F, P, 3, 3) of the shapes in the object's frame.
+    """Compute the covariance (F, P, 3, 3) of the shapes in the object's frame.
 
     Args:
-        model: Solved.
-        places: What it was solved from.
+        model: Fitted model.
+        places: Measured points to which it was fitted.
     """
     carried = np.einsum("fmn,npj->fmpj", model.weight_covariance, model.modes, optimize=True)
     of_weights = np.einsum("mpi,fmpj->fpij", model.modes, carried, optimize=True)
@@ -25,7 +26,7 @@ def shape_covariance(model: HomogeneousModel, places: MeasuredPlaces) -> Floats:
 
 
 def pose_variance(model: HomogeneousModel) -> Floats:
-    """Give the sum of the three variances (F, P) that places in the laboratory have from their frame's pose."""
+    """Compute the trace (F, P) of the points' covariance in the laboratory that results from their frame's pose."""
     shapes = model.shapes
     jacobian = np.concatenate([-rotations.hat(shapes), np.broadcast_to(np.eye(3), (*shapes.shape, 3))], -1)
     return np.asarray(((jacobian @ model.pose_covariance[:, None]) * jacobian).sum((2, 3)))
@@ -37,7 +38,7 @@ def _basis_covariance(model: HomogeneousModel, places: MeasuredPlaces) -> Floats
     square = row[:, :, None] * row[:, None]
     points, count = len(model.mean), row.shape[1]
     normal = basis_normal(model, turned(information, model.rotation), square)
-    add_prior(normal, count)
+    add_prior(model, normal, count)
     inverse = np.linalg.inv(normal)
     if information.shape[-1] == 1:
         alone = square.reshape(len(row), -1) @ inverse.reshape(points, -1).T
@@ -47,10 +48,11 @@ def _basis_covariance(model: HomogeneousModel, places: MeasuredPlaces) -> Floats
 
 
 def unmodelled_variance(model: HomogeneousModel, places: MeasuredPlaces) -> Floats:
-    """Say how much of what the model leaves is no noise but shape, as a variance of each place's coordinates (F, P).
+    """Estimate the part of the residuals that is deformation, as a variance (F, P) of each point's coordinates.
 
-    Noise has forgotten itself one frame on, and shape has not: what departures share with those of the next frame is
-    shape. Fast changes are missed. A place that was not measured did not draw the model to itself, and departs more.
+    Noise is uncorrelated between frames and deformation is not, so the covariance of residuals with those of the next
+    frame is deformation; fast deformation is missed. Points that were not measured did not attract the model, and have
+    a larger variance.
     """
     away, _ = departures(places, model.places, model.variance)
     away, seen = away @ model.rotation, places.seen

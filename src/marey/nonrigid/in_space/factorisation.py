@@ -1,18 +1,18 @@
 """Shape and motion of a deforming set of points in space: the homogeneous factorisation, solved by least squares.
 
 The points of frame t are T_t (S_1 + c_t2 S_2 + ... + c_tK S_K) ([Alexander2003] eq. (15)-(18)), T_t a rigid motion.
-Unlike the paper, which takes T and the weights from singular vectors and mends them with one corrective matrix,
-everything is solved for together: poses by Gauss-Newton on the manifold of rigid motions, basis shapes point by
-point, missing points left out, the weights held by their own spread. Homogeneous coordinates (the fourth row of a
-shape is 1) say that the weights of the mean shape are 1; S_2 ... S_K are displacements and their fourth row is 0.
+Unlike the paper, which takes T and the weights from singular vectors and corrects them with one matrix, all unknowns
+are solved for together: poses by Gauss-Newton on the manifold of rigid motions, basis shapes point by point, missing
+points left out, the weights regularised by their own variance. In homogeneous coordinates (the fourth row of a shape is
+1) the weights of the mean shape are 1; S_2 ... S_K are displacements with fourth row 0.
 
-The factorisation leaves a choice ("gauge"): a motion and a displacement that looks like it cannot be told apart. Here
-displacements carry no motion of the mean shape: neither a translation nor, to first order, a rotation. So T_t is the
-motion from which the points depart least, and no more than that is known about the bone beneath. (Left free, the
-motions of real skin wander by tens of degrees for a hundredth of the residual.)
+The factorisation has a gauge freedom: a motion is not distinguishable from a displacement that looks like it. Here
+displacements carry no motion of the mean shape: neither a translation nor, to first order, a rotation. T_t is thus the
+motion from which the points depart least, and says nothing more about an underlying bone. (With a free gauge, the
+motions of real skin vary by tens of degrees for one per cent of the residual.)
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -21,50 +21,66 @@ from marey.arrays import Floats, Mask, freeze_fields
 from marey.errors import MareyError
 from marey.nonrigid.in_space.errors import shape_covariance
 from marey.nonrigid.in_space.measured_places import MeasuredPlaces, PointsInSpace
-from marey.nonrigid.in_space.model import HomogeneousModel, improve, with_more_modes
-from marey.nonrigid.in_space.rank import RankChoice, choose_rank_of
-from marey.nonrigid.in_space.start import most_shapes, start
+from marey.nonrigid.in_space.model import HomogeneousModel, HomogeneousModelSettings, refine, with_more_modes
+from marey.nonrigid.in_space.rank import RankChoice, RankChoiceSettings, choose_rank
+from marey.nonrigid.in_space.start import RigidStartSettings, most_shapes, rigid_start
 
-RIGID = "The object is rigid as far as these points tell: its mean shape alone explains them."
-UNSOLVED = "{} of {} frames have fewer than three points off one line, and no answer."
-UNTIED = "{} of {} points are never measured together with the rest, and have no answer."
+RIGID_POINTS = "The object is rigid as far as these points show: its mean shape alone explains them."
+"""Note of results without deformation modes."""
+UNSOLVED_FRAMES = "{} of {} frames have fewer than three points that are not on one line: they have no estimate."
+"""Note of frames without a pose."""
+UNCONNECTED_POINTS = "{} of {} points are never measured together with the others: they have no estimate."
+"""Note of points without a position."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FactorisationSettings:
+    """Settings of the homogeneous factorisation."""
+
+    start: RigidStartSettings = field(default_factory=RigidStartSettings)
+    """Settings of the rigid initial solution."""
+    model: HomogeneousModelSettings = field(default_factory=HomogeneousModelSettings)
+    """Settings of the least squares."""
+    rank: RankChoiceSettings = field(default_factory=RankChoiceSettings)
+    """Settings of the choice of the number of basis shapes."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class HomogeneousShapes:
-    """The shapes and rigid motions of P points over F frames; NaN where there is no answer.
+    """Shapes and rigid motions of P points over F frames; NaN where there is no estimate.
 
-    The object's frame lies at the centre of the mean shape; its axes are those of the laboratory in frame `reference`.
+    The origin of the object's frame is the centre of the mean shape; its axes are those of the laboratory in frame
+    `reference`.
     """
 
     shape: Floats
-    """(F, 3, P) in the object's frame, in the unit of the points; also of points that were missing (`predicted`)."""
+    """(F, 3, P) in the object's frame, in the unit of the points, including missing points (`predicted`)."""
     shape_sd: Floats
     """(F, 3, P) standard deviation of the shape."""
     rotation: Floats
     """(F, 3, 3) laboratory from object."""
     translation: Floats
-    """(F, 3) the object's origin in the laboratory."""
+    """(F, 3) object's origin in the laboratory."""
     covariance: Floats
-    """(F, 6, 6) of the turn about the object's axes, exp(turn) to the right of the rotation [rad], and of the
-    translation; from the noise about the model alone, not from what all points do together and the bone does not. The
-    object's axes are taken as known: an error of the reference's own pose turns all frames alike."""
+    """(F, 6, 6) covariance of the rotation about the object's axes, exp(rotation) to the right [rad], and of the
+    translation. It results from the noise about the model alone, and excludes motion of all points relative to a bone.
+    The object's axes are taken as exact: an error of the reference frame's pose rotates all frames alike."""
     basis: Floats
-    """(K, 3, P) the mean shape, and displacements of root mean square 1 a point, uncorrelated, the largest first."""
+    """(K, 3, P) mean shape, and uncorrelated modes of root mean square 1 per point, the largest first."""
     coefficients: Floats
-    """(F, K) the weights; the first is 1, the others are in the unit of the points."""
+    """(F, K) weights of the basis shapes; the first is 1, the others are in the unit of the points."""
     noise_sd: float
     """Standard deviation of a coordinate about the model."""
     residuals: Floats
     """(F, P) distance of each measured point from the model; NaN where missing."""
     predicted: Mask
-    """(F, P) true where the shape of a missing point is given."""
+    """(F, P) true where the shape includes a missing point."""
     reference: int
     """The frame in which the object's axes are those of the laboratory."""
     choice: RankChoice | None
-    """How the number of basis shapes was chosen; None where it was given."""
+    """Choice of the number of basis shapes; None where it was given."""
     notes: tuple[str, ...]
-    """What a user should know of this answer."""
+    """Notes for the user."""
 
     def __post_init__(self) -> None:
         names = ("shape", "shape_sd", "rotation", "translation", "covariance", "basis", "coefficients", "residuals")
@@ -73,24 +89,24 @@ class HomogeneousShapes:
 
     @property
     def rank(self) -> int:
-        """K, the number of basis shapes with the mean."""
+        """Number of basis shapes K, including the mean."""
         return len(self.basis)
 
     @property
     def homogeneous_basis(self) -> Floats:
-        """(K, 4, P) the basis shapes with their fourth row ([Alexander2003] eq. (15)): 1 in the mean, else 0."""
+        """(K, 4, P) basis shapes with their fourth row ([Alexander2003] eq. (15)): 1 in the mean, else 0."""
         fourth = np.zeros((self.rank, 1, self.basis.shape[2]))
         fourth[0] = 1
         return np.concatenate([self.basis, fourth], 1)
 
     @property
     def points(self) -> Floats:
-        """(F, P, 3) the model's points in the laboratory."""
+        """(F, P, 3) points of the model in the laboratory."""
         return np.asarray(np.einsum("fij,fjp->fpi", self.rotation, self.shape) + self.translation[:, None])
 
     @property
     def rotation_sd(self) -> Floats:
-        """(F, 3) standard deviation of the turn about the object's axes [rad]."""
+        """(F, 3) standard deviation of the rotation about the object's axes [rad]."""
         return np.asarray(np.sqrt(np.einsum("fii->fi", self.covariance[:, :3, :3])))
 
     @property
@@ -106,59 +122,74 @@ class HomogeneousShapes:
         return np.asarray(np.where(seen.any(0), np.sqrt(total.sum(0) / np.maximum(seen.sum(0), 1)), np.nan))
 
 
-def factorise_points(points: Floats, rank: int | None = None, *, reference: int | None = None) -> HomogeneousShapes:
-    """Find basis shapes, weights and rigid motions of points in space ([Alexander2003] eq. (15)-(21)).
+def factorise_points(
+    points: Floats,
+    rank: int | None = None,
+    *,
+    reference: int | None = None,
+    settings: FactorisationSettings = FactorisationSettings(),
+) -> HomogeneousShapes:
+    """Estimate basis shapes, weights and rigid motions of points in space ([Alexander2003] eq. (15)-(21)).
 
     Args:
         points: (F, P, 3) in any unit; NaN where a point is missing.
-        rank: K, the number of basis shapes with the mean; 1 is the rigid fit to the mean shape, None chooses it by
-            points held back.
-        reference: the frame in which the object's axes are those of the laboratory; by default the first with a pose.
+        rank: Number of basis shapes K, including the mean; 1 is the rigid fit to the mean shape. Chosen by
+            cross-validation if None.
+        reference: Frame in which the object's axes are those of the laboratory; by default the first with a pose.
+        settings: Tuned constants of the algorithm.
 
     Returns:
-        The shapes; NaN in frames with fewer than three points, and for points never measured together with the rest.
+        The shapes; NaN in frames with fewer than three points, and for points never measured together with the others.
 
     Raises:
-        MareyError: The rank does not suit the numbers of frames and points, too little is measured, or the
-            reference has no pose.
+        MareyError: The rank is too large for the numbers of frames and points, there are too few measurements, or the
+            reference frame has no pose.
     """
     points = np.asarray(points, float)
     if points.ndim != 3 or points.shape[2] != 3:
-        raise MareyError(f"Points have the shape {points.shape} and should have (frames, points, 3).")
-    return HomogeneousShapes(**solved_shapes(PointsInSpace(points), rank, reference)[1])
+        raise MareyError(f"Points have shape {points.shape}; expected (frames, points, 3).")
+    return HomogeneousShapes(**solved_shapes(PointsInSpace(points), rank, reference, settings)[1])
 
 
 def solved_shapes(
-    places: MeasuredPlaces, rank: int | None, reference: int | None
+    places: MeasuredPlaces,
+    rank: int | None,
+    reference: int | None,
+    settings: FactorisationSettings = FactorisationSettings(),
 ) -> tuple[HomogeneousModel, dict[str, Any]]:
-    """Solve the factorisation of places, however they are measured.
+    """Solve the factorisation for any kind of measurement.
 
     Args:
-        places: What is measured.
-        rank: K; None chooses it.
-        reference: see `factorise_points`.
+        places: Measured points.
+        rank: Number of basis shapes K; chosen by cross-validation if None.
+        reference: See `factorise_points`.
+        settings: Tuned constants of the algorithm.
 
     Returns:
-        The model of the frames and points with an answer, and the fields of `HomogeneousShapes`.
+        The model of the frames and points with an estimate, and the fields of `HomogeneousShapes`.
 
     Raises:
-        MareyError: as `factorise_points`.
+        MareyError: As `factorise_points`.
     """
     if rank is not None and rank < 1:
-        raise MareyError(f"The number of basis shapes is {rank} and should be at least 1.")
-    model, frames, kept = start(places)
+        raise MareyError(f"The number of basis shapes is {rank}; expected at least 1.")
+    model, frames, kept = rigid_start(places, settings.start, settings.model)
     inner = places.among(frames, kept)
     first = int(frames.argmax()) if reference is None else reference
     if not 0 <= first < len(frames) or not frames[first]:
-        raise MareyError(f"Frame {first} has fewer than three points off one line; another should be the reference.")
-    choice = choose_rank_of(places) if rank is None else None
+        raise MareyError(
+            f"Frame {first} has fewer than three points that are not on one line; choose another reference frame."
+        )
+    choice = None
+    if rank is None:
+        choice = choose_rank(places, settings=settings.rank, start=settings.start, model=settings.model)
     count = choice.rank if choice else rank or 1
     _check_rank(inner, count)
     model = with_more_modes(model, inner, count - 1)
-    improve(model, inner)
-    fields = _spread_out(model, inner, frames, kept, first)
+    refine(model, inner)
+    fields = _expanded(model, inner, frames, kept, first)
     rigid = choice is not None and count == 1
-    notes = (*_gaps(frames, kept), *((RIGID,) if rigid else ()))
+    notes = (*_gaps(frames, kept), *((RIGID_POINTS,) if rigid else ()))
     away = np.linalg.norm(places.known - fields.pop("points"), axis=-1)
     predicted = np.isfinite(fields["shape"][:, 0]) & ~places.seen
     if choice is not None:
@@ -173,26 +204,26 @@ def _check_rank(places: MeasuredPlaces, rank: int) -> None:
     if rank > most_shapes(places):
         raise MareyError(
             f"{rank} basis shapes are too many for {points} points over {frames} frames: "
-            f"at most {most_shapes(places)} can be told."
+            f"at most {most_shapes(places)} can be determined."
         )
 
 
 def _gaps(frames: Mask, kept: Mask) -> tuple[str, ...]:
-    """Say what has no answer."""
+    """Compose the notes on frames and points without an estimate."""
     notes = []
     if not frames.all():
-        notes.append(UNSOLVED.format((~frames).sum(), len(frames)))
+        notes.append(UNSOLVED_FRAMES.format((~frames).sum(), len(frames)))
     if not kept.all():
-        notes.append(UNTIED.format((~kept).sum(), len(kept)))
+        notes.append(UNCONNECTED_POINTS.format((~kept).sum(), len(kept)))
     return tuple(notes)
 
 
-def _spread_out(
+def _expanded(
     model: HomogeneousModel, places: MeasuredPlaces, frames: Mask, kept: Mask, reference: int
 ) -> dict[str, Any]:
-    """Spread the answer over all frames and points, in the axes of the reference."""
+    """Expand the solution to all frames and points, in the axes of the reference frame."""
     total, count, modes = len(frames), len(kept), len(model.modes)
-    # object of the answer from object of the model: the laboratory's axes in the reference frame
+    # object of the result from object of the model: the laboratory's axes in the reference frame
     turn = model.rotation[frames[:reference].sum()]
     basis = np.full((modes + 1, 3, count), np.nan)
     basis[:, :, kept] = np.einsum("ij,kpj->kip", turn, np.concatenate([model.mean[None], model.modes]))

@@ -1,4 +1,4 @@
-"""Shapes before cameras that see things smaller when they are farther away: the object's size is held."""
+"""Shapes before several cameras of varying magnification, with the size of the object held constant."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -7,65 +7,71 @@ import numpy as np
 
 from marey.arrays import Floats, Mask, freeze_fields
 from marey.nonrigid.core.alignment import mean_shape
-from marey.nonrigid.many_cameras.many_views import ManyViewShapes, factorise_views
+from marey.nonrigid.many_cameras.many_views import ManyViewSettings, ManyViewShapes, factorise_views
 
 _OF_CAMERAS = ("camera_from_first", "camera_sd", "scale", "translation", "noise_sd", "residuals")
+"""Fields of `ManyViewShapes` whose first axis is the cameras."""
 _ROUNDS = 10
-_FEWEST = 6
-"""Points that two cameras see, below which those count that one sees."""
-_SLIGHT = 0.01
-"""Magnifications that differ by less are none."""
+"""Number of rounds of alignment and scaling. Chosen by hand; results were not measured against other values."""
+_FEWEST_SHARED = 6
+"""In frames with fewer points seen by two cameras, those seen by one camera are used as well. Chosen by hand; results
+were not measured against other values."""
+_LEAST_RANGE = 0.01
+"""Magnifications with a smaller range of logarithms are set to 1. Chosen by hand; results were not measured against
+other values."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class HeldSizeShapes:
-    """Shapes of one size, and how large the cameras show them."""
+    """Shapes of constant size, and their magnification by the cameras."""
 
     shapes: ManyViewShapes
-    """Those of the tracks divided by the magnification."""
+    """Shapes from the tracks divided by the magnification."""
     magnification: Floats
-    """(F,) how large a frame's pictures are, 1 on average; the same in all cameras."""
+    """(F,) magnification of a frame, 1 on average; the same in all cameras."""
 
     def __post_init__(self) -> None:
         freeze_fields(self, "magnification")
 
 
-def factorise_at_held_size(tracks: Floats) -> HeldSizeShapes:
-    """Find shapes from several cameras that show the object larger and smaller as it comes and goes.
+def factorise_at_held_size(tracks: Floats, settings: ManyViewSettings | None = None) -> HeldSizeShapes:
+    """Estimate shapes from several cameras whose magnification changes with the object's distance.
 
-    An object that grows and one that comes nearer look alike to cameras of which nothing is known. A limb bends,
-    but as a whole it keeps its size: what changes of that is put down to the distance, in each frame for all cameras
-    together. [Alexander2003] section 2.4 leaves it in the coefficients.
+    Uncalibrated cameras do not distinguish an object that grows from one that approaches. A limb bends but keeps its
+    overall size, so a change of that size is attributed to the distance, in each frame for all cameras together.
+    [Alexander2003] section 2.4 leaves it in the coefficients.
 
     Args:
-        tracks: (C, F, 2, P) as for `factorise_views`; of a camera that shares no point all NaN.
+        tracks: (C, F, 2, P) as for `factorise_views`; all NaN for a camera that shares no point.
+        settings: Tuned constants of `factorise_views`; the defaults if None.
 
     Returns:
-        The shapes; where the magnification is as good as constant, those of the tracks as they are. What belongs to a
-        camera that shares no point is NaN.
+        The shapes; where the magnification is nearly constant, those of the unchanged tracks. Values of a camera that
+        shares no point are NaN.
 
     Raises:
         MareyError: As `factorise_views`.
     """
     tracks = np.asarray(tracks, float)
-    tied: Mask = np.asarray(np.isfinite(tracks).any(axis=(1, 2, 3)))
-    found = factorise_views(tracks[tied])
+    settings = settings or ManyViewSettings()
+    used: Mask = np.asarray(np.isfinite(tracks).any(axis=(1, 2, 3)))
+    found = factorise_views(tracks[used], settings)
     magnification = magnifications(found.shape, _known(tracks))
-    if np.ptp(np.log(magnification)) < _SLIGHT:
+    if np.ptp(np.log(magnification)) < _LEAST_RANGE:
         magnification = np.ones(tracks.shape[1])
     else:
-        found = factorise_views(tracks[tied] / magnification[:, None, None])
-    return HeldSizeShapes(shapes=_of_all_cameras(found, tied), magnification=magnification)
+        found = factorise_views(tracks[used] / magnification[:, None, None], settings)
+    return HeldSizeShapes(shapes=_of_all_cameras(found, used), magnification=magnification)
 
 
-def _of_all_cameras(found: ManyViewShapes, tied: Mask) -> ManyViewShapes:
-    """Give an answer of some cameras among all of them; NaN for the others."""
-    if tied.all():
+def _of_all_cameras(found: ManyViewShapes, used: Mask) -> ManyViewShapes:
+    """Insert the results of some cameras among all of them; NaN for the others."""
+    if used.all():
         return found
 
     def wide(values: Floats) -> Floats:
-        full = np.full((len(tied), *values.shape[1:]), np.nan)
-        full[tied] = values
+        full = np.full((len(used), *values.shape[1:]), np.nan)
+        full[used] = values
         return full
 
     parts: dict[str, Any] = {name: wide(getattr(found, name)) for name in _OF_CAMERAS}
@@ -73,21 +79,21 @@ def _of_all_cameras(found: ManyViewShapes, tied: Mask) -> ManyViewShapes:
 
 
 def _known(tracks: Floats) -> Mask:
-    """Tell which places (F, P) are known in space: by two cameras; where those are few in a frame, by one."""
+    """Find the points (F, P) known in space: seen by two cameras or, in frames with few such points, by one."""
     cameras = np.isfinite(tracks).all(axis=2).sum(axis=0)
     twice = cameras >= 2
-    return np.where((twice.sum(axis=1) >= _FEWEST)[:, None], twice, cameras >= 1)
+    return np.asarray(np.where((twice.sum(axis=1) >= _FEWEST_SHARED)[:, None], twice, cameras >= 1))
 
 
 def magnifications(shape: Floats, known: Mask) -> Floats:
-    """Give the sizes of shapes against their mean, by scaled alignment ([Gower1975]).
+    """Estimate the sizes of shapes relative to their mean by scaled alignment ([Gower1975]).
 
     Args:
         shape: (F, 3, P).
-        known: (F, P) which points count.
+        known: (F, P) mask of the points used.
 
     Returns:
-        (F,) 1 on average; between those of the nearest frames where a frame has fewer than three points that count.
+        (F,) sizes, 1 on average; interpolated in frames with fewer than three used points.
     """
     points = np.swapaxes(shape, 1, 2)
     enough = known.sum(axis=1) >= 3
@@ -103,7 +109,7 @@ def magnifications(shape: Floats, known: Mask) -> Floats:
 
 
 def _centred(points: Floats, known: Mask) -> Floats:
-    """Give points (F, P, 3) about the middle of those that are known; 0 for the others."""
+    """Centre points (F, P, 3) on the mean of the known ones; 0 for the others."""
     kept = np.where(known[..., None], points, 0)
     middle = kept.sum(axis=1) / np.maximum(known.sum(axis=1), 1)[:, None]
     return np.where(known[..., None], points - middle[:, None], 0)

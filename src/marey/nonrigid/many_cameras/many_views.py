@@ -1,13 +1,13 @@
-"""Shape and motion of a deforming object before several uncalibrated cameras that stand fixed.
+"""Shape and motion of a deforming object before several uncalibrated cameras that are fixed to each other.
 
-The model is that of [Alexander2003] eq. (13) and (14): the cameras share the deformation's coefficients and one
-rotation a frame. Unlike the paper, which factors the stacked tracks and enforces the fixed relative rotations
-afterwards, they are there from the start: what two cameras share gives all of their relation but one angle, and that
-angle is searched for, judged like the answers of one camera by how probable it makes the tracks under a Gaussian model
-of a deforming shape (`deforming_model`).
+The model is that of [Alexander2003] eq. (13) and (14): the cameras share the coefficients of the deformation and one
+rotation per frame. Unlike the paper, which factors the stacked tracks and enforces the fixed relative rotations
+afterwards, these are part of the model from the start: the tracks of two cameras determine their relative orientation
+up to one angle, and that angle is chosen by the probability of the tracks under a Gaussian model of a deforming shape
+(`deforming_model`).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -18,31 +18,48 @@ from marey.nonrigid.core.alignment import mean_shape
 from marey.nonrigid.core.deforming_model import (
     DeformingModel,
     basis_cost,
-    begin,
-    improve,
+    initial_model,
+    refine,
     residuals_and_jacobians,
     shape_variance,
     solve_shapes,
 )
-from marey.nonrigid.core.track_checks import RIGID, checked
-from marey.nonrigid.many_cameras.view_angle import Judged, Views, best_angle, most_modes, path_of, stacked, views_of
-from marey.nonrigid.many_cameras.view_checks import checked_views
-from marey.nonrigid.many_cameras.view_geometry import FEWEST_FRAMES, FEWEST_POINTS, rows_of
-from marey.nonrigid.one_camera.one_view import PRICE_OF_DEFORMING
+from marey.nonrigid.core.refinement import FEWEST_FRAMES, RefinementSettings
+from marey.nonrigid.core.track_checks import FEWEST_POINTS, RIGID, check_tracks
+from marey.nonrigid.many_cameras.view_angle import (
+    CameraArrangement,
+    NormalisedViews,
+    ViewAngleSettings,
+    best_angle,
+    initial_motion,
+    most_modes,
+    normalised_views,
+    stacked,
+)
+from marey.nonrigid.many_cameras.view_checks import ViewCheckSettings, checked_views
+from marey.nonrigid.many_cameras.view_geometry import rows_of
 
-MODES = (3, 6, 12, 20, 36)
-PRICE = 0.3
-ROUNDS = 12
-FIRST_NOISE = 0.005
-SHARE_IN_DOUBT = 0.7
-"""Where a turn at a constant rate is believed: share of the way to the motion of least departure, as a standard
-deviation."""
-UNEVEN = 1.2
-"""Noise of one camera over another's from which they are weighed differently."""
-UNSURE = 10.0
-"""Standard deviation of a camera's turn [degrees] from which it is called in doubt."""
-KEPT = 1e-3
-"""A mode whose weights are below this share of the object's size is not told."""
+
+@dataclass(frozen=True, kw_only=True)
+class ManyViewSettings:
+    """Settings of the factorisation of several orthographic cameras' tracks.
+
+    Where nothing else is stated, defaults were chosen by hand, and results were not measured against other values.
+    """
+
+    steady_uncertainty: float = 0.7
+    """Standard deviation of a rotation of constant rate, as a fraction of its difference from the motion of least
+    departure."""
+    uneven_noise: float = 1.2
+    """Cameras are weighted by their noise where the largest is more than this times the smallest."""
+    uncertain_angle_deg: float = 10.0
+    """A note is given where the standard deviation of a camera's rotation exceeds this [degrees]."""
+    refinement: RefinementSettings = field(default_factory=RefinementSettings)
+    """Settings of the final fit."""
+    angle: ViewAngleSettings = field(default_factory=ViewAngleSettings)
+    """Settings of the search for the angle between two cameras."""
+    checks: ViewCheckSettings = field(default_factory=ViewCheckSettings)
+    """Settings of the checks of the tracks."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -50,39 +67,40 @@ class ManyViewShapes:
     """Shapes and motion before several cameras.
 
     The tracks of camera c in frame f are the first two rows of
-    scale[c] * camera_from_first[c] @ rotation[f] @ shape[f], plus translation[c, f]. What orthographic cameras cannot
-    tell, however many, is chosen: one of the two mirror images (depth and relative rotations mirrored together), the
-    object's axes, which are the first camera's in the first frame, and the unit, that of the first camera's tracks.
+    scale[c] * camera_from_first[c] @ rotation[f] @ shape[f], plus translation[c, f]. What orthographic cameras do not
+    determine, whatever their number, is chosen by convention: one of the two mirror images (depth and relative
+    rotations mirrored together), the object's axes, which are the first camera's in the first frame, and the unit, that
+    of the first camera's tracks.
     """
 
     shape: Floats
-    """(F, 3, P) in the object's frame, also of points that were not seen (`predicted`)."""
+    """(F, 3, P) in the object's frame, including points that were not seen (`predicted`)."""
     shape_sd: Floats
-    """(F, 3, P)."""
+    """(F, 3, P) standard deviation of the shape."""
     rotation: Floats
     """(F, 3, 3) first camera from object."""
     rotation_sd: Floats
-    """(F, 3) of the turn about the first camera's axes [rad]."""
+    """(F, 3) standard deviation of the rotation about the first camera's axes [rad]."""
     camera_from_first: Floats
     """(C, 3, 3) each camera from the first."""
     camera_sd: Floats
-    """(C, 3) of that turn about the camera's own axes [rad]; 0 for the first."""
+    """(C, 3) standard deviation of that rotation about the camera's own axes [rad]; 0 for the first."""
     scale: Floats
-    """(C,) of a camera over the first."""
+    """(C,) scale of a camera over that of the first."""
     translation: Floats
-    """(C, F, 2); NaN where a camera sees nothing of a frame."""
+    """(C, F, 2) image of the object's origin; NaN where a camera sees nothing of a frame."""
     basis: Floats
-    """(K, 3, P) the mean shape, and displacements of root mean square 1 a point, the largest first."""
+    """(K, 3, P) mean shape, and modes of root mean square 1 per point, the largest first."""
     coefficients: Floats
-    """(F, K) weights; the first is 1."""
+    """(F, K) weights of the basis shapes; the first is 1."""
     noise_sd: Floats
     """(C,) standard deviation of a coordinate of a camera's tracks about the model."""
     residuals: Floats
-    """(C, F, P) distance of a seen point from the model; NaN where not seen."""
+    """(C, F, P) distance of each seen point from the model; NaN where not seen."""
     predicted: Mask
-    """(F, P) true where the shape of a point is given that no camera saw."""
+    """(F, P) true where the shape includes a point that no camera saw."""
     notes: tuple[str, ...]
-    """What a user should know of this answer."""
+    """Notes for the user."""
 
     def __post_init__(self) -> None:
         freeze_fields(
@@ -104,7 +122,7 @@ class ManyViewShapes:
 
     @property
     def rank(self) -> int:
-        """K, the number of basis shapes with the mean."""
+        """Number of basis shapes K, including the mean."""
         return len(self.basis)
 
     @property
@@ -114,24 +132,29 @@ class ManyViewShapes:
 
 
 @dataclass
-class _Refined:
+class _ManyViewFit:
+    """Model and cameras, changed in place while they are refined."""
+
     model: DeformingModel
     camera_from_base: Floats
+    """(C, 3, 3) each camera from the first of the base."""
     scale: Floats
+    """(C,) scale of each camera over that of the first of the base."""
     noise: Floats
-    """(C,) standard deviation of a camera's coordinates in relation to the others': its rows are divided by it."""
+    """(C,) relative standard deviation of each camera's coordinates, by which its rows are divided."""
     camera_variance: Floats
-    """(C, 3) of the turns [rad2], the shapes taken as known."""
+    """(C, 3) variance of the cameras' rotations [rad2], given the shapes."""
     steady: bool
-    """The object, or the cameras, turn at a constant rate."""
+    """True where the object, or the cameras, rotate at a constant rate."""
 
 
-def factorise_views(tracks: Floats) -> ManyViewShapes:
-    """Find shapes, rotations and basis shapes from the tracks of several orthographic cameras that stand fixed.
+def factorise_views(tracks: Floats, settings: ManyViewSettings = ManyViewSettings()) -> ManyViewShapes:
+    """Estimate shapes, rotations and basis shapes from the tracks of several fixed orthographic cameras.
 
     Args:
-        tracks: (C, F, 2, P) the same points in all cameras at the same instants, each camera in a unit of its own; NaN
-            where a camera does not see a point, also where it never does.
+        tracks: (C, F, 2, P) of the same points in all cameras at the same instants, each camera in its own unit; NaN
+            where a camera does not see a point, including points that it never sees.
+        settings: Tuned constants of the algorithm.
 
     Returns:
         The shapes.
@@ -142,65 +165,73 @@ def factorise_views(tracks: Floats) -> ManyViewShapes:
     """
     tracks = np.asarray(tracks, float)
     _check(tracks)
-    tracks, notes = checked_views(tracks)
-    views = views_of(tracks, _check(tracks))
-    best, others = best_angle(views)
-    found = _tell(views, _refined(views, best), others, tracks)
-    return replace(found, notes=(*notes, *_told_by(found)))
+    tracks, notes = checked_views(tracks, settings.checks)
+    views = normalised_views(tracks, _check(tracks), settings.angle)
+    best, others = best_angle(views, settings.angle)
+    found = _result(views, _refined(views, best, settings), others, tracks, settings)
+    return replace(found, notes=(*notes, *_result_notes(found, settings.uncertain_angle_deg)))
 
 
-def _told_by(found: ManyViewShapes) -> tuple[str, ...]:
+def _result_notes(found: ManyViewShapes, uncertain: float) -> tuple[str, ...]:
     notes = [RIGID] if found.rank == 1 else []
     worst = np.rad2deg(found.camera_sd.max())
-    if worst > UNSURE:
+    if worst > uncertain:
         notes.append(
-            f"How the cameras stand to each other is hardly told: to {worst:.0f} degrees. The object turns too little "
-            "or deforms too much; the shapes are in doubt by as much in depth. A third camera would tell."
+            f"The relative orientation of the cameras is determined only to {worst:.0f} degrees: the object rotates "
+            "too little or deforms too much. The depth of the shapes is uncertain accordingly. Add a third camera."
         )
     return tuple(notes)
 
 
 def _check(tracks: Floats) -> Mask:
     if tracks.ndim != 4 or len(tracks) < 2:
-        raise MareyError(f"Tracks have the shape {tracks.shape} and should have (cameras >= 2, frames, 2, points).")
-    return checked(tracks, points=FEWEST_POINTS, frames=FEWEST_FRAMES)
+        raise MareyError(f"Tracks have shape {tracks.shape}; expected (cameras >= 2, frames, 2, points).")
+    return check_tracks(tracks, points=FEWEST_POINTS, frames=FEWEST_FRAMES)
 
 
-def _refined(views: Views, best: Judged) -> _Refined:
-    """Fit the model to all points of all cameras, for several numbers of modes; give the best."""
-    even = np.ones(len(views.tracks))
-    fits = [_fitted(views, best, modes, even) for modes in sorted({most_modes(modes, views) for modes in MODES})]
-    fit = min(fits, key=lambda fit: fit.model.cost + PRICE * basis_cost(fit.model))
-    rigid = _fitted(views, best, 0, even)
-    # Noise alone fills modes, too.
-    if rigid.model.cost <= min(fit.model.cost + PRICE_OF_DEFORMING * basis_cost(fit.model) for fit in fits):
+def _refined(views: NormalisedViews, best: CameraArrangement, settings: ManyViewSettings) -> _ManyViewFit:
+    """Fit the model to all points of all cameras with several numbers of modes, and select the best fit."""
+    even, refinement = np.ones(len(views.tracks)), settings.refinement
+    counts = sorted({most_modes(modes, views, settings.angle) for modes in refinement.mode_counts})
+    fits = [_fitted(views, best, modes, even, settings) for modes in counts]
+    fit = min(fits, key=lambda fit: fit.model.cost + refinement.cost_share * basis_cost(fit.model))
+    rigid = _fitted(views, best, 0, even, settings)
+    # Noise alone also fills modes.
+    if rigid.model.cost <= min(fit.model.cost + refinement.rigid_cost_share * basis_cost(fit.model) for fit in fits):
         fit = rigid
     noise = _noise_of_cameras(views, fit)
-    if noise.max() > UNEVEN * noise.min():
-        fit = _fitted(views, best, len(fit.model.modes), noise / np.sqrt(np.mean(noise**2)))
+    if noise.max() > settings.uneven_noise * noise.min():
+        fit = _fitted(views, best, len(fit.model.modes), noise / np.sqrt(np.mean(noise**2)), settings)
     return fit
 
 
-def _fitted(views: Views, best: Judged, modes: int, noise: Floats) -> _Refined:
+def _fitted(
+    views: NormalisedViews, best: CameraArrangement, modes: int, noise: Floats, settings: ManyViewSettings
+) -> _ManyViewFit:
+    """Fit model and cameras for a number of modes and relative noise (C,) of the cameras."""
     tracks, seen = stacked(views.tracks, noise)
-    model = _begun(views, best, modes, noise)
-    fit = _Refined(
-        model, best.camera_from_base.copy(), best.scale.copy(), noise, np.zeros((len(noise), 3)), path_of(best)[2]
-    )
-    for _ in range(ROUNDS):
-        improve(model, tracks, seen, 1)
-        _turn_cameras(views, fit, tracks, seen)
-    improve(model, tracks, seen, 1)
+    model, steady = _initial_model(views, best, modes, noise, settings)
+    fit = _ManyViewFit(
+        model, best.camera_from_base.copy(), best.scale.copy(), noise, np.zeros((len(noise), 3)), steady
+    )  # fmt: skip
+    for _ in range(settings.refinement.rounds):
+        refine(model, tracks, seen, 1)
+        _refine_cameras(views, fit, tracks, seen)
+    refine(model, tracks, seen, 1)
     return fit
 
 
-def _begun(views: Views, best: Judged, modes: int, noise: Floats) -> DeformingModel:
-    """Begin with the common points; the shapes of others follow from the frames of those."""
+def _initial_model(
+    views: NormalisedViews, best: CameraArrangement, modes: int, noise: Floats, settings: ManyViewSettings
+) -> tuple[DeformingModel, bool]:
+    """Create a model from the common points, and add the others by the motion of these; also whether it is steady."""
     common, points = views.common, views.tracks.shape[3]
-    rotation, shapes, _ = path_of(best)
+    rotation, shapes, steady = initial_motion(best, settings.angle)
     projection = rows_of(best.camera_from_base, best.scale / noise)
     tracks, seen = stacked(views.tracks[..., common], noise)
-    model = begin(tracks, seen, rotation, shapes, modes, FIRST_NOISE, projection)
+    model = initial_model(
+        tracks, seen, rotation, shapes, modes, settings.refinement.initial_noise, projection, settings.angle.model
+    )  # fmt: skip
     if len(common) < points:
         for name in ("mean", "modes"):
             part = getattr(model, name)
@@ -208,14 +239,14 @@ def _begun(views: Views, best: Judged, modes: int, noise: Floats) -> DeformingMo
             whole[..., common] = part
             setattr(model, name, whole)
         solve_shapes(model, *stacked(views.tracks, noise))
-    return model
+    return model, steady
 
 
-def _turn_cameras(views: Views, fit: _Refined, tracks: Floats, seen: Floats) -> None:
-    """Do a Gauss-Newton step of every camera's rotation and scale, the shapes kept and the shifts free.
+def _refine_cameras(views: NormalisedViews, fit: _ManyViewFit, tracks: Floats, seen: Floats) -> None:
+    """Do a Gauss-Newton step of each camera's rotation and scale, with fixed shapes and free shifts.
 
-    Of two cameras the angle between the sights stays what its evidence made it: it hangs on the shapes and goes
-    where they go.
+    For two cameras the angle between the lines of sight is kept: it is strongly correlated with the shapes and would
+    follow them.
     """
     model = fit.model
     carried = np.swapaxes(model.rotation @ model.shapes, 1, 2)
@@ -240,22 +271,25 @@ def _turn_cameras(views: Views, fit: _Refined, tracks: Floats, seen: Floats) -> 
     model.projection = rows_of(fit.camera_from_base, fit.scale / fit.noise)
 
 
-def _noise_of_cameras(views: Views, fit: _Refined) -> Floats:
+def _noise_of_cameras(views: NormalisedViews, fit: _ManyViewFit) -> Floats:
+    """Estimate the noise (C,) of each camera's coordinates, in units of its size."""
     """Estimate the standard deviation of a coordinate of each camera, in its size."""
     model = fit.model
     tracks, seen = stacked(views.tracks, fit.noise)
     residual, jacobian = residuals_and_jacobians(model, tracks, seen)
-    doubt = np.einsum("frpd,fde,frpe->r", jacobian, model.covariance[0], jacobian, optimize=True)
-    square = ((residual**2).sum((0, 2)) + doubt).reshape(-1, 2).sum(1) / (2 * seen.sum((0, 2)))
+    uncertainty = np.einsum("frpd,fde,frpe->r", jacobian, model.covariance[0], jacobian, optimize=True)
+    square = ((residual**2).sum((0, 2)) + uncertainty).reshape(-1, 2).sum(1) / (2 * seen.sum((0, 2)))
     return np.asarray(np.sqrt(square) * fit.noise)
 
 
-def _disagreement(views: Views, fit: _Refined, others: list[Judged]) -> tuple[Floats, Floats, Floats]:
-    """Say how answers differ whose angle lies a standard deviation away, each turned to fit the shapes best.
+def _squared_differences(
+    views: NormalisedViews, fit: _ManyViewFit, others: list[CameraArrangement], settings: ViewAngleSettings
+) -> tuple[Floats, Floats, Floats]:
+    """Compute the differences of solutions one standard deviation of the angle away, each rotated to fit best.
 
     Returns:
-        Mean squares of the differences of the shapes (F, 3, P), of the turns about the first camera's axes (F, 3), and
-        of the cameras' turns about their own (C, 3).
+        Mean squares of the differences of the shapes (F, 3, P), of the rotations about the first camera's axes (F, 3),
+        and of the cameras' rotations about their own axes (C, 3).
     """
     own, shapes = fit.camera_from_base[0] @ fit.model.rotation, fit.model.shapes
     relative = fit.camera_from_base @ fit.camera_from_base[0].T
@@ -263,9 +297,9 @@ def _disagreement(views: Views, fit: _Refined, others: list[Judged]) -> tuple[Fl
     of_shape, of_turn, of_camera = np.zeros(shapes.shape), np.zeros((len(shapes), 3)), np.zeros((len(relative), 3))
     for other in others:
         first = other.camera_from_base[0]
-        rotation, theirs, _ = path_of(other)
+        rotation, theirs, _ = initial_motion(other, settings)
         rotation = first @ rotation
-        # one map of all frames' points, so that also those have a place that only one camera sees
+        # one map for the points of all frames, so that it also applies to points that only one camera sees
         ours, known = (np.concatenate(list(x), 1) for x in ((own @ shapes)[:, :, views.common], rotation @ theirs))
         moved = np.swapaxes(rotation, 1, 2) @ (known @ np.linalg.pinv(ours)) @ own @ shapes
         turn = rotations.nearest(rows @ np.concatenate(list(moved), 1).T)
@@ -277,13 +311,18 @@ def _disagreement(views: Views, fit: _Refined, others: list[Judged]) -> tuple[Fl
     return of_shape / count, of_turn / count, of_camera / count
 
 
-def _doubt_of_path(model: DeformingModel, steady: bool) -> tuple[Floats, Floats]:
-    """Say how far another motion may be meant: how much of a deformation is a turn of the whole, tracks do not tell.
+def _motion_ambiguity(model: DeformingModel, steady: bool, uncertainty: float) -> tuple[Floats, Floats]:
+    """Compute the ambiguity between motion and deformation, which tracks do not resolve.
 
-    A turn as large as the departure from the mean shape is left open.
+    A rotation as large as the departure from the mean shape is taken as undetermined.
+
+    Args:
+        model: The fitted model.
+        steady: Whether a rotation of constant rate was chosen.
+        uncertainty: Fraction of the difference from the motion of least departure that is then uncertain.
 
     Returns:
-        Mean squares of the shapes' differences (F, 3, P) and of the turns (F, 3).
+        Mean squares of the shapes' differences (F, 3, P) and of the rotations (F, 3).
     """
     shapes = model.shapes
     mean = shapes.mean(0)
@@ -293,20 +332,26 @@ def _doubt_of_path(model: DeformingModel, steady: bool) -> tuple[Floats, Floats]
     if steady:
         turn = rotations.nearest(np.concatenate(list(shapes), 1) @ np.concatenate(list(moved), 1).T)
         apart = rotations.log(least @ turn.T @ np.swapaxes(model.rotation, 1, 2))
-        return (SHARE_IN_DOUBT * (turn @ moved - shapes)) ** 2, (SHARE_IN_DOUBT * apart) ** 2
+        return (uncertainty * (turn @ moved - shapes)) ** 2, (uncertainty * apart) ** 2
     open_turn = np.mean((shapes - mean) ** 2) / np.mean(mean**2)
     across = open_turn * ((mean**2).sum(0) - mean**2)
     return np.broadcast_to(across, shapes.shape), np.full((len(shapes), 3), open_turn)
 
 
-def _tell(views: Views, fit: _Refined, others: list[Judged], tracks: Floats) -> ManyViewShapes:
-    """Give the answer in the first camera's unit and axes, the object's axes those of its first frame."""
+def _result(
+    views: NormalisedViews,
+    fit: _ManyViewFit,
+    others: list[CameraArrangement],
+    tracks: Floats,
+    settings: ManyViewSettings,
+) -> ManyViewShapes:
+    """Convert the fit to the first camera's unit and axes, with the object's axes those of its first frame."""
     model, first = fit.model, fit.camera_from_base[0]
-    doubt = _disagreement(views, fit, others)
+    of_angle = _squared_differences(views, fit, others, settings.angle)
     unit = float(views.size[0] * fit.scale[0])
     turn = first @ model.rotation[0]
     rotation = first @ model.rotation @ turn.T
-    coefficients, basis = _modes(model, turn, unit)
+    coefficients, basis = _ordered_modes(model, turn, unit, settings.refinement.least_mode_size)
     shape = np.einsum("fk,kip->fip", coefficients, basis)
     camera_from_first = fit.camera_from_base @ first.T
     scale = fit.scale * views.size / unit
@@ -314,13 +359,13 @@ def _tell(views: Views, fit: _Refined, others: list[Judged], tracks: Floats) -> 
     translation = np.where(np.asarray(views.seen.any(2))[..., None], shift + views.middle, np.nan)
     shown = np.einsum("cij,fjp->cfip", scale[:, None, None] * camera_from_first[:, :2], rotation @ shape)
     variance = shape_variance(model, stacked(views.tracks, fit.noise)[1])
-    of_path, of_gauge = _doubt_of_path(model, fit.steady)
+    of_path, of_gauge = _motion_ambiguity(model, fit.steady, settings.steady_uncertainty)
     of_turn = np.einsum("ij,fjk,ik->fi", first, model.covariance[0][:, :3, :3], first)
-    camera_variance = fit.camera_variance + fit.camera_variance[0] + doubt[2]
+    camera_variance = fit.camera_variance + fit.camera_variance[0] + of_angle[2]
     camera_variance[0] = 0
     return ManyViewShapes(
-        shape=shape, shape_sd=np.sqrt(turn**2 @ (variance + doubt[0] + of_path)) * unit, rotation=rotation,
-        rotation_sd=np.sqrt(of_turn + doubt[1] + of_gauge), camera_from_first=camera_from_first,
+        shape=shape, shape_sd=np.sqrt(turn**2 @ (variance + of_angle[0] + of_path)) * unit, rotation=rotation,
+        rotation_sd=np.sqrt(of_turn + of_angle[1] + of_gauge), camera_from_first=camera_from_first,
         camera_sd=np.sqrt(camera_variance), scale=scale, translation=translation, basis=basis,
         coefficients=coefficients, noise_sd=_noise_of_cameras(views, fit) * views.size,
         residuals=np.linalg.norm(tracks - shown - translation[..., None], axis=2),
@@ -328,13 +373,13 @@ def _tell(views: Views, fit: _Refined, others: list[Judged], tracks: Floats) -> 
     )  # fmt: skip
 
 
-def _modes(model: DeformingModel, turn: Floats, unit: float) -> tuple[Floats, Floats]:
-    """Give coefficients (F, K) and basis (K, 3, P): the mean, and by their size the modes that do something."""
+def _ordered_modes(model: DeformingModel, turn: Floats, unit: float, least: float) -> tuple[Floats, Floats]:
+    """Compute coefficients (F, K) and basis (K, 3, P): the mean, and the modes above the least size, largest first."""
     mean = model.mean + np.einsum("m,mip->ip", model.weights.mean(0), model.modes)
     frames, points = len(model.weights), mean.shape[1]
     left = np.einsum("fm,mip->fip", model.weights - model.weights.mean(0), model.modes).reshape(frames, -1)
     u, d, vt = np.linalg.svd(left, full_matrices=False)
-    count = int((d[: len(model.modes)] > KEPT * np.sqrt(frames * points)).sum())
+    count = int((d[: len(model.modes)] > least * np.sqrt(frames * points)).sum())
     coefficients = np.concatenate([np.ones((frames, 1)), u[:, :count] * d[:count] / np.sqrt(points) * unit], 1)
     modes = (vt[:count] * np.sqrt(points)).reshape(count, 3, points)
     return coefficients, np.concatenate([(turn @ mean * unit)[None], turn @ modes])

@@ -1,7 +1,7 @@
-"""Shapes before one camera that shows a thing larger and smaller as it comes and goes: scaled orthographic projection.
+"""Shapes before one camera of varying magnification: scaled orthographic projection.
 
-Each frame has a magnification besides its rotation and shift. A shape that grows as a whole and one that comes nearer
-look alike, so the object's size as a whole is held, as before several cameras (`held_size`).
+Each frame has a magnification besides its rotation and shift. A shape that grows as a whole and one that approaches
+look alike, so the object's overall size is held constant, as before several cameras (`held_size`).
 """
 
 from dataclasses import dataclass, replace
@@ -9,75 +9,78 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from marey.arrays import Floats, Mask, freeze_fields
-from marey.nonrigid.core.completion import complete_tracks
+from marey.nonrigid.core.completion import COMPLETION_RANK, complete_tracks
+from marey.nonrigid.core.metric_upgrade import metric_products
 from marey.nonrigid.many_cameras.held_size import magnifications
-from marey.nonrigid.one_camera.one_view import COMPLETING_RANK, NonRigidShapes, factorise_tracks
+from marey.nonrigid.one_camera.one_view import NonRigidShapes, OneViewSettings, factorise_tracks
 
-LEAST = 0.2
-"""Magnifications below this share of the middle one mean that no rigid object fits."""
-ROUNDS = 2
-_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
-"""Elements of a symmetric metric."""
+_LEAST_MAGNIFICATION = 0.2
+"""No rigid object fits the tracks where a magnification is below this fraction of the median. Chosen by hand; results
+were not measured against other values."""
+_ROUNDS = 2
+"""Number of factorisations. Chosen by hand; results were not measured against other values."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ScaledShapes:
-    """Shapes of one size: tracks = magnification times the first two rows of rotation @ shape, + translation."""
+    """Shapes of constant size: tracks = magnification times the first two rows of rotation @ shape, + translation."""
 
     shapes: NonRigidShapes
-    """Those of the tracks divided by the magnification; its translations and residuals are divided, too."""
+    """Shapes from the tracks divided by the magnification; translations and residuals are divided as well."""
     magnification: Floats
-    """(F,) how large a frame's picture is, 1 on average."""
+    """(F,) magnification of a frame, 1 on average."""
 
     def __post_init__(self) -> None:
         freeze_fields(self, "magnification")
 
     @property
     def in_tracks_unit(self) -> NonRigidShapes:
-        """The shapes with translations and residuals as the tracks have them; the shapes stay of one size."""
+        """Shapes with translations and residuals in the unit of the tracks; the shapes keep their constant size."""
         plain, size = self.shapes, self.magnification[:, None]
         return replace(plain, translation=plain.translation * size, residuals=plain.residuals * size)
 
 
-def factorise_scaled(tracks: Floats, *, rank: int | None = None) -> ScaledShapes:
-    """Find shapes and magnifications from the tracks of one scaled orthographic camera ([Alexander2003] section 2.4).
+def factorise_scaled(
+    tracks: Floats, *, rank: int | None = None, settings: OneViewSettings | None = None
+) -> ScaledShapes:
+    """Estimate shapes and magnifications from the tracks of a scaled orthographic camera ([Alexander2003] section 2.4).
 
     Args:
         tracks: (F, 2, P) as for `factorise_tracks`.
-        rank: K, the number of basis shapes with the mean; None chooses it.
+        rank: Number of basis shapes K, including the mean; chosen by evidence if None.
+        settings: Tuned constants of `factorise_tracks`; the defaults if None.
 
     Returns:
-        The shapes. Their standard deviations are those of known magnifications.
+        The shapes. Their standard deviations take the magnifications as exact.
 
     Raises:
         MareyError: As `factorise_tracks`.
         SettingProblem: As `factorise_tracks`.
     """
-    tracks = np.asarray(tracks, float)
+    tracks, settings = np.asarray(tracks, float), settings or OneViewSettings()
     seen: Mask = np.asarray(np.isfinite(tracks).all(1))
     magnification: Floats = np.ones(len(tracks))
     if seen.any(1).all() and seen.any(0).all():
-        complete = tracks if seen.all() else complete_tracks(tracks, seen, COMPLETING_RANK)[0]
+        complete = tracks if seen.all() else complete_tracks(tracks, seen, COMPLETION_RANK)[0]
         magnification = rigid_magnifications(complete - complete.mean(2, keepdims=True))
-    for _ in range(ROUNDS - 1):
-        found = factorise_tracks(tracks / magnification[:, None, None], rank=rank)
+    for _ in range(_ROUNDS - 1):
+        found = factorise_tracks(tracks / magnification[:, None, None], rank=rank, settings=settings)
         magnification = magnification * magnifications(found.shape, seen)
-    return ScaledShapes(
-        shapes=factorise_tracks(tracks / magnification[:, None, None], rank=rank), magnification=magnification
-    )
+    shapes = factorise_tracks(tracks / magnification[:, None, None], rank=rank, settings=settings)
+    return ScaledShapes(shapes=shapes, magnification=magnification)
 
 
 def rigid_magnifications(tracks: Floats) -> Floats:
-    """Find each frame's magnification as if the object were rigid ([Poelman1997]).
+    """Estimate the magnification of each frame as if the object were rigid ([Poelman1997]).
 
-    A frame's two rows are orthogonal and of one length in the space of the three strongest columns, once that space's
-    metric is found; the length is the magnification. The metric breaks this least beside the lengths that it gives.
+    Under the right metric of the space of the three strongest columns, the two rows of a frame are orthogonal and of
+    equal length, the magnification. The metric is that which violates this least relative to the lengths.
 
     Args:
-        tracks: (F, 2, P) complete, centred in each frame.
+        tracks: (F, 2, P) complete and centred in each frame.
 
     Returns:
-        (F,) with the geometric mean 1; all 1 where no metric fits.
+        (F,) magnifications with geometric mean 1; all 1 where no metric fits.
     """
     frames, _, points = tracks.shape
     u, d, _ = np.linalg.svd(tracks.reshape(2 * frames, points), full_matrices=False)
@@ -85,22 +88,17 @@ def rigid_magnifications(tracks: Floats) -> Floats:
     if rows.shape[2] < 3 or d[2] <= 0:
         return np.ones(frames)
     x, y = rows[:, 0], rows[:, 1]
-    lengths = (_products(x, x) + _products(y, y)) / 2
-    conditions = np.concatenate([(_products(x, x) - _products(y, y)) / 2, _products(x, y)])
+    lengths = (metric_products(x, x) + metric_products(y, y)) / 2
+    conditions = np.concatenate([(metric_products(x, x) - metric_products(y, y)) / 2, metric_products(x, y)])
     squares = lengths @ _least_ratio(conditions, lengths)
     squares = squares * np.sign(np.median(squares))
-    if squares.min() <= LEAST**2 * np.median(squares):
+    if squares.min() <= _LEAST_MAGNIFICATION**2 * np.median(squares):
         return np.ones(frames)
     return np.asarray(np.sqrt(squares / np.exp(np.log(squares).mean())))
 
 
-def _products(a: Floats, b: Floats) -> Floats:
-    """Write a' Q b as a product with the six elements of Q."""
-    return np.stack([a[:, i] * b[:, j] + (a[:, j] * b[:, i] if i != j else 0) for i, j in _PAIRS], 1)
-
-
 def _least_ratio(conditions: Floats, lengths: Floats) -> Floats:
-    """Give the metric under which the conditions are smallest beside the lengths: a generalised eigenvector."""
+    """Compute the metric with the smallest conditions relative to the lengths, a generalised eigenvector."""
     broken, whole = conditions.T @ conditions, lengths.T @ lengths
     whole += 1e-12 * np.trace(whole) * np.eye(len(whole))
     half = np.linalg.inv(np.linalg.cholesky(whole))

@@ -1,71 +1,81 @@
-"""Whether several cameras' tracks fit each other: the same surface, the same instants, the same points."""
+"""Check that the tracks of several cameras show the same points of one surface at the same instants."""
+
+from dataclasses import dataclass
 
 import numpy as np
 
 from marey.arrays import Floats
 from marey.errors import MareyError
-from marey.nonrigid.many_cameras.view_geometry import ViewPair, along_one_direction, pair_of
-
-LONGEST_LAG = 30
-LAG_SHOWS = 0.8
-"""A lag is told where it lowers what is left along the shared direction to this share."""
-STRANGE = 0.7
-"""Two cameras do not show the same where what is left along the best shared direction is at least this share of what
-they see differently..."""
-LARGE = 0.1
-"""...and at least this share of the object's size."""
+from marey.nonrigid.many_cameras.view_geometry import ViewPair, along_one_direction, view_pair
 
 
-def checked_views(tracks: Floats) -> tuple[Floats, tuple[str, ...]]:
-    """Take out tracks that cannot be of the point whose number they have, and say what does not fit.
+@dataclass(frozen=True, kw_only=True)
+class ViewCheckSettings:
+    """Settings of the checks; chosen by hand, results were not measured against other values."""
+
+    longest_lag: int = 30
+    """Largest lag between two cameras that is searched for [frames]."""
+    lag_gain: float = 0.8
+    """A lag is reported where it lowers the departure along the shared direction below this fraction."""
+    unrelated_share: float = 0.7
+    """Two cameras show different objects where the departure along the best shared direction is more than this fraction
+    of the parallax..."""
+    unrelated_size: float = 0.1
+    """...and more than this fraction of the object's size."""
+
+
+def checked_views(tracks: Floats, settings: ViewCheckSettings = ViewCheckSettings()) -> tuple[Floats, tuple[str, ...]]:
+    """Remove tracks that cannot belong to the point with their index, and report cameras that do not fit each other.
 
     Args:
         tracks: (C, F, 2, P); NaN where not seen.
+        settings: Tuned constants.
 
     Returns:
-        The tracks, with NaN for those of a later camera that do not fit, and notes.
+        The tracks, with NaN for those of a later camera that do not fit; and notes.
 
     Raises:
-        MareyError: A camera's tracks have nothing in common with the others'.
+        MareyError: The tracks of a camera have nothing in common with the others.
     """
     tracks, notes = tracks.copy(), []
     for camera in range(1, len(tracks)):
         together = np.isfinite(tracks[:camera]).all(2) & np.isfinite(tracks[camera]).all(1)
         other = int(together.sum((1, 2)).argmax())
-        pair = pair_of(tracks[other], tracks[camera])
+        pair = view_pair(tracks[other], tracks[camera])
         if pair is None:
             continue
-        lag, share = _lag(tracks[other], tracks[camera])
-        if lag and share < LAG_SHOWS:
+        lag, share = _lag(tracks[other], tracks[camera], settings.longest_lag)
+        if lag and share < settings.lag_gain:
             notes.append(
                 f"Camera {camera} and camera {other} are not synchronised: the tracks fit best where frame f of camera "
-                f"{camera} is taken with frame f {'-' if lag > 0 else '+'} {abs(lag)} of camera {other}. "
-                "Shift them and begin again; these shapes are not to be trusted."
+                f"{camera} is combined with frame f {'-' if lag > 0 else '+'} {abs(lag)} of camera {other}. "
+                "These shapes are unreliable; shift the tracks and repeat."
             )
             continue
-        if _strange(pair):
+        if _unrelated(pair, settings):
             raise MareyError(
-                f"The tracks of camera {camera} do not go with those of camera {other}: along no direction do both "
-                "show the same. They are of another object, of other points, or not of the same instants."
+                f"The tracks of camera {camera} do not match those of camera {other}: the images agree along no "
+                "direction. They must show the same points of one object at the same instants."
             )
         wrong = np.flatnonzero(pair.outlying)
         if len(wrong):
             tracks[camera][..., wrong] = np.nan
             notes.append(
                 f"Camera {camera} and camera {other} show different points under the numbers "
-                f"{', '.join(map(str, wrong))}: their tracks in camera {camera} are left out."
+                f"{', '.join(map(str, wrong))}: their tracks in camera {camera} are ignored."
             )
     return tracks, tuple(notes)
 
 
-def _strange(pair: ViewPair) -> bool:
-    return bool(pair.spread[0] > STRANGE * pair.spread[1] and pair.spread[0] > LARGE * pair.spread[3])
+def _unrelated(pair: ViewPair, settings: ViewCheckSettings) -> bool:
+    departure, parallax, _, size = pair.spread
+    return bool(departure > settings.unrelated_share * parallax and departure > settings.unrelated_size * size)
 
 
-def _lag(first: Floats, second: Floats) -> tuple[int, float]:
-    """Find by how many frames the second camera is late, and what share of the unlike part that leaves."""
+def _lag(first: Floats, second: Floats, longest: int) -> tuple[int, float]:
+    """Estimate the delay of the second camera in frames, and the fraction of the departure that it leaves."""
     frames = len(first)
-    longest = min(LONGEST_LAG, frames // 4)
+    longest = min(longest, frames // 4)
     left = {}
     for lag in range(-longest, longest + 1):
         early, late = (first, second[lag:]) if lag >= 0 else (first[-lag:], second)

@@ -1,76 +1,90 @@
-"""What two cameras that stand fixed share of a deforming object's tracks, and how another one stands.
+"""Relative geometry of two fixed orthographic cameras from tracks of a deforming object, and placement of further ones.
 
-Two orthographic cameras share one direction, across both sights: what they show along it is the same but for the
-scale, whatever the object does. That gives each camera's roll about its sight and the scale, and leaves one angle, that
-between the sights, which no number of frames gives as long as each may have a shape of its own ([Koenderink1991]).
+Two orthographic cameras share one direction, perpendicular to both lines of sight: the images along it agree up to a
+scale, however the object deforms. This determines the roll of each camera about its line of sight and the scale, but
+not the angle between the lines of sight, which no number of frames determines as long as each frame may have a shape of
+its own ([Koenderink1991]).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from marey.arrays import Floats, Mask, freeze_fields
 from marey.geometry import rotations
+from marey.nonrigid.core.refinement import FEWEST_FRAMES
+from marey.nonrigid.core.track_checks import FEWEST_POINTS
 
-FEWEST_POINTS = 4
-FEWEST_FRAMES = 6
-OUTLYING = 6.0
-"""A point that lies so many times further from the shared direction than the median point has no true partner..."""
-FAR = 0.01
-"""...and at least this share of the object's size."""
-ROUNDS = 5
-SET, SETS = 6, 40
-"""Points of a small set, and how many sets are tried, see `_agreeing`."""
+
+@dataclass(frozen=True, kw_only=True)
+class ViewPairSettings:
+    """Settings of the relative geometry of two cameras; chosen by hand, results were not measured against others."""
+
+    outlier_ratio: float = 6.0
+    """A point has no true partner where its departure from the shared direction is more than this times the
+    median..."""
+    least_departure: float = 0.01
+    """...and more than this fraction of the object's size."""
+    rounds: int = 5
+    """Largest number of rounds of fitting and removing outliers."""
+    sample_points: int = 6
+    """Number of points of a random sample."""
+    samples: int = 40
+    """Number of random samples."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ViewPair:
-    """What the tracks tell of two cameras: all but the angle between their sights, and which mirror image is true."""
+    """Relative geometry of two cameras, except for the angle between their lines of sight and the mirror image."""
 
     first_axes: Floats
-    """(3, 3) rows: across the shared direction in the first image, along it, and the sight, in the first camera."""
+    """(3, 3) rows: across the shared direction in the first image, along it, and the line of sight, in camera axes."""
     second_axes: Floats
-    """(3, 3) the same of the second camera."""
+    """(3, 3) the same for the second camera."""
     scale: float
-    """Of the second camera over the first."""
+    """Scale of the second camera over that of the first."""
     spread: Floats
-    """(4,) root mean squares of the four stacked coordinates along their principal axes, rising: the first is noise,
-    the second what the cameras see differently."""
+    """(4,) root mean squares of the four stacked coordinates along their principal axes, in ascending order: the first
+    is noise, the second the difference (parallax) between the cameras."""
     point_rms: Floats
-    """(P,) root mean square of what a point departs along the shared direction; NaN where not seen by both."""
+    """(P,) root mean square departure of a point along the shared direction; NaN where not seen by both cameras."""
+    settings: ViewPairSettings = field(default_factory=ViewPairSettings)
+    """Criteria for outliers."""
 
     def __post_init__(self) -> None:
         freeze_fields(self, "first_axes", "second_axes", "spread", "point_rms")
 
     def second_from_first(self, angle: float) -> Floats:
-        """Give the rotation (3, 3) with an angle [rad] between the sights; the mirror image has minus the angle."""
+        """Compute the rotation (3, 3) for an angle [rad] between the lines of sight; minus the angle mirrors depth."""
         return np.asarray(self.second_axes.T @ rotations.exp(np.array([0.0, angle, 0.0])) @ self.first_axes)
 
     @property
     def outlying(self) -> Mask:
-        """(P,) points whose two tracks cannot be of one point."""
+        """(P,) mask of points whose two tracks cannot belong to one point."""
         if not np.isfinite(self.point_rms).any():
             return np.zeros(len(self.point_rms), bool)
-        least = max(OUTLYING * float(np.nanmedian(self.point_rms)), FAR * float(self.spread[3]))
+        usual, size = float(np.nanmedian(self.point_rms)), float(self.spread[3])
+        least = max(self.settings.outlier_ratio * usual, self.settings.least_departure * size)
         return np.asarray(self.point_rms > least)
 
 
-def pair_of(first: Floats, second: Floats) -> ViewPair | None:
-    """Find what two cameras share, points without a true partner left out.
+def view_pair(first: Floats, second: Floats, settings: ViewPairSettings = ViewPairSettings()) -> ViewPair | None:
+    """Estimate the relative geometry of two cameras, excluding points without a true partner.
 
     Args:
         first: (F, 2, P) tracks in the first camera; NaN where not seen.
-        second: (F, 2, P) those of the same points in the second.
+        second: (F, 2, P) tracks of the same points in the second camera.
+        settings: Tuned constants.
 
     Returns:
-        The pair; None where too few points are seen by both in too few frames.
+        The pair; None where too few points are seen by both cameras or in too few frames.
     """
     stacked = np.concatenate([first, second], 1)
     both = np.isfinite(stacked).all(1)
     often = both.sum(0) >= FEWEST_FRAMES
-    used = _agreeing(stacked, both, often)
-    for _ in range(ROUNDS):
-        pair = _pair(stacked, both & used)
+    used = _consensus(stacked, both, often, settings)
+    for _ in range(settings.rounds):
+        pair = _pair(stacked, both & used, settings)
         if pair is None:
             return None
         kept = often & ~pair.outlying
@@ -80,17 +94,17 @@ def pair_of(first: Floats, second: Floats) -> ViewPair | None:
     return pair
 
 
-def _agreeing(stacked: Floats, both: Mask, often: Mask) -> Mask:
-    """Choose the points that agree with the best of some small sets: a wrong partner would bend the fit to all."""
+def _consensus(stacked: Floats, both: Mask, often: Mask, settings: ViewPairSettings) -> Mask:
+    """Select the points that agree with the best of some random samples; a wrong partner would bias a fit to all."""
     numbers = np.flatnonzero(often)
-    if len(numbers) <= SET:
+    if len(numbers) <= settings.sample_points:
         return often
     rng = np.random.default_rng(0)
     best, used = np.inf, often
-    for _ in range(SETS):
+    for _ in range(settings.samples):
         chosen = np.zeros(len(often), bool)
-        chosen[rng.choice(numbers, SET, replace=False)] = True
-        pair = _pair(stacked, both & chosen)
+        chosen[rng.choice(numbers, settings.sample_points, replace=False)] = True
+        pair = _pair(stacked, both & chosen, settings)
         if pair is None:
             continue
         middle = float(np.nanmedian(pair.point_rms))
@@ -100,12 +114,12 @@ def _agreeing(stacked: Floats, both: Mask, often: Mask) -> Mask:
 
 
 def along_one_direction(first: Floats, second: Floats) -> ViewPair | None:
-    """Find what two cameras share, as `pair_of` does, but with all points."""
+    """Estimate the relative geometry of two cameras as `view_pair` does, but from all points."""
     stacked = np.concatenate([first, second], 1)
-    return _pair(stacked, np.asarray(np.isfinite(stacked).all(1)))
+    return _pair(stacked, np.asarray(np.isfinite(stacked).all(1)), ViewPairSettings())
 
 
-def _pair(stacked: Floats, used: Mask) -> ViewPair | None:
+def _pair(stacked: Floats, used: Mask, settings: ViewPairSettings) -> ViewPair | None:
     enough = used.sum(1) >= FEWEST_POINTS
     if enough.sum() < FEWEST_FRAMES:
         return None
@@ -114,7 +128,7 @@ def _pair(stacked: Floats, used: Mask) -> ViewPair | None:
     middle[~enough] = np.nan
     centred = stacked - middle[:, :, None]
     left = np.nan_to_num(centred) * weight[:, None]
-    # centring takes a coordinate a frame
+    # centring takes one degree of freedom per frame
     count = weight.sum() - enough.sum()
     square, axes = np.linalg.eigh(np.einsum("fip,fjp->ij", left, left) / count)
     normal = axes[:, 0] if (axes[1, 0], axes[0, 0]) > (0, 0) else -axes[:, 0]
@@ -129,6 +143,7 @@ def _pair(stacked: Floats, used: Mask) -> ViewPair | None:
     return ViewPair(
         first_axes=_axes(normal[:2] / lengths[0]), second_axes=_axes(-normal[2:] / lengths[1]),
         scale=float(lengths[0] / lengths[1]), spread=np.sqrt(np.maximum(square, 0)), point_rms=point_rms,
+        settings=settings,
     )  # fmt: skip
 
 
@@ -142,14 +157,14 @@ def rows_of(camera_from_base: Floats, scale: Floats) -> Floats:
 
 
 def place_camera(tracks: Floats, shapes: Floats) -> tuple[Floats, float] | None:
-    """Find the rotation and scale with which a camera shows known shapes, each frame with a shift of its own.
+    """Estimate rotation and scale of a camera from its image of known shapes, with a free shift in each frame.
 
     Args:
         tracks: (F, 2, P); NaN where not seen.
         shapes: (F, 3, P); NaN where not known.
 
     Returns:
-        Camera from shapes (3, 3) and the scale; None where it sees too little of them.
+        Rotation camera from shapes (3, 3) and scale; None where the camera sees too little of them.
     """
     both: Mask = np.asarray(np.isfinite(tracks).all(1) & np.isfinite(shapes).all(1))
     both[both.sum(1) < FEWEST_POINTS] = False

@@ -1,117 +1,142 @@
 """Shape and motion of a deforming object from the tracks of one uncalibrated camera ([Alexander2003] eq. (9)-(12)).
 
-Unlike the paper, which leaves the number of basis shapes and the metric upgrade open, the answer with the best evidence
-is taken: rotations for several numbers of shapes, each also with steadier camera paths, are judged by how probable they
-make the tracks under one Gaussian model of a deforming shape, and the best is refined by that model.
+Unlike the paper, which leaves the number of basis shapes and the metric upgrade open, candidates are compared by their
+evidence: rotations for several numbers of shapes, each also with smoothed camera paths, are compared by the probability
+of the tracks under one Gaussian model of a deforming shape, and the best candidate is refined with that model.
 """
 
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from marey.arrays import Floats, Mask, freeze_fields
 from marey.errors import MareyError, SettingProblem
 from marey.geometry import rotations
-from marey.nonrigid.core.completion import complete_tracks, singular_vectors
-from marey.nonrigid.core.deforming_model import DeformingModel, basis_cost, begin, improve, keep_modes, shape_variance
-from marey.nonrigid.core.kept_lengths import choose_lengths
-from marey.nonrigid.core.metric_upgrade import rotation_candidates
-from marey.nonrigid.core.rotation_paths import accelerations, mirrored_after, steadier
-from marey.nonrigid.core.slow_turns import slow_turn_covariance, turned_covariance
+from marey.nonrigid.core.completion import COMPLETION_RANK, complete_tracks, singular_vectors
+from marey.nonrigid.core.deforming_model import (
+    DeformingModel,
+    DeformingModelSettings,
+    basis_cost,
+    initial_model,
+    keep_modes,
+    refine,
+    shape_variance,
+)
+from marey.nonrigid.core.kept_lengths import KeptLengthSettings, choose_lengths
+from marey.nonrigid.core.metric_upgrade import MetricUpgradeSettings, rotation_candidates
+from marey.nonrigid.core.refinement import COMPARISON_NOISE, FEWEST_FRAMES, RefinementSettings
+from marey.nonrigid.core.rotation_paths import accelerations, mirrored_after, smoothed_path
+from marey.nonrigid.core.slow_turns import SlowTurnSettings, slow_turn_covariance, turned_covariance
 from marey.nonrigid.core.smooth_shapes import nuclear_norm, smooth_shapes
-from marey.nonrigid.core.track_checks import RIGID, checked
+from marey.nonrigid.core.track_checks import FEWEST_POINTS, RIGID, check_tracks
 from marey.nonrigid.in_space.rank import significant_singular_values
 
-FEWEST_FRAMES = 6
-FEWEST_POINTS = 4
-"""That a frame must show."""
 FEWEST_IN_ALL = 7
-"""Fewer points have too few singular values to tell depth from noise."""
-COMPLETING_RANK = 15
-SPANS = (0.0, 1.0, 1e2, 1e4, 1e6, 1e8, 1e10)
-"""Weights of the camera's steadiness that are tried, see `steadier`."""
-TOLD_APART = 0.01
-"""Of camera paths whose evidence differs by less, in natural logarithms a coordinate of the tracks, the steadiest is
-taken: a slow turn that the object makes as a whole and one of the camera look alike, and the evidence tells little."""
-CREDIBLE = 0.002
-"""How fast belief in an answer falls: by a factor e for this much evidence a coordinate. Not one over the number of
-coordinates: what a model leaves of the shapes is alike over many frames and points, and is no independent evidence."""
-BEST_OF_SPAN = 3
-"""Numbers of basis shapes that the model compares at last; the nuclear norm chooses them."""
-JUDGING_NOISE = 0.01
-"""Noise that is believed at least when answers are compared, as a share of the object's size: what few modes leave is
-not noise, and would decide otherwise."""
-JUDGING_MODES = 12
-JUDGING_ROUNDS = 10
-MODES = (3, 6, 12, 20, 36)
-"""Numbers of modes with which the answer is refined; one is told."""
-PRICE = 0.3
-"""Share of `basis_cost` that a refined answer pays for its modes. All of it (near the Bayesian information criterion) 
-keeps fewer modes than are of use, none of it too many of a simple shape (docs/nonrigid-methods.md)."""
-PRICE_OF_DEFORMING = 0.75
-"""The same share, to be worth more than a rigid object: noise alone fills modes that are worth up to half of theirs,
-13 frames of real skin may be worth no more than all of it."""
-FRAMES_A_MODE = 8
-"""Fewer frames a mode would tell too little about it."""
-ROUNDS = 12
-LENGTH_ROUNDS = 8
-"""Rounds with distances that are kept, before these are chosen anew."""
-MOST_CHOICES = 4
-"""How often they are chosen at most."""
-SETTLED = 2e-3
-"""Change of the shapes between two choices, as a share of the object's size, below which it is enough."""
-FIRST_NOISE = 0.005
-EXACT = 1e-9
-"""Singular values below this share of the largest are none."""
-IDLE = 1e-5
-"""A mode whose weights are below this share of the object's size does nothing."""
-WORTH_A_NOTE = 0.5
-"""Doubt about the camera's path [degrees] that is said."""
-KEPT = 1e-3
-"""A mode whose weights are below this share of the object's size is not told."""
+"""Least number of points of a sequence before one camera; with fewer, too few singular values distinguish depth from
+noise."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class OneViewSettings:
+    """Settings of the factorisation of one orthographic camera's tracks.
+
+    The defaults were chosen while looking at the five sequences of `nonrigid/`, those of `lengths` also at some other
+    camera paths of bench/nonrigid/camera_paths.py (docs/explanation/nonrigid.md). Where nothing else is stated, results
+    were not measured against other values. Evidence is given in natural logarithms per coordinate of the tracks.
+    """
+
+    completion_rank: int = COMPLETION_RANK
+    """Rank, beside the translation, of the completed tracks from which rotations are computed."""
+    spans: tuple[float, ...] = (0.0, 1.0, 1e2, 1e4, 1e6, 1e8, 1e10)
+    """Weights of the camera's squared accelerations with which paths are smoothed (`smoothed_path`)."""
+    equal_evidence: float = 0.01
+    """Among camera paths whose evidence is within this of the best, the smoothest is chosen: a slow rotation of the
+    object as a whole and one of the camera look alike. On `pickup` without noise, a path with an error of 0.18 leads by
+    0.001."""
+    credible_evidence: float = 0.002
+    """Candidates are averaged with weights that fall by a factor e per this much evidence. It is more than one over the
+    number of coordinates because the residuals of the model are correlated over many frames and points."""
+    candidates: int = 3
+    """Number of rotations with the least nuclear norm of the shapes that are compared at the chosen smoothness."""
+    comparison_noise: float = COMPARISON_NOISE
+    """Least standard deviation of the noise when candidates are compared, as a fraction of the object's size."""
+    comparison_modes: int = 12
+    """Number of modes with which candidates are compared."""
+    comparison_rounds: int = 10
+    """Number of rounds of expectation maximisation with which candidates are compared."""
+    frames_per_mode: int = 8
+    """Least number of frames per mode."""
+    mirrored_segments: int = 6
+    """Largest number of frames from which on depth is mirrored."""
+    mirror_trials: int = 12
+    """Number of frames, those of the largest accelerations, from which mirroring is tried."""
+    mirror_gain: float = 0.999
+    """Mirroring is accepted where it lowers the nuclear norm below this fraction."""
+    length_rounds: int = 8
+    """Number of rounds with constant distances before these are selected again."""
+    length_selections: int = 4
+    """Largest number of selections of the distances."""
+    length_tolerance: float = 2e-3
+    """Selections end when the shapes change by less than this fraction of the object's size."""
+    least_singular_value: float = 1e-9
+    """Singular values below this fraction of the largest count as zero; a numerical threshold."""
+    least_weight: float = 1e-5
+    """Modes that move points by less than this fraction of the object's size are removed before distances are added."""
+    reported_path_deviation: float = 0.5
+    """A note is given where other camera paths deviate by more than this, root mean square [degrees]."""
+    model: DeformingModelSettings = field(default_factory=DeformingModelSettings)
+    """Settings of the Gaussian model."""
+    refinement: RefinementSettings = field(default_factory=RefinementSettings)
+    """Settings of the final fit."""
+    upgrade: MetricUpgradeSettings = field(default_factory=MetricUpgradeSettings)
+    """Settings of the search for rotations."""
+    lengths: KeptLengthSettings = field(default_factory=KeptLengthSettings)
+    """Settings of the constant distances."""
+    slow_turns: SlowTurnSettings = field(default_factory=SlowTurnSettings)
+    """Settings of the uncertainty of slow rotations."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class NonRigidShapes:
-    """Shapes and motion before one camera: tracks = the first two rows of rotation @ shape, + translation.
+    """Shapes and motion before one camera: tracks = the first two rows of rotation @ shape, plus translation.
 
-    What one orthographic camera cannot tell is chosen: the sign of depth (of the two mirror images the one whose first
-    frame has its third row along +z by a cross product), the distance, and the object's axes, which are
-    the camera's in the first frame. Lengths are in the tracks' unit (pixels): the scale in space is not known.
+    What one orthographic camera does not determine is chosen by convention: the sign of depth (of the two mirror images
+    the one whose first frame has its third row along +z by a cross product), the distance, and the object's axes, which
+    are the camera's in the first frame. Lengths are in the tracks' unit (pixels); the scale in space is unknown.
     """
 
     shape: Floats
-    """(F, 3, P) in the object's frame, also of points that were not seen (`predicted`)."""
+    """(F, 3, P) in the object's frame, including points that were not seen (`predicted`)."""
     shape_sd: Floats
-    """(F, 3, P)."""
+    """(F, 3, P) standard deviation of the shape."""
     rotation: Floats
     """(F, 3, 3) camera from object."""
     rotation_sd: Floats
-    """(F, 3) of the turn about the camera's axes [rad]."""
+    """(F, 3) standard deviation of the rotation about the camera's axes [rad]."""
     translation: Floats
-    """(F, 2)."""
+    """(F, 2) image of the object's origin."""
     basis: Floats
-    """(K, 3, P) the mean shape, and displacements of root mean square 1 a point, the largest first."""
+    """(K, 3, P) mean shape, and modes of root mean square 1 per point, the largest first."""
     coefficients: Floats
-    """(F, K) weights; the first is 1."""
+    """(F, K) weights of the basis shapes; the first is 1."""
     noise_sd: float
     """Standard deviation of a coordinate of the tracks about the model."""
     residuals: Floats
-    """(F, P) distance of a seen point from the model; NaN where not seen."""
+    """(F, P) distance of each seen point from the model; NaN where not seen."""
     predicted: Mask
-    """(F, P) true where the shape of a point is given that was not seen."""
+    """(F, P) true where the shape includes a point that was not seen."""
     steadiness: float
-    """Which of `SPANS` was chosen for the camera's path."""
+    """Weight of the accelerations that was chosen for the camera's path (`OneViewSettings.spans`)."""
     rank_curve: Floats
-    """(n, 2) numbers of basis shapes K that were tried, and what speaks against each: minus the logarithm of the
-    tracks' probability and a price of its shapes, a coordinate. The least is taken, less shapes that do nothing; K = 1,
-    a rigid object, already where the others would not win at a higher price (`PRICE_OF_DEFORMING`)."""
+    """(n, 2) numbers of basis shapes K that were tried, and the cost of each: minus the log-probability of the tracks
+    plus a cost of the shapes, per coordinate. The least is chosen, without shapes of negligible size; K = 1, a rigid
+    object, already where the others are not better at a higher cost (`RefinementSettings.rigid_cost_share`)."""
     path_doubt: Floats
-    """(F, 3) how far camera paths of another steadiness that explain the tracks nearly as well turn away from this one,
-    root mean square [rad]. The standard deviations are given for a camera as steady as this one; this comes on top."""
+    """(F, 3) deviation of camera paths of another smoothness that explain the tracks nearly as well, root mean square
+    [rad]. The standard deviations apply to a camera as smooth as this one; this deviation is in addition to them."""
     notes: tuple[str, ...]
-    """What a user should know of this answer."""
+    """Notes for the user."""
 
     def __post_init__(self) -> None:
         names = (
@@ -130,7 +155,7 @@ class NonRigidShapes:
 
     @property
     def rank(self) -> int:
-        """K, the number of basis shapes with the mean."""
+        """Number of basis shapes K, including the mean."""
         return len(self.basis)
 
     @property
@@ -140,221 +165,267 @@ class NonRigidShapes:
 
 
 @dataclass
-class _Answer:
-    """One answer among several, and what speaks for it."""
+class _Candidate:
+    """One candidate solution with its cost."""
 
     rotation: Floats
-    """The path it began with."""
+    """(F, 3, 3) initial path."""
     shapes: Floats
-    """(F, 3, P) in closed form for that path."""
+    """(F, 3, P) closed-form shapes for that path."""
     span: float
+    """Weight of the accelerations with which the path was smoothed."""
     model: DeformingModel
     cost: float
+    """Minus the log-probability of the tracks, plus the cost of the modes."""
 
 
-def factorise_tracks(tracks: Floats, *, rank: int | None = None) -> NonRigidShapes:
-    """Find shapes, rotations and basis shapes from the tracks of one camera, orthographic and of one scale.
+@dataclass(frozen=True)
+class _Tracks:
+    """Tracks in units of the object's size, centred in each frame."""
+
+    known: Floats
+    """(F, 2, P), 0 where not seen."""
+    weight: Floats
+    """(F, P) 1 where seen, else 0."""
+    complete: Floats
+    """(F, 2, P) with filled gaps."""
+
+    @property
+    def coordinates(self) -> float:
+        """Number of coordinates seen."""
+        return 2 * float(self.weight.sum())
+
+
+def factorise_tracks(
+    tracks: Floats, *, rank: int | None = None, settings: OneViewSettings = OneViewSettings()
+) -> NonRigidShapes:
+    """Estimate shapes, rotations and basis shapes from the tracks of one orthographic camera of constant scale.
 
     Args:
         tracks: (F, 2, P) in any unit; NaN where a point is not seen.
-        rank: K, the number of basis shapes with the mean; None chooses it.
+        rank: Number of basis shapes K, including the mean; chosen by evidence if None.
+        settings: Tuned constants of the algorithm.
 
     Returns:
         The shapes.
 
     Raises:
-        SettingProblem: The rank is no number of basis shapes that so many frames can tell.
+        SettingProblem: The rank is below 2 or above the number of frames.
         MareyError: There are too few frames or points, a frame or point is never seen, or the camera sees the object
             from one side only.
     """
     tracks = np.asarray(tracks, float)
     seen = _checked(tracks)
-    numbers = _numbers_of_modes(len(tracks), rank)
+    numbers = _mode_counts(len(tracks), rank, settings)
     weight = seen.astype(float)
     known = np.where(seen[:, None], tracks, 0)
     middle = known.sum(2) / weight.sum(1)[:, None]
     known = np.where(seen[:, None], known - middle[:, :, None], 0)
     size = float(np.sqrt((known**2).sum() / (2 * weight.sum())))
     if size == 0:
-        raise MareyError("All points lie in one place in every frame: there is nothing to see.")
+        raise MareyError("All points coincide in every frame: there is no shape to estimate.")
     known = known / size
-    complete, noise = (known, 0.0) if seen.all() else complete_tracks(known, seen, COMPLETING_RANK)
-    notes = _told_by_rank(complete, noise)
-    best, judged = _judge(known, weight, complete)
-    tried = _refined(known, weight, best, [0, *numbers] if rank is None else numbers, max(noise, FIRST_NOISE))
-    rivals = [answer for answer in judged if answer.span == best.span]
-    rivals, refined = ([], tried[:1]) if _is_rigid(tried) else (rivals, [a for a in tried if len(a.model.modes)])
-    model = copy(min(refined, key=lambda answer: answer.cost).model)
-    _hold_lengths(model, known, weight)
-    coordinates = 2 * float(weight.sum())
-    doubt = [_doubt(model, answers, coordinates) for answers in (rivals, refined) if answers]
-    found = _tell(model, weight, doubt, tracks, size, middle)
-    curve = [(1 + len(answer.model.modes), answer.cost / coordinates) for answer in tried]
-    enough = min(answer.cost for answer in judged) + TOLD_APART * coordinates
-    others = [answer for answer in judged if answer.span != best.span and answer.cost <= enough]
-    path_doubt = np.sqrt(_doubt(model, others, np.inf)[1]) if others else np.zeros((len(tracks), 3))
+    complete, noise = (known, 0.0) if seen.all() else complete_tracks(known, seen, settings.completion_rank)
+    notes = _check_singular_values(complete, noise, settings)
+    data = _Tracks(known, weight, complete)
+    best, compared = _compare_paths(data, settings)
+    noise = max(noise, settings.refinement.initial_noise)
+    tried = _refined(data, best, [0, *numbers] if rank is None else numbers, noise, settings)
+    rigid = _is_rigid(tried, settings)
+    rivals = [] if rigid else [candidate for candidate in compared if candidate.span == best.span]
+    refined = tried[:1] if rigid else [candidate for candidate in tried if len(candidate.model.modes)]
+    model = copy(min(refined, key=lambda candidate: candidate.cost).model)
+    _hold_lengths(model, data, settings)
+    groups = [group for group in (rivals, refined) if group]
+    deviations = [_deviation(model, group, data.coordinates, settings) for group in groups]
+    found = _result(model, data, deviations, tracks, size, middle, settings)
+    curve = [(1 + len(candidate.model.modes), candidate.cost / data.coordinates) for candidate in tried]
+    enough = min(candidate.cost for candidate in compared) + settings.equal_evidence * data.coordinates
+    others = [candidate for candidate in compared if candidate.span != best.span and candidate.cost <= enough]
+    path_doubt = np.zeros((len(tracks), 3))
+    if others:
+        path_doubt = np.sqrt(_deviation(model, others, np.inf, settings)[1])
     found = replace(found, steadiness=best.span, rank_curve=np.array(curve), path_doubt=path_doubt)
-    return replace(found, notes=(*notes, *_told_by_answer(found)))
+    return replace(found, notes=(*notes, *_result_notes(found, settings)))
 
 
-def _told_by_answer(found: NonRigidShapes) -> list[str]:
+def _result_notes(found: NonRigidShapes, settings: OneViewSettings) -> list[str]:
     notes = []
-    doubt = float(np.degrees(np.sqrt((found.path_doubt**2).sum(1).mean())))
-    if doubt > WORTH_A_NOTE and doubt > 2 * np.degrees(np.sqrt((found.rotation_sd**2).sum(1).mean())):
+    deviation = float(np.degrees(np.sqrt((found.path_doubt**2).sum(1).mean())))
+    sd = np.degrees(np.sqrt((found.rotation_sd**2).sum(1).mean()))
+    if deviation > settings.reported_path_deviation and deviation > 2 * sd:
         notes.append(
-            f"Camera paths that differ from this one by {doubt:.1f} degrees explain the tracks nearly as well: which "
-            "part of a slow turn is the camera's and which the object's is not told. The steadiest path is given, and "
-            "standard deviations that hold for a camera as steady as that."
+            f"Camera paths that differ from this one by {deviation:.1f} degrees explain the tracks nearly as well: the "
+            "tracks do not determine which part of a slow rotation belongs to the camera and which to the object. The "
+            "smoothest path is given, with standard deviations that apply to a camera as smooth as that."
         )
     return [*notes, RIGID] if found.rank == 1 else notes
 
 
 def _checked(tracks: Floats) -> Mask:
     if tracks.ndim != 3:
-        raise MareyError(f"Tracks have the shape {tracks.shape} and should have (frames, 2, points).")
-    seen = checked(tracks, points=FEWEST_POINTS, frames=FEWEST_FRAMES)
+        raise MareyError(f"Tracks have shape {tracks.shape}; expected (frames, 2, points).")
+    seen = check_tracks(tracks, points=FEWEST_POINTS, frames=FEWEST_FRAMES)
     if tracks.shape[2] < FEWEST_IN_ALL:
         raise MareyError(
-            f"{tracks.shape[2]} points are too few for one camera: {FEWEST_IN_ALL} are needed to tell depth from noise."
+            f"{tracks.shape[2]} points are too few for one camera: {FEWEST_IN_ALL} are needed to distinguish depth "
+            "from noise."
         )
     return seen
 
 
-def _told_by_rank(complete: Floats, noise: float) -> tuple[str, ...]:
-    """Say what the singular values tell beforehand: no parallax (an error), or a flat basis shape."""
+def _check_singular_values(complete: Floats, noise: float, settings: OneViewSettings) -> tuple[str, ...]:
+    """Check the singular values of the tracks for missing parallax (an error) and for a flat basis shape (a note)."""
     frames, _, points = complete.shape
     values = np.linalg.svd(complete.reshape(2 * frames, points), compute_uv=False)
-    least = max(EXACT * values[0], noise * (np.sqrt(2 * frames) + np.sqrt(points)))
+    least = max(settings.least_singular_value * values[0], noise * (np.sqrt(2 * frames) + np.sqrt(points)))
     if values[2] < least or significant_singular_values(values[:-1], (2 * frames, points - 1)) < 3:
         raise MareyError(
             "The tracks move as a flat picture does: the camera sees the object from one side only, "
-            "and depth cannot be told."
+            "so that depth cannot be determined. Film while the object rotates, or use a second camera."
         )
-    count = int((values > EXACT * values[0]).sum())
+    count = int((values > settings.least_singular_value * values[0]).sum())
     if count < min(points - 1, 2 * frames) and count % 3:
         return (
             f"The tracks are exact and of rank {count}, not a multiple of 3: a basis shape has fewer than three "
-            "dimensions. Then many rotations and shapes explain the tracks equally well, and one of them is given.",
+            "dimensions. Many rotations and shapes then explain the tracks equally well; one of them is given.",
         )
     return ()
 
 
-def _numbers_of_modes(frames: int, rank: int | None) -> list[int]:
+def _mode_counts(frames: int, rank: int | None, settings: OneViewSettings) -> list[int]:
     if rank is None:
-        return sorted({_most(modes, frames) for modes in MODES})
+        return sorted({_most_modes(modes, frames, settings) for modes in settings.refinement.mode_counts})
     if not 2 <= rank <= frames:
-        raise SettingProblem(f"{rank} basis shapes cannot be told from {frames} frames: 2 to {frames} can.")
+        raise SettingProblem(f"{frames} frames determine 2 to {frames} basis shapes, not {rank}.")
     return [rank - 1]
 
 
-def _refined(known: Floats, weight: Floats, best: _Answer, numbers: list[int], noise: float) -> list[_Answer]:
-    """Refine the best path's answer with several numbers of modes."""
-    answers = []
-    for modes in numbers:
-        model = begin(known, weight, best.rotation, best.shapes, modes, noise)
-        improve(model, known, weight, ROUNDS)
-        answers.append(replace(best, model=model, cost=model.cost + PRICE * basis_cost(model)))
-    return answers
+def _refined(
+    data: _Tracks, best: _Candidate, counts: list[int], noise: float, settings: OneViewSettings
+) -> list[_Candidate]:
+    """Refine the best candidate with several numbers of modes."""
+    candidates, refinement = [], settings.refinement
+    for modes in counts:
+        model = initial_model(
+            data.known, data.weight, best.rotation, best.shapes, modes, noise, settings=settings.model
+        )  # fmt: skip
+        refine(model, data.known, data.weight, refinement.rounds)
+        candidates.append(replace(best, model=model, cost=model.cost + refinement.cost_share * basis_cost(model)))
+    return candidates
 
 
-def _is_rigid(tried: list[_Answer]) -> bool:
-    """Tell whether no modes are worth their price beside a rigid object: noise alone fills modes, too."""
-    full = [answer.cost + (PRICE_OF_DEFORMING - PRICE) * basis_cost(answer.model) for answer in tried]
+def _is_rigid(tried: list[_Candidate], settings: OneViewSettings) -> bool:
+    """Check whether no modes are worth their cost against a rigid object; noise alone also fills modes."""
+    more = settings.refinement.rigid_cost_share - settings.refinement.cost_share
+    full = [candidate.cost + more * basis_cost(candidate.model) for candidate in tried]
     return not len(tried[0].model.modes) and full[0] <= min(full)
 
 
-def _hold_lengths(model: DeformingModel, known: Floats, weight: Floats) -> None:
-    """Refine with distances that are kept, too; modes that do nothing would come loose, and are left out."""
-    keep_modes(model, model.mode_sizes() > IDLE)
+def _hold_lengths(model: DeformingModel, data: _Tracks, settings: OneViewSettings) -> None:
+    """Refine with constant distances too; modes of negligible size, which nothing would hold, are removed first."""
+    keep_modes(model, model.mode_sizes() > settings.least_weight)
     if not len(model.modes):
         return
-    for _ in range(MOST_CHOICES):
+    for _ in range(settings.length_selections):
         before = model.shapes
-        model.lengths = choose_lengths(before)
-        improve(model, known, weight, LENGTH_ROUNDS)
-        if np.sqrt(np.mean((model.shapes - before) ** 2)) < SETTLED:
+        model.lengths = choose_lengths(before, settings.lengths)
+        refine(model, data.known, data.weight, settings.length_rounds)
+        if np.sqrt(np.mean((model.shapes - before) ** 2)) < settings.length_tolerance:
             break
 
 
-def _doubt(model: DeformingModel, answers: list[_Answer], coordinates: float) -> tuple[Floats, Floats]:
-    """Say how far answers differ, each turned and mirrored to fit the shapes best, as far as they are credible.
+def _deviation(
+    model: DeformingModel, candidates: list[_Candidate], coordinates: float, settings: OneViewSettings
+) -> tuple[Floats, Floats]:
+    """Compute the deviation of candidates, each rotated and mirrored to fit the shapes best, weighted by credibility.
 
-    With infinitely many coordinates all are credible alike.
+    Args:
+        model: The estimate.
+        candidates: Other solutions.
+        coordinates: Number of coordinates of the tracks; if infinite, all candidates have the same weight.
+        settings: Credibility.
 
     Returns:
-        Mean squares of the shapes' differences (F, 3, P) and of the turns' about the camera's axes (F, 3).
+        Mean squares of the shapes' differences (F, 3, P) and of the rotations' about the camera's axes (F, 3).
     """
     shapes = model.shapes
     of_shape, of_turn = np.zeros(shapes.shape), np.zeros((len(shapes), 3))
     rows = shapes.transpose(1, 0, 2).reshape(3, -1)
-    costs = np.array([answer.cost for answer in answers]) / coordinates
-    shares = np.exp(-(costs - costs.min()) / CREDIBLE)
-    for answer, share in zip(answers, shares / shares.sum(), strict=True):
-        u, _, vt = np.linalg.svd(rows @ answer.model.shapes.transpose(1, 0, 2).reshape(3, -1).T)
+    costs = np.array([candidate.cost for candidate in candidates]) / coordinates
+    shares = np.exp(-(costs - costs.min()) / settings.credible_evidence)
+    for candidate, share in zip(candidates, shares / shares.sum(), strict=True):
+        u, _, vt = np.linalg.svd(rows @ candidate.model.shapes.transpose(1, 0, 2).reshape(3, -1).T)
         axes = u @ vt
-        of_shape += share * (axes @ answer.model.shapes - shapes) ** 2
-        rotation = answer.model.rotation @ axes.T
+        of_shape += share * (axes @ candidate.model.shapes - shapes) ** 2
+        rotation = candidate.model.rotation @ axes.T
         rotation[:, 2] *= np.sign(np.linalg.det(axes))
         of_turn += share * rotations.log(rotation @ np.swapaxes(model.rotation, 1, 2)) ** 2
     return of_shape, of_turn
 
 
-def _judge(known: Floats, weight: Floats, complete: Floats) -> tuple[_Answer, list[_Answer]]:
-    """Make candidates; give the steadiest of those under which the tracks are nearly most probable, and all."""
-    found = [rotation for _, rotation in rotation_candidates(complete)]
-    found.append(_without_mirrors(complete, min(found, key=lambda r: nuclear_norm(smooth_shapes(complete, r)))))
+def _compare_paths(data: _Tracks, settings: OneViewSettings) -> tuple[_Candidate, list[_Candidate]]:
+    """Compare camera paths; return the smoothest of those with nearly the best evidence, and all candidates."""
+    complete = data.complete
+    found = [rotation for _, rotation in rotation_candidates(complete, settings.upgrade)]
+    simplest = min(found, key=lambda rotation: nuclear_norm(smooth_shapes(complete, rotation)))
+    found.append(_without_mirrors(complete, simplest, settings))
     firsts, paths = [], {}
-    for span in SPANS:
-        paths[span] = [steadier(rotation, span) for rotation in found]
+    for span in settings.spans:
+        paths[span] = [smoothed_path(rotation, span) for rotation in found]
         paths[span].sort(key=lambda path: nuclear_norm(smooth_shapes(complete, path)))
-        firsts.append(_judged(known, weight, complete, paths[span][0], span))
-    enough = min(judged.cost for judged in firsts) + TOLD_APART * 2 * float(weight.sum())
-    steadiest = next(judged for judged in reversed(firsts) if judged.cost <= enough)
-    others = paths[steadiest.span][1:BEST_OF_SPAN]
-    rivals = [_judged(known, weight, complete, path, steadiest.span) for path in others]
-    return min([steadiest, *rivals], key=lambda judged: judged.cost), [*firsts, *rivals]
+        firsts.append(_candidate(data, paths[span][0], span, settings))
+    enough = min(candidate.cost for candidate in firsts) + settings.equal_evidence * 2 * float(data.weight.sum())
+    smoothest = next(candidate for candidate in reversed(firsts) if candidate.cost <= enough)
+    others = paths[smoothest.span][1 : settings.candidates]
+    rivals = [_candidate(data, path, smoothest.span, settings) for path in others]
+    return min([smoothest, *rivals], key=lambda candidate: candidate.cost), [*firsts, *rivals]
 
 
-def _judged(known: Floats, weight: Floats, complete: Floats, path: Floats, span: float) -> _Answer:
-    shapes = smooth_shapes(complete, path)
-    model = begin(known, weight, path, shapes, _most(JUDGING_MODES, len(known)), JUDGING_NOISE)
-    improve(model, known, weight, JUDGING_ROUNDS, JUDGING_NOISE)
-    return _Answer(path, shapes, span, model, model.cost + basis_cost(model))
+def _candidate(data: _Tracks, path: Floats, span: float, settings: OneViewSettings) -> _Candidate:
+    """Fit the model to a camera path (F, 3, 3) and compute its cost."""
+    shapes, noise = smooth_shapes(data.complete, path), settings.comparison_noise
+    modes = _most_modes(settings.comparison_modes, len(data.known), settings)
+    model = initial_model(data.known, data.weight, path, shapes, modes, noise, settings=settings.model)
+    refine(model, data.known, data.weight, settings.comparison_rounds, noise)
+    return _Candidate(path, shapes, span, model, model.cost + basis_cost(model))
 
 
-def _most(modes: int, frames: int) -> int:
-    return max(1, min(modes, frames // FRAMES_A_MODE))
+def _most_modes(modes: int, frames: int, settings: OneViewSettings) -> int:
+    return max(1, min(modes, frames // settings.frames_per_mode))
 
 
-def _without_mirrors(complete: Floats, rotation: Floats, most: int = 6, tried: int = 12) -> Floats:
-    """Mirror depth from some frames on where that makes the shapes simpler; the most sudden turns are tried."""
+def _without_mirrors(complete: Floats, rotation: Floats, settings: OneViewSettings) -> Floats:
+    """Mirror depth from some frames on where that makes the shapes simpler; the largest accelerations are tried."""
     norm = nuclear_norm(smooth_shapes(complete, rotation))
-    for _ in range(most):
+    for _ in range(settings.mirrored_segments):
         sudden = np.linalg.norm(accelerations(rotation), axis=1)
-        places = 1 + np.argsort(sudden)[::-1][:tried]
+        places = 1 + np.argsort(sudden)[::-1][: settings.mirror_trials]
         others = [mirrored_after(rotation, int(frame)) for frame in places]
         norms = [nuclear_norm(smooth_shapes(complete, other)) for other in others]
-        if not norms or min(norms) > 0.999 * norm:
+        if not norms or min(norms) > settings.mirror_gain * norm:
             break
         norm, rotation = min(norms), others[int(np.argmin(norms))]
     return rotation
 
 
-def _tell(
+def _result(
     model: DeformingModel,
-    weight: Floats,
-    doubt: list[tuple[Floats, Floats]],
+    data: _Tracks,
+    deviations: list[tuple[Floats, Floats]],
     tracks: Floats,
     size: float,
     middle: Floats,
+    settings: OneViewSettings,
 ) -> NonRigidShapes:
-    """Give the answer in the tracks' unit, in the axes of the first frame's camera."""
+    """Convert the model to the tracks' unit and to the axes of the first frame's camera."""
     turn = model.rotation[0]
     mean = model.mean + np.einsum("m,mip->ip", model.weights.mean(0), model.modes)
     points = mean.shape[1]
     left = np.einsum("fm,mip->fip", model.weights - model.weights.mean(0), model.modes).reshape(len(tracks), -1)
     u, d, vt = singular_vectors(left)
-    count = int((d[: len(model.modes)] > KEPT * np.sqrt(len(tracks) * points)).sum())
+    least = settings.refinement.least_mode_size * np.sqrt(len(tracks) * points)
+    count = int((d[: len(model.modes)] > least).sum())
     weights = u[:, :count] * d[:count] / np.sqrt(points)
     modes = (vt[:count] * np.sqrt(points)).reshape(count, 3, points)
     coefficients = np.concatenate([np.ones((len(tracks), 1)), weights * size], 1)
@@ -362,16 +433,17 @@ def _tell(
     shape = np.einsum("fk,kip->fip", coefficients, basis)
     rotation = model.rotation @ turn.T
     translation = model.shift * size + middle
-    slow = slow_turn_covariance(model.shapes, max(np.sqrt(model.variance), JUDGING_NOISE), model.unsteadiness)
-    of_shape = turn**2 @ (shape_variance(model, weight) + sum(of_shape for of_shape, _ in doubt))
+    noise = max(np.sqrt(model.variance), settings.comparison_noise)
+    slow = slow_turn_covariance(model.shapes, noise, model.acceleration_variance, settings.slow_turns)
+    of_shape = turn**2 @ (shape_variance(model, data.weight) + sum(of_shape for of_shape, _ in deviations))
     of_shape += turned_covariance(turn @ slow @ turn.T, turn @ model.shapes)
-    of_turn = np.einsum("fii->fi", model.covariance[0][:, :3, :3]) + sum(of_turn for _, of_turn in doubt)
+    of_turn = np.einsum("fii->fi", model.covariance[0][:, :3, :3]) + sum(of_turn for _, of_turn in deviations)
     of_turn = of_turn + np.einsum("fij,fjk,fik->fi", model.rotation, slow, model.rotation)
     fit = (rotation @ shape)[:, :2] + translation[:, :, None]
     return NonRigidShapes(
         shape=shape, shape_sd=np.sqrt(of_shape) * size, rotation=rotation, translation=translation, basis=basis,
         rotation_sd=np.sqrt(of_turn), path_doubt=np.zeros((len(tracks), 3)),
         coefficients=coefficients, noise_sd=float(np.sqrt(model.variance)) * size,
-        residuals=np.linalg.norm(tracks - fit, axis=1), predicted=weight == 0, steadiness=0.0,
+        residuals=np.linalg.norm(tracks - fit, axis=1), predicted=data.weight == 0, steadiness=0.0,
         rank_curve=np.empty((0, 2)), notes=(),
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Equations of the mean shape and all displacements together: points before the camera, neighbours at a distance."""
+"""Normal equations of the mean shape and all modes, from images of points and distances between neighbours."""
 
 from dataclasses import dataclass
 
@@ -6,8 +6,10 @@ import numpy as np
 
 from marey.arrays import Floats, Integers
 
-ROUNDS = 80
-STILL = 1e-5
+_ROUNDS = 80
+"""Largest number of conjugate gradient steps; a limit on time."""
+_TOLERANCE = 1e-5
+"""Steps end when the preconditioned residual falls below this fraction of the right-hand side."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -15,16 +17,16 @@ class ShapeEquations:
     """Normal equations of P points' coordinates in K basis shapes, in the order (P, 3K)."""
 
     diagonal: Floats
-    """(P, 3K, 3K)."""
+    """(P, 3K, 3K) blocks of the points."""
     across: Floats
-    """(E, 3K, 3K) what ties the two points of a pair, to be subtracted."""
+    """(E, 3K, 3K) couplings of the two points of each pair, to be subtracted."""
     pairs: Integers
-    """(E, 2)."""
+    """(E, 2) neighbouring points."""
     right: Floats
-    """(P, 3K)."""
+    """(P, 3K) right-hand side."""
 
     def times(self, values: Floats) -> Floats:
-        """Give the left side of some values (P, 3K)."""
+        """Multiply the matrix with values (P, 3K)."""
         first, second = self.pairs.T
         out = _each(self.diagonal, values)
         if len(self.pairs):
@@ -34,12 +36,12 @@ class ShapeEquations:
 
 
 def in_rows(basis: Floats) -> Floats:
-    """Give basis shapes (K, 3, P) in the order of the equations."""
+    """Rearrange basis shapes (K, 3, P) into the order of the equations, (P, 3K)."""
     return np.asarray(basis.transpose(2, 0, 1).reshape(basis.shape[2], -1))
 
 
 def in_shapes(rows: Floats) -> Floats:
-    """Give basis shapes (K, 3, P) from the order of the equations."""
+    """Rearrange rows (P, 3K) of the equations into basis shapes (K, 3, P)."""
     return np.asarray(rows.reshape(len(rows), -1, 3).transpose(1, 2, 0))
 
 
@@ -53,18 +55,18 @@ def shape_equations(
     direction: Floats,
     distance: Floats,
 ) -> ShapeEquations:
-    """Write the equations of the basis shapes, given the frames; displacements are of size 1 beforehand.
+    """Compute the equations of the basis shapes, given the frames; the prior of a mode's coordinate has variance 1.
 
     Args:
         row: (F, K) weights.
         square: (F, K, K) expected products of the weights.
-        by_shape: (F, 2, 3, P) derivative of the image by a shape's point, over the noise.
-        wanted: (F, 2, P) what these derivatives times the shape should be.
-        moved: (F, K, 3, P) expected product of what is not known of a weight with how what is not known of the motion
-            carries a point, in the object's frame; 0 of the mean shape.
+        by_shape: (F, 2, 3, P) derivatives of the image by the points of the shape, over the noise.
+        wanted: (F, 2, P) target of these derivatives times the shape.
+        moved: (F, K, 3, P) expected products of the error of a weight and the displacement of a point by the error of
+            the motion, in the object's frame; 0 for the mean shape.
         pairs: (E, 2) neighbours.
-        direction: (F, 3, E) from the second to the first, over the distance's standard deviation.
-        distance: (E,) over the same.
+        direction: (F, 3, E) from the second point to the first, over the distance's standard deviation.
+        distance: (E,) mean distance over the same standard deviation.
     """
     count, points = row.shape[1], wanted.shape[2]
     seen_of = np.einsum("fkip,fkjp->pfij", by_shape, by_shape)
@@ -77,21 +79,21 @@ def shape_equations(
     for sign, ends in ((1, pairs[:, 0]), (-1, pairs[:, 1])):
         np.add.at(diagonal, ends, across)
         np.add.at(right, ends, sign * pull)
-    # Each coordinate's own share: a mode of large weights would hold all others else.
+    # Relative to each coordinate: otherwise a mode of large weights would constrain all others.
     diagonal[:, range(3 * count), range(3 * count)] *= 1 + 1e-9
     diagonal[:, range(3, 3 * count), range(3, 3 * count)] += 1
     return ShapeEquations(diagonal=diagonal, across=across, pairs=pairs, right=right)
 
 
 def solve_shape_equations(equations: ShapeEquations, basis: Floats) -> Floats:
-    """Solve by conjugate gradients with the points' own blocks as preconditioner, from basis shapes (K, 3, P)."""
+    """Solve by conjugate gradients, preconditioned by the blocks of the points, starting from shapes (K, 3, P)."""
     inverse = np.linalg.inv(equations.diagonal)
     found = in_rows(basis)
     left = equations.right - equations.times(found)
     turned = _each(inverse, left)
     direction, size = turned, float((left * turned).sum())
-    enough = STILL**2 * float((equations.right * _each(inverse, equations.right)).sum())
-    for _ in range(ROUNDS):
+    enough = _TOLERANCE**2 * float((equations.right * _each(inverse, equations.right)).sum())
+    for _ in range(_ROUNDS):
         if size <= enough:
             break
         ahead = equations.times(direction)
@@ -109,7 +111,7 @@ def _each(blocks: Floats, values: Floats) -> Floats:
 
 
 def _blocks(square: Floats, seen_of: Floats) -> Floats:
-    """Sum over frames the products of square (F, K, K) and seen_of (N, F, 3, 3): (N, 3K, 3K)."""
+    """Sum over frames the products of square (F, K, K) and seen_of (N, F, 3, 3), giving (N, 3K, 3K)."""
     number, frames = seen_of.shape[:2]
     count = square.shape[1]
     sums = np.swapaxes(seen_of.reshape(number, frames, 9), 1, 2) @ square.reshape(frames, -1)

@@ -1,4 +1,4 @@
-"""Tracks of all points in all frames solved together from the grey values, under a low rank."""
+"""Joint solution for the tracks of all points in all frames from grey values, under a low rank."""
 
 from dataclasses import dataclass, replace
 
@@ -19,71 +19,89 @@ from marey.images.matching.feature_tracks import (
 from marey.images.matching.features import edge_features, good_features
 from marey.images.matching.splines import SplinePicture, spline_of
 from marey.nonrigid.tracking.weighted_factorisation import (
-    LEAST_SEEN,
+    LEAST_POINTS_SEEN,
     LowRankTracks,
     PlaceEquations,
-    factorise,
     inverse_of_symmetric,
+    low_rank_tracks,
     times,
 )
 
 _RANKS = (2, 3, 4, 5, 6, 7, 8, 9, 10, 12, 14)
-"""Ranks that are tried, beside the translation."""
-_MORE_RANKS = (*_RANKS, 17, 20, 24, 28, 34, 40)
-"""Ranks for one video, whose lens and whose surface bend the tracks beyond what few shapes do."""
-_PAST_BEST = 3
-"""So many ranks after the best one no further are tried."""
-_ASTRAY = 3.0
-"""A place that only a younger reference gave is no good where it lies farther from what its neighbours say than this
-many times the distance below which 95 % of all places lie."""
-_HELD_OUT = 0.1
-"""Share of the well-known places that are hidden to choose the rank."""
-_CLUMP = 0.1
-"""Share of the points, and of the frames, that are hidden together."""
-_FIRM = 4.0
-"""A place is well known where its weakest direction has a standard deviation below 1 / sqrt of this [1/px2]."""
-_AS_GOOD = 1.02
-"""The least rank whose held-out error is within this factor of the best is taken."""
-_LEAST_SD = 0.05
-"""No place is trusted more than this [px]: what patches that bend, blur and compress leave."""
-_USUAL = 1.96
-"""Deviations within which 95 % of the places held out shall lie."""
-_UNUSUAL = 0.25
-"""A place with less weight than this was an outlier, and is not called visible."""
+"""Ranks, beside the translation, among which that of several cameras' tracks is chosen. Chosen by hand; results were
+not measured against other values."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class RankSettings:
-    """How tracks are refined.
+class RankTrackingSettings:
+    """Settings of the refinement of tracks under a low rank.
+
+    Where nothing else is stated, defaults were chosen by hand, and results were not measured against other values.
 
     Raises:
         SettingProblem: A value is impossible.
     """
 
     rank: int | None = None
-    """Rank beside the translation; None chooses it by places held out."""
+    """Rank beside the translation; chosen by cross-validation if None."""
     passes: int = 4
-    """How often the grey values are compared anew at the places that were found."""
+    """Number of times that grey values are compared at the current positions."""
     alike: float = 0.7
-    """Least correlation with the reference at a place that counts."""
+    """Least correlation with the reference at a position that is used."""
+    ranks: tuple[int, ...] = (*_RANKS, 17, 20, 24, 28, 34, 40)
+    """Ranks that are tried for one video, whose lens and surface need more than few shapes."""
+    stray: float = 3.0
+    """A position from a later reference only is rejected where it is farther from the prediction of its neighbours than
+    this times the distance within which 95 % of all positions lie."""
+    least_weight: float = 0.25
+    """Positions with a smaller weight are outliers, and are not visible."""
+    least_sd: float = 0.05
+    """Least standard deviation of a position [px]: the effect of deformation, blur and compression on patches."""
 
     def __post_init__(self) -> None:
         if (self.rank is not None and self.rank < 1) or self.passes < 1 or not 0 < self.alike < 1:
             raise SettingProblem(
                 f"Tracks cannot be refined with rank {self.rank}, {self.passes} passes and a correlation of "
-                f"{self.alike:g}: rank and passes are at least 1, the correlation between 0 and 1."
+                f"{self.alike:g}: rank and passes must be at least 1, the correlation between 0 and 1."
             )
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeldOutSettings:
+    """Settings of the cross-validation of the rank; chosen by hand, results were not measured against other values."""
+
+    past_best: int = 3
+    """The search ends this many ranks after the best one."""
+    share: float = 0.1
+    """Fraction of the well-determined positions that are held out."""
+    clump: float = 0.1
+    """Fraction of the points, and of the frames, that are held out together."""
+    least_information: float = 4.0
+    """A position is well determined where its information in the weakest direction is above this [1/px2]."""
+    tolerance: float = 1.02
+    """The least rank whose error is within this factor of the best is chosen."""
+    rounds: int = 15
+    """Number of rounds of the factorisation."""
+    counted: float = 0.95
+    """Fraction of the held-out positions, those of the smallest errors, that count; some are outliers themselves."""
+
+
+_HELD_OUT = HeldOutSettings()
+"""Default settings of the cross-validation, which also serve the standard deviations."""
+_USUAL = 1.96
+"""Number of standard deviations that contain 95 % of the positions of a normal distribution."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RankTracks:
-    """Refined tracks, and how their rank was chosen."""
+    """Refined tracks with their rank."""
 
     tracks: FeatureTracks
+    """Positions with standard deviations."""
     rank: int
-    """Beside the translation."""
+    """Rank beside the translation."""
     curve: Floats
-    """(n, 2) ranks tried and the root mean square distance of the places held out from the model [px]; empty where the
+    """(n, 2) ranks tried and the root mean square distance of held-out positions from the model [px]; empty where the
     rank was given."""
     spread: float
     """Standard deviation of a coordinate about the low rank [px]."""
@@ -96,42 +114,42 @@ def refine_tracks(
     pictures: Pictures,
     followed: FollowedPoints,
     *,
-    settings: RankSettings | None = None,
+    settings: RankTrackingSettings | None = None,
     patches: FollowSettings = DEFAULT,
 ) -> RankTracks:
-    """Solve the tracks of all points in all frames together from the grey values ([Torresani2001]).
+    """Solve for the tracks of all points in all frames together from the grey values ([Torresani2001]).
 
     Args:
-        pictures: The video's grey pictures.
-        followed: What single points gave; those along edges start where the others carry them.
-        settings: Rank and passes.
-        patches: What the points were followed with.
+        pictures: Grey images of the video.
+        followed: Tracks of single points; those along edges are initialised by the others.
+        settings: Rank, passes and tuned constants; the defaults if None.
+        patches: Settings with which the points were followed.
 
     Returns:
-        Places in all frames in which at least three points are seen, `predicted` where the point itself is not; NaN in
-        the others. Points that never could be compared are predicted by nothing and stay NaN.
+        Positions in all frames in which at least three points are seen, `predicted` where the point itself is not; NaN
+        in the others, and for points that could never be compared.
 
     Raises:
-        SettingProblem: Fewer points or frames than the least rank needs.
+        SettingProblem: There are fewer points or frames than the least rank needs.
     """
-    settings = settings or RankSettings()
-    followed = _without_strays(followed)
+    settings = settings or RankTrackingSettings()
+    followed = _without_strays(followed, settings.stray)
     places = _complete(followed)
     rank = settings.rank
     curve: Floats = np.empty((0, 2))
     for _ in range(settings.passes):
         equations = _equations(pictures, followed, places, settings, patches)
         if rank is None:
-            rank, curve = choose_rank(equations, places, ranks=_MORE_RANKS)
+            rank, curve = choose_tracking_rank(equations, places, ranks=settings.ranks)
         _require_enough(equations, rank)
-        model = factorise(equations, places, rank)
-        refined, covariance = combined(equations, model)
+        model = low_rank_tracks(equations, places, rank)
+        refined, covariance = combined(equations, model, settings.least_weight)
         lost = ~np.all(np.isfinite(refined), axis=2)
         before, places = places, np.where(lost[..., None], places, refined)
     assert rank is not None
-    doubt = _doubt(equations, before, rank)
+    factor = _uncertainty_factor(equations, before, rank, settings.least_sd)
     return RankTracks(
-        tracks=_tracks(followed, equations, model, refined, covariance, doubt),
+        tracks=_tracks(followed, equations, model, (refined, covariance), factor, settings),
         rank=rank,
         curve=curve,
         spread=model.spread,
@@ -145,27 +163,27 @@ def track_features(
     corners: int = 30,
     edges: int = 80,
     within: Mask | None = None,
-    settings: RankSettings | None = None,
+    settings: RankTrackingSettings | None = None,
     patches: FollowSettings = DEFAULT,
 ) -> RankTracks:
-    """Choose corners and places along edges in one frame and track them through a video.
+    """Select corners and points along edges in one frame and track them through a video.
 
-    The numbers are those of [Alexander2003] section 3.2.
+    The default numbers are those of [Alexander2003] section 3.2.
 
     Args:
-        pictures: The video's grey pictures.
-        frame: The frame in which points are chosen.
-        corners: How many corners at most.
-        edges: How many places along edges at most.
-        within: (H, W) where points may lie; everywhere when None.
-        settings: Rank and passes.
-        patches: How corners are followed.
+        pictures: Grey images of the video.
+        frame: Frame in which points are selected.
+        corners: Largest number of corners.
+        edges: Largest number of points along edges.
+        within: (H, W) mask of possible positions; everywhere if None.
+        settings: Rank, passes and tuned constants; the defaults if None.
+        patches: Settings with which corners are followed.
 
     Returns:
         The refined tracks, corners first.
 
     Raises:
-        SettingProblem: There are too few corners to hold the rest.
+        SettingProblem: There are too few corners to constrain the other points.
     """
     strong = good_features(pictures[frame], count=corners, size=patches.size, within=within)
     weak = edge_features(pictures[frame], count=edges, taken=strong, size=patches.size, within=within)
@@ -175,7 +193,7 @@ def track_features(
 
 def _require_enough(equations: PlaceEquations, rank: int) -> None:
     known = equations.known
-    frames, points = int((known.sum(axis=1) >= LEAST_SEEN).sum()), int(known.any(axis=0).sum())
+    frames, points = int((known.sum(axis=1) >= LEAST_POINTS_SEEN).sum()), int(known.any(axis=0).sum())
     if points <= rank + 1 or 2 * frames <= rank + 1:
         raise SettingProblem(
             f"{points} points seen in {frames} frames are too few for tracks of rank {rank}: more points than "
@@ -183,16 +201,16 @@ def _require_enough(equations: PlaceEquations, rank: int) -> None:
         )
 
 
-def _without_strays(followed: FollowedPoints) -> FollowedPoints:
-    """Leave out places that a younger reference gave and that jumped away from all neighbours.
+def _without_strays(followed: FollowedPoints, ratio: float) -> FollowedPoints:
+    """Remove positions from later references that are far from the prediction of their neighbours.
 
-    Whoever is compared with yesterday's patch alone slides on to what looks like it; neighbours tell.
+    A point that is compared with a recent patch only can slide to similar texture; its neighbours reveal this.
     """
     found, first = np.swapaxes(followed.found.tracks, 1, 2), followed.guesses[followed.start].T
     away = np.stack([np.linalg.norm(now - said_by_others(first, now), axis=1) for now in found])
     if not np.isfinite(away).any():
         return followed
-    stray = np.nan_to_num(away) > _ASTRAY * np.nanpercentile(away, 95)
+    stray = np.nan_to_num(away) > ratio * np.nanpercentile(away, 95)
     stray &= followed.used >= found.shape[1]
     places = np.swapaxes(np.where(stray[..., None], np.nan, found), 1, 2)
     deviations = np.where(stray[:, None], np.nan, followed.found.tracks_sd)
@@ -201,7 +219,7 @@ def _without_strays(followed: FollowedPoints) -> FollowedPoints:
 
 
 def _complete(followed: FollowedPoints) -> Floats:
-    """Give places (F, P, 2) to begin with: where points were not seen, their neighbours carry them."""
+    """Compute initial positions (F, P, 2); points that were not seen are extrapolated from their neighbours."""
     found = np.swapaxes(followed.found.tracks, 1, 2)
     guesses = np.swapaxes(followed.guesses, 1, 2)
     first = guesses[followed.start]
@@ -209,9 +227,13 @@ def _complete(followed: FollowedPoints) -> Floats:
 
 
 def _equations(
-    pictures: Pictures, followed: FollowedPoints, places: Floats, settings: RankSettings, patches: FollowSettings
+    pictures: Pictures,
+    followed: FollowedPoints,
+    places: Floats,
+    settings: RankTrackingSettings,
+    patches: FollowSettings,
 ) -> PlaceEquations:
-    """Compare all points with the pictures: with the first reference, or with the one they were followed with."""
+    """Compare all points with the images, using the first reference, or that with which they were followed."""
     frames, count = places.shape[:2]
     information, right = np.zeros((frames, count, 2, 2)), np.zeros((frames, count, 2))
     maps = _maps(followed, places)
@@ -219,8 +241,8 @@ def _equations(
     first = np.where(usable, np.arange(count), -1)
     for t in range(frames):
         spline = spline_of(pictures[t])
-        younger = np.where(followed.used[t] >= count, followed.used[t], -1)
-        for chosen in (first, younger):
+        later = np.where(followed.used[t] >= count, followed.used[t], -1)
+        for chosen in (first, later):
             _compare(spline, followed, chosen, places, maps[t], t, settings, patches, information[t], right[t])
     return PlaceEquations(information=information, right=right)
 
@@ -232,17 +254,17 @@ def _compare(
     places: Floats,
     maps: Floats,
     frame: int,
-    settings: RankSettings,
+    settings: RankTrackingSettings,
     patches: FollowSettings,
     information: Floats,
     right: Floats,
 ) -> None:
-    """Write the equations of the points of a frame that nothing is known of yet and that look like their reference."""
+    """Add the equations of a frame's points that have none so far and resemble their reference."""
     references, everyone = followed.references, np.arange(len(chosen))
     taken = references.frames[chosen]
     ahead = followed.maps[taken, everyone]
     own = np.where((chosen >= len(chosen))[:, None, None], maps @ np.linalg.inv(ahead), maps)
-    # A younger reference shows the point where it is thought to have been then: its drift goes as that place improves.
+    # A later reference refers to the current estimate of its position, so its drift decreases as that improves.
     pixels = places[taken, everyone]
     new, side, alike = references.equations(spline, chosen, pixels, places[frame], own, patches.noise)
     good = (alike >= settings.alike) & (np.trace(information, axis1=1, axis2=2) == 0)
@@ -250,7 +272,7 @@ def _compare(
 
 
 def _maps(followed: FollowedPoints, places: Floats) -> Floats:
-    """Give the affine maps (F, P, 2, 2) from the start's frame: as matched, or as the places about a point say."""
+    """Compute affine maps (F, P, 2, 2) from the first frame: as matched, or from the positions of neighbours."""
     seen = followed.found.visible
     maps = followed.maps.copy()
     first = places[followed.start]
@@ -268,18 +290,19 @@ def _maps(followed: FollowedPoints, places: Floats) -> Floats:
     return maps
 
 
-def combined(equations: PlaceEquations, model: LowRankTracks) -> tuple[Floats, Floats]:
-    """Put together what the grey values and the other points say about each place; outliers among the first are left.
+def combined(equations: PlaceEquations, model: LowRankTracks, least_weight: float) -> tuple[Floats, Floats]:
+    """Combine the information of the grey values with the prediction of the low-rank model.
 
     Args:
-        equations: What the grey values say.
-        model: What the other points say.
+        equations: Information of the grey values.
+        model: Low-rank model.
+        least_weight: Grey values of positions with a smaller weight are ignored.
 
     Returns:
-        Places (F, P, 2) [px] and their covariance (F, P, 2, 2) [px2].
+        Positions (F, P, 2) [px] and their covariance (F, P, 2, 2) [px2].
     """
     places, prior = model.places(), model.place_covariance()
-    weight = np.where(model.weight > _UNUSUAL, model.weight, 0)[..., None, None]
+    weight = np.where(model.weight > least_weight, model.weight, 0)[..., None, None]
     information = equations.information * weight
     pull = equations.right * weight[..., 0] - times(information, places)
     finite = np.all(np.isfinite(prior), axis=(2, 3))
@@ -290,13 +313,20 @@ def combined(equations: PlaceEquations, model: LowRankTracks) -> tuple[Floats, F
     return refined, covariance
 
 
-def choose_rank(equations: PlaceEquations, places: Floats, *, ranks: tuple[int, ...] = _RANKS) -> tuple[int, Floats]:
-    """Choose the rank by hiding well-known places and seeing how far from the model comes.
+def choose_tracking_rank(
+    equations: PlaceEquations,
+    places: Floats,
+    *,
+    ranks: tuple[int, ...] = _RANKS,
+    settings: HeldOutSettings = _HELD_OUT,
+) -> tuple[int, Floats]:
+    """Choose the rank by the prediction of well-determined positions that are held out.
 
     Args:
-        equations: What the grey values say.
-        places: (F, P, 2) to begin with [px].
-        ranks: The ranks to try, from the least on, until they have long been past the best.
+        equations: Information about each position.
+        places: (F, P, 2) initial positions [px].
+        ranks: Ranks to try, in ascending order.
+        settings: Tuned constants.
 
     Returns:
         The least rank whose error is within 2 % of the best, and the curve (n, 2) of ranks and errors [px].
@@ -305,54 +335,57 @@ def choose_rank(equations: PlaceEquations, places: Floats, *, ranks: tuple[int, 
         SettingProblem: There are too few points or frames for any rank.
     """
     _require_enough(equations, ranks[0])
-    hidden, kept, truth = _held_out(equations, places)
+    hidden, kept, truth = _held_out(equations, places, settings)
     points = int((kept.known.sum(axis=0) > 0).sum())
     curve: list[tuple[int, float]] = []
     for rank in ranks:
-        if curve and len(curve) - 1 - int(np.argmin([error for _, error in curve])) >= _PAST_BEST:
+        if curve and len(curve) - 1 - int(np.argmin([error for _, error in curve])) >= settings.past_best:
             break
         if points <= 2 * rank or len(places) <= rank:
             break
-        model = factorise(kept, places, rank, rounds=15)
+        model = low_rank_tracks(kept, places, rank, rounds=settings.rounds)
         away = np.sum((model.places()[hidden] - truth) ** 2, axis=1)
         away = away[np.isfinite(away)]
-        # A few hidden places are wrong themselves: the largest do not count.
-        curve.append((rank, float(np.sqrt(np.mean(np.sort(away)[: max(1, int(0.95 * len(away)))])))))
+        # The largest errors are ignored: some held-out positions are outliers themselves.
+        counted = np.sort(away)[: max(1, int(settings.counted * len(away)))]
+        curve.append((rank, float(np.sqrt(np.mean(counted)))))
     if not curve:
         raise SettingProblem(f"{points} points in {len(places)} frames are too few to choose a rank.")
     errors = np.array(curve)
-    return int(errors[np.argmax(errors[:, 1] <= _AS_GOOD * errors[:, 1].min()), 0]), errors
+    return int(errors[np.argmax(errors[:, 1] <= settings.tolerance * errors[:, 1].min()), 0]), errors
 
 
-def _held_out(equations: PlaceEquations, places: Floats) -> tuple[Mask, PlaceEquations, Floats]:
-    """Hide well-known places: which (F, P), the equations of the rest, and where the hidden ones (n, 2) are."""
+def _held_out(
+    equations: PlaceEquations, places: Floats, settings: HeldOutSettings
+) -> tuple[Mask, PlaceEquations, Floats]:
+    """Hold out well-determined positions: return their mask (F, P), the other equations, and the positions (n, 2)."""
     weakest = np.linalg.eigvalsh(equations.information)[..., 0]
-    hidden = (weakest > _FIRM) & _clumps(places)
+    hidden = (weakest > settings.least_information) & _clumps(places, settings)
     if not hidden.any():
-        raise SettingProblem("No point is known well enough to judge a rank by it.")
+        raise SettingProblem("No point is determined well enough in both directions to choose a rank.")
     truth = times(inverse_of_symmetric(equations.information[hidden]), equations.right[hidden])
     return hidden, equations.without(hidden), truth
 
 
-def _doubt(equations: PlaceEquations, places: Floats, rank: int) -> float:
-    """Say by how much predicted places are less certain than the model states, from places held out.
+def _uncertainty_factor(equations: PlaceEquations, places: Floats, rank: int, least_sd: float) -> float:
+    """Estimate the ratio of actual to stated standard deviations of predicted positions, from positions held out.
 
-    What the rank leaves of a deformation is alike in neighbours; the model takes each point's share for its own.
+    Deformation beyond the rank is correlated between neighbours, while the model takes it as independent.
     """
-    hidden, kept, truth = _held_out(equations, places)
-    model = factorise(kept, places, rank, rounds=15)
+    hidden, kept, truth = _held_out(equations, places, _HELD_OUT)
+    model = low_rank_tracks(kept, places, rank, rounds=_HELD_OUT.rounds)
     covariance = model.place_covariance()[hidden] + inverse_of_symmetric(equations.information[hidden])
-    sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2) + _LEAST_SD**2)
+    sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2) + least_sd**2)
     away = np.abs(model.places()[hidden] - truth) / sd
     return max(1.0, float(np.nanpercentile(away, 95)) / _USUAL)
 
 
-def _clumps(places: Floats) -> Mask:
-    """Choose places (F, P) to hide as things before the surface would: neighbours together, for some frames."""
+def _clumps(places: Floats, settings: HeldOutSettings) -> Mask:
+    """Select positions (F, P) to hold out as an occlusion would: neighbours together, for several frames."""
     frames, count = places.shape[:2]
     random, hidden = np.random.default_rng(0), np.zeros(places.shape[:2], bool)
-    near, length = max(1, round(_CLUMP * count)), max(1, round(_CLUMP * frames))
-    while hidden.mean() < _HELD_OUT:
+    near, length = max(1, round(settings.clump * count)), max(1, round(settings.clump * frames))
+    while hidden.mean() < settings.share:
         start = random.integers(frames)
         away = np.linalg.norm(places[start] - places[start, random.integers(count)], axis=1)
         hidden[start : start + length, np.argsort(away)[:near]] = True
@@ -363,18 +396,19 @@ def _tracks(
     followed: FollowedPoints,
     equations: PlaceEquations,
     model: LowRankTracks,
-    refined: Floats,
-    covariance: Floats,
-    doubt: float,
+    estimate: tuple[Floats, Floats],
+    factor: float,
+    settings: RankTrackingSettings,
 ) -> FeatureTracks:
-    """Give the result; places that are no good against the model are predicted by it instead."""
+    """Assemble the result; positions that are outliers are replaced by their prediction."""
+    refined, covariance = estimate
     known = np.all(np.isfinite(refined), axis=2) & equations.known.any(axis=0)
-    seen: Mask = equations.known & (model.weight > _UNUSUAL) & known
-    variance = np.diagonal(covariance, axis1=2, axis2=3) + _LEAST_SD**2
-    variance = np.where(seen[..., None], variance, doubt**2 * variance)
+    seen: Mask = equations.known & (model.weight > settings.least_weight) & known
+    variance = np.diagonal(covariance, axis1=2, axis2=3) + settings.least_sd**2
+    variance = np.where(seen[..., None], variance, factor**2 * variance)
     places = np.where(known[..., None], refined, np.nan)
     sd = np.where(known[..., None], np.sqrt(variance), np.nan)
-    # The points are what they were given as: there they are certain.
+    # In the first frame, points are exact by definition.
     start, given = followed.start, followed.used[followed.start] >= 0
     places[start, given], sd[start, given] = followed.guesses[start].T[given], 0.0
     seen[start], known[start] = given, known[start] | given

@@ -1,4 +1,4 @@
-"""Low-rank tracks from what grey values know about each place, in both directions of the picture at once."""
+"""Low-rank tracks from the information of grey values about each position, in both image directions at once."""
 
 from dataclasses import dataclass
 
@@ -7,28 +7,34 @@ import numpy as np
 from marey.arrays import Floats, Mask
 
 _TINY = 1e-9
+"""Information added to keep singular matrices solvable [1/px2]; a numerical threshold."""
 _TAIL = 4.0
-"""Degrees of freedom of the t distribution that places follow about the model; few of them forgive outliers."""
-LEAST_SEEN = 3
-"""A frame in which fewer points are seen says nothing."""
+"""Degrees of freedom of the t distribution of positions about the model; few of them make the fit robust to outliers.
+Chosen by hand; results were not measured against other values."""
+_UNWEIGHTED_ROUNDS = 3
+"""Number of first rounds in which all positions have the same weight. Chosen by hand; results were not measured against
+other values."""
+LEAST_POINTS_SEEN = 3
+"""Least number of points with information in a frame that is part of the model, as a translation and a rotation of the
+image require."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PlaceEquations:
-    """What is known about the place of each point in each frame, before anything is known of the others."""
+    """Information about the position of each point in each frame, independent of the other points."""
 
     information: Floats
-    """(F, P, 2, 2) inverse covariance [1/px2]; zero where nothing is known."""
+    """(F, P, 2, 2) inverse covariance [1/px2]; zero where there is no information."""
     right: Floats
-    """(F, P, 2) information times place [1/px]."""
+    """(F, P, 2) information times position [1/px]."""
 
     @property
     def known(self) -> Mask:
-        """(F, P) whether anything is known."""
-        return np.trace(self.information, axis1=2, axis2=3) > 0
+        """(F, P) mask of the positions with information."""
+        return np.asarray(np.trace(self.information, axis1=2, axis2=3) > 0)
 
     def without(self, hidden: Mask) -> "PlaceEquations":
-        """Give the equations with some places (F, P) taken out."""
+        """Return the equations without the positions in the mask (F, P)."""
         return PlaceEquations(
             information=np.where(hidden[..., None, None], 0, self.information),
             right=np.where(hidden[..., None], 0, self.right),
@@ -37,77 +43,76 @@ class PlaceEquations:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class LowRankTracks:
-    """Tracks of low rank, W = Q B and a translation ([Alexander2003] eq. (12))."""
+    """Tracks of low rank, W = Q B plus a translation ([Alexander2003] eq. (12))."""
 
     rows: Floats
-    """(F, 2, 1 + r) translation [px] and weights Q; NaN in frames that say nothing."""
+    """(F, 2, 1 + r) translation [px] and weights Q; NaN in frames without enough information."""
     columns: Floats
     """(P, 1 + r) ones and the basis B, centred and with unit covariance over the points."""
     covariance: Floats
-    """(F, 2 (1 + r), 2 (1 + r)) of the rows, x before y."""
+    """(F, 2 (1 + r), 2 (1 + r)) covariance of the rows, x before y."""
     spread: float
-    """Standard deviation of a coordinate about the model, beyond what grey values leave open [px]."""
+    """Standard deviation of a coordinate about the model, in addition to the uncertainty of the grey values [px]."""
     weight: Floats
-    """(F, P) share at which a place counted; near nothing for outliers."""
+    """(F, P) weight of each position; near zero for outliers."""
 
     @property
     def rank(self) -> int:
         """Rank r, beside the translation."""
-        return self.columns.shape[1] - 1
+        return int(self.columns.shape[1]) - 1
 
     def places(self) -> Floats:
-        """Give the model's tracks (F, P, 2) [px]."""
+        """Compute the tracks of the model (F, P, 2) [px]."""
         return np.swapaxes(self.rows @ self.columns.T, 1, 2)
 
     def place_covariance(self) -> Floats:
-        """Give the covariance (F, P, 2, 2) of a point about the model's tracks, given the other points [px2]."""
+        """Compute the covariance (F, P, 2, 2) of a point about the model's tracks, given the other points [px2]."""
         count = self.columns.shape[1]
         blocks = self.covariance.reshape(-1, 2, count, 2, count)
         both = np.einsum("pa,fiajb,pb->fpij", self.columns, blocks, self.columns, optimize=True)
-        return both + self.spread**2 * np.eye(2)
+        return np.asarray(both + self.spread**2 * np.eye(2))
 
 
-def factorise(equations: PlaceEquations, tracks: Floats, rank: int, *, rounds: int = 25) -> LowRankTracks:
+def low_rank_tracks(equations: PlaceEquations, tracks: Floats, rank: int, *, rounds: int = 25) -> LowRankTracks:
     """Solve for the tracks of all points in all frames together, at a given rank.
 
     Translation, weights and basis are solved in turn, each by linear least squares from the 2x2 structure matrices
-    ([Irani1999], [Torresani2001]). Unlike there, what is left of a point beyond the rank has a
-    standard deviation of its own, found from the data, so that strong corners need not be of low rank exactly, and
-    outliers lose their weight.
+    ([Irani1999], [Torresani2001]). Unlike there, departures from the low rank have a standard deviation, which is
+    estimated, so that strong corners need not be of low rank exactly, and outliers have a reduced weight.
 
     Args:
-        equations: What is known of each place.
-        tracks: (F, P, 2) to begin with, finite in every frame that has equations [px].
-        rank: Beside the translation.
-        rounds: How often the three are solved.
+        equations: Information about each position.
+        tracks: (F, P, 2) initial positions, finite in each frame that has equations [px].
+        rank: Rank beside the translation.
+        rounds: Number of rounds.
 
     Returns:
-        The model; frames with fewer than three points known are NaN.
+        The model; NaN in frames with fewer than three points with information.
     """
     known = equations.known
-    used = known.sum(axis=1) >= LEAST_SEEN
+    used = known.sum(axis=1) >= LEAST_POINTS_SEEN
     information, right, known = equations.information[used], equations.right[used], known[used]
     columns, start = _start(tracks[used], rank)
     spread, ridge = 1.0, np.zeros(rank + 1)
     weight = known.astype(float)
     middle, places = tracks[used].mean(axis=1), start
     for turn in range(rounds):
-        weight = _weights(information, right, places, spread) * known if turn > 2 else weight
-        dull, pulled = _dulled(information * weight[..., None, None], right * weight[..., None], spread)
-        rows, covariance = _solve_frames(dull, pulled, columns, ridge, middle)
-        columns, rows = _normalised(_solve_points(dull, pulled, rows), rows)
+        weight = _weights(information, right, places, spread) * known if turn >= _UNWEIGHTED_ROUNDS else weight
+        of_model, pulled = _marginalised(information * weight[..., None, None], right * weight[..., None], spread)
+        rows, covariance = _solve_frames(of_model, pulled, columns, ridge, middle)
+        columns, rows = _normalised(_solve_points(of_model, pulled, rows), rows)
         ridge = np.concatenate([[0], 1 / (np.mean(rows[..., 1:] ** 2, axis=(0, 1)) + 1e-6)])
         middle, places = rows[..., 0], np.swapaxes(rows @ columns.T, 1, 2)
         spread = _spread(information, right, places, weight, spread)
-    dull, pulled = _dulled(information * weight[..., None, None], right * weight[..., None], spread)
-    rows, covariance = _solve_frames(dull, pulled, columns, ridge, middle)
+    of_model, pulled = _marginalised(information * weight[..., None, None], right * weight[..., None], spread)
+    rows, covariance = _solve_frames(of_model, pulled, columns, ridge, middle)
     return _whole(used, rows, columns, covariance, spread, weight)
 
 
 def _whole(
     used: Mask, rows: Floats, columns: Floats, covariance: Floats, spread: float, weight: Floats
 ) -> LowRankTracks:
-    """Put the frames that say something back among the others."""
+    """Insert the used frames among all frames."""
     all_rows = np.full((len(used), *rows.shape[1:]), np.nan)
     all_covariance = np.full((len(used), *covariance.shape[1:]), np.nan)
     all_weight = np.zeros((len(used), weight.shape[1]))
@@ -116,7 +121,7 @@ def _whole(
 
 
 def _start(tracks: Floats, rank: int) -> tuple[Floats, Floats]:
-    """Give the columns (P, 1 + r) and the places (F, P, 2) of the nearest tracks of low rank."""
+    """Compute the columns (P, 1 + r) and positions (F, P, 2) of the nearest tracks of low rank."""
     centred = tracks - tracks.mean(axis=1, keepdims=True)
     stacked = np.swapaxes(centred, 1, 2).reshape(-1, tracks.shape[1])
     _, _, basis = np.linalg.svd(stacked, full_matrices=False)
@@ -126,8 +131,8 @@ def _start(tracks: Floats, rank: int) -> tuple[Floats, Floats]:
     return columns, near + tracks.mean(axis=1, keepdims=True)
 
 
-def _dulled(information: Floats, right: Floats, spread: float) -> tuple[Floats, Floats]:
-    """Give information and right-hand side about the model's place rather than the point's own."""
+def _marginalised(information: Floats, right: Floats, spread: float) -> tuple[Floats, Floats]:
+    """Convert information and right-hand side about a point's position into those about the model's position."""
     mixed = inverse_of_symmetric(np.eye(2) + spread**2 * information)
     return mixed @ information, times(mixed, right)
 
@@ -140,7 +145,7 @@ def times(matrices: Floats, vectors: Floats) -> Floats:
 
 
 def inverse_of_symmetric(matrices: Floats) -> Floats:
-    """Invert symmetric matrices (..., 2, 2); far faster than the general way for so many small ones."""
+    """Invert symmetric matrices (..., 2, 2) in closed form, faster than `numpy.linalg.inv` for many small ones."""
     xx, xy, yy = matrices[..., 0, 0], matrices[..., 0, 1], matrices[..., 1, 1]
     determinant = xx * yy - xy * xy
     rows = np.stack([yy, -xy, -xy, xx], axis=-1) / determinant[..., None]
@@ -148,24 +153,24 @@ def inverse_of_symmetric(matrices: Floats) -> Floats:
 
 
 def _weights(information: Floats, right: Floats, places: Floats, spread: float) -> Floats:
-    """Weigh each place (F, P) by how far it lies from the model, against its covariance."""
+    """Compute the weight of each position (F, P) from its distance from the model, relative to its covariance."""
     pull = right - times(information, places)
     firm = information + _TINY * np.eye(2)
     away = times(inverse_of_symmetric(firm), pull)
     pulled = times(inverse_of_symmetric(np.eye(2) + spread**2 * firm), pull)
     square = np.einsum("fpi,fpi->fp", away, pulled)
-    return (_TAIL + 2) / (_TAIL + np.maximum(square, 0))
+    return np.asarray((_TAIL + 2) / (_TAIL + np.maximum(square, 0)))
 
 
 def _solve_frames(
     information: Floats, right: Floats, columns: Floats, ridge: Floats, middle: Floats
 ) -> tuple[Floats, Floats]:
-    """Give the rows (F, 2, k) of every frame given the columns, and their covariance (F, 2k, 2k)."""
+    """Solve for the rows (F, 2, k) of each frame, given the columns; also their covariance (F, 2k, 2k)."""
     frames, count = len(information), columns.shape[1]
     pairs = (columns[:, :, None] * columns[:, None]).reshape(len(columns), -1)
     xx, xy, yy = ((information[..., i, j] @ pairs).reshape(frames, count, count) for i, j in ((0, 0), (0, 1), (1, 1)))
     normal = np.concatenate([np.concatenate([xx, xy], axis=2), np.concatenate([xy, yy], axis=2)], axis=1)
-    # So weak a pull that it only settles translations that no point sees: towards where they were.
+    # A weak pull towards previous values, which matters only for translations without information.
     held = np.tile(ridge, 2) + _TINY
     normal[:, range(2 * count), range(2 * count)] += held
     side = np.concatenate([right[..., 0] @ columns, right[..., 1] @ columns], axis=1)
@@ -175,7 +180,7 @@ def _solve_frames(
 
 
 def _solve_points(information: Floats, right: Floats, rows: Floats) -> Floats:
-    """Give the basis (P, r) given the frames."""
+    """Solve for the basis (P, r), given the frames."""
     weights, middle = rows[..., 1:], rows[..., 0]
     rank = weights.shape[2]
     left = right - times(information, middle[:, None])
@@ -189,7 +194,7 @@ def _solve_points(information: Floats, right: Floats, rows: Floats) -> Floats:
 
 
 def _normalised(basis: Floats, rows: Floats) -> tuple[Floats, Floats]:
-    """Centre the basis and give it unit covariance; the rows change so that the tracks stay."""
+    """Centre the basis and scale it to unit covariance, changing the rows so that the tracks stay the same."""
     middle = basis.mean(axis=0)
     scale, turn = np.linalg.eigh(np.cov(basis.T, bias=True).reshape(len(middle), -1))
     scale = np.sqrt(np.maximum(scale, 1e-12 * scale[-1] + 1e-300))
@@ -200,7 +205,7 @@ def _normalised(basis: Floats, rows: Floats) -> tuple[Floats, Floats]:
 
 
 def _spread(information: Floats, right: Floats, places: Floats, weight: Floats, spread: float) -> float:
-    """Give the next standard deviation of a coordinate about the model: one step of expectation and maximisation."""
+    """Update the standard deviation of a coordinate about the model by one step of expectation maximisation."""
     variance = inverse_of_symmetric(information + np.eye(2) / spread**2)
     moved = times(variance, right - times(information, places))
     square = np.sum(moved**2, axis=2) + np.trace(variance, axis1=2, axis2=3)

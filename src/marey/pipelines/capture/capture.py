@@ -1,4 +1,4 @@
-"""`marey capture`: from the videos of a trial to the motion of the person in it."""
+"""`marey capture`: the motion of a person from the videos of a trial."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -13,18 +13,18 @@ from marey.body.articulation.surface import Body
 from marey.body.metaballs.metaball_person import reshaped
 from marey.errors import FileProblem
 from marey.fit.recipes.person import (
-    Memory,
-    Take,
-    bridged,
-    mend_person,
+    SilhouetteTake,
+    TrackCheckpoint,
+    interpolated_poses,
     refine_person,
+    repair_person,
     shape_frames,
     start_person,
     track_person,
-    unseen,
+    unsupported_frames,
     with_shape,
 )
-from marey.fit.recipes.sequence import RefineMemory
+from marey.fit.recipes.sequence import RefineCheckpoint
 from marey.fit.recipes.start_joints import start_from_joints
 from marey.fit.search.search import Candidate
 from marey.io.results.results import write_results
@@ -44,12 +44,20 @@ from marey.pipelines.progress import Progress
 from marey.pipelines.run_record import finished_together, write_record
 
 SHAPE_ROUNDS = 4
+"""Rounds of matching and solving in the first refinement of shape and motion.
+
+Chosen by hand; results were not measured against other values.
+"""
 FINE_ROUNDS = 3
+"""Rounds of matching and solving in the last refinement, in larger images.
+
+Four or eight rounds change the joints of no take by more than 0.9 mm (docs/accuracy/rejected.md).
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Tracked:
-    """A person followed through a take: the body, and a pose a frame."""
+    """A person tracked through a take: the body, and one pose per frame."""
 
     body: Body
     poses: Mapping[int, Pose]
@@ -78,36 +86,42 @@ def capture_trial(
         FileProblem: Something in the trial cannot be used.
     """
     with opened(trial, settings, progress, observations=observations) as (run, bodies, logs):
-        _capture(run, bodies, logs)
+        run_capture(run, bodies, logs)
     return load_motion(run.out)
 
 
 @dataclass(frozen=True, eq=False)
-class Followed:
-    """A person followed through the take, and the silhouettes about the person."""
+class FollowedPerson:
+    """A person tracked through the take, and the silhouettes with the person as prior."""
 
     tracked: Tracked
     filled: Mapping[int, Pose]
-    """Frames without an answer between others that have one."""
+    """Interpolated poses of frames between others with a pose."""
     outlines: MaskStore
     frames: Sequence[int]
-    """Those that show somebody."""
+    """Frames that show a person."""
 
-    def take(self, run: "Run") -> Take:
-        """Give the take as the refinement sees it."""
+    def take(self, run: "Run") -> SilhouetteTake:
+        """Return the take as the refinement needs it."""
         poses, store = self.tracked.poses, self.outlines
-        return Take(tuple(run.trial.rig), store, tuple(poses), run.trial.take.rate, store.edges)
+        return SilhouetteTake(tuple(run.trial.rig), store, tuple(poses), run.trial.take.rate, store.edges)
 
 
-def _capture(run: Run, bodies: Bodies, logs: Logs) -> None:
-    """Go from pictures to results: silhouettes, person, silhouettes about the person, and the person again."""
+def run_capture(run: Run, bodies: Bodies, logs: Logs) -> None:
+    """Run all stages: silhouettes, the person, silhouettes with the person as prior, the refined person, and results.
+
+    Args:
+        run: The run.
+        bodies: The body with many and with few vertices.
+        logs: Storage of the silhouettes.
+    """
     followed = follow_person(run, bodies, logs)
     refined = refined_person(run, followed, bodies)
     write_capture(run, refined, followed.outlines, followed.frames)
 
 
-def follow_person(run: Run, bodies: Bodies, logs: Logs) -> Followed:
-    """Go from pictures to a person's poses in every frame: silhouettes, person, and silhouettes about the person."""
+def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
+    """Find silhouettes, a person's poses in every frame, and silhouettes with the person as prior."""
     trial, progress = run.trial, run.progress
     cameras, first = list(trial.rig), trial.take.first
     outlines, small = MaskStore(logs.outlines, first, cameras), cameras
@@ -125,19 +139,19 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> Followed:
         store = stages.common_silhouettes(store, small, MaskStore(logs.common, first, small), progress)
         frames = stages.frames_with_somebody(store)
         stages.require_somebody(trial, frames)
-    tracked = _tracked(run, Take(tuple(small), store, frames, trial.take.rate), bodies)
-    filled = bridged(tracked.poses, longest=run.person.bridge * trial.take.rate)
+    tracked = _tracked(run, SilhouetteTake(tuple(small), store, frames, trial.take.rate), bodies)
+    filled = interpolated_poses(tracked.poses, longest=run.person.bridge * trial.take.rate)
     known = dict(sorted({**tracked.poses, **filled}.items()))
     stages.warn_of_lost(progress, frames, known, count=trial.take.count)
     if not trial.masks:
         views = [stages.Watched(model) for model in models]
         predicted = stages.expectations(tracked.body, known, cameras, small)
         stages.find_silhouettes(trial, views, cameras, outlines, progress, name="Outlines", predicted=predicted)
-    return Followed(replace(tracked, poses=known), filled, outlines, frames)
+    return FollowedPerson(replace(tracked, poses=known), filled, outlines, frames)
 
 
-def _tracked(run: Run, take: Take, bodies: Bodies) -> Tracked:
-    """Find the start, follow the person, and learn the shape."""
+def _tracked(run: Run, take: SilhouetteTake, bodies: Bodies) -> Tracked:
+    """Find the start, track the person, and estimate the shape."""
     person, progress, cache = run.person, run.progress, run.cache
     free = bodies.held() if run.settings.fixed_sizes else bodies
 
@@ -160,14 +174,14 @@ def _tracked(run: Run, take: Take, bodies: Bodies) -> Tracked:
             cache.frames("repaired_frames", depends=run.scope) as repaired,
             progress.stage("Tracking", len(take.frames)) as step,
         ):
-            memory = Memory(
+            memory = TrackCheckpoint(
                 KeptCandidates(tracked, begun.body),
                 KeptCandidates(picked, begun.body),
                 KeptCandidates(repaired, begun.body),
             )
             found = track_person(
                 take, begun.body, with_shape(begun.body, bodies.coarse), (frame, begun.poses[frame]), person,
-                done=lambda frame: step(), memory=memory,
+                progress=lambda frame: step(), checkpoint=memory,
             )  # fmt: skip
         return _packed(found, begun.body)
 
@@ -180,11 +194,11 @@ def _tracked(run: Run, take: Take, bodies: Bodies) -> Tracked:
         ):
             for fit in refine_person(
                 take, followed.body, followed.poses, frames_for_sizes(run, followed.scores), person,
-                height=person.track_height, rounds=SHAPE_ROUNDS, also=run.further, done=lambda frame: step(),
-                memory=memory,
+                height=person.track_height, rounds=SHAPE_ROUNDS, extra_terms=run.further,
+                progress=lambda frame: step(), checkpoint=memory,
             ):  # fmt: skip
                 poses |= fit.by_frame
-            # Room on the disk: a round is soon done again, should the run end just here.
+            # This frees space on the disk; a round is soon repeated if the run ends at this point.
             memory.parts.clear()
         return _pack(poses, fit.body, followed.scores)
 
@@ -194,17 +208,28 @@ def _tracked(run: Run, take: Take, bodies: Bodies) -> Tracked:
 
 
 def frames_for_sizes(run: Run, scores: Mapping[int, float]) -> list[int]:
-    """Choose the frames that tell of the body's sizes, none where these are to stay."""
+    """Return the frames from which the sizes of the body are estimated; none if they are fixed."""
     return [] if run.settings.fixed_sizes else shape_frames(scores, run.person.shape_frames)
 
 
 def begin(
-    run: Run, take: Take, bodies: Bodies, kept: KeptCandidates, *, done: Callable[[int], None]
+    run: Run, take: SilhouetteTake, bodies: Bodies, kept: KeptCandidates, *, done: Callable[[int], None]
 ) -> tuple[int, Candidate]:
-    """Find the start: from the joints that the user gave, or without any.
+    """Find the start, from given joints or without any.
+
+    Args:
+        run: The run.
+        take: Cameras and silhouettes.
+        bodies: The body with many and with few vertices.
+        kept: Receives the candidates.
+        done: Called with each frame that was tried.
+
+    Returns:
+        The frame, and the body's pose in it.
 
     Raises:
-        FileProblem: The silhouettes have nothing in common, or the person lies or hangs in a world nobody said is so.
+        FileProblem: The silhouettes have nothing in common, or the person lies or hangs head down although the user
+            has not named the axis that points up.
     """
     trial = run.trial
     if trial.start is not None:
@@ -219,48 +244,56 @@ def begin(
         )
         done(joints.frame)
     else:
-        found = start_person(take, bodies.coarse, bodies.fine, run.person, done=done, memory=kept)
+        found = start_person(take, bodies.coarse, bodies.fine, run.person, progress=done, checkpoint=kept)
     if found is None:
-        remedy = "Look whether the cameras are calibrated in one world, and whether the silhouettes show the person."
+        remedy = "Check that all cameras are calibrated in one world, and that the silhouettes show the person."
         raise FileProblem(trial.folder, "has silhouettes that have no point of space in common", remedy)
     stages.require_upright(trial, found[1].posed)
     return found
 
 
 @contextmanager
-def rounds_of(run: Run, name: str) -> Iterator[RefineMemory]:
-    """Open what a refinement remembers of its rounds, and of the windows of the round in work."""
+def rounds_of(run: Run, name: str) -> Iterator[RefineCheckpoint]:
+    """Open the checkpoints of a refinement: finished rounds, and finished windows of the present round."""
     with (
         run.cache.frames(f"{name}_rounds", depends=run.scope) as rounds,
         run.cache.frames(f"{name}_windows", depends=run.scope) as windows,
     ):
-        yield RefineMemory(KeptArrays(rounds), KeptArrays(windows))
+        yield RefineCheckpoint(KeptArrays(rounds), KeptArrays(windows))
 
 
 @dataclass(frozen=True, eq=False)
 class Refined:
-    """The motion and the body as they are written."""
+    """The final motion and body."""
 
     body: Body
     poses: Mapping[int, Pose]
     pieces: Sequence[MeasuredPiece]
     filled: frozenset[int]
-    """Frames of which only their neighbours speak."""
+    """Frames whose pose depends on their neighbours only."""
 
 
-def refined_person(run: Run, followed: Followed, bodies: Bodies) -> Refined:
-    """Mend single frames and refine the whole, now that body and silhouettes are better known.
+def refined_person(run: Run, followed: FollowedPerson, bodies: Bodies) -> Refined:
+    """Repair single frames and refine the whole motion, with the better body and silhouettes.
 
-    Frames that were filled count as measured where the better silhouettes bear them out.
+    Interpolated frames count as measured if the better silhouettes agree with them.
+
+    Args:
+        run: The run.
+        followed: The tracked person.
+        bodies: The body with many and with few vertices.
+
+    Returns:
+        The refined motion and body.
     """
     person, take, tracked = run.person, followed.take(run), followed.tracked
     with run.cache.frames("mended_frames", depends=run.scope) as log, run.progress.stage("Mending"):
-        poses = mend_person(
+        poses = repair_person(
             take, tracked.body, with_shape(tracked.body, bodies.coarse), tracked.poses, person,
-            memory=KeptCandidates(log, tracked.body),
+            checkpoint=KeptCandidates(log, tracked.body),
         )  # fmt: skip
     usual = float(np.median(list(tracked.scores.values())))
-    blind = unseen(take, tracked.body, poses, followed.filled, person, usual=usual)
+    blind = unsupported_frames(take, tracked.body, poses, followed.filled, person, usual=usual)
     take.forget()
     found: dict[int, Pose] = {}
     pieces = []
@@ -270,8 +303,8 @@ def refined_person(run: Run, followed: Followed, bodies: Bodies) -> Refined:
     ):
         for fit in refine_person(
             take, tracked.body, poses, frames_for_sizes(run, tracked.scores), person,
-            height=person.fine_height, rounds=FINE_ROUNDS, blind=blind, also=run.further, done=lambda frame: step(),
-            memory=memory,
+            height=person.fine_height, rounds=FINE_ROUNDS, ignored_frames=blind, extra_terms=run.further,
+            progress=lambda frame: step(), checkpoint=memory,
         ):  # fmt: skip
             found |= fit.by_frame
             pieces.append(measure_piece(fit))
@@ -311,14 +344,15 @@ def write_capture(
     """Write all results at once.
 
     Args:
-        run: What was run.
+        run: The run.
         refined: The motion and the body.
         store: The silhouettes.
-        frames: Those that show somebody.
-        command: What the record names.
-        skin: Another skin than the body's own.
-        seen: For each frame of the video what of the skin was measured; else what lies on the rim of the surface.
-        more: Writes further files into the folder it is given.
+        frames: Frames that show a person.
+        command: The command, for the record.
+        skin: A skin other than the body's own.
+        seen: For each frame of the video which vertices of the skin were measured; by default those on the rim of the
+            surface.
+        more: Writes further files to the folder that it is given.
     """
     trial, progress, take = run.trial, run.progress, run.trial.take
     cameras, body, poses = list(trial.rig), refined.body, refined.poses

@@ -1,4 +1,4 @@
-"""What was found, kept on disk at once, so that an interrupted run finds it again: candidates of frames, and arrays."""
+"""Candidates and arrays that are stored on disk as soon as they are found, so that a run can be resumed."""
 
 from collections.abc import Iterator, MutableMapping
 from typing import Any, Generic, TypeVar
@@ -18,8 +18,8 @@ class KeptCandidates(MutableMapping[Key, Candidate], Generic[Key]):
     """Candidates by frame, or by a number and a frame, in a log on disk.
 
     Args:
-        log: Takes a record for each candidate.
-        body: Whose shape space and skin all candidates share.
+        log: Receives one record per candidate.
+        body: The body whose shape space and skin all candidates share.
     """
 
     def __init__(self, log: FrameLog, body: Body):
@@ -32,7 +32,7 @@ class KeptCandidates(MutableMapping[Key, Candidate], Generic[Key]):
         return Candidate(PosedBody(self._with_numbers(record["numbers"]), pose), float(record["score"]))
 
     def _with_numbers(self, numbers: Floats) -> Body:
-        """Give the body in a shape; candidates of the same shape share it, and what was computed for it."""
+        """Return the body in a shape; candidates of the same shape share it and the values computed for it."""
         if not np.array_equal(numbers, self._body.numbers):
             self._body = self._body.with_numbers(numbers)
         return self._body
@@ -61,7 +61,7 @@ class KeptCandidates(MutableMapping[Key, Candidate], Generic[Key]):
         return iter(self._place)
 
     def __len__(self) -> int:
-        """Count the candidates."""
+        """Return the number of candidates."""
         return len(self._place)
 
 
@@ -69,7 +69,7 @@ class KeptArrays(MutableMapping[Key, Arrays], Generic[Key]):
     """Arrays by name, by a number or two, in a log on disk.
 
     Args:
-        log: Takes a record for each entry.
+        log: Receives one record per entry.
     """
 
     def __init__(self, log: FrameLog):
@@ -92,7 +92,7 @@ class KeptArrays(MutableMapping[Key, Arrays], Generic[Key]):
         del self._place[key]
 
     def clear(self) -> None:
-        """Forget all, and leave its room on the disk."""
+        """Delete all entries, and free their space on the disk."""
         self._place.clear()
         self._log.cut(0)
 
@@ -100,7 +100,7 @@ class KeptArrays(MutableMapping[Key, Arrays], Generic[Key]):
         return iter(self._place)
 
     def __len__(self) -> int:
-        """Count the entries."""
+        """Return the number of entries."""
         return len(self._place)
 
 

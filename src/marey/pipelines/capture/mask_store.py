@@ -1,4 +1,4 @@
-"""Silhouettes that a run has found so far, kept frame by frame."""
+"""Storage of the silhouettes that a run has found so far, frame by frame."""
 
 from collections.abc import Sequence
 
@@ -12,12 +12,12 @@ from marey.io.trial.masks import pack_mask, unpack_mask
 
 
 class MaskStore:
-    """Silhouettes of a take's frames, and the edges inside of them, on disk.
+    """Silhouettes of the frames of a take, and the edges inside of them, on disk.
 
     Args:
-        log: One record a frame, packed bits by camera, and edges where pictures were looked at for them.
-        first: The number of the frame in the log's first record.
-        cameras: In the order of the records.
+        log: One record per frame: packed bits by camera and, if they were searched for, edges.
+        first: The frame of the first record.
+        cameras: The cameras, in the order of the records.
     """
 
     def __init__(self, log: FrameLog, first: int, cameras: Sequence[Camera]):
@@ -26,32 +26,32 @@ class MaskStore:
 
     @property
     def frames(self) -> range:
-        """The frames that are there."""
+        """The frames that are stored."""
         return range(self._first, self._first + len(self._log))
 
     def append(self, masks: Sequence[Mask], edges: Sequence[InteriorEdges] = ()) -> None:
-        """Add the next frame's silhouettes, and the edges inside of them."""
+        """Add the silhouettes of the next frame, and the edges inside of them."""
         packed = {f"camera_{c}": pack_mask(mask) for c, mask in enumerate(masks)}
         self._log.append(packed | {f"edges_{c}": _packed_edges(found) for c, found in enumerate(edges)})
 
     def known(self, frame: int) -> list[Mask] | None:
-        """Give a frame's silhouettes, or None where there are none."""
+        """Return the silhouettes of a frame, or None if it is not stored."""
         return self(frame) if frame in self.frames else None
 
     def __call__(self, frame: int) -> list[Mask]:
-        """Give a frame's silhouettes, one a camera."""
+        """Return the silhouettes of a frame, one per camera."""
         record = self._log[frame - self._first]
         return [unpack_mask(record[f"camera_{c}"], (h, w)) for c, (w, h) in enumerate(self._sizes)]
 
     def edges(self, frame: int) -> list[InteriorEdges] | None:
-        """Give the edges inside of a frame's silhouettes, one set a camera; None where nobody looked for them."""
+        """Return the edges inside of the silhouettes, one set per camera; None if they were not searched for."""
         record = self._log[frame - self._first]
         found = [_unpacked_edges(record[f"edges_{c}"]) for c in range(len(self._sizes)) if f"edges_{c}" in record]
         return found or None
 
 
 def _packed_edges(edges: InteriorEdges) -> np.ndarray:
-    """Pack edges as rows x, y, normal, limb (n, 5): a hundredth of a pixel is more than they are known to."""
+    """Pack edges as rows x, y, normal, limb (n, 5) in single precision, which is far finer than their error."""
     return np.column_stack([edges.pixels, edges.inward, edges.limb]).astype(np.float32)
 
 

@@ -25,6 +25,7 @@ STATE_FLAGS = {NO_PERSON: "no person", MEASURED: "", FILLED: "filled", LOST: "lo
 UNDETERMINED = "not determined"
 """The flag of a coordinate that the views do not determine: its value comes from what is usual in people."""
 _FILE = "motion.npz"
+"""The file from which a motion is read."""
 
 
 class Motion(Described):

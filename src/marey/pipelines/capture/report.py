@@ -1,4 +1,4 @@
-"""The pictures and the page of a capture: overlay videos, stills, and the report."""
+"""Overlay videos, stills and the report of a capture."""
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -21,7 +21,7 @@ from marey.view.pages.problems import find_problems, readable, touches_border
 from marey.view.pictures.overlay import Looks, OverlayVideo, Scene
 
 Silhouettes = Callable[[int], Sequence[Mask] | None]
-"""Gives the silhouettes (height, width) of a frame, one a camera; None where there are none."""
+"""Returns the silhouettes (height, width) of a frame, one per camera; None without any."""
 
 FILES = {
     "joint_centres.trc": "joint centres over time, for OpenSim and others",
@@ -36,27 +36,28 @@ FILES = {
     "overlay_<camera>.mp4": "the fitted surface over the videos",
     "run.json": "version, settings, inputs, timings",
 }
+"""The files of a capture and what they contain, for the report."""
 
 
 def draw_overlays(
     trial: Trial, body: Body, poses: Mapping[int, Pose], motion: BodyMotion, masks_of: Silhouettes, *, folder: Path,
     progress: Progress,
 ) -> list[Still]:  # fmt: skip
-    """Write `overlay_<camera>.mp4` for every camera, and keep some pictures for the report.
+    """Write `overlay_<camera>.mp4` for every camera, and return some images for the report.
 
     Args:
-        trial: Its take is gone through once; one frame at a time is in memory.
-        body: As it was found.
-        poses: By frame; frames without one are shown without a body.
-        motion: What was measured.
+        trial: The trial; its take is read once, with one frame at a time in memory.
+        body: The fitted body.
+        poses: Poses by frame; frames without a pose are shown without a body.
+        motion: The measured motion.
         masks_of: The silhouettes.
-        folder: Where the videos go.
-        progress: Is told.
+        folder: Folder for the videos.
+        progress: Progress reporter.
 
     Returns:
-        A frame from the middle in every camera, and the worst one.
+        The middle frame in every camera, and the one with the lowest agreement.
     """
-    wanted = _worth_a_look(motion)
+    wanted = _chosen_images(motion)
     stills: list[tuple[tuple[int, int], Still]] = []
     looks = Looks(
         faces=body.faces, face_segment=body.face_segment, segment_names=motion.segment_names,
@@ -99,8 +100,8 @@ def _scene(frame: int, motion: BodyMotion, body: Body, poses: Mapping[int, Pose]
     return Scene(frame=frame, vertices=vertices, joints=motion.joint_centres[frame], state=state)
 
 
-def _worth_a_look(motion: BodyMotion) -> dict[tuple[int, int], str]:
-    """Choose pictures (frame, camera), each with what it shows."""
+def _chosen_images(motion: BodyMotion) -> dict[tuple[int, int], str]:
+    """Choose images (frame, camera) for the report, each with its caption."""
     measured = np.flatnonzero(motion.state == MEASURED)
     if not len(measured):
         return {}
@@ -108,12 +109,12 @@ def _worth_a_look(motion: BodyMotion) -> dict[tuple[int, int], str]:
     chosen = {(middle, c): "the middle of the take" for c in range(len(motion.camera_names))}
     known = np.where(np.isfinite(motion.agreement), motion.agreement, np.inf)
     frame, camera = np.unravel_index(int(np.argmin(known)), known.shape)
-    chosen[int(frame), int(camera)] = "where surface and silhouette agree least"
+    chosen[int(frame), int(camera)] = "lowest agreement of surface and silhouette"
     return chosen
 
 
 def cut_by_border(motion: BodyMotion, masks_of: Silhouettes) -> Mask:
-    """Tell in which frames and cameras (F, C) the picture's border cuts the person."""
+    """Return in which frames and cameras (F, C) the border of the image cuts the person."""
     cut = np.zeros(motion.agreement.shape, bool)
     for frame in np.flatnonzero(motion.state > 0):
         masks = masks_of(int(frame))
@@ -139,14 +140,14 @@ def report_capture(
     """Write report.html.
 
     Args:
-        trial: What was captured.
-        motion: What was measured.
-        body: As it was found.
+        trial: The trial.
+        motion: The measured motion.
+        body: The fitted body.
         masks_of: The silhouettes.
-        stills: From `draw_overlays`.
-        settings: As run.json holds them.
-        folder: Where it goes.
-        progress: Knows timings and warnings.
+        stills: Images from `draw_overlays`.
+        settings: Settings, as in run.json.
+        folder: Folder for the report.
+        progress: Progress reporter, with timings and warnings.
     """
     asked = np.zeros(len(motion), bool)
     asked[trial.take.first : trial.take.end] = True

@@ -1,4 +1,4 @@
-"""One run on a trial: what is captured, with which body, and what an interrupted run left."""
+"""One run on a trial: the trial, its settings and bodies, and the checkpoints of an interrupted run."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -21,8 +21,8 @@ from marey.fit.recipes.person import (
     PersonSettings,
     with_shape,
 )
-from marey.fit.recipes.pick_up import of_one_shape
-from marey.fit.recipes.sequence import Further
+from marey.fit.recipes.pick_up import with_fixed_shape
+from marey.fit.recipes.sequence import FrameTermsFactory
 from marey.io.calibration.readers import read_rig
 from marey.io.results.body import open_body
 from marey.io.stages import FrameLog, file_fingerprint
@@ -34,7 +34,10 @@ from marey.pipelines.progress import Progress
 from marey.pipelines.run_record import StageCache
 
 TWIN_M = 1e-4
-"""How near the joints of a body and of its twin with few vertices must lie [m]."""
+"""Largest distance of the joints of a body from those of its twin with few vertices [m].
+
+Chosen by hand: only rounding is allowed.
+"""
 
 
 @contextmanager
@@ -90,62 +93,73 @@ def opened(
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One run of a capture: what is captured, how, and where to."""
+    """One run of a capture."""
 
     trial: Trial
     settings: CaptureSettings
     progress: Progress
     cache: StageCache
     scope: object
-    """What every stage depends on besides the input files."""
+    """Everything that all stages depend on besides the input files."""
     out: Path
     person: PersonSettings = field(default_factory=PersonSettings)
     observations: Mapping[int, Sequence[Observation]] = field(default_factory=dict)
     """Further observations by frame."""
 
     @property
-    def further(self) -> Further | None:
+    def further(self) -> FrameTermsFactory | None:
         """The further observations as terms of the refinement; None without any."""
-        return FrameObservations(self.observations).of_round if self.observations else None
+        return FrameObservations(self.observations).terms_of_round if self.observations else None
 
 
 @dataclass(frozen=True, eq=False)
 class Logs:
-    """Where the silhouettes of a run are kept."""
+    """The logs with the silhouettes of a run."""
 
     first: FrameLog
-    """Found from the pictures alone."""
+    """Silhouettes from the images alone."""
     common: FrameLog
-    """What the cameras have in common of them, where much is not the person's."""
+    """The part that the cameras have in common, if much of them is not the person."""
     outlines: FrameLog
-    """Found about the person."""
+    """Silhouettes with the tracked person as prior."""
 
 
 @dataclass(frozen=True, eq=False)
 class Bodies:
-    """The body that is captured, with many vertices and with few."""
+    """The body that is captured, with many and with few vertices."""
 
     fine: Body
     coarse: Body
 
     def held(self) -> "Bodies":
-        """The same bodies, whose sizes nothing changes."""
-        return Bodies(of_one_shape(self.fine), of_one_shape(self.coarse))
+        """Return the same bodies with fixed sizes."""
+        return Bodies(with_fixed_shape(self.fine), with_fixed_shape(self.coarse))
 
 
 def require_two_cameras(trial: Trial) -> None:
     """Check that depth can be measured.
 
+    Args:
+        trial: The trial.
+
     Raises:
-        FileProblem: There is a single camera.
+        FileProblem: There is only one camera.
     """
     if len(trial.rig.names) < 2:
         wrong = f"has only the camera '{trial.rig.names[0]}'"
-        raise FileProblem(trial.calibration, wrong, "Depth needs at least two cameras; keep more with --cameras.")
+        raise FileProblem(trial.calibration, wrong, "Depth needs at least two cameras; select more of them.")
 
 
 def with_corrected_cameras(trial: Trial, corrected: Path, progress: Progress) -> Trial:
-    """Let a trial have the cameras as the measured surface corrected them, and say so.
+    """Replace the cameras of a trial by those that the surface measurement corrected, and warn of it.
+
+    Args:
+        trial: The trial.
+        corrected: The file with the corrected cameras.
+        progress: Progress reporter.
+
+    Returns:
+        The trial with the corrected cameras; the given one if some of them are missing.
 
     Raises:
         FileProblem: The file cannot be read.
@@ -153,18 +167,25 @@ def with_corrected_cameras(trial: Trial, corrected: Path, progress: Progress) ->
     rig = read_rig(corrected)
     missing = [name for name in trial.rig.names if name not in rig.names]
     if missing:
-        progress.warn(f"{corrected} lacks {', '.join(missing)}; the cameras stay as they were calibrated.")
+        progress.warn(f"{corrected} lacks {', '.join(missing)}: the calibrated cameras are used.")
         return trial
-    progress.warn(f"The cameras are those that the measured surface corrected: {corrected}.")
+    progress.warn(f"The cameras are those that the surface measurement corrected: {corrected}.")
     return replace(trial, rig=Rig(tuple(rig[name] for name in trial.rig.names)))
 
 
 def open_bodies(trial: Trial, settings: CaptureSettings) -> Bodies:
-    """Open the body that the user gave, or make the one of whom nothing is known but perhaps the stature.
+    """Open the body that the user gave, or make an average one, with the stature if it is known.
 
-    The start tries many postures and wants few vertices. A body of an earlier take has a twin with few vertices, the
-    same shape numbers and the same joints. A scan has none and is used as it is: the start takes the longer the more
-    vertices it has; below 2000 they hardly count. Of a whole body only what the preset follows is left.
+    The start tries many postures and needs a body of few vertices. A body of an earlier take has a twin with few
+    vertices, the same shape numbers and the same joints. A scan has none and is used itself: the time of the start
+    grows with its vertices, and is hardly affected below 2000. A full body is reduced to what the preset follows.
+
+    Args:
+        trial: The trial, with preset and stature.
+        settings: Settings of the run, with the body.
+
+    Returns:
+        The body with many and with few vertices.
     """
     preset, stature = trial.settings.preset or "full", trial.settings.stature_m
     detail = GENERIC_BODIES.get(str(settings.body))
@@ -183,7 +204,7 @@ def open_bodies(trial: Trial, settings: CaptureSettings) -> Bodies:
 
 
 def as_known(body: Body) -> Body:
-    """Expect of a body what an earlier fit knows of its numbers, instead of what is expected of people."""
+    """Replace the prior of people by what an earlier fit has found out about the body's numbers."""
     covariance = body.numbers_covariance
     if covariance is None or not len(body.numbers):
         return body
@@ -195,7 +216,7 @@ def as_known(body: Body) -> Body:
 
 
 def coarse_twin(given: Body, coarse: Body) -> Body | None:
-    """Give a body of few vertices the shape of another, or None where its numbers do not mean the same joints."""
+    """Return a body of few vertices with the shape of another; None if its numbers have other joints."""
     if given.metaballs is not None:
         return metaball_twin(given, coarse)
     same = given.space.names == coarse.space.names and given.skeleton.segment_names == coarse.skeleton.segment_names
@@ -209,7 +230,7 @@ def coarse_twin(given: Body, coarse: Body) -> Body | None:
 
 
 def metaball_twin(given: Body, coarse: Body) -> Body | None:
-    """Bring the few vertices of another body onto the metaballs of one, or give None where they move otherwise."""
+    """Return the vertices of another body on the metaballs of this one; None if its coordinates differ."""
     space = metaballs_of(given)
     if space is None or given.skeleton.coordinate_names != coarse.skeleton.coordinate_names:
         return None

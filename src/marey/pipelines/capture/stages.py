@@ -1,4 +1,4 @@
-"""The stages of a capture that go through the videos, frame by frame, and remember what is done."""
+"""The stages of a capture that process the videos frame by frame: background, silhouettes, and the drawn surface."""
 
 from collections import deque
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
@@ -36,28 +36,58 @@ from marey.pipelines.progress import Progress
 from marey.view.pages.problems import frames_text
 
 PLATES = 25
-"""Pictures of a clip of the empty room that are looked at."""
+"""Images that are read from a clip of the empty room.
+
+Chosen by hand; results were not measured against other values.
+"""
 DOUBTS = 12
-"""Pictures of a take with which plates are compared."""
+"""Images of a take with which the images of the empty room are compared.
+
+Chosen by hand; results were not measured against other values.
+"""
 LESSONS = 10
-"""Every so many pictures a doubtful background learns where the followed body is not."""
+"""Number of images after which an uncertain background is updated where the body is not.
+
+Chosen by hand; results were not measured against other values.
+"""
 PULL, PULL_REACH = 0.5, 8.0
-"""How strongly the followed body pulls its silhouette: evidence a pixel of distance, up to so many pixels."""
+"""Prior of the silhouette from the predicted body: log-likelihood per pixel of distance [1/px], and the distance up to
+which it grows [px].
+
+Chosen by hand. Without this prior the overlap of the silhouettes of `jacks` falls from 0.948 to 0.917
+(docs/accuracy/rejected.md); other values were not measured.
+"""
 CLUTTER_FRAMES, LEAST_COMMON = 8, 0.85
-"""Frames that are looked at for clutter, and what the cameras have in common of the silhouettes without it."""
+"""Number of frames that are checked for clutter, and the share of the silhouettes that the cameras have in common
+without clutter.
+
+Chosen by hand; results were not measured against other values.
+"""
 PEEK, PEEKS = 0.25, 6
-"""How much pictures are shrunken, and how many are looked at, to see how tall the person appears."""
+"""Scale and number of the images in which the height of the person is measured in advance.
+
+Chosen by hand; results were not measured against other values.
+"""
 TRACKED_PX = 300.0
-"""Height of the person in pictures that are large enough for a start and for tracking [px]."""
+"""Height of the person in images that are large enough for the start and for tracking [px].
+
+With 150 px the first silhouettes take a quarter of the time, but joints of `balancing` are 50 instead of 39 mm off
+(docs/accuracy/rejected.md).
+"""
 
 
 def backgrounds(trial: Trial, progress: Progress) -> tuple[list[Background], list[Camera]]:
-    """Model every camera's empty picture: from plates, from a clip, or from the take itself.
+    """Model the empty image of every camera: from still images, from a clip, or from the take itself.
 
-    Plates are compared with pictures of the take, and doubted where they explain none.
+    Images of the empty room are compared with images of the take. Where they explain none of them, their weight is
+    reduced.
+
+    Args:
+        trial: The trial.
+        progress: Progress reporter.
 
     Returns:
-        The models, and cameras of pictures that are just large enough for tracking, see `enough_for_tracking`.
+        The models, and cameras of images that are just large enough for tracking, see `enough_for_tracking`.
     """
     take = trial.take
     with progress.stage("Empty room"):
@@ -68,12 +98,12 @@ def backgrounds(trial: Trial, progress: Progress) -> tuple[list[Background], lis
         wanting = [name for name in trial.rig.names if name not in models]
         if wanting:
             progress.warn(
-                f"No picture of the empty room for {', '.join(wanting)}: it is put together from the take itself."
+                f"No image of the empty room for {', '.join(wanting)}: the background is estimated from the take."
             )
         spread = [int(i) for i in np.unique(np.linspace(0, take.count - 1, min(DOUBTS, take.count)).astype(int))]
         whole = [int(i) for i in worth_seeing(take.count)]
         peeks = [int(i) for i in np.unique(np.linspace(take.first, take.end - 1, PEEKS).astype(int))]
-        # One way through the videos for all: decoding is what costs.
+        # All samples are read in one pass: most of the time is spent on decoding.
         samples = dict(take.at(sorted({*spread, *peeks, *(whole if wanting else ())})))
 
         def model(c: int, name: str) -> Background:
@@ -89,9 +119,17 @@ def backgrounds(trial: Trial, progress: Progress) -> tuple[list[Background], lis
 def enough_for_tracking(
     cameras: Sequence[Camera], models: Sequence[Background], pictures: Sequence[Sequence[Image]]
 ) -> list[Camera]:
-    """Give the cameras of pictures that are just large enough for the first silhouettes and for tracking.
+    """Return cameras of images that are just large enough for the first silhouettes and for tracking.
 
-    Some pictures of the take, much shrunken, tell how tall the person appears.
+    The height of the person is measured in some strongly reduced images of the take.
+
+    Args:
+        cameras: C cameras of the full images.
+        models: The C backgrounds.
+        pictures: Images of some frames, C per frame.
+
+    Returns:
+        The C cameras of the reduced images.
     """
     small = [camera.scaled(PEEK) for camera in cameras]
     peeks = [shrunk(model, camera.size) for model, camera in zip(models, small, strict=True)]
@@ -107,14 +145,14 @@ def enough_for_tracking(
 
 
 def resized(image: Image, camera: Camera) -> Image:
-    """Give a picture the size of a camera."""
+    """Resize an image to the size of a camera."""
     if (image.shape[1], image.shape[0]) == camera.size:
         return image
     return np.asarray(cv2.resize(image, camera.size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def in_small_pictures(pixels: Floats, cameras: Sequence[Camera], small: Sequence[Camera]) -> Floats:
-    """Carry pixels (C, n, 2) of whole pictures to shrunken ones, whose pixel centres lie at whole numbers too."""
+    """Convert pixels (C, n, 2) of full images to those of reduced ones; pixel centres are at whole numbers in both."""
     factors = np.array([after.width / before.width for before, after in zip(cameras, small, strict=True)])
     return (pixels + 0.5) * factors[:, None, None] - 0.5
 
@@ -129,16 +167,16 @@ def find_silhouettes(
     name: str,
     predicted: "Callable[[int], Sequence[Expected] | None]" = lambda frame: None,
 ) -> None:
-    """Find the silhouettes of all frames that are not in the store yet, and edges inside where rims are expected.
+    """Find the silhouettes of all frames that are not in the store yet, and edges inside of them at predicted rims.
 
     Args:
-        trial: Its take is gone through once, in order.
-        views: What is known of each camera's empty picture.
-        cameras: Of the pictures' size that is wanted.
-        store: Takes the silhouettes.
-        progress: Is told.
-        name: Of the stage.
-        predicted: Gives for a frame where the body is believed, for each camera; None where nobody knows.
+        trial: The trial; its take is read once, in order.
+        views: The state of each camera before the first frame.
+        cameras: Cameras of the size at which the images are processed.
+        store: Receives the silhouettes.
+        progress: Progress reporter.
+        name: Name of the stage.
+        predicted: Returns the predicted body of a frame for each camera; None if it is not known.
     """
     take = trial.take
     done = len(store.frames)
@@ -156,7 +194,7 @@ def find_silhouettes(
     ):
         for frame, images in take.frames(first=take.first + done):
             starts: Sequence[Expected | None] = predicted(frame) or [None] * len(last)
-            # A camera's next picture waits for its last one only, not for the other cameras.
+            # The next image of a camera depends on its last one only, not on the other cameras.
             last = [pool.submit(_watch_next, *each) for each in zip(last, images, cameras, starts, strict=True)]
             waiting.append(last)
             if len(waiting) > 2:
@@ -177,33 +215,33 @@ def _watch_next(last: "Future[Watched]", image: Image, camera: Camera, expected:
 
 @dataclass(frozen=True, eq=False)
 class Expected:
-    """Where one camera should see the body."""
+    """The predicted body in one camera."""
 
     mask: Mask
-    """(height, width) of the whole picture."""
+    """(height, width) of the full image."""
     rims: InteriorEdges
-    """Where limbs hide others, in a picture of `camera`."""
+    """Rims of limbs in front of others, in an image of `camera`."""
     camera: Camera
-    """Of a picture that is large enough to look for the rims."""
+    """Camera of an image that is large enough to find the rims."""
 
 
 @dataclass(frozen=True, eq=False)
 class Watched:
-    """What one camera's silhouettes of a take know so far."""
+    """State of the silhouettes of one camera after some images of a take."""
 
     background: Background
     before: Silhouette | None = None
-    """The last silhouette that showed somebody."""
+    """The last silhouette that was not empty."""
     mask: Mask = field(default_factory=lambda: np.zeros((0, 0), bool))
-    """The silhouette of the last picture."""
+    """The silhouette of the last image."""
     edges: InteriorEdges | None = None
-    """The edges inside of it, where it was known where to look for them."""
+    """The edges inside of it; None without a prediction."""
     pictures: int = 0
-    """Pictures seen."""
+    """Number of images so far."""
 
 
 def watch(view: Watched, image: Image, expected: Expected | None) -> Watched:
-    """Find the silhouette in the next picture of a camera; where the body is known, it pulls at its silhouette."""
+    """Find the silhouette in the next image of a camera; a predicted body is a prior of its silhouette."""
     start = None if expected is None or not expected.mask.any() else expected.mask
     prior = None if start is None else pull_of(start)
     found = segment(image, view.background, start=start, before=view.before, prior=prior)
@@ -218,7 +256,7 @@ def watch(view: Watched, image: Image, expected: Expected | None) -> Watched:
 
 
 def look_inside(image: Image, found: Silhouette, expected: Expected) -> InteriorEdges:
-    """Look for the edges of limbs inside of a silhouette, where the body expects them [px of the whole picture]."""
+    """Find the edges of limbs inside of a silhouette near the predicted ones [px of the full image]."""
     camera, mask = expected.camera, found.mask
     if (mask.shape[1], mask.shape[0]) != camera.size:
         mask = cv2.resize(mask.view(np.uint8), camera.size, interpolation=cv2.INTER_NEAREST).view(bool)
@@ -227,7 +265,7 @@ def look_inside(image: Image, found: Silhouette, expected: Expected) -> Interior
 
 
 def pull_of(start: Mask) -> Floats:
-    """Give the pull of the followed body's silhouette, [Rosenhahn2006] eq. (4); computed about the body only."""
+    """Return the prior of a predicted silhouette, [Rosenhahn2006] eq. (4); it is computed near the body."""
     margin = int(PULL_REACH) + 2
     rows, columns = np.flatnonzero(start.any(1)), np.flatnonzero(start.any(0))
     part = (
@@ -240,7 +278,12 @@ def pull_of(start: Mask) -> Floats:
 
 
 def known_silhouettes(trial: Trial, store: MaskStore, progress: Progress) -> None:
-    """Take the silhouettes that the user gave.
+    """Read the silhouettes that the user gave.
+
+    Args:
+        trial: The trial.
+        store: Receives the silhouettes.
+        progress: Progress reporter.
 
     Raises:
         FileProblem: A camera has none.
@@ -249,7 +292,7 @@ def known_silhouettes(trial: Trial, store: MaskStore, progress: Progress) -> Non
     missing = [name for name in trial.rig.names if name not in trial.masks]
     if missing:
         wrong = f"has silhouettes of some cameras but none of {', '.join(missing)}"
-        raise FileProblem(trial.folder / "masks", wrong, "Give them for all cameras that are kept, or for none.")
+        raise FileProblem(trial.folder / "masks", wrong, "Add those of all cameras in use, or remove the folder.")
     files = [trial.masks[name] for name in trial.rig.names]
     wanted = range(take.first + len(store.frames), take.end)
     with progress.stage("Silhouettes", take.end - take.first, done=len(store.frames)) as step:
@@ -259,12 +302,12 @@ def known_silhouettes(trial: Trial, store: MaskStore, progress: Progress) -> Non
 
 
 def frames_with_somebody(store: MaskStore) -> tuple[int, ...]:
-    """Give the frames in which at least two cameras see somebody."""
+    """Return the frames in which at least two cameras see a person."""
     return tuple(frame for frame in store.frames if sum(bool(mask.any()) for mask in store(frame)) >= 2)
 
 
 def cluttered(store: MaskStore, cameras: Sequence[Camera], frames: Sequence[int], progress: Progress) -> bool:
-    """Tell whether much of the silhouettes stands in no common place, and warn of the cameras that show it."""
+    """Return whether the cameras have too little of their silhouettes in common, and warn of those that differ."""
     sample = [
         frames[i] for i in np.unique(np.linspace(0, len(frames) - 1, min(CLUTTER_FRAMES, len(frames))).astype(int))
     ]
@@ -279,14 +322,14 @@ def cluttered(store: MaskStore, cameras: Sequence[Camera], frames: Sequence[int]
     usual = np.nanmean(shares, 0)
     bad = [camera.name for camera, share in zip(cameras, usual, strict=True) if share < LEAST_COMMON]
     progress.warn(
-        f"What differs from the empty room in {', '.join(bad)} is to a large part no person seen by the other cameras: "
-        "only what they have in common is followed. Is the background of this very room and day?"
+        f"Much of the foreground in {', '.join(bad)} is not seen by the other cameras: only the part that all cameras "
+        "have in common is used. Do the images of the empty room belong to this take?"
     )
     return True
 
 
 def common_silhouettes(store: MaskStore, cameras: Sequence[Camera], common: MaskStore, progress: Progress) -> MaskStore:
-    """Fill a store with what the cameras' silhouettes have in common, and give it."""
+    """Write the parts of the silhouettes that the cameras have in common to a store, and return it."""
     with progress.stage("In common", len(store.frames), done=len(common.frames)) as step:
         for frame in store.frames[len(common.frames) :]:
             common.append(common_parts(cameras, store(frame)))
@@ -295,41 +338,41 @@ def common_silhouettes(store: MaskStore, cameras: Sequence[Camera], common: Mask
 
 
 def require_somebody(trial: Trial, frames: Sequence[int]) -> None:
-    """Check that somebody is there.
+    """Check that a person was detected.
 
     Raises:
-        FileProblem: Nobody is.
+        FileProblem: No person was detected.
     """
     if not frames:
-        wrong = "shows nobody whom at least two cameras see at the same time"
-        remedy = "Check that the background pictures belong to this take, and that a person moves in the videos."
+        wrong = "shows no person that at least two cameras see at the same time"
+        remedy = "Check that the images of the empty room belong to this take, and that a person moves in the videos."
         raise FileProblem(trial.folder, wrong, remedy)
 
 
 def warn_of_lost(progress: Progress, frames: Sequence[int], found: Container[int], *, count: int) -> None:
-    """Warn of frames that show somebody whose pose was not found."""
+    """Warn of frames that show a person whose pose was not found."""
     lost = np.zeros(count, bool)
     lost[[frame for frame in frames if frame not in found]] = True
     if lost.any():
-        progress.warn(f"The person was seen but lost in {frames_text(lost)}: there is no answer.")
+        progress.warn(f"The person is visible but was lost in {frames_text(lost)}: these frames have no pose.")
 
 
 @dataclass(frozen=True, eq=False)
 class PosedSkin:
-    """A skin in every frame whose pose is known."""
+    """The skin in every frame with a pose."""
 
     faces: Integers
-    """(T, 3)."""
+    """(T, 3) indices of vertices."""
     vertices_of: Callable[[int], Floats]
-    """Gives the posed vertices (V, 3) of a frame [m, world]."""
+    """Returns the posed vertices (V, 3) of a frame [m, world]."""
 
     @staticmethod
     def of(body: Body, poses: Mapping[int, Pose]) -> "PosedSkin":
-        """Give a body's own skin."""
+        """Return the body's own skin."""
         return PosedSkin(body.faces, lambda frame: PosedBody(body, poses[frame]).vertices)
 
     def seen_by(self, camera: Camera, frame: int) -> View:
-        """Draw it as a camera sees it."""
+        """Draw the skin as a camera sees it."""
         vertices = np.ascontiguousarray(self.vertices_of(frame))
         projected = np.empty_like(vertices)
         lens.project_points(camera.packed, vertices, projected)
@@ -339,7 +382,7 @@ class PosedSkin:
 def surface_masks(
     skin: PosedSkin, frames: Container[int], cameras: Sequence[Camera]
 ) -> Callable[[int], Sequence[Mask] | None]:
-    """Give a function that draws the skin's silhouette in every camera, for frames whose pose is known."""
+    """Return a function that draws the silhouette of the skin in every camera; it returns None without a pose."""
 
     def drawn(frame: int) -> Sequence[Mask] | None:
         return [skin.seen_by(camera, frame).mask() for camera in cameras] if frame in frames else None
@@ -350,13 +393,13 @@ def surface_masks(
 def expectations(
     body: Body, poses: Mapping[int, Pose], cameras: Sequence[Camera], small: Sequence[Camera]
 ) -> Callable[[int], Sequence[Expected] | None]:
-    """Give a function that tells where every camera should see the body, for frames whose pose is known.
+    """Return a function that predicts the body in every camera; it returns None for frames without a pose.
 
     Args:
-        body: The person.
-        poses: By frame.
-        cameras: Of the whole pictures.
-        small: Of pictures that are just large enough to look for the limbs' rims.
+        body: The person's body.
+        poses: Poses by frame.
+        cameras: Cameras of the full images.
+        small: Cameras of images that are just large enough to find the rims of the limbs.
     """
 
     def expected(frame: int) -> Sequence[Expected] | None:
@@ -379,7 +422,7 @@ def _expected(posed: PosedBody, camera: Camera, small: Camera) -> Expected:
 def agreements(
     drawn: Callable[[int], Sequence[Mask] | None], frames: Iterable[int], store: MaskStore, *, done: Callable[[], None]
 ) -> dict[int, Floats]:
-    """Compare surface and silhouettes in each frame: intersection over union (C,), NaN where both are empty."""
+    """Return the agreement of surface and silhouettes by frame: intersection over union (C,), NaN if both are empty."""
     found = {}
     for frame in frames:
         found[frame] = np.array([_overlap(a, b) for a, b in zip(drawn(frame) or [], store(frame), strict=True)])
@@ -395,7 +438,7 @@ def _overlap(a: Mask, b: Mask) -> float:
 def write_all_masks(
     folder: Path, trial: Trial, store: MaskStore, drawn: Callable[[int], Sequence[Mask] | None]
 ) -> None:
-    """Write the silhouettes and the fitted surface's, one file a camera."""
+    """Write the silhouettes of the images and of the fitted surface, one file per camera."""
     count = trial.take.count
     for kind, masks_of in (("masks", store.known), ("surface_masks", drawn)):
         (folder / kind).mkdir()
@@ -406,26 +449,26 @@ def write_all_masks(
 
 
 def skins(skin: PosedSkin, frames: Sequence[int], count: int) -> Iterator[Floats]:
-    """Pose the skin (V, 3) of every frame; NaN where there is no answer."""
+    """Yield the posed skin (V, 3) of every frame; NaN without a pose."""
     nowhere = np.full((vertices_in(skin, frames), 3), np.nan)
     for frame in range(count):
         yield skin.vertices_of(frame) if frame in frames else nowhere
 
 
 def vertices_in(skin: PosedSkin, frames: Iterable[int]) -> int:
-    """Count the skin's vertices."""
+    """Return the number of vertices of the skin."""
     return len(skin.vertices_of(next(iter(frames))))
 
 
 def seen_vertices(skin: PosedSkin, frames: Sequence[int], cameras: Sequence[Camera], count: int) -> Iterator[Mask]:
-    """Tell for every frame which vertices (V,) lie on the rim of the surface in some camera, where outlines speak."""
+    """Yield for every frame which vertices (V,) are on the rim of the surface in some camera, and so were measured."""
     nothing = np.zeros(vertices_in(skin, frames), bool)
     for frame in range(count):
         yield on_rim(skin, frame, cameras) if frame in frames else nothing
 
 
 def on_rim(skin: PosedSkin, frame: int, cameras: Sequence[Camera]) -> Mask:
-    """Tell which vertices (V,) lie on the rim of the surface in some camera."""
+    """Return which vertices (V,) are on the rim of the surface in some camera."""
     seen = np.zeros(len(skin.vertices_of(frame)), bool)
     for camera in cameras:
         rim = skin.seen_by(camera, frame).rim(skin.faces)
@@ -434,14 +477,17 @@ def on_rim(skin: PosedSkin, frame: int, cameras: Sequence[Camera]) -> Mask:
 
 
 LEAST_UPRIGHT = 0.5
-"""Cosine of the angle between trunk and Z below which a person lies; bending forward and sitting stay above."""
+"""Cosine of the angle between trunk and Z below which a person counts as lying.
+
+Chosen by hand: bending forward and sitting stay above it.
+"""
 
 
 def require_upright(trial: Trial, posed: PosedBody) -> None:
-    """Check that Z points up, unless the user said which axis does.
+    """Check that Z points up, unless the user has named the axis that does.
 
     Raises:
-        FileProblem: The person lies or hangs.
+        FileProblem: The person lies or hangs head down.
     """
     names = posed.body.skeleton.segment_names
     at = {name: posed.segment_origin[k] for k, name in enumerate(names)}
@@ -454,6 +500,6 @@ def require_upright(trial: Trial, posed: PosedBody) -> None:
     how = "hangs head down" if trunk[2] < -LEAST_UPRIGHT else "lies"
     wrong = f"has a world in which the person {how}: Z should point up"
     remedy = (
-        f'Write [world] up = "{guess}" into trial.toml if that axis points up, or up = "z" if the person really does.'
+        f'Set [world] up = "{guess}" in trial.toml if that axis points up, or up = "z" if the person does lie or hang.'
     )
     raise FileProblem(trial.calibration, wrong, remedy)

@@ -1,18 +1,21 @@
-"""`marey knee animate`: a knee's bones and cartilage from MR, moved by an activity in the laboratory."""
+"""A knee's bones and cartilage from MR, moved by an activity in the laboratory."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
+from marey.arrays import Floats
 from marey.errors import FileProblem, MareyError, SettingProblem
+from marey.extras import import_optional
 from marey.io.markers.activity import first_method, read_activity, room_is_y_up
 from marey.io.markers.readers import read_markers
 from marey.io.mr.meshes import read_mesh
 from marey.io.mr.scanner_markers import read_landmarks, read_scanner_markers
-from marey.io.stages import file_fingerprint
 from marey.knee.markers.anatomical_frames import Landmarks
 from marey.knee.markers.correspondence import KneeCorrespondence, bone_chain, correspond
 from marey.knee.markers.marker_naming import ScannerMarkers
@@ -36,49 +39,185 @@ from marey.knee.space.surface import Surface
 from marey.markers.data.trajectories import MarkerTrajectories
 from marey.markers.kinematics.joint_angles import JointKinematics
 from marey.pipelines.knee.animation_results import AnimationResults, write_animation
-from marey.pipelines.progress import Progress
+from marey.pipelines.knee.knee import Knee
+from marey.pipelines.labelled import Curve, Curves, Described, Summary, count_of, plot_curves
+from marey.pipelines.markers.bones import Bones
+from marey.pipelines.progress import Progress, RecordingProgress
+from marey.pipelines.run_details import RunDetails, checkpoints
 from marey.pipelines.run_record import StageCache, fingerprint
+from marey.pipelines.values import PathLike, optional_path
 from marey.view.pictures.knee_picture import DEFAULT_VIEWS, VIEWS
 
 FRAMES = ("tibia", "room")
+"""Names of what is held in place in video and GLB: the tibia, or nothing."""
+COMMAND = "knee animate"
+"""The command that leaves the same files."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class AnimateOptions:
-    """What `marey knee animate` is asked for."""
+class AnimateSettings:
+    """How a knee is moved and drawn.
 
-    out: Path | None = None
+    Raises:
+        SettingProblem: A value is impossible.
+    """
+
     reference: Path | None = None
-    """A trial of the person standing, with the scanner's markers."""
+    """Trial of the person standing, with the markers of the scanner and of the activity."""
     method: str | None = None
-    """Whose bones, of several that `marey markers` ran at once."""
+    """Method whose bones are used, if `marey markers` ran several; None for the first."""
     compare: str | None = None
-    """Another method, or another folder of `marey markers`."""
+    """Another method, or another folder of `marey markers`, for comparison."""
     landmarks: Path | None = None
+    """Landmarks picked in the images of the scanner, for the axes of the angles."""
     side: str | None = None
+    """`left` or `right`; None if the patella, or the names of the segments, decide."""
     frame: str = "tibia"
+    """What is held in place in video and GLB; one of `FRAMES`."""
     views: tuple[str, ...] = DEFAULT_VIEWS
+    """Views of the video."""
     limit_mm: float = LIMIT_MM
+    """Distance between cartilages below which they are called near [mm]."""
     noise_mm: float = NOISE_MM
-    """Standard deviation of a marker's coordinate in the laboratory, its putting back with it."""
+    """Standard deviation of a marker's coordinate in the laboratory, with that of its attachment [mm]."""
 
     def __post_init__(self) -> None:
         if self.side not in (None, "left", "right"):
-            raise SettingProblem(f"--side is left or right, not '{self.side}'.")
+            raise SettingProblem(f"--side is '{self.side}'; it should be left or right.")
         if self.frame not in FRAMES:
-            raise SettingProblem(f"--frame is tibia or room, not '{self.frame}'.")
-        strange = [view for view in self.views if view not in VIEWS]
-        if strange or not self.views:
-            raise SettingProblem(f"--view {','.join(strange)} is none of {', '.join(VIEWS)}.")
+            raise SettingProblem(f"--frame is '{self.frame}'; it should be tibia or room.")
+        unknown = [view for view in self.views if view not in VIEWS]
+        if unknown or not self.views:
+            raise SettingProblem(f"--view is '{','.join(unknown)}'; it should be some of {', '.join(VIEWS)}.")
         if not self.limit_mm > 0:
-            raise SettingProblem(f"--limit is a length above 0 mm, not {self.limit_mm:g}.")
+            raise SettingProblem(f"--limit is {self.limit_mm:g}; it should be a length above 0 mm.")
         if not 0 < self.noise_mm < 100:
-            raise SettingProblem(f"--noise is a length above 0 and below 100 mm, not {self.noise_mm:g}.")
+            raise SettingProblem(f"--noise is {self.noise_mm:g}; it should be a length above 0 and below 100 mm.")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class AnimatedKnee(AnimationResults, Described):
+    """The bones and cartilages of a knee over an activity, and how near they come to each other.
+
+    Example:
+        >>> import marey
+        >>> moving = marey.animate_knee("knee", "walk_marey", reference="standing.c3d")  # doctest: +SKIP
+        >>> moving.gaps["tibiofemoral medial"].values.min()  # doctest: +SKIP
+    """
+
+    @property
+    def time(self) -> Floats:
+        """(F,) time of each frame [s]."""
+        return self.found.motion.time
+
+    @property
+    def moved(self) -> tuple[str, ...]:
+        """Names of the bones that are moved."""
+        return self.found.motion.bones
+
+    @property
+    def gaps(self) -> Curves:
+        """Least distance between the cartilages [mm] by joint and compartment, with standard deviations."""
+        each = [(joint, c) for joint in self.found.joints for c in range(len(joint.compartments))]
+
+        def curve(i: int) -> Curve:
+            joint, c = each[i]
+            return Curve(
+                name=names[i], time=self.time, values=joint.gap_mm[:, c], sd=joint.gap_sd_mm[:, c], unit="mm"
+            )  # fmt: skip
+
+        names = [f"{joint.name}_{joint.compartments[c]}" for joint, c in each]
+        return Curves("gap", names, curve)
+
+    @property
+    def angles(self) -> Curves:
+        """Joint angles by name [deg], with standard deviations; empty if the bones have no anatomical axes."""
+        joints = self.found.angles
+        names = () if joints is None else joints.angle_names
+
+        def curve(i: int) -> Curve:
+            assert joints is not None
+            return Curve(
+                name=names[i], time=self.time, values=np.degrees(joints.angles[:, i]),
+                sd=np.degrees(joints.angles_sd[:, i]), unit="deg",
+            )  # fmt: skip
+
+        return Curves("angle", names, curve)
+
+    def __len__(self) -> int:
+        """Return the number of frames."""
+        return len(self.time)
+
+    def summary(self) -> Summary:
+        """Return a line per joint and compartment with the gap between its cartilages."""
+        lines = {}
+        for each in _both(self.found, self.compared):
+            for joint in each.joints:
+                for c, name in enumerate(joint.compartments):
+                    known = np.isfinite(joint.gap_mm[:, c])
+                    if known.any():
+                        gap, sd = joint.gap_mm[known, c], joint.gap_sd_mm[known, c]
+                        spread = f", standard deviation {np.median(sd):.1f}" if np.isfinite(sd).all() else ""
+                        lines[f"{each.method}: {joint.name}, {name}"] = (
+                            f"gap {np.median(gap):.1f} mm (median{spread}), from {gap.min():.1f} to {gap.max():.1f} mm"
+                        )
+        return Summary(f"Moving knee, {count_of(len(self), 'frame')}: {', '.join(self.moved)}", lines)
+
+    def to_xarray(self) -> Any:
+        """Return gaps, angles and the places of the bones as an `xarray.Dataset`.
+
+        Raises:
+            MissingPackage: xarray is not installed.
+        """
+        xarray = import_optional("xarray", extra="xarray", purpose="Labelled arrays")
+        variables: dict[str, Any] = {
+            "laboratory_from_scanner": (
+                ("time", "bone", "row", "column"),
+                np.stack([pose.matrix() for pose in self.found.motion.poses.values()], 1), {"units": "mm"},
+            )
+        }  # fmt: skip
+        for kind, curves in (("gap", self.gaps), ("angle", self.angles)):
+            for curve in curves.values():
+                variables[f"{kind}_{curve.name}"] = ("time", curve.values, {"units": curve.unit})
+                variables[f"{kind}_{curve.name}_sd"] = ("time", curve.sd, {"units": curve.unit})
+        coordinates = {"time": ("time", self.time, {"units": "s"}), "bone": list(self.moved)}
+        return xarray.Dataset(variables, coords=coordinates, attrs={"method": self.found.method})
+
+    def plot(self, names: str | Sequence[str] = "", *, level: float = 0.95, axes: Any = None) -> Any:
+        """Draw the gaps between the cartilages over time, each with the interval of its values as a band.
+
+        Args:
+            names: A part of the names, for example "medial", or a list of gaps; all gaps by default.
+            level: Probability of the interval.
+            axes: Matplotlib's axes to draw on; new ones by default.
+
+        Returns:
+            The axes.
+
+        Raises:
+            UnknownName: There is no such gap.
+            MissingPackage: Matplotlib is not installed.
+        """
+        chosen = self.gaps.matching(names) if isinstance(names, str) else [self.gaps[name] for name in names]
+        return plot_curves(chosen, level=level, axes=axes)
+
+    def save(self, folder: Path | str, *, progress: Progress | None = None) -> Path:
+        """Write the files of `marey knee animate`: numbers, tables, GLB, video, page and run.json.
+
+        Args:
+            folder: Where the files are written; it is made if it does not exist.
+            progress: Progress reporter.
+
+        Returns:
+            The folder.
+        """
+        write_animation(self, Path(folder), progress or self.details.resumed_progress())
+        return Path(folder)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class _Knee:
-    """What the scanner saw."""
+class _ScannedKnee:
+    """Structures and markers of a knee in the scanner."""
 
     folder: Path
     parts: Mapping[str, Surface]
@@ -93,95 +232,145 @@ class _Knee:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _Joining:
-    """What every correction of the skin's motion is joined to."""
+    """Everything to which the motion of each method is related."""
 
-    knee: _Knee
+    knee: _ScannedKnee
     sides: Mapping[str, JointSurface]
     standing: MarkerTrajectories | None
     limit_mm: float
     noise_mm: float
 
 
-def animate(knee_folder: Path, motion_folder: Path, options: AnimateOptions, progress: Progress) -> Path:
-    """Move a knee by an activity, measure its cartilages' nearness, and write and draw it.
+def animate_knee(
+    knee: PathLike | Knee,
+    motion: PathLike | Bones,
+    *,
+    reference: PathLike | None = None,
+    method: str | None = None,
+    compare: str | None = None,
+    landmarks: PathLike | None = None,
+    side: str | None = None,
+    frame: str = "tibia",
+    views: Sequence[str] = DEFAULT_VIEWS,
+    limit_mm: float = LIMIT_MM,
+    noise_mm: float = NOISE_MM,
+    out: PathLike | None = None,
+    progress: Progress | None = None,
+) -> AnimatedKnee:
+    """Move a knee's bones and cartilage by an activity, and measure the distance between the cartilages.
+
+    The gadolinium markers of the knee and the markers of the laboratory relate the two.
 
     Args:
-        knee_folder: What `marey knee segment` left.
-        motion_folder: What `marey markers` left.
-        options: What is asked for.
-        progress: Is told.
+        knee: The segmented knee with its markers, or its folder.
+        motion: The motion of the bones beneath skin markers, or its folder.
+        reference: Trial of the person standing, with the markers of the scanner and of the activity.
+        method: Method whose bones are used, if several were run; the first by default.
+        compare: Another method, or another folder of `marey markers`, for comparison.
+        landmarks: Landmarks picked in the images of the scanner, for the axes of the angles.
+        side: `left` or `right`; by default the patella, or the names of the segments, decide.
+        frame: What is held in place in video and GLB: `tibia`, or nothing (`room`).
+        views: Views of the video: anterior, posterior, medial, lateral, plateau.
+        limit_mm: Distance between cartilages below which they are called near [mm].
+        noise_mm: Standard deviation of a marker's coordinate in the laboratory, with that of its attachment [mm].
+        out: Folder for the results. If it is given, the files of `marey knee animate` are written there, and an
+            interrupted run can be resumed by the same call; otherwise nothing is written.
+        progress: Progress reporter.
 
     Returns:
-        The folder with the results.
+        The moving knee.
 
     Raises:
-        MareyError: A file or setting cannot be used, or scanner and laboratory cannot be joined.
+        FileProblem: A file cannot be used.
+        SettingProblem: A value is impossible.
+        MareyError: Scanner and laboratory cannot be related.
+
+    Example:
+        >>> import marey
+        >>> moving = marey.animate_knee("knee", "walk_marey", reference="standing.c3d")  # doctest: +SKIP
     """
-    out = options.out or motion_folder / "knee"
+    settings = AnimateSettings(
+        reference=optional_path(reference), method=method, compare=compare, landmarks=optional_path(landmarks),
+        side=side, frame=frame, views=tuple(views), limit_mm=limit_mm, noise_mm=noise_mm,
+    )  # fmt: skip
+    folder = None if out is None else Path(out)
+    with _in_folder(knee) as knee_folder, _in_folder(motion) as motion_folder:
+        return _animated(knee_folder, motion_folder, settings, folder, progress or RecordingProgress())
+
+
+@contextmanager
+def _in_folder(result: PathLike | Knee | Bones) -> Iterator[Path]:
+    """Yield the folder of a result; one that was not saved is written to a temporary folder."""
+    if isinstance(result, str | Path):
+        yield Path(result)
+    elif result.folder is not None:
+        yield result.folder
+    else:
+        with TemporaryDirectory(prefix="marey-") as folder:
+            yield result.save(Path(folder) / type(result).__name__.lower())
+
+
+def _animated(
+    knee_folder: Path, motion_folder: Path, settings: AnimateSettings, out: Path | None, progress: Progress
+) -> AnimatedKnee:
     with progress.stage("Reading"):
-        activity = read_activity(motion_folder, method=options.method)
-        other = _compared(motion_folder, options)
-        knee = _read_knee(knee_folder, activity, motion_folder, options)
-        standing = None if options.reference is None else read_markers(options.reference)
+        activity = read_activity(motion_folder, method=settings.method)
+        other = _compared(motion_folder, settings)
+        knee = _read_knee(knee_folder, activity, motion_folder, settings)
+        standing = None if settings.reference is None else read_markers(settings.reference)
     if other is not None and len(other.time) != len(activity.time):
         wrong = f"has {len(other.time)} frames, and the activity {len(activity.time)}"
-        raise FileProblem(Path(str(options.compare)), wrong, "Compare results of the same trial.")
-    files = _files(knee, motion_folder, options)
-    with threadpool_limits(1), StageCache(out, [file_fingerprint(path) for path in files]) as cache:
+        raise FileProblem(Path(str(settings.compare)), wrong, "Compare results of the same trial.")
+    files = _files(knee, motion_folder, settings)
+    with checkpoints(out, files) as cache:
         sides, notes = joint_sides(knee.parts, tuple(knee.bones), left=knee.left)
         for note in notes:
             progress.warn(note)
         joining = _Joining(
-            knee=knee, sides=sides, standing=standing, limit_mm=options.limit_mm, noise_mm=options.noise_mm
+            knee=knee, sides=sides, standing=standing, limit_mm=settings.limit_mm, noise_mm=settings.noise_mm
         )  # fmt: skip
-        joined = _joined(joining, activity, options.reference or motion_folder)
-        _say_joined(joined, progress)
-        found = _moved(joining, joined, activity, options.method or first_method(motion_folder), progress, cache)
+        reference = settings.reference or motion_folder
+        joined = _joined(joining, activity, reference)
+        _report_joined(joined, progress)
+        found = _moved(joining, joined, activity, settings.method or first_method(motion_folder), progress, cache)
         compared = None
         if other is not None:
-            compared = _moved(
-                joining,
-                _joined(joining, other, options.reference or motion_folder),
-                other,
-                _name_of(options),
-                progress,
-                cache,
-            )
-        _say_doubts(found, compared, joined, knee, progress)
-        results = AnimationResults(
+            with_other = _joined(joining, other, reference)
+            compared = _moved(joining, with_other, other, _name_of(settings), progress, cache)
+        _warn_of_limits(found, compared, joined, knee, progress)
+        moving = AnimatedKnee(
             title=f"{knee_folder.resolve().name} by {motion_folder.resolve().name}", parts=knee.parts, found=found,
-            compared=compared, joined=joined, in_room=options.frame == "room" or BASE not in found.motion.poses,
-            y_up=room_is_y_up(motion_folder), views=options.views, limit_mm=options.limit_mm,
-            settings=_settings(options, found, knee), inputs=files, root=knee_folder.parent,
+            compared=compared, joined=joined, in_room=settings.frame == "room" or BASE not in found.motion.poses,
+            y_up=room_is_y_up(motion_folder), views=settings.views, limit_mm=settings.limit_mm,
+            details=RunDetails.of(COMMAND, _about(settings, found, knee), files, knee_folder.parent, progress),
         )  # fmt: skip
-        write_animation(results, out, progress)
-    for line in told(found, compared):
-        progress.report(line)
-    return out
+        if out is not None:
+            moving.save(out, progress=progress)
+    return moving
 
 
-def _read_knee(folder: Path, activity: Activity, motion_folder: Path, options: AnimateOptions) -> _Knee:
-    """Read what the scanner saw, and which knee it is."""
+def _read_knee(folder: Path, activity: Activity, motion_folder: Path, settings: AnimateSettings) -> _ScannedKnee:
+    """Read the structures and markers of the scanned knee, and find its side."""
     if not folder.is_dir():
-        raise FileProblem(folder, "is no folder", "Give one that `marey knee segment` left.")
+        raise FileProblem(folder, "is not a folder", "Give a folder with the results of `marey knee segment`.")
     parts = {name: read_mesh(folder / f"{name}.ply") for name in LABELS if (folder / f"{name}.ply").is_file()}
     parts = {name: part for name, part in parts.items() if BONE_OF_CARTILAGE.get(name, name) in parts}
     missing = [bone for bone in ("femur", "tibia") if bone not in parts]
     if missing:
         wrong = f"has no {' and no '.join(f'{bone}.ply' for bone in missing)}"
-        raise FileProblem(folder, wrong, "Give a folder that `marey knee segment` left.")
+        raise FileProblem(folder, wrong, "Give a folder with the results of `marey knee segment`.")
     own = is_left({name: part for name, part in parts.items() if name in BONES})
-    return _Knee(
+    return _ScannedKnee(
         folder=folder, parts=parts, markers=read_scanner_markers(folder / "markers.json"),
-        landmarks=None if options.landmarks is None else read_landmarks(options.landmarks),
-        left=_side(own, activity, motion_folder, options),
+        landmarks=None if settings.landmarks is None else read_landmarks(settings.landmarks),
+        left=_side(own, activity, motion_folder, settings),
     )  # fmt: skip
 
 
-def _side(own: bool | None, activity: Activity, motion_folder: Path, options: AnimateOptions) -> bool | None:
-    """Tell which knee it is: as said, as the patella lies, or as the laboratory names its segments."""
-    if options.side is not None:
-        return options.side == "left"
+def _side(own: bool | None, activity: Activity, motion_folder: Path, settings: AnimateSettings) -> bool | None:
+    """Return whether it is a left knee: as given, by the place of the patella, or by the names of the segments."""
+    if settings.side is not None:
+        return settings.side == "left"
     named = {True for name in activity.motion.segments if name.startswith("left_")}
     named |= {False for name in activity.motion.segments if name.startswith("right_")}
     if activity.side is not None:
@@ -189,31 +378,31 @@ def _side(own: bool | None, activity: Activity, motion_folder: Path, options: An
     if own is not None and named and own not in named:
         words = {True: "left", False: "right"}
         raise FileProblem(
-            motion_folder, f"has the {words[not own]} leg's bones, and the scanned knee is a {words[own]} one",
-            "Give the motion of that leg, or the side with --side where the patella misleads.",
+            motion_folder, f"has the bones of the {words[not own]} leg, and the scanned knee is a {words[own]} one",
+            "Give the motion of that leg, or --side if the place of the patella is misleading.",
         )  # fmt: skip
     if own is not None:
         return own
     return next(iter(named)) if len(named) == 1 else None
 
 
-def _compared(folder: Path, options: AnimateOptions) -> Activity | None:
-    """Read what is to be compared: another method of the same run, or another run's folder."""
-    if options.compare is None:
+def _compared(folder: Path, settings: AnimateSettings) -> Activity | None:
+    """Read the motion to compare with: another method of the same run, or the folder of another run."""
+    if settings.compare is None:
         return None
-    path = Path(options.compare)
+    path = Path(settings.compare)
     if path.is_dir():
         return read_activity(path)
-    return read_activity(folder, method=options.compare)
+    return read_activity(folder, method=settings.compare)
 
 
-def _name_of(options: AnimateOptions) -> str:
-    path = Path(str(options.compare))
-    return first_method(path) if path.is_dir() else str(options.compare)
+def _name_of(settings: AnimateSettings) -> str:
+    path = Path(str(settings.compare))
+    return first_method(path) if path.is_dir() else str(settings.compare)
 
 
 def _joined(joining: _Joining, activity: Activity, reference: Path) -> KneeCorrespondence:
-    """Join scanner and laboratory."""
+    """Relate scanner and laboratory by their common markers."""
     knee = joining.knee
     posture = reference_posture(activity, joining.standing, noise_mm=joining.noise_mm)
     try:
@@ -222,29 +411,29 @@ def _joined(joining: _Joining, activity: Activity, reference: Path) -> KneeCorre
             segment_of_label=activity.segment_of_label, left=knee.left, landmarks=knee.landmarks,
         )  # fmt: skip
     except MareyError as problem:
-        raise FileProblem(knee.folder / "markers.json", f"cannot be joined with {reference}", str(problem)) from problem
+        raise FileProblem(knee.folder / "markers.json", f"cannot be related to {reference}", str(problem)) from problem
 
 
-def _say_joined(joined: KneeCorrespondence, progress: Progress) -> None:
+def _report_joined(joined: KneeCorrespondence, progress: Progress) -> None:
     for note in joined.notes:
         progress.warn(note)
     for bone, each in joined.bones.items():
         for note in each.notes:
             progress.warn(f"{bone}: {note}")
     for bone, why in joined.missing.items():
-        if bone != "patella":  # of which more is said when the motion is there
+        if bone != "patella":  # a later warning has the consequences
             progress.warn(f"The {bone} is not moved: {why}.")
 
 
 def _moved(
     joining: _Joining, joined: KneeCorrespondence, activity: Activity, name: str, progress: Progress, cache: StageCache
 ) -> KneeMotion:
-    """Measure the motion by one correction of the skin's motion, or find what an interrupted run left of it."""
+    """Measure the motion of one method, or read the checkpoint of an interrupted run."""
     chains = {bone: bone_chain(each, activity.motion, activity.cluster) for bone, each in joined.bones.items()}
     motion = motion_of_chains(chains, activity.time, left=joining.knee.left)
     if not any(motion.answered(bone).any() for bone in motion.bones):
         raise MareyError(f"No frame of the activity has a pose of the {' or the '.join(motion.bones)}.")
-    with progress.stage_of_shares(f"Nearness ({name})") as done:
+    with progress.stage_of_shares(f"Distances ({name})") as done:
 
         def compute() -> dict[str, np.ndarray]:
             return packed_joints(joint_proximities(motion, joining.sides, limit_mm=joining.limit_mm, done=done))
@@ -258,40 +447,40 @@ def _moved(
 
 
 def _angles(joined: KneeCorrespondence, motion: JointMotion, progress: Progress) -> JointKinematics | None:
-    """Give the knee's angles where the bones' frames are anatomical ones; say so where they are not."""
+    """Return the knee's angles if the bones' frames are anatomical; warn if they are not."""
     plain = [bone for bone, each in joined.bones.items() if each.frame_source.startswith("the markers")]
     if set(plain) & {"femur", "tibia"}:
-        text = f"No angles: the frame of the {' and the '.join(plain)} is only that of its markers. Give --landmarks."
+        text = f"No angles: the {' and the '.join(plain)} has the frame of its markers only. Add --landmarks."
         if text not in progress.warnings:
             progress.warn(text)
         return None
     return knee_angles(motion)
 
 
-def _say_doubts(
-    found: KneeMotion, compared: KneeMotion | None, joined: KneeCorrespondence, knee: _Knee, progress: Progress
+def _warn_of_limits(
+    found: KneeMotion, compared: KneeMotion | None, joined: KneeCorrespondence, knee: _ScannedKnee, progress: Progress
 ) -> None:
-    """Say what a reader should know before the numbers."""
+    """Warn of everything that limits the meaning of the numbers."""
     motion = found.motion
     if knee.left is None:
-        progress.warn("The knee's side is not known: nearness is that of the whole joint. Give --side.")
+        progress.warn("The side of the knee is not known: distances are those of the whole joint. Add --side.")
     for bone in motion.bones:
         lacking = int((~motion.answered(bone)).sum())
         if lacking:
-            progress.warn(f"The {bone} has no pose in {lacking} of {len(motion)} frames: gaps, and shown as such.")
+            progress.warn(f"The {bone} has no pose in {lacking} of {len(motion)} frames; the results have gaps there.")
     if "patella" in knee.parts and "patella" not in motion.poses:
         why = joined.missing.get("patella", "it was not measured")
         progress.warn(
-            f"The patella is not moved: {why}. It is left out of all numbers, of the video and of the GLB; the page "
-            "can draw it with the femur, which it does not follow."
+            f"The patella is not moved: {why}. It is left out of all numbers, of the video and of the GLB. The page "
+            "can show it at its place on the femur in the scanner."
         )
     if not found.joints:
-        progress.warn("No two bones that meet were measured: there is no nearness.")
+        progress.warn("No two bones of a joint were measured: there are no distances.")
     for joint in found.joints:
         for c, name in enumerate(joint.compartments):
             if np.isfinite(joint.base_distance_mm).any() and not np.isfinite(joint.gap_mm[:, c]).any():
                 what = joint.base.name.replace("_", " ")
-                progress.warn(f"There is no {what} on the {name} side: it has no gap.")
+                progress.warn(f"There is no {what} on the {name} side, and therefore no gap.")
     for each in _both(found, compared):
         for joint in each.joints:
             for c, name in enumerate(joint.compartments):
@@ -307,36 +496,19 @@ def _both(found: KneeMotion, compared: KneeMotion | None) -> list[KneeMotion]:
     return [found] if compared is None else [found, compared]
 
 
-def _files(knee: _Knee, motion_folder: Path, options: AnimateOptions) -> list[Path]:
+def _files(knee: _ScannedKnee, motion_folder: Path, settings: AnimateSettings) -> list[Path]:
     """List the files that were read."""
     files = [knee.folder / f"{name}.ply" for name in knee.parts]
     files.append(knee.folder / "markers.json")
     folders = [motion_folder]
-    if options.compare is not None and Path(options.compare).is_dir():
-        folders.append(Path(options.compare))
+    if settings.compare is not None and Path(settings.compare).is_dir():
+        folders.append(Path(settings.compare))
     for folder in folders:
         files += [*sorted(folder.glob("bones*.npz")), folder / "motion.c3d", folder / "marker_motion.csv"]
-    return [*files, *(path for path in (options.reference, options.landmarks) if path is not None)]
+    return [*files, *(path for path in (settings.reference, settings.landmarks) if path is not None)]
 
 
-def _settings(options: AnimateOptions, found: KneeMotion, knee: _Knee) -> dict[str, object]:
-    given = {key: value for key, value in vars(options).items() if value is not None and key != "out"}
+def _about(settings: AnimateSettings, found: KneeMotion, knee: _ScannedKnee) -> dict[str, object]:
+    given = {key: value for key, value in vars(settings).items() if value is not None}
     side = {None: "unknown", True: "left", False: "right"}[knee.left]
-    return {**given, "views": list(options.views), "method": found.method, "side": side}
-
-
-def told(found: KneeMotion, compared: KneeMotion | None) -> list[str]:
-    """Say in a few lines how near the cartilages came."""
-    lines = []
-    for each in _both(found, compared):
-        for joint in each.joints:
-            for c, name in enumerate(joint.compartments):
-                known = np.isfinite(joint.gap_mm[:, c])
-                if known.any():
-                    gap, sd = joint.gap_mm[known, c], joint.gap_sd_mm[known, c]
-                    spread = f"; sd {np.median(sd):.1f}" if np.isfinite(sd).all() else ""
-                    lines.append(
-                        f"{each.method}: {joint.name}, {name}: gap {np.median(gap):.1f} mm (median{spread}), from "
-                        f"{gap.min():.1f} to {gap.max():.1f}."
-                    )
-    return lines
+    return {**given, "views": list(settings.views), "method": found.method, "side": side}

@@ -1,4 +1,4 @@
-"""The files of `marey knee animate`: numbers, a moving mesh, a video and a page."""
+"""The files of an animated knee: numbers, a moving mesh, a video and a page."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -19,6 +19,7 @@ from marey.knee.space.structures import BONE_OF_CARTILAGE
 from marey.knee.space.surface import Surface
 from marey.markers.kinematics.transform_chain import NamedTransform
 from marey.pipelines.progress import Progress
+from marey.pipelines.run_details import RunDetails
 from marey.pipelines.run_record import finished_together, write_record
 from marey.view.pages.html import Still
 from marey.view.pages.knee_report import KneeReport, distances_of, write_knee_report
@@ -26,33 +27,42 @@ from marey.view.pictures.knee_maps import BONE, proximity_colours
 from marey.view.pictures.knee_picture import DrawnPart, KneeCamera, KneeInstant, KneePicture, axes_of_view
 
 _MOST_PICTURES_HZ = 30.0
+"""Highest frame rate of the video [Hz]. Chosen by hand."""
 _SAMPLED = 60
-"""Frames whose bones tell what must be in the picture."""
+"""Number of frames from which the part of the room in the video is chosen.
+
+Chosen by hand; results were not measured against other values.
+"""
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class AnimationResults:
-    """What is to be written."""
+    """The record of an animated knee."""
 
     title: str
+    """Name of knee and activity, for the page."""
     parts: Mapping[str, Surface]
-    """Structures by name."""
+    """Surfaces of bones and cartilages by name, LPS [mm]."""
     found: KneeMotion
+    """Motion and distances by the method that was chosen."""
     compared: KneeMotion | None
+    """The same by another method, for comparison."""
     joined: KneeCorrespondence
+    """The relation between scanner and laboratory."""
     in_room: bool
-    """Whether nothing is held, in video and GLB."""
+    """Whether the room is held in place in video and GLB, instead of the tibia."""
     y_up: bool
-    """Whether the laboratory has Y up."""
+    """Whether Y points up in the laboratory; otherwise Z does."""
     views: Sequence[str]
+    """Views of the video."""
     limit_mm: float
-    settings: Mapping[str, object]
-    inputs: Sequence[Path]
-    root: Path
+    """Distance between cartilages below which they are called near [mm]."""
+    details: RunDetails
+    """Settings, inputs, warnings and times of the run."""
 
     @property
     def poses(self) -> dict[str, NamedTransform]:
-        """Bone to where it is drawn [mm]."""
+        """Place of each bone in video and GLB [mm]."""
         motion = self.found.motion
         return dict(motion.poses) if self.in_room else {bone: motion.held(bone) for bone in motion.bones}
 
@@ -61,9 +71,9 @@ def write_animation(results: AnimationResults, out: Path, progress: Progress) ->
     """Write all results at once.
 
     Args:
-        results: What was found.
-        out: Where.
-        progress: Knows timings and warnings.
+        results: The animated knee.
+        out: The folder.
+        progress: Progress reporter; its times and warnings are on the page.
     """
     found, compared = results.found, results.compared
     with finished_together(out) as folder:
@@ -81,24 +91,24 @@ def write_animation(results: AnimationResults, out: Path, progress: Progress) ->
                     carried=_carried(results), in_room=results.in_room,
                     # OpenSim's axes are those of a room with Y up.
                     upright=OPENSIM_FROM_WORLD.T if results.y_up else np.eye(3), notes=progress.warnings,
-                    stills=stills, timings=progress.timings, settings=results.settings,
+                    stills=stills, timings=progress.timings, settings=results.details.settings,
                     files=[path.name for path in folder.iterdir()],
                 ),
             )  # fmt: skip
         write_record(
-            folder, command="knee animate", settings=results.settings, inputs=results.inputs, root=results.root,
-            progress=progress,
+            folder, command=results.details.command, settings=results.details.settings, inputs=results.details.inputs,
+            root=results.details.root, progress=progress,
         )  # fmt: skip
 
 
 def _carried(results: AnimationResults) -> list[str]:
-    """List bones that were not measured, and can be drawn with the femur."""
+    """List the bones that were not measured, and can be drawn with the femur."""
     moved = results.found.motion.poses
     return [bone for bone in ("patella",) if bone in results.parts and bone not in moved and "femur" in moved]
 
 
 def _drawn(results: AnimationResults, *, all_bones: bool = False) -> dict[str, DrawnPart]:
-    """Choose the structures that are drawn: those that move, and for the page those that can be carried along."""
+    """Choose the structures to draw: those that move, and on the page also those that are drawn with the femur."""
     bones = {*results.found.motion.poses, *(_carried(results) if all_bones else ())}
     return {
         name: DrawnPart(bone=BONE_OF_CARTILAGE.get(name, name), surface=surface, cartilage=name in BONE_OF_CARTILAGE)
@@ -108,7 +118,7 @@ def _drawn(results: AnimationResults, *, all_bones: bool = False) -> dict[str, D
 
 
 def _write_glb(path: Path, results: AnimationResults) -> None:
-    """Write the moving meshes; cartilage in the colours of the least distance over the activity."""
+    """Write the moving meshes, with the cartilage coloured by the least distance over the activity."""
     parts = {}
     for name, part in _drawn(results).items():
         colours = np.broadcast_to(np.array(BONE, np.uint8), (len(part.surface.vertices_mm), 3))
@@ -133,7 +143,7 @@ def _write_glb(path: Path, results: AnimationResults) -> None:
 
 
 def _write_video(path: Path, results: AnimationResults, progress: Progress) -> list[Still]:
-    """Write the video, at most 30 pictures a second, and give three of them for the page."""
+    """Write the video with at most 30 frames per second, and return three of its frames for the page."""
     motion = results.found.motion
     rate = 1 / float(np.median(np.diff(motion.time))) if len(motion) > 1 else 1.0
     stride = max(1, int(np.ceil(rate / _MOST_PICTURES_HZ - 1e-6)))
@@ -162,8 +172,8 @@ class _Film:
         if results.in_room:
             self._follow()
         self._maps = {name: distances_of(name, results.found) for name, p in self._parts.items() if p.cartilage}
-        held = "In the room; the eye goes along." if results.in_room else "The tibia is held."
-        note = f"Skin: {results.found.method}. {held}"
+        held = "In the room; the camera follows the knee." if results.in_room else "The tibia is held in place."
+        note = f"Method {results.found.method}. {held}"
         cameras = {view: self._camera(view) for view in results.views}
         self._picture = KneePicture(self._parts, cameras, limit_mm=results.limit_mm, note=note)
 
@@ -179,7 +189,7 @@ class _Film:
         return matrix if matrix.ndim == 2 else matrix[frame]
 
     def _follow(self) -> None:
-        """Let the eye go along with the knee, without turning: take away where the tibia, or another bone, is."""
+        """Let the camera follow the knee without rotation: subtract the place of the tibia, or of another bone."""
         way = np.full((len(self._results.found.motion), 3), np.nan)
         for bone in sorted(self._poses, key=lambda name: name != BASE):
             middle = self._results.parts[bone].vertices_mm.mean(0)
@@ -188,7 +198,7 @@ class _Film:
             matrix[:, :3, 3] -= way
 
     def _camera(self, view: str) -> KneeCamera:
-        """Look along the tibia's axes, in the room along those of its mean posture."""
+        """Look along the axes of the tibia, or in the room along those of its mean orientation."""
         axes = axes_of_view(view, left=self._results.found.motion.left)
         if self._results.in_room:
             bone = BASE if BASE in self._poses else next(iter(self._poses))
@@ -199,7 +209,7 @@ class _Film:
         return KneeCamera(axes, self._corners(view))
 
     def _corners(self, view: str) -> Floats:
-        """Give the corners (N, 3) of the bones' boxes over the activity: what must be in the picture."""
+        """Return the corners (N, 3) of the bones' boxes over the activity, which must be in the image."""
         found = [np.full((1, 3), np.nan)]
         frames = np.unique(np.linspace(0, len(self._results.found.motion) - 1, _SAMPLED).astype(int))
         for part in self._parts.values():
@@ -229,7 +239,7 @@ class _Film:
         )  # fmt: skip
 
     def _paths(self, frame: int) -> list[Floats]:
-        """Give the centres' ways over the tibia so far, as it lies now."""
+        """Return the paths of the contact centres on the tibia up to a frame, at the place of the tibia in it."""
         if BASE not in self._poses:
             return []
         matrix = self._at(BASE, frame)

@@ -25,10 +25,13 @@ from marey.pipelines.knee.found_knee import FoundKnee
 from marey.pipelines.knee.segment_results import write_knee
 from marey.pipelines.labelled import Described, Summary
 from marey.pipelines.progress import Progress
-from marey.pipelines.run_details import RunDetails, copy_results
+from marey.pipelines.result_files import ResultFiles
+from marey.pipelines.run_details import RunDetails
 
 COMMAND = "knee segment"
 """The command that leaves the same files."""
+_FILE = "labels.nii.gz"
+"""The file by which a folder of results is recognised."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -204,7 +207,7 @@ class Knee(Described):
         """
         folder = Path(folder)
         if self.found is None:
-            copy_results(self.folder or folder, folder, COMMAND)
+            ResultFiles(self.folder or folder).save(folder, file=_FILE)
         else:
             write_knee(self.found, self.details, folder, progress or self.details.resumed_progress())
         return folder
@@ -224,10 +227,10 @@ def load_knee(folder: Path | str) -> Knee:
         >>> knee = marey.load_knee("dess_marey")  # doctest: +SKIP
     """
     folder = Path(folder)
-    if not (folder / "labels.nii.gz").is_file():
+    if not (folder / _FILE).is_file():
         raise FileProblem(folder, "has no labels.nii.gz", "Give a folder with the results of `marey knee segment`.")
     surfaces = {name: read_mesh(folder / f"{name}.ply") for name in LABELS if (folder / f"{name}.ply").is_file()}
-    details = RunDetails.read(folder, COMMAND)
+    details = RunDetails.read(folder, COMMAND, file=_FILE)
     missing, given = details.settings.get("missing"), details.settings.get("side")
     bones = {name: surface for name, surface in surfaces.items() if name in BONES}
     left = known_side(bones, given if isinstance(given, str) else None)

@@ -1,115 +1,149 @@
-"""`marey knee register`: a template's bone laid on a subject's, first as it is and then bent."""
+"""Registration of a template's bone with a subject's: rigid, and then elastic."""
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
+from marey.arrays import Floats
 from marey.errors import FileProblem, MareyError
 from marey.io.mr.meshes import write_mesh
 from marey.io.mr.tables import write_rigid
 from marey.knee.registration.elastic import ElasticRegistration, register_elastically
-from marey.knee.registration.rigid import RigidRegistration
 from marey.knee.registration.sided import SidedRegistration, register_on_either_side
 from marey.knee.space.mesh_repair import joined
 from marey.knee.space.sides import MIRROR, mirrored
 from marey.knee.space.surface import Surface
 from marey.knee.space.triangle_tree import TriangleTree
 from marey.pipelines.knee.meshes import read_bone
-from marey.pipelines.progress import Progress
-from marey.pipelines.run_record import StageCache
+from marey.pipelines.labelled import Described, Summary
+from marey.pipelines.progress import Progress, RecordingProgress
+from marey.pipelines.values import PathLike
 
-_COUNTERPART_MM, _MOST_WITHOUT = 3.0, 0.1
-"""So far off a bent template has nothing to lie on; the share of it at which that is said."""
+_COUNTERPART_MM = 3.0
+"""Distance beyond which a vertex of the deformed template has no counterpart on the subject [mm].
+
+Chosen by hand; results were not measured against other values.
+"""
+_MOST_WITHOUT = 0.1
+"""Share of the template's area without a counterpart above which there is a warning. Chosen by hand."""
 _ALIKE_MM = 0.7
-"""Mean distance of bent bones that is too much for the same bone of two people: docs/accuracy.md has 0.23 to 0.45."""
+"""Mean distance after elastic registration above which two bones are hardly the same bone of two people [mm].
+
+The accuracy pages have 0.23 to 0.45 mm for the same bone.
+"""
 
 
-def register(template: Path, subject: Path, out: Path | None, *, mirror: bool | None, progress: Progress) -> Path:
-    """Register two bones and write `rigid.json` and `registered.ply`.
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class RegisteredBone(Described):
+    """A template's bone on a subject's."""
+
+    sided: SidedRegistration
+    """Rigid registration, with the side of the template."""
+    elastic: ElasticRegistration
+    """Elastic registration."""
+    surface: Surface
+    """The deformed template on the subject, with the vertices of the template in their order, LPS [mm]."""
+
+    @property
+    def subject_from_template(self) -> Floats:
+        """(4, 4) homogeneous matrix of the rigid registration [mm]; it mirrors a template of the other side."""
+        matrix = self.sided.rigid.subject_from_template.matrix
+        return np.asarray(matrix @ (MIRROR if self.sided.mirrored else np.eye(4)))
+
+    def summary(self) -> Summary:
+        """Return the distances between the bones, and the standard deviations of the rigid registration."""
+        rigid, elastic = self.sided.rigid, self.elastic
+        turn, shift = rigid.turn_sd_deg.max(), rigid.translation_sd_mm.max()
+        lines = {
+            "rigid": f"mean distance {rigid.surface_distance_mm:.2f} mm, standard deviation {turn:.2g} degrees and "
+            f"{shift:.2g} mm",
+            "elastic": f"mean distance {elastic.surface_distance_mm:.2f} mm, 95 % within {elastic.farthest_mm:.2f} mm, "
+            f"no folds (least Jacobian determinant {elastic.least_determinant:.2f})",
+        }
+        return Summary("Registered bone", lines)
+
+    def save(self, folder: Path | str) -> Path:
+        """Write `rigid.json` and `registered.ply`.
+
+        Args:
+            folder: Where the files are written; it is made if it does not exist.
+
+        Returns:
+            The folder.
+        """
+        folder = Path(folder)
+        write_rigid(folder / "rigid.json", self.subject_from_template, _about(self.sided, self.elastic))
+        write_mesh(folder / "registered.ply", self.surface)
+        return folder
+
+
+def register_bone(
+    template: PathLike, subject: PathLike, *, mirror: bool | None = None, progress: Progress | None = None
+) -> RegisteredBone:
+    """Register the bone of a template with the same bone of a subject.
 
     Args:
         template: A mesh.
         subject: A mesh of the same bone.
-        out: The folder; `SUBJECT_marey` beside the subject when None.
-        mirror: Whether the template is of the other side; None finds it out.
-        progress: Is told.
-
-    Returns:
-        The folder.
+        mirror: Whether the template is of the other side; None tries both.
+        progress: Progress reporter.
 
     Raises:
-        FileProblem: A mesh cannot be used, or they do not fit each other.
+        FileProblem: A mesh cannot be used, or the bones do not fit each other.
     """
-    out = out or subject.with_name(f"{subject.stem}_marey")
+    progress = progress or RecordingProgress()
+    template, subject = Path(template), Path(subject)
     model, person = read_bone(template, progress), joined(read_bone(subject, progress))
-    # Made before the work: a folder that cannot be written to is told at once.
-    cache = StageCache(out, [])
     try:
-        return _registered(model, person, template, subject, out, mirror=mirror, progress=progress)
-    finally:
-        cache.clear()
-
-
-def _registered(
-    model: Surface, person: Surface, template: Path, subject: Path, out: Path, *, mirror: bool | None,
-    progress: Progress,
-) -> Path:  # fmt: skip
-    """Register, tell and write."""
-    try:
-        with threadpool_limits(1):
-            with progress.stage_of_shares("Laying the template on the bone") as done:
-                sided = register_on_either_side(joined(model), person, mirror=mirror, done=done)
-            _say_side(sided, mirror, progress)
-            side = mirrored(model) if sided.mirrored else model
-            laid = Surface(vertices_mm=sided.rigid.subject_from_template.apply(side.vertices_mm), faces=side.faces)
-            with progress.stage_of_shares("Bending it") as done:
-                elastic = register_elastically(joined(laid), person, done=done)
+        with progress.stage_of_shares("Rigid registration") as done:
+            sided = register_on_either_side(joined(model), person, mirror=mirror, done=done)
+        _report_side(sided, mirror, progress)
+        side = mirrored(model) if sided.mirrored else model
+        moved = Surface(vertices_mm=sided.rigid.subject_from_template.apply(side.vertices_mm), faces=side.faces)
+        with progress.stage_of_shares("Elastic registration") as done:
+            elastic = register_elastically(joined(moved), person, done=done)
     except MareyError as error:
         text = str(error).rstrip(".")
         remedy = "" if mirror is None else "Without --mirror and --no-mirror both sides are tried."
         raise FileProblem(template, f"does not fit {subject.name}: {text[0].lower() + text[1:]}", remedy) from error
-    _say_doubt(elastic, person, template, subject, progress)
-    matrix = sided.rigid.subject_from_template.matrix @ (MIRROR if sided.mirrored else np.eye(4))
-    write_rigid(out / "rigid.json", matrix, _about(sided, elastic))
-    write_mesh(out / "registered.ply", elastic.deformation.subject_surface(laid))
-    progress.report(_summary(sided.rigid, elastic))
-    return out
+    _warn_of_misfit(elastic, person, template, subject, progress)
+    return RegisteredBone(sided=sided, elastic=elastic, surface=elastic.deformation.subject_surface(moved))
 
 
-def _say_doubt(
+def _warn_of_misfit(
     elastic: ElasticRegistration, person: Surface, template: Path, subject: Path, progress: Progress
 ) -> None:  # fmt: skip
-    """Tell where the template has no counterpart, and that two bones do not become alike."""
+    """Warn of parts of the template without a counterpart, and of two bones that remain different."""
     bent = elastic.registered
     off = TriangleTree.of(person).nearest(bent.vertices_mm).distance_mm
     areas = bent.vertex_areas_mm2
     share = float(areas[off > _COUNTERPART_MM].sum() / areas.sum())
     if share > _MOST_WITHOUT:
         progress.warn(
-            f"{100 * share:.0f} % of {template.name} still lies more than {_COUNTERPART_MM:g} mm from {subject.name}: "
-            "there it has no counterpart, and its place is a guess."
+            f"{100 * share:.0f} % of {template.name} is still more than {_COUNTERPART_MM:g} mm from {subject.name}: "
+            "it has no counterpart there, and its place is an extrapolation."
         )
     if elastic.surface_distance_mm > _ALIKE_MM:
         progress.warn(
-            f"Bent, {template.name} still lies {elastic.surface_distance_mm:.2f} mm from {subject.name} on average; "
-            "the same bone of two people comes to 0.2 to 0.5 mm. Is it the same bone, and as much of it?"
+            f"After elastic registration, {template.name} is still {elastic.surface_distance_mm:.2f} mm from "
+            f"{subject.name} on average; usual are 0.2 to 0.5 mm. Check that it is the same part of the same bone."
         )
 
 
-def _say_side(sided: SidedRegistration, mirror: bool | None, progress: Progress) -> None:
-    """Tell which side the template is of, and by what."""
+def _report_side(sided: SidedRegistration, mirror: bool | None, progress: Progress) -> None:
+    """Report the side of the template, and on what evidence."""
     if mirror is not None:
         return
     text = (
-        f"The template is of the {'other' if sided.mirrored else 'same'} side: scaled to the bone it lies "
-        f"{sided.same_side_mm:.2f} mm off as it is, {sided.other_side_mm:.2f} mm mirrored."
+        f"The template is of the {'other' if sided.mirrored else 'same'} side: its distance, scaled to the bone, is "
+        f"{sided.same_side_mm:.2f} mm as it is and {sided.other_side_mm:.2f} mm mirrored."
     )
     if sided.clear:
         progress.report(text)
     else:
         force = "--no-mirror" if sided.mirrored else "--mirror"
-        progress.warn(f"{text} That is little of a difference; where you know better, say {force}.")
+        progress.warn(f"{text} The difference is small; if the side is wrong, add {force}.")
 
 
 def _about(sided: SidedRegistration, elastic: ElasticRegistration) -> dict[str, object]:
@@ -129,12 +163,3 @@ def _about(sided: SidedRegistration, elastic: ElasticRegistration) -> dict[str, 
         "elastic_surface_distance_95_mm": elastic.farthest_mm,
         "least_jacobian_determinant": elastic.least_determinant,
     }
-
-
-def _summary(rigid: RigidRegistration, elastic: ElasticRegistration) -> str:
-    turn, shift = rigid.turn_sd_deg.max(), rigid.translation_sd_mm.max()
-    return (
-        f"Rigid: {rigid.surface_distance_mm:.2f} mm from the bone on average, known to {turn:.2g} degrees and "
-        f"{shift:.2g} mm. Bent: {elastic.surface_distance_mm:.2f} mm (95 % within {elastic.farthest_mm:.2f} mm), no "
-        f"folds (least Jacobian {elastic.least_determinant:.2f})."
-    )

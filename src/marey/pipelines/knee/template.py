@@ -1,53 +1,90 @@
-"""`marey knee template`: a folder that `segment --template` and `register` take, from labels or from own outlines."""
+"""Templates of a knee for segmentation and registration, from labels or from outlines."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from marey.errors import FileProblem, MareyError, SettingProblem
 from marey.io.mr.contours import OutlinedVolume, read_contours, same_grid
 from marey.io.mr.meshes import write_mesh
 from marey.io.mr.volumes import read_labels, read_volume, write_labels
-from marey.io.stages import file_fingerprint
 from marey.knee.bones.template import CheckedTemplate, checked_template
 from marey.knee.outlines.contours import labels_of_contours
 from marey.knee.space.volume import Labels
-from marey.pipelines.progress import Progress
-from marey.pipelines.run_record import StageCache, finished_together, write_record
+from marey.pipelines.labelled import Described, Summary
+from marey.pipelines.progress import Progress, RecordingProgress
+from marey.pipelines.run_details import RunDetails
+from marey.pipelines.run_record import finished_together, write_record
+from marey.pipelines.values import PathLike, path_tuple
+
+COMMAND = "knee template"
+"""The command that leaves the same files."""
 
 
-def make_template(sources: Sequence[Path], out: Path, progress: Progress) -> CheckedTemplate:
-    """Read labels or outlines, check them and write the template, all at once.
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class MadeTemplate(Described):
+    """A template that was made of labels or outlines."""
+
+    template: CheckedTemplate
+    """Labels, surfaces and side of the knee."""
+    details: RunDetails
+    """Inputs, warnings and times of the run."""
+
+    def summary(self) -> Summary:
+        """Return the side of the knee and its structures."""
+        return Summary(
+            "Template of a knee",
+            {"side": self.template.side or "unknown", "structures": ", ".join(self.template.surfaces)},
+        )
+
+    def save(self, folder: Path | str, *, progress: Progress | None = None) -> Path:
+        """Write labels, surfaces and run.json all at once.
+
+        Args:
+            folder: Where the files are written; it is made if it does not exist.
+            progress: Progress reporter.
+
+        Returns:
+            The folder.
+        """
+        details, out = self.details, Path(folder)
+        with finished_together(out) as staging:
+            write_labels(staging, self.template.labels)
+            for name, surface in self.template.surfaces.items():
+                write_mesh(staging / f"{name}.ply", surface)
+            write_record(
+                staging, command=COMMAND, settings=details.settings, inputs=details.inputs, root=details.root,
+                progress=progress or details.resumed_progress(),
+            )  # fmt: skip
+        return out
+
+
+def make_template(sources: Sequence[PathLike], *, progress: Progress | None = None) -> MadeTemplate:
+    """Read labels or outlines of a knee, and check whether they can be a template.
 
     Args:
-        sources: One volume of labels, or the folder it is in; or files of outlines of one volume, and if wanted that
-            volume, to be sure that they belong to it.
-        out: The folder to make.
-        progress: Is told.
+        sources: One volume of labels, or the folder with it; or files of outlines of one volume, optionally with that
+            volume, which is then compared with the outlines.
+        progress: Progress reporter.
 
     Raises:
-        MareyError: A source cannot be used, several do not belong together, or there is no bone.
+        MareyError: A source cannot be used, several do not fit each other, or there is no bone.
     """
+    progress, paths = progress or RecordingProgress(), path_tuple(sources)
     with progress.stage("Reading"):
-        labels = _read(sources)
+        labels = _read(paths)
     with progress.stage("Surfaces and checks"):
         try:
             template = checked_template(labels)
         except FileProblem:
             raise
         except MareyError as error:
-            raise FileProblem(sources[0], f"cannot be a template ({str(error).rstrip('.')})") from error
-    files = _files(sources)
-    with StageCache(out, [file_fingerprint(path) for path in files]), finished_together(out) as folder:
-        write_labels(folder, template.labels)
-        for name, surface in template.surfaces.items():
-            write_mesh(folder / f"{name}.ply", surface)
-        write_record(
-            folder, command="knee template", settings={"side": template.side}, inputs=files,
-            root=sources[0].parent, progress=progress,
-        )  # fmt: skip
+            raise FileProblem(paths[0], f"cannot be a template ({str(error).rstrip('.')})") from error
+    files, root = _files(paths), paths[0].parent
+    details = RunDetails.of(COMMAND, {"side": template.side}, files, root, progress)
     for note in (*template.faults, *template.notes):
         progress.warn(note)
-    return template
+    return MadeTemplate(template=template, details=replace(details, warnings=tuple(progress.warnings)))
 
 
 def _read(sources: Sequence[Path]) -> Labels:
@@ -55,7 +92,7 @@ def _read(sources: Sequence[Path]) -> Labels:
     others = [path for path in sources if path not in outlines]
     if not outlines:
         if len(others) != 1:
-            raise SettingProblem(f"A template is made of one volume of labels, not of {len(others)}.")
+            raise SettingProblem(f"A template needs one volume of labels; {len(others)} were given.")
         return read_labels(others[0])
     found = [(path, read_contours(path)) for path in outlines]
     grid = found[0][1].grid
@@ -66,7 +103,7 @@ def _read(sources: Sequence[Path]) -> Labels:
             )
     for path in others:
         if not same_grid(read_volume(path).grid, grid):
-            raise FileProblem(path, f"is not the volume that {outlines[0].name} was outlined in")
+            raise FileProblem(path, f"is not the volume of the outlines {outlines[0].name}")
     return _filled(outlines[0], [each for _, each in found])
 
 
@@ -79,6 +116,6 @@ def _filled(path: Path, found: Sequence[OutlinedVolume]) -> Labels:
 
 
 def _files(sources: Sequence[Path]) -> list[Path]:
-    """Name the files that were read; a folder of labels or slices stands for what is in it."""
+    """Return the files that were read, and the files in the folders."""
     within = [sorted(path.iterdir()) if path.is_dir() else [path] for path in sources]
     return [file for files in within for file in files if file.is_file()]

@@ -1,6 +1,7 @@
-"""`marey knee thickness`: from the surfaces of a bone and its cartilage to the thickness over each vertex."""
+"""Thickness of cartilage over the vertices of a bone, from the surfaces of both."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,53 +13,78 @@ from marey.io.npz import write_arrays
 from marey.knee.cartilage.thickness import cartilage_thickness
 from marey.knee.space.surface import Surface
 from marey.pipelines.knee.meshes import check_order, check_place, read_bone, read_cartilage
-from marey.pipelines.progress import Progress
+from marey.pipelines.labelled import Described, Summary
+from marey.pipelines.progress import Progress, RecordingProgress
+from marey.pipelines.values import PathLike, path_tuple
 from marey.view.pictures.knee_maps import thickness_colours
 
 
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class MeasuredThickness(Described):
+    """The thickness of cartilage over the V vertices of a bone."""
+
+    surface: Surface
+    """The bone [mm]."""
+    thickness_mm: Floats
+    """(V,) thickness [mm]; 0 where the bone is bare."""
+
+    def summary(self) -> Summary:
+        """Return the covered share of the vertices, and mean, median and greatest thickness."""
+        covered = self.thickness_mm[self.thickness_mm > 0]
+        share = 100 * len(covered) / len(self.thickness_mm)
+        lines = {
+            "covered": f"{share:.0f} % of {len(self.thickness_mm)} vertices",
+            "thickness": f"mean {covered.mean():.2f} mm, median {np.median(covered):.2f} mm, greatest "
+            f"{covered.max():.2f} mm",
+        }
+        return Summary("Cartilage", lines)
+
+    def save(self, folder: Path | str) -> Path:
+        """Write `thickness.npz`, and the bone coloured by the thickness as `thickness.ply`.
+
+        Args:
+            folder: Where the files are written; it is made if it does not exist.
+
+        Returns:
+            The folder.
+        """
+        folder, thickness = Path(folder), self.thickness_mm
+        write_arrays(folder / "thickness.npz", {"thickness_mm": thickness})
+        write_mesh(
+            folder / "thickness.ply", self.surface, colours=thickness_colours(thickness),
+            values={"thickness_mm": thickness},
+        )  # fmt: skip
+        return folder
+
+
 def measure_thickness(
-    bone: Path, cartilages: Sequence[Path], out: Path | None, progress: Progress
-) -> tuple[Path, str]:  # fmt: skip
-    """Measure and write `thickness.npz`, and the bone coloured by it as `thickness.ply`.
+    bone: PathLike, cartilages: PathLike | Sequence[PathLike], *, progress: Progress | None = None
+) -> MeasuredThickness:
+    """Measure the thickness of cartilage over each vertex of a bone.
 
     Args:
-        bone: A mesh.
-        cartilages: The meshes on it.
-        out: The folder; `BONE_marey` beside the bone when None.
-        progress: Is told what was mended.
-
-    Returns:
-        The folder, and a sentence on what was found.
+        bone: A mesh of the bone.
+        cartilages: Closed meshes of the cartilage on it.
+        progress: Progress reporter; it is warned of everything that was repaired in the meshes.
 
     Raises:
         FileProblem: A mesh cannot be used.
     """
-    out = out or bone.with_name(f"{bone.stem}_marey")
+    progress = progress or RecordingProgress()
+    bone, paths = Path(bone), path_tuple(cartilages)
     surface = read_bone(bone, progress)
-    sheets = [read_cartilage(path, progress) for path in cartilages]
-    each = [_over(bone, surface, path, sheet) for path, sheet in zip(cartilages, sheets, strict=True)]
-    for path, sheet, over in zip(cartilages, sheets, each, strict=True):
+    sheets = [read_cartilage(path, progress) for path in paths]
+    each = [_over(bone, surface, path, sheet) for path, sheet in zip(paths, sheets, strict=True)]
+    for path, sheet, over in zip(paths, sheets, each, strict=True):
         check_order(bone, surface, path, sheet)
         check_place(bone, surface, path, sheet, over, progress)
-    thickness = np.max(each, axis=0)
-    write_arrays(out / "thickness.npz", {"thickness_mm": thickness})
-    write_mesh(out / "thickness.ply", surface, colours=thickness_colours(thickness), values={"thickness_mm": thickness})
-    return out, _summary(thickness)
+    return MeasuredThickness(surface=surface, thickness_mm=np.max(each, axis=0))
 
 
 def _over(bone: Path, on: Surface, path: Path, sheet: Surface) -> Floats:
-    """Measure one cartilage alone (N,) [mm]."""
+    """Measure the thickness (V,) of one cartilage [mm]."""
     try:
         return cartilage_thickness(on, [sheet])
     except MareyError as error:
         text = str(error).rstrip(".")
-        raise FileProblem(path, text[0].lower() + text[1:], f"Is it the cartilage of {bone}?") from error
-
-
-def _summary(thickness: Floats) -> str:
-    covered = thickness[thickness > 0]
-    share = 100 * len(covered) / len(thickness)
-    return (
-        f"Cartilage over {share:.0f} % of {len(thickness)} vertices: mean {covered.mean():.2f} mm, "
-        f"median {np.median(covered):.2f} mm, thickest {covered.max():.2f} mm."
-    )
+        raise FileProblem(path, text[0].lower() + text[1:], f"Give the cartilage of {bone}.") from error

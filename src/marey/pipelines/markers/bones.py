@@ -23,10 +23,13 @@ from marey.pipelines.markers.estimated_bones import EstimatedBones, MethodRun
 from marey.pipelines.markers.events import Gait
 from marey.pipelines.markers.results import write_results
 from marey.pipelines.progress import Progress
-from marey.pipelines.run_details import RunDetails, copy_results
+from marey.pipelines.result_files import ResultFiles
+from marey.pipelines.run_details import RunDetails
 
 COMMAND = "markers"
 """The command that leaves the same files."""
+_FILE = "bones.npz"
+"""The file by which a folder of results is recognised."""
 _MM = 1e3
 """Millimetres in a metre."""
 _NOT_REQUESTED = "not requested"
@@ -182,7 +185,7 @@ class Bones(EstimatedBones, Described):
         """
         folder = Path(folder)
         if self.folder is not None:
-            copy_results(self.folder, folder, COMMAND)
+            ResultFiles(self.folder).save(folder, file=_FILE)
         else:
             write_results(self, folder, progress or self.details.resumed_progress())
         return folder
@@ -206,10 +209,10 @@ def load_bones(folder: Path | str) -> Bones:
         >>> bones = marey.load_bones("walk_marey")  # doctest: +SKIP
     """
     folder = Path(folder)
-    if not (folder / "bones.npz").is_file():
+    if not (folder / _FILE).is_file():
         raise FileProblem(folder, "has no bones.npz", "Give a folder with the results of `marey markers`.")
-    held = read_bones(folder / "bones.npz")
-    details = RunDetails.read(folder, COMMAND)
+    held = read_bones(folder / _FILE)
+    details = RunDetails.read(folder, COMMAND, file=_FILE)
     listed = details.settings.get("methods", ())
     first, *others = [str(name) for name in listed] if isinstance(listed, Sequence) and listed else ["unknown"]
     tables = folder / "angles.csv", folder / "marker_motion.csv", folder / "events.csv"

@@ -1,18 +1,16 @@
 """From the skin markers of a trial to the motion of the bones beneath them."""
 
-import time
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from marey.errors import SettingProblem
 from marey.io.markers.trial_file import read_marker_file
-from marey.markers.data.marker_motion import marker_motion
 from marey.markers.methods.methods import DEFAULT_METHOD
 from marey.pipelines.markers.bones import COMMAND, Bones
 from marey.pipelines.markers.estimated_bones import MethodRun
 from marey.pipelines.markers.events import find_gait
 from marey.pipelines.markers.method_runs import run_methods
-from marey.pipelines.markers.model import ModelTrial, follow_model, model_trial
+from marey.pipelines.markers.model import ModelTrial, model_trial, run_model
 from marey.pipelines.markers.settings import MarkerSettings
 from marey.pipelines.markers.trial import ClusterTrial, MarkerTrial, cluster_trial
 from marey.pipelines.progress import Progress, RecordingProgress
@@ -115,54 +113,26 @@ def estimate_bones(
     progress = progress or RecordingProgress()
     for note in trial.notes:
         progress.warn(note)
-    folder = None if out is None else Path(out)
-    with checkpoints(folder, [trial.path, *trial.settings.files]) as cache:
+    folder, inputs = None if out is None else Path(out), [trial.path, *trial.settings.files]
+    with checkpoints(folder, inputs) as cache:
+        runs: Sequence[MethodRun]
         if isinstance(trial, ModelTrial):
-            bones = _by_model(trial, progress)
+            runs = [run_model(trial, progress)]
         elif isinstance(trial, ClusterTrial):
             names = (method,) if isinstance(method, str) else tuple(method or (DEFAULT_METHOD,))
-            bones = _by_methods(trial, run_methods(trial, names, progress, cache), progress)
+            runs = run_methods(trial, names, progress, cache)
         else:
             raise TypeError(f"estimate_bones takes what open_markers returns, not a {type(trial).__name__}")
+        gait = find_gait(trial.file, trial.clusters, side=trial.side)
+        for note in gait.notes:
+            progress.warn(note)
+        settings = {name: value for name, value in vars(trial.settings).items() if value not in (None, ())}
+        about = {**settings, "methods": [run.name for run in runs]}
+        bones = Bones(
+            runs=tuple(runs), time=trial.time, frames=trial.selection.frames, gait=gait, anatomical=trial.anatomical,
+            side=trial.side, reference_frames=trial.reference_frames, trial=trial,
+            details=RunDetails.of(COMMAND, about, inputs, trial.path.parent, progress),
+        )  # fmt: skip
         if folder is not None:
             bones.save(folder, progress=progress)
     return bones
-
-
-def _by_methods(trial: ClusterTrial, runs: Sequence[MethodRun], progress: Progress) -> Bones:
-    gait = find_gait(trial.file, trial.clusters, side=trial.side)
-    for note in gait.notes:
-        progress.warn(note)
-    return Bones(
-        runs=tuple(runs), time=trial.time, frames=trial.selection.frames, gait=gait, anatomical=trial.anatomical,
-        side=trial.side, reference_frames=trial.problem.calibration.frames, details=_details(trial, runs, progress),
-        trial=trial,
-    )  # fmt: skip
-
-
-def _by_model(trial: ModelTrial, progress: Progress) -> Bones:
-    with progress.stage("Inverse kinematics"):
-        began = time.perf_counter()
-        found = follow_model(trial)
-        seconds = time.perf_counter() - began
-    gait = find_gait(trial.file, trial.clusters, side=None)
-    for note in (*found.notes, *gait.notes):
-        progress.warn(note)
-    name = "" if trial.settings.model is None else trial.settings.model.name
-    run = MethodRun(
-        name="model", summary=f"the OpenSim model {name}", seconds=seconds, motion=found.bones,
-        joints=found.coordinates, markers=marker_motion(trial.selection.used, trial.clusters, found.bones),
-        fit=found.summary,
-    )  # fmt: skip
-    return Bones(
-        runs=(run,), time=trial.time, frames=trial.selection.frames, gait=gait, anatomical=True,
-        coordinates=found.table, details=_details(trial, [run], progress), trial=trial,
-    )  # fmt: skip
-
-
-def _details(trial: MarkerTrial, runs: Sequence[MethodRun], progress: Progress) -> RunDetails:
-    settings = {name: value for name, value in vars(trial.settings).items() if value not in (None, ())}
-    return RunDetails.of(
-        COMMAND, {**settings, "methods": [run.name for run in runs]}, [trial.path, *trial.settings.files],
-        trial.path.parent, progress,
-    )  # fmt: skip

@@ -12,17 +12,19 @@ from marey.cameras.camera import Camera
 from marey.io.shapes.deforming_points import DeformingPoints, deforming_points, read_deforming
 from marey.io.shapes.deforming_points import only as with_labels
 from marey.io.shapes.shapes import shape_arrays, shapes_from
+from marey.nonrigid.core.refinement import FEWEST_FRAMES
+from marey.nonrigid.core.track_checks import FEWEST_POINTS
 from marey.nonrigid.in_space.calibrated import factorise_calibrated
 from marey.nonrigid.in_space.factorisation import factorise_points
 from marey.nonrigid.many_cameras.held_size import factorise_at_held_size
 from marey.nonrigid.many_cameras.many_views import factorise_views
 from marey.nonrigid.many_cameras.scaled_orthographic import factorise_scaled
-from marey.nonrigid.one_camera import one_view, perspective
 from marey.nonrigid.one_camera.one_view import factorise_tracks
-from marey.nonrigid.one_camera.perspective import factorise_perspective
+from marey.nonrigid.one_camera.perspective import FEWEST_PERSPECTIVE_POINTS, factorise_perspective
 from marey.nonrigid.recovered import (
-    UNSAID,
+    UNKNOWN_UNIT,
     RecoveredShapes,
+    expanded,
     from_calibrated,
     from_held_size,
     from_many_views,
@@ -30,9 +32,8 @@ from marey.nonrigid.recovered import (
     from_perspective,
     from_points,
     from_scaled,
-    known_distance,
-    usable,
-    widened,
+    usable_places,
+    with_known_distance,
 )
 from marey.pipelines.nonrigid.input import NonRigidInput, input_of_data, read_input
 from marey.pipelines.nonrigid.measure import MeasuredPoints, measure_points
@@ -167,11 +168,11 @@ def _shapes(
 ) -> Shapes:
     measured = measure_points(given, cache, progress)
     found = _recovered(given, measured, settings, cache, progress)
-    if found.unit == UNSAID:
+    if found.unit == UNKNOWN_UNIT:
         metres = 1.0 if measured.unit == "m" else np.nan
         found = replace(found, unit=measured.unit, residual_unit=measured.unit, metres_per_unit=metres)
     if settings.distance is not None:
-        found = known_distance(found, *settings.distance)
+        found = with_known_distance(found, *settings.distance)
     about = {name: value for name, value in vars(settings).items() if value not in (None, ())}
     root = given.paths[0].parent if given.paths else Path()
     return Shapes(
@@ -188,7 +189,7 @@ def _recovered(
     wanted = np.zeros(given.frames, bool)
     wanted[given.requested] = True
     least = _least(given, measured)
-    frames, points = usable(measured.seen & wanted[:, None], least_points=least[0], least_frames=least[1])
+    frames, points = usable_places(measured.seen & wanted[:, None], least_points=least[0], least_frames=least[1])
     for note in _left_out(wanted & ~frames, ~points, measured.labels):
         progress.warn(note)
 
@@ -201,7 +202,7 @@ def _recovered(
         found = shapes_from(cache.arrays("shapes", compute, depends=depends))
     for note in found.notes:
         progress.warn(note)
-    return widened(found, frames, points)
+    return expanded(found, frames, points)
 
 
 @contextmanager
@@ -220,8 +221,8 @@ def _least(given: NonRigidInput, measured: MeasuredPoints) -> tuple[int, int]:
     if measured.points is not None or given.rig is not None:
         return 3, 2
     if given.camera is not None:
-        return perspective.FEWEST_POINTS, perspective.FEWEST_FRAMES
-    return one_view.FEWEST_POINTS, one_view.FEWEST_FRAMES
+        return FEWEST_PERSPECTIVE_POINTS, FEWEST_FRAMES
+    return FEWEST_POINTS, FEWEST_FRAMES
 
 
 def _factorised(
@@ -239,7 +240,7 @@ def _factorised(
     tracks = measured.tracks[:, frames][..., points]
     if given.camera is not None:
         straight = _straightened(tracks[0], given.camera)
-        return from_perspective(factorise_perspective(straight, given.camera.matrix, told=done), given.camera)
+        return from_perspective(factorise_perspective(straight, given.camera.matrix, progress=done), given.camera)
     if given.rig is not None:
         sd = None if measured.tracks_sd is None else measured.tracks_sd[:, frames][..., points]
         found = factorise_calibrated(tracks, given.rig, tracks_sd=sd, rank=settings.basis_shapes)

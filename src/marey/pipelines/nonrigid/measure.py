@@ -7,9 +7,9 @@ import numpy as np
 
 from marey.arrays import Floats, Integers, Mask
 from marey.errors import MareyError
+from marey.nonrigid.core.track_checks import FEWEST_POINTS
 from marey.nonrigid.correspondence.calibrated_correspondence import join_calibrated
 from marey.nonrigid.correspondence.view_joining import join_views
-from marey.nonrigid.one_camera.one_view import FEWEST_POINTS
 from marey.pipelines.nonrigid.input import NonRigidInput
 from marey.pipelines.nonrigid.video import VideoTracks, follow_video, follow_views
 from marey.pipelines.progress import Progress

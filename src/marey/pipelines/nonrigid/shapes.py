@@ -18,10 +18,13 @@ from marey.pipelines.nonrigid.input import NonRigidInput
 from marey.pipelines.nonrigid.measure import MeasuredPoints
 from marey.pipelines.nonrigid.results import write_results
 from marey.pipelines.progress import Progress
-from marey.pipelines.run_details import RunDetails, copy_results
+from marey.pipelines.result_files import ResultFiles
+from marey.pipelines.run_details import RunDetails
 
 COMMAND = "nonrigid"
 """The command that leaves the same files."""
+_FILE = "shapes.npz"
+"""The file by which a folder of results is recognised."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -188,7 +191,7 @@ class Shapes(Described):
         """
         folder = Path(folder)
         if self.given is None or self.measured is None:
-            copy_results(self.folder or folder, folder, COMMAND)
+            ResultFiles(self.folder or folder).save(folder, file=_FILE)
         else:
             write_results(
                 self.given, self.measured, self.found, self.details, folder,
@@ -214,12 +217,13 @@ def load_shapes(folder: Path | str) -> Shapes:
         >>> shapes = marey.load_shapes("tracks_marey")  # doctest: +SKIP
     """
     folder = Path(folder)
-    path = folder / "shapes.npz"
+    path = folder / _FILE
     if not path.is_file():
         raise FileProblem(folder, "has no shapes.npz", "Give a folder with the results of `marey nonrigid`.")
     c3d = folder / "shapes.c3d"
     return Shapes(
-        found=read_shapes(path), labels=tuple(map(str, read_arrays(path, ("labels",))["labels"])),
-        rate=read_c3d(c3d).rate if c3d.is_file() else float("nan"), details=RunDetails.read(folder, COMMAND),
-        folder=folder,
+        found=read_shapes(path),
+        labels=tuple(map(str, read_arrays(path, ("labels",))["labels"])),
+        rate=read_c3d(c3d).rate if c3d.is_file() else float("nan"),
+        details=RunDetails.read(folder, COMMAND, file=_FILE), folder=folder,
     )  # fmt: skip

@@ -92,7 +92,7 @@ def follow_views(
         videos = [_pictures(given, number, cache, progress) for number in range(len(given.clips))]
         with _NamedStages(progress) as stages:
             track = track_views if given.rig is None else partial(track_calibrated_views, rig=given.rig)
-            found = track(videos, frame=frame - given.first, points=points, within=given.within, told=stages.step)
+            found = track(videos, frame=frame - given.first, points=points, within=given.within, progress=stages.step)
         return {
             "tracks": found.tracks, "tracks_sd": found.tracks_sd, "probability": found.probability,
             "notes": np.array(found.notes, np.str_),

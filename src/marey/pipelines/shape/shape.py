@@ -1,4 +1,4 @@
-"""`marey shape`: from the measured surface of a trial to the person's own body of metaballs, and its motion."""
+"""`marey shape`: fit a person's own body of metaballs, and its motion, to the measured surface of a trial."""
 
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -21,19 +21,19 @@ from marey.fit.points.lost_points import expected_by_skin
 from marey.fit.points.person_tracks import PersonTracks
 from marey.fit.points.shape import (
     DETAILS_IN_TURN,
-    OnSurface,
-    Shaped,
+    ShapeEstimate,
     ShapeSettings,
-    evenly,
+    SurfaceMeasurements,
+    evenly_spaced,
+    final_covariances,
+    has_simple_limbs,
     measured_segments,
     more_detailed,
     refine_shape,
-    simplified,
-    stated,
 )
-from marey.fit.points.shape_start import begun_from_clicks, begun_from_person, carried_on
-from marey.fit.points.surface_points import FramePoints, PersonPoints, spread_over
-from marey.fit.recipes.person import Take
+from marey.fit.points.shape_start import extend_by_trajectories, start_from_clicked_joints, start_from_person
+from marey.fit.points.surface_points import FramePoints, PersonPoints, thinned_evenly
+from marey.fit.recipes.person import SilhouetteTake
 from marey.fit.recipes.sequence import refine_in_pieces
 from marey.fit.recipes.start_joints import clicked_joints, start_from_joints
 from marey.io.gltf.glb import write_glb
@@ -48,7 +48,7 @@ from marey.io.trial.trial import Trial, read_trial
 from marey.motion.from_fit import MeasuredPiece, measure_piece
 from marey.observations.observation import Observation
 from marey.pipelines.capture import stages
-from marey.pipelines.capture.capture import Followed, Refined, Tracked, follow_person, refined_person, rounds_of
+from marey.pipelines.capture.capture import FollowedPerson, Refined, Tracked, follow_person, refined_person, rounds_of
 from marey.pipelines.capture.capture import write_capture as write_results_of
 from marey.pipelines.capture.mask_store import MaskStore
 from marey.pipelines.capture.motion import Motion, load_motion
@@ -57,17 +57,24 @@ from marey.pipelines.capture.settings import CaptureSettings
 from marey.pipelines.progress import Progress
 from marey.pipelines.surface.settings import SurfaceOptions
 from marey.pipelines.surface.surface import surface_of_trial
-from marey.pipelines.surface.tracks import follow_measured, told, write_tracks
+from marey.pipelines.surface.tracks import follow_measured, tracks_text, write_tracks
 from marey.surface.tracks.filters import FilterSettings
 from marey.surface.tracks.trajectories import Trajectories
 
 SURFACE = ("surface.npz", "trajectories.npz")
-"""What `marey surface` measured, and the fit reads."""
+"""Files of `marey surface` that the fit reads."""
 KEPT = (*SURFACE, "surface.ply", "surface.html", "cameras.toml", "surface_*.png", "tracks_*.png", "surface/*.ply")
-"""What else it leaves; all of it stays."""
+"""All files of `marey surface`; they are kept among the results."""
 SEEN_M = 0.010
-"""Skin no farther than this from a measured point was measured [m]."""
+"""Distance from a measured point within which the skin counts as measured [m].
+
+Chosen by hand; results were not measured against other values.
+"""
 LAST_ROUNDS = 2
+"""Rounds of matching and solving in the last refinement of shape and motion.
+
+Chosen by hand; results were not measured against other values.
+"""
 
 Clicked = Mapping[int, Sequence[Observation]]
 """Clicked joints, by frame."""
@@ -96,8 +103,10 @@ def shape_trial(trial: Trial, settings: CaptureSettings, progress: Progress) -> 
         points = points_of(run, out / SURFACE[0])
         tracks = read_trajectories(out / SURFACE[1]) if (out / SURFACE[1]).is_file() else None
         followed, begun, clicked = begin(run, bodies, logs, points, tracks)
-        few = {f: spread_over(given, ShapeSettings().points_a_frame) for f, given in points.items()}
-        given = OnSurface(PersonPoints(by_frame=few), None if tracks is None else PersonTracks.of(tracks), clicked)
+        few = {f: thinned_evenly(given, ShapeSettings().points_a_frame) for f, given in points.items()}
+        given = SurfaceMeasurements(
+            PersonPoints(by_frame=few), None if tracks is None else PersonTracks.of(tracks), clicked
+        )
         shaped = fitted(run, followed, begun, given)
         write_shape(run, followed, shaped, points)
     return load_motion(out)
@@ -119,7 +128,7 @@ def measure(trial: Trial, out: Path, progress: Progress) -> None:
 
 
 def points_of(run: Run, path: Path) -> dict[int, FramePoints]:
-    """Read the measured points of the frames that are looked at; none where nothing was measured."""
+    """Read the measured points by frame of the take; empty if nothing was measured."""
     if not path.is_file():
         return {}
     surface, take = read_surface(path), run.trial.take
@@ -133,55 +142,75 @@ def points_of(run: Run, path: Path) -> dict[int, FramePoints]:
 
 def begin(
     run: Run, bodies: Bodies, logs: Logs, points: Mapping[int, FramePoints], tracks: Trajectories | None
-) -> tuple[Followed, Shaped, Clicked]:
-    """Find the person's motion, a first shape, and which joints were clicked.
+) -> tuple[FollowedPerson, ShapeEstimate, Clicked]:
+    """Find the person's motion, a first shape, and the clicked joints.
 
-    With silhouettes as `marey capture` does; without a background, but with clicked joints, from those, the points and
-    their trajectories ([Plaenkers1999] section 4.2).
+    With silhouettes this is done as in `marey capture`. Without a background, but with clicked joints, the motion is
+    found from those, the points and their trajectories ([Plaenkers1999] section 4.2).
+
+    Args:
+        run: The run.
+        bodies: The body with many and with few vertices.
+        logs: Storage of the silhouettes.
+        points: Measured points by frame.
+        tracks: Trajectories of points; None without any.
+
+    Returns:
+        The tracked person, its first shape, and clicked joints by frame.
     """
     trial = run.trial
     if trial.start is not None and points and not trial.masks and not trial.background:
         return begin_by_points(run, bodies, logs, points, tracks)
     followed = follow_person(run, bodies, logs)
     refined = refined_person(run, followed, bodies)
-    return followed, begun_from_person(refined.body, refined.poses, ShapeSettings()), {}
+    return followed, start_from_person(refined.body, refined.poses, ShapeSettings()), {}
 
 
 def begin_by_points(
     run: Run, bodies: Bodies, logs: Logs, points: Mapping[int, FramePoints], tracks: Trajectories | None
-) -> tuple[Followed, Shaped, Clicked]:
+) -> tuple[FollowedPerson, ShapeEstimate, Clicked]:
     """Start from clicked joints, and follow the trajectories from there.
 
+    Args:
+        run: The run.
+        bodies: The body with many and with few vertices.
+        logs: Storage of the silhouettes.
+        points: Measured points by frame.
+        tracks: Trajectories of points; None without any.
+
+    Returns:
+        The tracked person, its first shape, and clicked joints by frame.
+
     Raises:
-        FileProblem: There are several frames, and no trajectories.
+        FileProblem: There are several frames but no trajectories, or the clicked frame has no points.
     """
     trial, settings = run.trial, ShapeSettings()
-    wanted = "Run `marey surface` first, into the same folder; it follows the points, too."
+    wanted = "First run `marey surface` with the same folder for its results; it also follows the points."
     if tracks is None and len(points) > 1:
-        raise FileProblem(run.out / SURFACE[1], "is not there, and there are no silhouettes", wanted)
+        raise FileProblem(run.out / SURFACE[1], "does not exist, and there are no silhouettes", wanted)
     outlines = no_outlines(run, logs)
     joints = read_start_joints(trial.start, trial.rig, count=trial.take.count)  # type: ignore[arg-type]
     if joints.frame not in points:
-        remedy = "Click joints in a frame of which the surface was measured."
+        remedy = "Click the joints in a frame whose surface was measured."
         raise FileProblem(trial.start or trial.folder, f"names frame {joints.frame}, which has no points", remedy)
-    take = Take(tuple(trial.rig), outlines, tuple(points), trial.take.rate)
+    take = SilhouetteTake(tuple(trial.rig), outlines, tuple(points), trial.take.rate)
     with run.progress.stage("Start"):
         found = start_from_joints(take, joints.frame, joints.joint_names, joints.pixels, bodies.fine, run.person)[1]
         clicked = {joints.frame: clicked_joints(list(trial.rig), joints.joint_names, joints.pixels, found.posed)}
-        begun = begun_from_clicks(found.posed, clicked, points, settings)
+        begun = start_from_clicked_joints(found.posed, clicked, points, settings)
     if tracks is not None:
         inside = [row for row, f in enumerate(tracks.frames) if trial.take.first <= f < trial.take.end]
         position = tracks.position[inside][:, ~tracks.removed]
         with run.progress.stage("Motion by trajectories", len(inside)) as step:
-            begun = carried_on(
-                begun, tracks.frames[inside], position, points, settings, done=lambda frame: step()
+            begun = extend_by_trajectories(
+                begun, tracks.frames[inside], position, points, settings, progress=lambda frame: step()
             )  # fmt: skip
     tracked = Tracked(begun.body, begun.poses, dict.fromkeys(begun.poses, 1.0))
-    return Followed(tracked, {}, outlines, tuple(points)), begun, clicked
+    return FollowedPerson(tracked, {}, outlines, tuple(points)), begun, clicked
 
 
 def no_outlines(run: Run, logs: Logs) -> MaskStore:
-    """Give silhouettes that show nobody, for every frame."""
+    """Store empty silhouettes for every frame, and return them."""
     cameras = list(run.trial.rig)
     store = MaskStore(logs.outlines, run.trial.take.first, cameras)
     empty = [np.zeros((camera.height, camera.width), bool) for camera in cameras]
@@ -192,33 +221,33 @@ def no_outlines(run: Run, logs: Logs) -> MaskStore:
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """The person as it is written."""
+    """The fitted person."""
 
     body: Body
     poses: Mapping[int, Pose]
     pieces: Sequence[MeasuredPiece]
-    shaped: Shaped
+    shaped: ShapeEstimate
 
 
-def fitted(run: Run, followed: Followed, begun: Shaped, given: OnSurface) -> Fitted:
-    """Fit the whole body, then single balls; refine the motion a last time."""
+def fitted(run: Run, followed: FollowedPerson, begun: ShapeEstimate, given: SurfaceMeasurements) -> Fitted:
+    """Fit the whole body, then single metaballs; refine the motion a last time."""
     settings = ShapeSettings()
-    take = Take(
+    take = SilhouetteTake(
         tuple(run.trial.rig), followed.outlines, tuple(begun.poses), run.trial.take.rate, followed.outlines.edges
     )
     levels = take.levels(run.person.fine_height)
-    # Simplified limbs only where they are what the start came from: learned numbers are nearer (docs/accuracy.md).
-    for i, detail in enumerate(DETAILS_IN_TURN if simplified(begun.body) else DETAILS_IN_TURN[1:]):
+    # Simplified limbs are used only if the start has them: learned shapes are nearer (docs/accuracy/rejected.md).
+    for i, detail in enumerate(DETAILS_IN_TURN if has_simple_limbs(begun.body) else DETAILS_IN_TURN[1:]):
         now = replace(begun, body=more_detailed(begun.body, detail))
         scale = settings.begin_scale_m if i == 0 else np.inf
 
-        def compute(now: Shaped = now, scale: float = scale, detail: str = detail) -> Arrays:
+        def compute(now: ShapeEstimate = now, scale: float = scale, detail: str = detail) -> Arrays:
             total = settings.repeats * settings.rounds * len(now.poses)
             with run.progress.stage(f"Shape, {NAMES[detail]}", total) as step:
                 return _packed(
                     refine_shape(
                         now, levels, given, rate=take.rate, repeats=settings.repeats, settings=settings, scale_m=scale,
-                        done=lambda frame: step(),
+                        progress=lambda frame: step(),
                     )
                 )  # fmt: skip
 
@@ -227,10 +256,13 @@ def fitted(run: Run, followed: Followed, begun: Shaped, given: OnSurface) -> Fit
 
 
 NAMES = {"simple": "simplified limbs", "full": "whole body", "single": "single balls"}
+"""Names of the fitted bodies for the progress display, by `DETAILS_IN_TURN`."""
 
 
-def _last(run: Run, take: Take, begun: Shaped, given: OnSurface, settings: ShapeSettings) -> Fitted:
-    measured_there = given.believed(begun)
+def _last(
+    run: Run, take: SilhouetteTake, begun: ShapeEstimate, given: SurfaceMeasurements, settings: ShapeSettings
+) -> Fitted:
+    measured_there = given.with_uncertainty(begun)
     levels = take.levels(run.person.fine_height)
     poses: dict[int, Pose] = {}
     body = begun.body
@@ -240,22 +272,22 @@ def _last(run: Run, take: Take, begun: Shaped, given: OnSurface, settings: Shape
     ):
         for fit in refine_in_pieces(
             list(begun.poses), list(begun.poses.values()), begun.body, levels,
-            rate=take.rate, rounds=LAST_ROUNDS, shape_frames=evenly(list(begun.poses), settings.shape_frames),
-            settings=replace(settings.sequence, sigma_px=begun.outline_sd_px), also=measured_there.of_round,
-            done=lambda frame: step(), memory=memory,
+            rate=take.rate, rounds=LAST_ROUNDS, shape_frames=evenly_spaced(list(begun.poses), settings.shape_frames),
+            settings=replace(settings.sequence, sigma_px=begun.outline_sd_px),
+            extra_terms=measured_there.terms_of_round, progress=lambda frame: step(), checkpoint=memory,
         ):  # fmt: skip
             poses |= fit.by_frame
             body = fit.body
     found = replace(begun, body=body, poses=poses)
     pieces: list[MeasuredPiece] = []
     with run.progress.stage("Standard deviations"):
-        for fit in stated(found, levels, measured_there, rate=take.rate, settings=settings):
+        for fit in final_covariances(found, levels, measured_there, rate=take.rate, settings=settings):
             pieces.append(measure_piece(fit))
             body = fit.body
     return Fitted(body, poses, pieces, replace(found, body=body))
 
 
-def _packed(found: Shaped) -> Arrays:
+def _packed(found: ShapeEstimate) -> Arrays:
     return {
         "frames": np.array(list(found.poses)),
         "translation": np.array([pose.translation for pose in found.poses.values()]),
@@ -266,14 +298,14 @@ def _packed(found: Shaped) -> Arrays:
     }
 
 
-def _unpacked(arrays: Arrays, begun: Shaped) -> Shaped:
+def _unpacked(arrays: Arrays, begun: ShapeEstimate) -> ShapeEstimate:
     parts = zip(arrays["translation"], arrays["rotation"], arrays["angles"], strict=True)
     poses = dict(zip(map(int, arrays["frames"]), (Pose(*part) for part in parts), strict=True))
-    return Shaped(reshaped(begun.body, arrays["numbers"]), poses, *map(float, arrays["sds"]))
+    return ShapeEstimate(reshaped(begun.body, arrays["numbers"]), poses, *map(float, arrays["sds"]))
 
 
-def write_shape(run: Run, followed: Followed, found: Fitted, points: Mapping[int, FramePoints]) -> None:
-    """Write what a capture writes, the skin with what was measured of it, and the table of segments."""
+def write_shape(run: Run, followed: FollowedPerson, found: Fitted, points: Mapping[int, FramePoints]) -> None:
+    """Write the files of a capture, the skin with its measured part, and the table of segments."""
     skin = posed_skin(found.body, found.poses)
     refined = Refined(found.body, found.poses, found.pieces, frozenset())
 
@@ -293,17 +325,17 @@ def write_shape(run: Run, followed: Followed, found: Fitted, points: Mapping[int
 
 
 def find_lost_points(run: Run, folder: Path, skin: stages.PosedSkin, found: Fitted) -> None:
-    """Follow the measured surface again, now that the body tells where lost points are, and write its trajectories.
+    """Follow the measured surface again with the body as a predictor of lost points, and write its trajectories.
 
     Args:
-        run: What is run.
-        folder: With the measured surface and its trajectories.
-        skin: Of the fitted body, in every frame.
-        found: The fitted body, in which the trajectories' cache is keyed.
+        run: The run.
+        folder: The folder with the measured surface and its trajectories.
+        skin: The skin of the fitted body in every frame.
+        found: The fitted body, on which the checkpoints of the trajectories depend.
     """
     trial, surface = run.trial, read_surface(folder / SURFACE[0])
     if surface.camera_names != trial.rig.names:
-        run.progress.warn("The surface was measured by other cameras; its trajectories stay as they are.")
+        run.progress.warn("The surface was measured with other cameras: its trajectories are not extended.")
         return
     parts = [surface.of_frame(frame) for frame in range(trial.take.first, trial.take.end)]
     expected = expected_by_skin(
@@ -315,16 +347,16 @@ def find_lost_points(run: Run, folder: Path, skin: stages.PosedSkin, found: Fitt
         expected=expected,
     )  # fmt: skip
     write_tracks(folder, followed, trial.take, trial.rig)
-    run.progress.report(told(followed))
+    run.progress.report(tracks_text(followed))
 
 
 def write_skin_glb(folder: Path, body: Body, warn: Callable[[str], None]) -> None:
     """Write `skin.glb`: the closed skin over the person's metaballs, moving as `motion.npz` beside it says.
 
     Args:
-        folder: Where, with the motion in it.
-        body: Over metaballs.
-        warn: Is told where the metaballs fall apart and have no such skin.
+        folder: The folder, with the motion in it.
+        body: A body of metaballs.
+        warn: Called with the reason if the metaballs are not connected, so that there is no such skin.
     """
     try:
         skin = spline_body(body)
@@ -335,12 +367,12 @@ def write_skin_glb(folder: Path, body: Body, warn: Callable[[str], None]) -> Non
 
 
 def posed_skin(body: Body, poses: Mapping[int, Pose]) -> stages.PosedSkin:
-    """Give the metaballs' own surface in every frame, finer than the body's triangles."""
+    """Return the surface of the metaballs in every frame, which is finer than the triangles of the body."""
     skin = MetaballSkin(body)
 
     @lru_cache(maxsize=2)
     def vertices(frame: int) -> Floats:
-        """Every camera asks for the same frame."""
+        """Return the vertices of a frame; all cameras draw the same frame one after the other."""
         return skin.vertices(poses[frame])
 
     return stages.PosedSkin(skin.faces, vertices)
@@ -349,7 +381,7 @@ def posed_skin(body: Body, poses: Mapping[int, Pose]) -> stages.PosedSkin:
 def seen_of(
     skin: stages.PosedSkin, points: Mapping[int, FramePoints], count: int, frames: Sequence[int], run: Run
 ) -> Iterator[Mask]:
-    """Tell for every frame what of the skin lies near measured points; without any, what lies on its rim."""
+    """Yield for every frame which vertices are near measured points; without points, which are on the rim."""
     nothing = np.zeros(stages.vertices_in(skin, frames), bool)
     for frame in range(count):
         if frame not in frames:
@@ -362,7 +394,7 @@ def seen_of(
 
 
 def write_table(folder: Path, body: Body) -> None:
-    """Write `segments.csv`: what the segments measure that the preset follows."""
+    """Write `segments.csv`: the measures of the segments that the preset follows."""
     there = measured_segments(body)
     measures = segment_measures(required_metaballs(body), body.numbers, body.numbers_covariance, segments=there)
     length, length_sd = (values[there] for values in segment_lengths(body))
@@ -370,7 +402,7 @@ def write_table(folder: Path, body: Body) -> None:
 
 
 def keep(out: Path, folder: Path) -> None:
-    """Carry the measured surface over into the new results: it belongs to them, and none of it is made here."""
+    """Copy the files of the measured surface to the new results."""
     for path in (path for pattern in KEPT for path in sorted(out.glob(pattern))):
         beside = folder / path.relative_to(out)
         beside.parent.mkdir(exist_ok=True)

@@ -1,4 +1,4 @@
-"""`marey bench`: the speeds that matter, each beside a peer's in the same run or beside its limit."""
+"""`marey bench`: the speed of the main steps, compared with another program in the same run or with a limit."""
 
 import os
 import platform
@@ -36,24 +36,31 @@ from marey.pipelines.progress import Progress
 from marey.pipelines.speed.surface_speed import SIDE, SPACING, SURFACE_LIMIT_S, surface_seconds
 
 CORRESPONDENCES = 5000
+"""Number of correspondences from which a pose is solved in the measurement. Chosen by hand."""
 SOLVE_LIMIT_MS = 1.0
+"""Limit for the solution of a pose [ms]. Set by hand as what counts as fast enough."""
 LEVEL_SET_LIMIT_MS = 10.0
+"""Limit for the silhouette of an image [ms]. Set by hand as what counts as fast enough."""
 FRAMES_LIMIT_HZ = 8.0
+"""Limit for the rate of a whole capture [frames/s]. Set by hand as what counts as fast enough."""
 WIRE_LIMIT_MS = 50.0
+"""Limit for the first answer of the live wire [ms]. Set by hand as what counts as fast enough."""
 WIRE_SIDE = 512
+"""Width and height of the slice in which the live wire is timed [px]."""
 AFTER_POSE = ("Comparison", "Results", "Overlays", "Report")
-"""Stages of a capture that only tell of the poses."""
+"""Stages of a capture after the poses are known: they only write results."""
 _SEED = 20060101
+"""Seed of the random numbers of the measurements."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Speed:
-    """One line of the table."""
+    """One row of the table."""
 
     what: str
     measured: str
     beside: str
-    """The limit, or the peer in the same run."""
+    """The limit, or the other program in the same run."""
     remark: str = ""
 
 
@@ -77,7 +84,7 @@ def measure_speeds(trial: Path | None, *, example: Path | None = None, progress:
 
 
 def machine() -> str:
-    """Name the machine: processor, cores, Python and NumPy."""
+    """Return the name of the machine: processor, cores, Python and NumPy."""
     name = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")
     if info.exists():
@@ -91,9 +98,9 @@ def machine() -> str:
 
 
 def median_ms(work: Callable[[], object], *, repeats: int) -> float:
-    """Time a work [ms of the processor]: the median of some repeats, after one that compiles and fills caches.
+    """Measure the processor time of a function [ms]: the median of some repeats, after one that compiles.
 
-    The processor's time rather than the clock's, so that other work on the same machine counts little.
+    Processor time instead of wall-clock time is used so that other work on the same machine has little influence.
     """
     work()
     times = []
@@ -106,7 +113,7 @@ def median_ms(work: Callable[[], object], *, repeats: int) -> float:
 
 @dataclass(frozen=True, eq=False)
 class SolveTask:
-    """A pose to be found from given pairs of surface point and contour tangent, as tracking has them."""
+    """A pose that is to be found from pairs of surface point and contour tangent, as in tracking."""
 
     start: PosedBody
     truth: Pose
@@ -117,7 +124,7 @@ class SolveTask:
         return self.steps(gather_moments(self.start, [self.planes]))
 
     def steps(self, moments: Moments) -> Pose:
-        """Do the Gauss-Newton steps alone, until one is shorter than where tracking stops."""
+        """Do only the Gauss-Newton steps, until one is shorter than the limit of tracking."""
         return solve_pose(self.start, moments, [], steps=50)[0].pose
 
     def peer(self) -> Pose:
@@ -125,7 +132,7 @@ class SolveTask:
 
         def derivative(change: Floats) -> Floats:
             jacobian = self.planes.linearize(self.start.moved(change)).jacobian
-            # The root turns by exp(change) from the start on, not by a small step from where it is.
+            # The root is rotated by exp(change) from the start, not by a small step from its present orientation.
             jacobian[:, 3:6] = jacobian[:, 3:6] @ rotations.left_jacobian(change[3:6])
             return jacobian
 
@@ -137,7 +144,7 @@ class SolveTask:
 
 
 def solve_task(rng: np.random.Generator) -> SolveTask:
-    """Make a task: 5000 contour tangents of four cameras, 2 mm noise, a start 14 degrees off in every joint."""
+    """Make a task: 5000 contour tangents of four cameras, 2 mm noise, and a start 14 degrees off in every joint."""
     body = family_body("fine")
     angles = body.skeleton.habit[0] + rng.normal(size=len(body.skeleton) - 6) * 0.2
     truth = Pose(np.array([0.1, 0.2, 1.0]), rotations.exp(rng.normal(size=3)), angles)
@@ -160,7 +167,7 @@ def solve_task(rng: np.random.Generator) -> SolveTask:
 
 
 def solve_speeds() -> list[Speed]:
-    """Time the pose solve beside SciPy's, from the same start to the same pose."""
+    """Time the solution of a pose by marey and by SciPy, from the same start to the same pose."""
     task = solve_task(np.random.default_rng(_SEED))
     ours, theirs = task.solve(), task.peer()
     apart = float(np.rad2deg(np.abs(ours.angles - theirs.angles).max()))
@@ -174,13 +181,13 @@ def solve_speeds() -> list[Speed]:
               remark=f"moments {own_ms - steps_ms:.2f} ms, all steps {steps_ms:.2f} ms"),
         Speed(
             what="the same by scipy.optimize.least_squares", measured=f"{peer_ms:.0f} ms",
-            beside=f"{peer_ms / own_ms:.0f} times ours", remark=f"lm, exact derivative; {same}",
+            beside=f"{peer_ms / own_ms:.0f} times marey", remark=f"lm, exact derivative; {same}",
         ),
     ]  # fmt: skip
 
 
 def drawing_speed() -> Speed:
-    """Time the drawing of the body and the finding of its rim in one 640x480 camera."""
+    """Time the drawing of the body and of its rim in one camera of 640 x 480 pixels."""
     body = family_body("fine")
     posed = PosedBody(body, Pose(np.array([0.0, 0, 0]), np.eye(3), body.skeleton.habit[0]))
     rotation = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
@@ -195,7 +202,7 @@ def drawing_speed() -> Speed:
 
 
 def silhouette_speeds(example: Path) -> list[Speed]:
-    """Time the silhouettes of one camera beside scikit-image's level set, on the same pictures."""
+    """Time the silhouettes of one camera by marey and by the level set of scikit-image, on the same images."""
     rig = read_rig(example / "cameras.toml").subset(["cam01"])
     take = open_take(example, rig, others=True)
     plate = from_pictures([read_picture(example / "background" / "cam01.png")])
@@ -215,7 +222,7 @@ def silhouette_speeds(example: Path) -> list[Speed]:
         missing = Speed(what="the same by scikit-image", measured="-", beside="", remark=install_advice("bench"))
         return [own, missing]
     peer_ms = median_ms(peer, repeats=1)
-    beside = f"{peer_ms / own_ms:.0f} times ours"
+    beside = f"{peer_ms / own_ms:.0f} times marey"
     remark = "morphological_chan_vese, 10 iterations from the same start, grey, no background"
     return [own, Speed(what="the same by scikit-image", measured=f"{peer_ms:.0f} ms", beside=beside, remark=remark)]
 
@@ -228,7 +235,7 @@ def surface_speed() -> Speed:
 
 
 def wire_speed() -> Speed:
-    """Time the live wire's longest answer: from an anchor just set in one corner of a slice to the pointer opposite."""
+    """Time the slowest answer of the live wire: from a new anchor in one corner of a slice to the opposite corner."""
     row, column = np.mgrid[:WIRE_SIDE, :WIRE_SIDE]
     disc = 60.0 * (np.hypot(row - WIRE_SIDE / 2, column - WIRE_SIDE / 2) < WIRE_SIDE / 3)
     wire = LiveWire(disc + np.random.default_rng(_SEED).normal(0, 10, disc.shape), (0.3, 0.3))
@@ -252,7 +259,7 @@ def _peer_level_set(picture: Image, start: Mask) -> Callable[[], object] | None:
 
 
 def capture_speeds(trial: Path, progress: Progress) -> list[Speed]:
-    """Capture a trial without overlays; give frames a second without the start, and the memory."""
+    """Capture a trial without overlays; return frames per second without the start, and the memory."""
     from marey.io.trial.trial import read_trial
     from marey.pipelines.capture.capture import capture_trial
 
@@ -270,8 +277,8 @@ def capture_speeds(trial: Path, progress: Progress) -> list[Speed]:
         Speed(what=f"{trial.name}: from video to final pose, without start and overlays",
               measured=f"{frames / to_pose:.1f} frames/s", beside=f"limit {FRAMES_LIMIT_HZ:g} frames/s",
               remark=stages),
-        Speed(what="with its files and the program's own start", measured=f"{frames / (whole - start):.1f} frames/s",
+        Speed(what="the same with files and start of the program", measured=f"{frames / (whole - start):.1f} frames/s",
               beside=""),
         Speed(what="start", measured=f"{start:.1f} s", beside="limit 45 s"),
-        Speed(what="most memory", measured=f"{peak_mb:.0f} MB", beside="limit 2000 MB"),
+        Speed(what="peak memory", measured=f"{peak_mb:.0f} MB", beside="limit 2000 MB"),
     ]  # fmt: skip

@@ -1,4 +1,4 @@
-"""How fast a surface is measured: a speckled wall, seen by three cameras."""
+"""Speed of a surface measurement: a speckled wall that three cameras see."""
 
 import os
 import time
@@ -16,16 +16,21 @@ from marey.surface.points.settings import SurfaceSettings
 from marey.surface.points.views import comparisons, views_of
 
 SIDE = 1024
+"""Width and height of the images [px]."""
 SPACING = 2
+"""Distance of neighbouring points in the image [px]."""
 SURFACE_LIMIT_S = 40.0
+"""Limit for the measurement of one triplet of images [s]. Set by hand as what counts as fast enough."""
 _ANGLES_DEG = (-12.0, 0.0, 12.0)
+"""Directions of the three cameras [deg]."""
 _WALL_M = 0.6
+"""Width and height of the wall [m]."""
 _SPECKLE_PX = 4.0
-"""Width of the wall's speckles, in pixels of its texture, a little less in the cameras'."""
+"""Width of the speckles on the wall, in pixels of its texture; slightly less in the images."""
 
 
 def wall_rig() -> Rig:
-    """Place three cameras before a wall at z = 0, a metre away."""
+    """Return three cameras at a distance of one metre from a wall at z = 0."""
     return Rig(tuple(_camera(f"cam{i + 1}", np.radians(angle)) for i, angle in enumerate(_ANGLES_DEG)))
 
 
@@ -41,7 +46,7 @@ def _camera(name: str, angle: float) -> Camera:
 
 
 def wall_pictures(rig: Rig, rng: np.random.Generator) -> list[Image]:
-    """Film the wall, with noise of one grey level."""
+    """Return images of the wall with a noise of one grey level."""
     texture = cv2.GaussianBlur(rng.normal(0, 1, (1600, 1600)).astype(np.float32), (0, 0), _SPECKLE_PX / 2)
     texture = 120 + 35 * texture / texture.std()
     wall_from_texture = np.array([[_WALL_M / 1600, 0, -_WALL_M / 2], [0, _WALL_M / 1600, -_WALL_M / 2], [0, 0, 1]])
@@ -59,10 +64,13 @@ def _filmed(camera: Camera, texture: Floats, wall_from_texture: Floats, rng: np.
 
 
 def surface_seconds(*, repeats: int = 2) -> tuple[float, int]:
-    """Time the way from a triplet to points, the best of some runs.
+    """Time the measurement of points from a triplet of images, as the best of some runs.
+
+    Args:
+        repeats: Number of runs.
 
     Returns:
-        Seconds, and how many points were measured.
+        The time [s], and the number of measured points.
     """
     rig, settings = wall_rig(), SurfaceSettings(spacing=SPACING)
     images = wall_pictures(rig, np.random.default_rng(20060101))

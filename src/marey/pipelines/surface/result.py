@@ -17,7 +17,9 @@ from marey.surface.points.measured import MeasuredPoints
 from marey.surface.tracks.trajectories import Trajectories
 
 _FILE = "surface.npz"
+"""The file from which a surface is read."""
 _TRACKS = "trajectories.npz"
+"""The file with trajectories beside it."""
 
 
 class Surface(Described):

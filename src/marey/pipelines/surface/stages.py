@@ -1,4 +1,4 @@
-"""The stages of a surface measurement: the cameras checked by the matches, and the points of every frame."""
+"""The stages of a surface measurement: correction of the cameras by the matches, and the points of every frame."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -24,49 +24,52 @@ from marey.surface.points.intersection import FLOOR_PX, intersect
 from marey.surface.points.measured import MeasuredPoints, joined, shapes
 from marey.surface.points.refine_rig import RigRefinement, Sighting, refine_rig
 from marey.surface.points.settings import SurfaceSettings
-from marey.surface.points.views import Comparison, View, comparisons, views_of
+from marey.surface.points.views import TemplateSearch, View, comparisons, views_of
 
 SAMPLES = 5
-"""Frames whose matches tell whether the cameras are right."""
+"""Frames whose matches are used to correct the cameras.
+
+Chosen by hand; results were not measured against other values.
+"""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Measurement:
-    """One run: what is measured, and how."""
+    """One run of a surface measurement."""
 
     trial: Trial
     settings: SurfaceSettings
     progress: Progress
     clicks: Floats | None = None
-    """(n, C, 2) seeds clicked in the first frame [px]."""
+    """(n, C, 2) seeds clicked in the first frame [px]; None without seeds."""
     backgrounds: Sequence[Background] = ()
-    """The empty pictures, one a camera, where they are known."""
+    """The backgrounds, one per camera; empty if they are not known."""
     remembered: dict[int, list[Tuples]] = field(default_factory=dict)
-    """Matches of frames that were looked at to check the cameras."""
+    """Matches by frame that were already found to correct the cameras."""
 
     @cached_property
-    def compared(self) -> tuple[Comparison, ...]:
-        """Templates, and where each is looked for."""
+    def compared(self) -> tuple[TemplateSearch, ...]:
+        """Each template camera with the cameras in which its patches are searched."""
         return comparisons(self.trial.rig, angle=self.settings.angle)
 
     @property
     def threads(self) -> int:
-        """How many things are done at once."""
+        """Number of threads."""
         return os.cpu_count() or 1
 
     def views(self, rig: Rig, frame: int, images: Sequence[Image]) -> tuple[View, ...]:
-        """Make the pictures of a frame ready."""
+        """Prepare the images of a frame."""
         return views_of(rig, images, self._masks(frame, images))
 
     def _masks(self, frame: int, images: Sequence[Image]) -> Sequence[Mask] | None:
         if self.trial.masks:
             return [next(iter(self.trial.masks[name].masks([frame]))) for name in self.trial.rig.names]
         if self.backgrounds:
-            return [before_the_room(image, empty) for image, empty in zip(images, self.backgrounds, strict=True)]
+            return [foreground(image, empty) for image, empty in zip(images, self.backgrounds, strict=True)]
         return None
 
     def tuples(self, views: Sequence[View], frame: int) -> list[Tuples]:
-        """Match the pictures of a frame."""
+        """Match the images of a frame."""
         if frame in self.remembered:
             return self.remembered.pop(frame)
         given = self._given(views) if frame == self.trial.take.first else None
@@ -78,15 +81,24 @@ class Measurement:
         seeds, confirmed = clicked_seeds(views, self.compared, self.clicks, self.settings)
         if not confirmed.all():
             rows = ", ".join(str(row + 1) for row in np.flatnonzero(~confirmed))
-            self.progress.warn(f"The pictures do not confirm the clicked seeds number {rows}; they are left out.")
+            self.progress.warn(f"The images do not confirm the clicked seeds in rows {rows}: these seeds are ignored.")
         return seeds
 
 
 def measurement(trial: Trial, settings: SurfaceSettings, clicks: Floats | None, progress: Progress) -> Measurement:
-    """Prepare a run; pictures of the empty room, where all cameras have one, tell where the person is.
+    """Prepare a run; images of the empty room, if all cameras have one, give the region of the person.
+
+    Args:
+        trial: The trial.
+        settings: Settings of the matching.
+        clicks: (n, C, 2) clicked seeds [px]; None without seeds.
+        progress: Progress reporter.
+
+    Returns:
+        The run.
 
     Raises:
-        FileProblem: The cameras stand too far apart.
+        FileProblem: The cameras are too far apart.
     """
     backgrounds: Sequence[Background] = ()
     if not trial.masks and set(trial.background) == set(trial.rig.names):
@@ -94,24 +106,24 @@ def measurement(trial: Trial, settings: SurfaceSettings, clicks: Floats | None, 
     run = Measurement(trial=trial, settings=settings, progress=progress, clicks=clicks, backgrounds=backgrounds)
     if not run.compared:
         wrong = f"has no two cameras whose views differ by less than {np.degrees(settings.angle):.0f} degrees"
-        remedy = "Patches do not look alike from so far apart; a surface needs cameras 10 to 25 degrees apart."
+        remedy = "Patches look too different from so far apart: a surface needs cameras 10 to 25 degrees apart."
         raise FileProblem(trial.calibration, wrong, remedy)
     return run
 
 
-def before_the_room(image: Image, empty: Background) -> Mask:
-    """Tell where somebody stands before the empty room, by the silhouette or by texture that is not the room's."""
+def foreground(image: Image, empty: Background) -> Mask:
+    """Return the region in front of the empty room: the silhouette, and texture that the background lacks."""
     return segment(image, empty).mask | unexplained_texture(image, empty.mean)
 
 
 def sample_frames(trial: Trial) -> list[int]:
-    """Choose frames all over the take."""
+    """Return frames that are spread over the take."""
     first, end = trial.take.first, trial.take.end
     return sorted({int(f) for f in np.linspace(first, end - 1, min(SAMPLES, end - first)).round()})
 
 
 def checked_rig(run: Measurement) -> RigRefinement | None:
-    """Let the matches of some frames say whether the cameras stand as they were calibrated."""
+    """Estimate from the matches of some frames whether and how the cameras differ from their calibration."""
     trial, wanted = run.trial, sample_frames(run.trial)
     sightings: dict[int, list[Sighting]] = {}
     with run.progress.stage("Cameras", len(wanted)) as step:
@@ -119,7 +131,7 @@ def checked_rig(run: Measurement) -> RigRefinement | None:
             try:
                 images = trial.take.images(frame)
             except FileProblem:
-                # It is told when the frames before it have been measured.
+                # The damaged frame is reported after the frames before it have been measured.
                 continue
             found = run.tuples(run.views(trial.rig, frame, images), frame)
             run.remembered[frame] = found
@@ -143,7 +155,7 @@ def measure_frames(run: Measurement, rig: Rig, log: FrameLog) -> None:
 
 
 def _kept(points: MeasuredPoints) -> dict[str, np.ndarray]:
-    """Give a frame's arrays, in single precision but for the points."""
+    """Return the arrays of a frame, all but the points in single precision."""
     arrays = points.arrays()
     del arrays["camera_names"]
     return {
@@ -153,18 +165,18 @@ def _kept(points: MeasuredPoints) -> dict[str, np.ndarray]:
 
 
 class KeptFrames(Sequence[MeasuredPoints]):
-    """The frames of a log as measured points, read when they are asked for.
+    """The frames of a log as measured points, which are read when they are used.
 
     Args:
-        log: One record a frame.
-        camera_names: The cameras.
+        log: One record per frame.
+        camera_names: Names of the cameras.
     """
 
     def __init__(self, log: FrameLog, camera_names: Sequence[str]):
         self._log, self._names = log, tuple(camera_names)
 
     def __len__(self) -> int:
-        """Count the frames."""
+        """Return the number of frames."""
         return len(self._log)
 
     def __getitem__(self, number):  # type: ignore[no-untyped-def]
@@ -175,7 +187,7 @@ class KeptFrames(Sequence[MeasuredPoints]):
 
 
 def rig_arrays(refined: RigRefinement | None, rig: Rig) -> Arrays:
-    """Give what a check of the cameras found as arrays, to be kept."""
+    """Return a correction of the cameras as arrays, to be stored."""
     if refined is None:
         return {"checked": np.array(False)}
     poses = np.stack([camera.camera_from_world.matrix for camera in refined.rig])
@@ -184,10 +196,11 @@ def rig_arrays(refined: RigRefinement | None, rig: Rig) -> Arrays:
 
 
 _NUMBERS = ("turn", "shift", "moved_px", "residual_before", "residual_after", "tuples")
+"""Fields of a `RigRefinement` that are stored under their own names."""
 
 
 def rig_from(arrays: Mapping[str, np.ndarray], rig: Rig) -> RigRefinement | None:
-    """Undo `rig_arrays`."""
+    """Return the correction that `rig_arrays` has stored."""
     if not arrays["checked"]:
         return None
     cameras = [
@@ -202,26 +215,27 @@ def rig_from(arrays: Mapping[str, np.ndarray], rig: Rig) -> RigRefinement | None
 
 
 def why_nothing(trial: Trial, run: Measurement, images: Sequence[Image]) -> FileProblem:
-    """Say why no surface was found."""
+    """Return the error that explains why no surface was found."""
     from marey.surface.points.seeds import corners
 
     views = run.views(trial.rig, trial.take.first, images)
     hidden = [v.camera.name for v in views if v.mask is not None and not v.mask.any()]
     if hidden:
-        wrong = f"shows nobody before the empty room in {', '.join(hidden)}"
-        return FileProblem(trial.folder, wrong, "Take the pictures in background/ or masks/ away, or mend them.")
+        wrong = f"shows nothing in front of the empty room in {', '.join(hidden)}"
+        return FileProblem(trial.folder, wrong, "Remove or replace the images in background/ or masks/.")
     flat = [v.camera.name for v in views if len(corners(v, most=run.settings.seeds)) < _FEW_CORNERS]
     if flat:
-        wrong = f"has no texture in the pictures of {', '.join(flat)} that tells one place from the next"
-        remedy = "Sharpen the focus, shorten the exposure, or speckle the surface (paint, make-up, a printed shirt)."
+        wrong = f"has too little texture in the images of {', '.join(flat)}"
+        remedy = "Improve the focus, shorten the exposure, or speckle the surface (paint, make-up, a printed shirt)."
         return FileProblem(trial.folder, wrong, remedy)
     names = ", ".join(trial.rig.names)
     wrong = f"shows no surface that {names} have in common"
     remedy = (
-        "Do the pictures show the same thing at the same instant, sharply, and is this their calibration? "
+        "Check that the images are sharp, show the same object at the same instant, and belong to this calibration. "
         "Cameras should stand 10 to 25 degrees apart; a few clicked seeds may help (--seeds)."
     )
     return FileProblem(trial.folder, wrong, remedy)
 
 
 _FEW_CORNERS = 20
+"""Corners in an image below which the surface counts as without texture. Chosen by hand."""

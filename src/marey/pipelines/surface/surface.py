@@ -30,7 +30,7 @@ from marey.pipelines.surface.stages import (
     rig_from,
     why_nothing,
 )
-from marey.pipelines.surface.tracks import follow_measured, told, write_tracks
+from marey.pipelines.surface.tracks import follow_measured, tracks_text, write_tracks
 from marey.surface.points.measured import MeasuredPoints
 from marey.surface.points.refine_rig import RigRefinement
 from marey.surface.tracks.filters import Filtered
@@ -39,7 +39,7 @@ from marey.view.pages.surface_report import SurfaceReport, write_surface_report
 from marey.view.pictures.surface_picture import depth_picture, lit_picture
 
 _LEAST_CAMERAS = 3
-"""Two cameras tell too little of themselves to be corrected unasked."""
+"""Number of cameras from which the camera poses are corrected by default: two determine the correction too weakly."""
 
 
 def surface_of_trial(trial: Trial, options: SurfaceOptions, progress: Progress) -> Surface:
@@ -76,13 +76,13 @@ def surface_of_trial(trial: Trial, options: SurfaceOptions, progress: Progress) 
 
 
 def _clicks(path: Path, trial: Trial) -> Floats:
-    """Read clicked seeds, and keep the columns of the cameras that are kept."""
+    """Read clicked seeds, and return the columns of the cameras in use."""
     every = read_rig(trial.calibration)
     return read_seeds(path, every)[:, [every.names.index(name) for name in trial.rig.names]]
 
 
 def _refined(run: Measurement, options: SurfaceOptions, cache: StageCache, scope: object) -> RigRefinement | None:
-    """Correct the cameras where that was asked for, or where three of them plainly need it."""
+    """Correct the cameras if that is set, or by default if three or more of them clearly need it."""
     rig = run.trial.rig
     wanted = options.refine_rig
     if wanted is False or (wanted is None and len(rig) < _LEAST_CAMERAS):
@@ -90,7 +90,7 @@ def _refined(run: Measurement, options: SurfaceOptions, cache: StageCache, scope
     found = rig_from(cache.arrays("rig", lambda: rig_arrays(checked_rig(run), rig), depends=scope), rig)
     if found is None:
         if wanted:
-            run.progress.warn("Too few matches to correct the cameras; they stay as they were calibrated.")
+            run.progress.warn("Too few matches to correct the cameras: the calibration is used as it is.")
         return None
     return found if wanted or found.significant else None
 
@@ -99,7 +99,7 @@ def _measure(
     run: Measurement, rig: Rig, cache: StageCache, log: FrameLog, out: Path, options: SurfaceOptions,
     refined: RigRefinement | None, scope: object,
 ) -> None:  # fmt: skip
-    """Measure all frames and write what was measured, also where a damaged frame ends the work."""
+    """Measure all frames and write the results, also if a damaged frame ends the run."""
     parts = KeptFrames(log, rig.names)
     try:
         measure_frames(run, rig, log)
@@ -127,7 +127,7 @@ def write_results(
     refined: RigRefinement | None,
     followed: Filtered | None,
 ) -> None:
-    """Write all results at once, and say what they are."""
+    """Write all results at once, and report their main figures."""
     trial, progress = run.trial, run.progress
     asked: dict[str, object] = {
         **trial.settings.model_dump(mode="json", exclude_none=True),
@@ -157,7 +157,7 @@ def write_results(
         progress.report(correction_text(rig, refined))
     progress.report(summary(parts))
     if followed is not None:
-        progress.report(told(followed))
+        progress.report(tracks_text(followed))
 
 
 def _named(rig: Rig, template: int, searched: Sequence[int]) -> dict[str, object]:
@@ -165,7 +165,7 @@ def _named(rig: Rig, template: int, searched: Sequence[int]) -> dict[str, object
 
 
 def _write_clouds(folder: Path, trial: Trial, parts: Sequence[MeasuredPoints]) -> None:
-    """Write a point cloud a frame; the first with points is `surface.ply`."""
+    """Write one point cloud per frame; the first one with points is also `surface.ply`."""
     first = True
     for number, part in enumerate(parts):
         if first and len(part):
@@ -176,7 +176,7 @@ def _write_clouds(folder: Path, trial: Trial, parts: Sequence[MeasuredPoints]) -
 
 
 def _draw(folder: Path, run: Measurement, rig: Rig, parts: Sequence[MeasuredPoints]) -> list[Still]:
-    """Draw the frame with most points, and give the pictures for the report."""
+    """Draw the frame with the most points, and return the images for the report."""
     best = max(range(len(parts)), key=lambda number: len(parts[number]))
     points, images = parts[best], run.trial.take.images(run.trial.take.first + best)
     stills = []
@@ -185,13 +185,13 @@ def _draw(folder: Path, run: Measurement, rig: Rig, parts: Sequence[MeasuredPoin
         depth, lit = depth_picture(points, camera, template, images[template]), lit_picture(points, camera, template)
         write_picture(folder / f"surface_{camera.name}.png", np.hstack([depth, lit]))
         where = f"{camera.name}, frame {run.trial.take.first + best}"
-        stills.append(Still(caption=f"{where}: the points, near ones red", image=depth))
+        stills.append(Still(caption=f"{where}: depth of the points, near ones red", image=depth))
         stills.append(Still(caption=f"{where}: the surface, lit from the side", image=lit))
     return stills
 
 
 def correction(rig: Rig, refined: RigRefinement) -> Mapping[str, object]:
-    """Give the correction of the cameras for the record."""
+    """Return the correction of the cameras for the record."""
     cameras = {
         name: {"turned_deg": float(np.degrees(turn)), "moved_mm": float(1e3 * shift), "moved_px": float(px)}
         for name, turn, shift, px in zip(rig.names, refined.turn, refined.shift, refined.moved_px, strict=True)
@@ -204,20 +204,20 @@ def correction(rig: Rig, refined: RigRefinement) -> Mapping[str, object]:
 
 
 def correction_text(rig: Rig, refined: RigRefinement) -> str:
-    """Say how the cameras were corrected."""
+    """Describe the correction of the cameras."""
     each = ", ".join(
         f"{name} by {np.degrees(turn):.3f} degrees and {1e3 * shift:.2f} mm ({px:.2f} px)"
         for name, turn, shift, px in zip(rig.names, refined.turn, refined.shift, refined.moved_px, strict=True)
         if shift > 0
     )
     return (
-        f"The cameras were corrected by {refined.tuples} matches: {each}. The median residual of rays that should meet "
+        f"The cameras were corrected by {refined.tuples} matches: {each}. The median residual of corresponding rays "
         f"fell from {refined.residual_before:.2f} to {refined.residual_after:.2f} px. See cameras.toml in the results."
     )
 
 
 def summary(parts: Sequence[MeasuredPoints]) -> str:
-    """Say in a line what was measured."""
+    """Describe the measured points in one line."""
     counts = np.array([len(part) for part in parts])
     filled = [part for part in parts if len(part)]
     residual = np.median([np.median(part.residual_px) for part in filled])
@@ -227,6 +227,6 @@ def summary(parts: Sequence[MeasuredPoints]) -> str:
     several = np.mean([np.mean(part.views > 2) for part in filled])
     where = f" in {len(filled)} of {len(parts)} frames" if len(parts) > 1 else ""
     return (
-        f"{counts.sum()} points{where}, {100 * several:.0f} % of them seen by three cameras or more; residual "
+        f"{counts.sum()} points{where}, {100 * several:.0f} % of them in three cameras or more; residual "
         f"{residual:.2f} px, standard deviation {sd:.2f} mm (medians)."
     )

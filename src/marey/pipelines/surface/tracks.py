@@ -1,4 +1,4 @@
-"""The part of `marey surface` that follows the surface through the frames: resumable, and told in a line."""
+"""The part of `marey surface` that follows the surface through the frames; it can be resumed."""
 
 import os
 from collections.abc import Callable, Iterator, Sequence
@@ -27,31 +27,31 @@ from marey.view.pages.html import Still
 from marey.view.pictures.vector_field import vector_field
 
 _KEPT_EVERY = 10
-"""Frames after which all is written down from which an interrupted run goes on."""
+"""Frames after which the state is stored from which an interrupted run is resumed."""
 _FIELD_S = 0.05
-"""Length of the vectors in the picture of the moving surface [s]."""
+"""Time over which the vectors in the image of the moving surface extend [s]. Chosen by eye."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class TracksSettings:
-    """How a surface is followed."""
+    """Settings of following a surface."""
 
     follow: ViewPatchSettings
     filters: FilterSettings = field(default_factory=FilterSettings)
     spacing: float = SPACING
-    """Of the points [px]."""
+    """Spacing of the points [px]."""
 
 
 def tracks_settings(rig: Rig, *, noise: float, threads: int) -> TracksSettings:
-    """Choose boxes and spacing that fit the pictures' size.
+    """Choose boxes and spacing that fit the size of the images.
 
     Args:
         rig: The cameras.
-        noise: Standard deviation of a pixel's noise [grey levels].
-        threads: That share the matches.
+        noise: Standard deviation of the noise of a pixel [grey levels].
+        threads: Number of threads for the matching.
 
     Returns:
-        The settings: in pictures 960 wide a point every six pixels, boxes of 16 and of 80.
+        The settings: in images of 960 px width a point every six pixels, search boxes of 16 and of 80 px.
     """
     width = max(camera.width for camera in rig)
     follow = ViewPatchSettings(noise=noise, box=max(6.0, width / 120), wide_box=max(20.0, width / 24), threads=threads)
@@ -62,17 +62,17 @@ def follow_measured(
     take: Take, rig: Rig, parts: Sequence[MeasuredPoints], cache: StageCache, progress: Progress,
     *, filters: FilterSettings, depends: object, expected: Expected | None = None,
 ) -> Filtered:  # fmt: skip
-    """Follow what was measured, with settings that fit its pictures.
+    """Follow a measured surface, with settings that fit its images.
 
     Args:
-        take: The pictures.
+        take: The images.
         rig: The cameras with which the surface was measured.
-        parts: The measured surface, a part for each frame of the take from its first one on.
-        cache: Remembers what is done.
-        progress: Is told.
-        filters: What makes a trajectory false.
-        depends: What the measurement depends on, and what is expected.
-        expected: Where lost points may be.
+        parts: The measured surface: one part per frame, from the first frame of the take on.
+        cache: Checkpoints.
+        progress: Progress reporter.
+        filters: Thresholds of false trajectories.
+        depends: Everything that the measurement and the expected places depend on.
+        expected: Predicts the places of lost points.
 
     Returns:
         The trajectories.
@@ -94,31 +94,31 @@ def follow_measured(
 
 
 def write_tracks(folder: Path, result: Filtered, take: Take, rig: Rig) -> list[Still]:
-    """Write the trajectories, and draw them; give the picture for a report."""
+    """Write the trajectories, draw them, and return the image for a report."""
     write_trajectories(folder / "trajectories.npz", result.trajectories)
     picture = drawn(result.trajectories, take, rig)
     if picture is None:
         return []
     middle = rig.names[len(rig) // 2]
     write_picture(folder / f"tracks_{middle}.png", picture)
-    return [Still(caption=f"{middle}: where points go, in the frame in which they are fastest", image=picture)]
+    return [Still(caption=f"{middle}: velocities of the points in the frame in which they are fastest", image=picture)]
 
 
 def follow_surface(
     take: Take, rig: Rig, seeds: Callable[[int], MeasuredPoints], log: FrameLog, state: Path, progress: Progress,
     *, settings: TracksSettings, expected: Expected | None = None,
 ) -> Filtered:  # fmt: skip
-    """Follow a measured surface through a take, and take out what is false.
+    """Follow a measured surface through a take, and remove false trajectories.
 
     Args:
-        take: Its frames are gone through once.
+        take: The take; its frames are read once.
         rig: The cameras with which the surface was measured.
-        seeds: Gives the measured surface of a frame.
-        log: Remembers what each frame showed; belongs to these settings and inputs.
-        state: A file that remembers from where to go on.
-        progress: Is told.
-        settings: How to follow.
-        expected: Where lost points may be.
+        seeds: Returns the measured surface of a frame.
+        log: Stores the sightings of each frame; it belongs to these settings and inputs.
+        state: A file with the state from which an interrupted run is resumed.
+        progress: Progress reporter.
+        settings: Settings.
+        expected: Predicts the places of lost points.
 
     Returns:
         The trajectories.
@@ -148,7 +148,7 @@ def follow_surface(
 
 
 def _taken_up(log: FrameLog, state: Path) -> Tracks | None:
-    """Find what an interrupted run knew, and forget what it did afterwards."""
+    """Return the stored state of an interrupted run, and delete what was done after it."""
     if len(log) and state.exists():
         known = tracks_from(load_arrays(state))
         done = next((n + 1 for n, record in enumerate(log) if int(record["frame"]) == known.frame), None)
@@ -178,22 +178,22 @@ def _sightings(record: dict[str, np.ndarray]) -> Sightings:
     )  # fmt: skip
 
 
-def told(result: Filtered) -> str:
-    """Say in a line what was followed."""
+def tracks_text(result: Filtered) -> str:
+    """Describe the trajectories in one line."""
     trajectories = result.trajectories
     kept = trajectories.kept
     if not len(kept):
         return "Tracks: no point could be followed from one frame to the next."
     long, removed = trajectories.measured[:, kept].sum(axis=0).mean(), int(trajectories.removed.sum())
     return (
-        f"Tracks: {len(kept)} trajectories over {long:.1f} frames on average; {removed} removed as too short; "
-        f"{result.unlike} cut where they moved unlike the surface about them, "
+        f"Tracks: {len(kept)} trajectories of {long:.1f} frames on average; {removed} removed as too short; "
+        f"{result.unlike} cut where their motion differs from that of the surrounding surface, "
         f"{result.too_fast} above {result.speed:.2g} m/s or {result.acceleration:.2g} m/s2."
     )
 
 
 def fastest_frame(trajectories: Trajectories) -> int | None:
-    """Give the row in which the kept points move fastest on average; None where none moves."""
+    """Return the row in which the kept points move fastest on average; None if none moves."""
     speed = np.linalg.norm(trajectories.velocity[:, trajectories.kept], axis=-1)
     known = np.isfinite(speed)
     enough = known.sum(axis=1) >= 0.5 * known.sum(axis=1).max(initial=1)
@@ -202,7 +202,7 @@ def fastest_frame(trajectories: Trajectories) -> int | None:
 
 
 def drawn(trajectories: Trajectories, take: Take, rig: Rig) -> Image | None:
-    """Draw the kept trajectories over the picture in which they move fastest, as the middle camera sees it."""
+    """Draw the kept trajectories on the image of the middle camera in the frame in which they move fastest."""
     row = fastest_frame(trajectories)
     if row is None:
         return None

@@ -9,7 +9,7 @@ from marey.cameras.triangulate import triangulate
 from marey.surface.points.seeds import Seeds, exact
 from marey.surface.points.settings import SurfaceSettings
 from marey.surface.points.sweep import Hypotheses, correlations, facing_maps
-from marey.surface.points.views import Comparison, View
+from marey.surface.points.views import TemplateSearch, View
 
 _CLICK_SD = 3.0
 """How well a person clicks [px]."""
@@ -20,7 +20,7 @@ _HALF = 10
 
 
 def clicked_seeds(
-    views: Sequence[View], compared: Sequence[Comparison], clicks: Floats, settings: SurfaceSettings
+    views: Sequence[View], compared: Sequence[TemplateSearch], clicks: Floats, settings: SurfaceSettings
 ) -> tuple[dict[tuple[int, int], Seeds], Mask]:
     """Match clicked seeds exactly.
 

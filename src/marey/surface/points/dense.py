@@ -14,7 +14,7 @@ from marey.surface.points.field import Field, Grid
 from marey.surface.points.growth import grow
 from marey.surface.points.seeds import Seeds, find_seeds
 from marey.surface.points.settings import SurfaceSettings
-from marey.surface.points.views import Comparison, View
+from marey.surface.points.views import TemplateSearch, View
 
 _LEAST_EPIPOLAR = 0.5
 """Limits on epipolar distances are no tighter [px]."""
@@ -61,7 +61,7 @@ class Tuples:
 
 def match_tuples(
     views: Sequence[View],
-    compared: Comparison,
+    compared: TemplateSearch,
     settings: SurfaceSettings,
     *,
     given: GivenSeeds | None = None,
@@ -103,7 +103,7 @@ def _epipolar_limit(template: View, search: View, seeds: Seeds, settings: Surfac
     return min(settings.epipolar_px, max(_LEAST_EPIPOLAR, 2 * _USUAL * float(np.nanmedian(beside))))
 
 
-def merged(views: Sequence[View], compared: Comparison, grid: Grid, fields: Sequence[Field]) -> Tuples:
+def merged(views: Sequence[View], compared: TemplateSearch, grid: Grid, fields: Sequence[Field]) -> Tuples:
     """Put what was found of the same patch in several pictures into one tuple.
 
     Args:

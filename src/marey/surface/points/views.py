@@ -58,14 +58,14 @@ class View:
         return View(camera=camera, image=np.asarray(image, np.uint8))
 
 
-class Comparison(NamedTuple):
+class TemplateSearch(NamedTuple):
     """A template and the pictures in which its patches are looked for, as indices of cameras."""
 
     template: int
     searched: tuple[int, ...]
 
 
-def comparisons(rig: Rig, *, angle: float) -> tuple[Comparison, ...]:
+def comparisons(rig: Rig, *, angle: float) -> tuple[TemplateSearch, ...]:
     """Choose templates so that every camera takes part and every template stands between those it is compared with.
 
     With two cameras the first is the template, with three the middle one ([Plaenkers1999] section 2.1). Ours: of more
@@ -80,7 +80,7 @@ def comparisons(rig: Rig, *, angle: float) -> tuple[Comparison, ...]:
         The comparisons; none where all cameras stand too far apart.
     """
     if len(rig) == 2:
-        return (Comparison(0, (1,)),)
+        return (TemplateSearch(0, (1,)),)
     apart = view_angles(rig)
     near = (apart <= angle) & ~np.eye(len(rig), dtype=bool)
     waiting: Mask = np.asarray(near.any(axis=1))
@@ -90,7 +90,7 @@ def comparisons(rig: Rig, *, angle: float) -> tuple[Comparison, ...]:
         gain = [waiting[i] * 1.0 + waiting[list(others)].sum() for i, others in enumerate(searched)]
         spread = [apart[i, list(others)].sum() if others else np.inf for i, others in enumerate(searched)]
         best = min(range(len(rig)), key=lambda i: (-gain[i], spread[i]))
-        chosen.append(Comparison(best, searched[best]))
+        chosen.append(TemplateSearch(best, searched[best]))
         waiting[[best, *searched[best]]] = False
     return tuple(chosen)
 

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.cli.test_capture import EMPTY, EXAMPLE, give_silhouettes, give_start, truth
+from tests.pipelines.capture.reach import EMPTY, EXAMPLE, give_silhouettes, give_start, truth
 
-from marey.cli.main import run
 from marey.io.results.results import read_points
 from marey.io.trial.masks import open_masks
+from marey.pipelines.capture.tasks import capture
 
 COUNT, FIRST, END = 130, 70, 76
 LIMBS = ("hip", "knee", "ankle", "toe", "shoulder", "elbow", "wrist")
@@ -26,8 +26,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
         if path.name not in ("truth", "marey", "README.md"):
             (trial / path.name).symlink_to(path)
     clicks = give_start(trial, FIRST + 3)
-    options = ["--frames", f"{FIRST}:{END}", "--start", str(clicks), "--no-overlay", "--quiet"]
-    assert run(["capture", str(trial), "--out", str(folder / "out"), *options]) == 0
+    capture(trial, out=folder / "out", frames=range(FIRST, END), start=clicks, overlay=False)
     return folder / "out"
 
 
@@ -130,7 +129,7 @@ def test_files_of_points_tell_the_same_as_the_motion(results):
         np.testing.assert_allclose(found.points, wanted.points, atol=tolerance)
 
 
-def test_the_record_says_what_was_run_on_what(results):
+def test_the_record_holds_command_settings_and_inputs(results):
     record = json.loads((results / "run.json").read_text())
     assert record["settings"]["frames"] == [FIRST, END]
     assert {"cam01.mp4", "cameras.toml", "background/cam01.png"} <= set(record["inputs"])
@@ -145,8 +144,7 @@ def test_the_body_found_is_followed_again_from_a_start_without_clicks(results, t
         if path.name != "clicks.json":
             (trial / path.name).symlink_to(path.resolve())
     give_silhouettes(trial)
-    options = ["--frames", f"{FIRST}:{FIRST + 1}", "--body", str(results / "body.npz"), "--no-overlay", "--quiet"]
-    assert run(["capture", str(trial), "--out", str(tmp_path / "out"), *options]) == 0
+    capture(trial, out=tmp_path / "out", frames=(FIRST, FIRST + 1), body=results / "body.npz", overlay=False)
     first, again = arrays(results / "motion.npz"), arrays(tmp_path / "out" / "motion.npz")
     np.testing.assert_array_equal(np.flatnonzero(again["state"] == 1), [FIRST])
     apart = np.linalg.norm(again["joint_centres"][FIRST] - first["joint_centres"][FIRST], axis=1)

@@ -1,4 +1,4 @@
-"""Work on several things at a time gives what work on one after the other gives."""
+"""Work in threads gives the same results as sequential work."""
 
 import threading
 import time
@@ -6,7 +6,7 @@ import time
 import numpy as np
 import pytest
 
-from marey.fit.solver.side_by_side import THREADS, side_by_side, together
+from marey.fit.solver.threads import THREADS, map_in_threads, map_in_two_threads
 
 
 def test_results_come_in_the_order_of_the_items_whatever_takes_longest(rng):
@@ -16,8 +16,8 @@ def test_results_come_in_the_order_of_the_items_whatever_takes_longest(rng):
         time.sleep(pauses[i])
         return i * i
 
-    assert list(side_by_side(work, range(30))) == [i * i for i in range(30)]
-    assert list(side_by_side(work, [])) == []
+    assert list(map_in_threads(work, range(30))) == [i * i for i in range(30)]
+    assert list(map_in_threads(work, [])) == []
 
 
 def test_items_are_made_in_the_callers_thread_and_only_a_few_ahead():
@@ -28,7 +28,7 @@ def test_items_are_made_in_the_callers_thread_and_only_a_few_ahead():
             made.append(threading.current_thread())
             yield i
 
-    for n, _ in enumerate(side_by_side(lambda i: i, items()), 1):
+    for n, _ in enumerate(map_in_threads(lambda i: i, items()), 1):
         assert len(made) <= n + 2 * THREADS + 1
     assert set(made) == {threading.current_thread()}
     assert len(made) == 100
@@ -40,33 +40,33 @@ def test_an_error_in_the_work_reaches_the_caller():
             raise ValueError("seven")
         return i
 
-    found = side_by_side(work, range(50))
+    found = map_in_threads(work, range(50))
     with pytest.raises(ValueError, match="seven"):
         list(found)
 
 
-def test_who_stops_asking_stops_the_work():
-    done = []
-    found = side_by_side(lambda i: done.append(i), iter(range(1000)))
+def test_closing_the_iterator_cancels_the_work():
+    progress = []
+    found = map_in_threads(lambda i: progress.append(i), iter(range(1000)))
     next(found)
     found.close()
-    assert len(done) <= 3 * THREADS + 1
+    assert len(progress) <= 3 * THREADS + 1
 
 
 def test_kernels_on_several_threads_give_the_same_numbers(rng):
     matrices = rng.normal(size=(40, 30, 30))
-    again = list(side_by_side(lambda m: m @ m.T, matrices))
+    again = list(map_in_threads(lambda m: m @ m.T, matrices))
     np.testing.assert_array_equal(again, [m @ m.T for m in matrices])
 
 
-def test_short_work_together_gives_results_in_order_and_errors():
-    assert together(lambda i: i * i, range(7)) == [i * i for i in range(7)]
+def test_two_threads_return_results_in_order_and_raise_errors():
+    assert map_in_two_threads(lambda i: i * i, range(7)) == [i * i for i in range(7)]
     with pytest.raises(ZeroDivisionError):
-        together(lambda i: 1 / i, [1, 0])
+        map_in_two_threads(lambda i: 1 / i, [1, 0])
 
 
-def test_short_work_inside_of_work_side_by_side_stays_in_its_thread():
+def test_short_work_inside_a_worker_thread_stays_in_it():
     def outer(item):
-        return set(together(lambda _: threading.get_ident(), range(3))) == {threading.get_ident()}
+        return set(map_in_two_threads(lambda _: threading.get_ident(), range(3))) == {threading.get_ident()}
 
-    assert all(side_by_side(outer, range(5)))
+    assert all(map_in_threads(outer, range(5)))

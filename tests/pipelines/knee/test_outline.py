@@ -23,7 +23,7 @@ def test_a_volume_is_served_and_its_outlines_are_kept_beside_it(tmp_path: Path):
     write_volume(volume, Volume(intensity=np.random.default_rng(1).normal(20.0, size=GRID.shape), grid=GRID))
     server = outline_server(volume, None, 0, RecordingProgress())
     assert server.session.path == tmp_path / "knee_contours.json"
-    thread = threading.Thread(target=serve, args=(server,), kwargs={"browser": False})
+    thread = threading.Thread(target=serve, args=(server,))
     thread.start()
     try:
         with urllib.request.urlopen(server.address, timeout=20) as page:

@@ -6,13 +6,30 @@ import pytest
 from tests import scenes
 from tests.scenes import beside_ball
 
-from marey.cli.main import WRONG_INPUT, run
+from marey.errors import MareyError, SettingProblem
 from marey.io.calibration.readers import read_rig, write_cameras_toml
 from marey.io.shapes.measured_surface import read_surface
 from marey.io.shapes.trajectories import read_trajectories
+from marey.pipelines.progress import RecordingProgress
+from marey.pipelines.surface.tasks import measure_surface
 
 RIG = scenes.rig(-10, 0, 10)
-OPTIONS = ["--spacing", "6", "--quiet"]
+
+
+def measured(folder, *, progress=None, **settings):
+    """Measure, with the warnings recorded instead of issued: stills have no rate."""
+    return measure_surface(folder, progress=progress or RecordingProgress(), **settings)
+
+
+class Reports(RecordingProgress):
+    """Keeps the intermediate results."""
+
+    def __init__(self):
+        super().__init__()
+        self.reports: list[str] = []
+
+    def report(self, text: str) -> None:
+        self.reports.append(text)
 
 
 def write_trial(folder, frames, rig=RIG):
@@ -34,7 +51,7 @@ def instants():
 @pytest.fixture(scope="module")
 def results(instants, tmp_path_factory):
     folder = write_trial(tmp_path_factory.mktemp("trial"), instants)
-    assert run(["surface", str(folder), *OPTIONS]) == 0
+    measured(folder, out=folder / "marey", spacing=6)
     return folder / "marey"
 
 
@@ -54,7 +71,7 @@ def test_points_are_followed_from_frame_to_frame(tmp_path, rng):
     ball = scenes.Ball.draw(rng)
     instants = [[ball.filmed(camera, rng) for camera in RIG] for _ in range(2)]
     folder = write_trial(tmp_path / "trial", instants)
-    assert run(["surface", str(folder), *OPTIONS, "--keep-rig"]) == 0
+    measured(folder, out=folder / "marey", spacing=6, refine_rig=False)
     found = read_trajectories(folder / "marey" / "trajectories.npz")
     assert found.camera_names == RIG.names
     assert (folder / "marey" / "tracks_middle.png").exists()
@@ -67,10 +84,12 @@ def test_points_are_followed_from_frame_to_frame(tmp_path, rng):
 
 def test_a_single_instant_has_no_tracks_and_nor_has_who_wants_none(instants, tmp_path):
     folder = write_trial(tmp_path / "trial", instants)
-    for more in (["--no-tracks"], ["--frames", "0:1"]):
-        assert run(["surface", str(folder), *OPTIONS, "--keep-rig", *more]) == 0
-        assert not (folder / "marey" / "trajectories.npz").exists()
-    assert run(["surface", str(folder), *OPTIONS, "--max-speed", "-1"]) == WRONG_INPUT
+    for more in ({"tracks": False}, {"frames": range(1)}):
+        found = measured(folder, spacing=6, refine_rig=False, **more)
+        assert found.trajectories is None
+        assert not (found.folder / "trajectories.npz").exists()
+    with pytest.raises(SettingProblem, match="speed"):
+        measured(folder, max_speed=-1)
 
 
 def test_the_record_names_templates_and_settings(results):
@@ -85,19 +104,20 @@ def test_another_commands_results_stay(results):
     (results / "motion.npz").write_bytes(b"captured")
     kept = {"command": "capture", "files": ["motion.npz", "run.json"]}
     (results / "run.json").write_text(json.dumps(kept | {"earlier": {"surface": record}}))
-    assert run(["surface", str(results.parent), *OPTIONS, "--frames", "1:2"]) == 0
+    measured(results.parent, out=results, spacing=6, frames=range(1, 2))
     assert (results / "motion.npz").exists()
     assert not (results / "surface" / "frame_00000.ply").exists()
     assert json.loads((results / "run.json").read_text())["earlier"]["capture"] == kept
 
 
-def test_cameras_that_nod_are_corrected_and_it_is_said(instants, tmp_path, capsys):
+def test_cameras_that_nod_are_corrected_and_it_is_reported(instants, tmp_path):
     from tests.surface.points.test_refine_rig import turned
 
     wrong = type(RIG)((*RIG.cameras[:2], turned(RIG.cameras[2], 0.12)))
     folder = write_trial(tmp_path / "trial", instants[:1], wrong)
-    assert run(["surface", str(folder), "--spacing", "6"]) == 0
-    assert "The cameras were corrected by" in capsys.readouterr().err
+    progress = Reports()
+    measured(folder, out=folder / "marey", spacing=6, progress=progress)
+    assert progress.reports[0].startswith("The cameras were corrected by")
     assert read_rig(folder / "marey" / "cameras.toml").names == RIG.names
     found = json.loads((folder / "marey" / "run.json").read_text())["settings"]["rig_correction"]
     residual = found["median_residual_px"]
@@ -105,7 +125,7 @@ def test_cameras_that_nod_are_corrected_and_it_is_said(instants, tmp_path, capsy
     assert 0.05 < found["cameras"]["right"]["turned_deg"] < 0.2
 
 
-def test_an_interrupted_run_goes_on(instants, tmp_path, monkeypatch):
+def test_an_interrupted_run_is_resumed(instants, tmp_path, monkeypatch):
     from marey.pipelines.surface import stages as surface_stages
 
     folder = write_trial(tmp_path / "trial", instants)
@@ -118,23 +138,23 @@ def test_an_interrupted_run_goes_on(instants, tmp_path, monkeypatch):
         return whole(*arguments, **more)
 
     monkeypatch.setattr(surface_stages, "intersect", interrupted)
-    command = ["surface", str(folder), *OPTIONS, "--keep-rig"]
-    assert run(command) == 130
-    assert run(command) == 0
+    with pytest.raises(KeyboardInterrupt):
+        measured(folder, out=folder / "marey", spacing=6, refine_rig=False)
+    measured(folder, out=folder / "marey", spacing=6, refine_rig=False)
     assert calls == [0, 1, 1]
     assert read_surface(folder / "marey" / "surface.npz").frames.tolist() == [0, 1]
 
 
-def test_what_was_measured_before_a_damaged_picture_is_kept(instants, tmp_path, capsys):
+def test_what_was_measured_before_a_damaged_picture_is_kept(instants, tmp_path):
     folder = write_trial(tmp_path / "trial", instants)
     (folder / "right_2.png").write_bytes(b"no picture")
-    assert run(["surface", str(folder), *OPTIONS]) == WRONG_INPUT
-    assert "right_2.png" in capsys.readouterr().err
+    with pytest.raises(MareyError, match=r"right_2\.png"):
+        measured(folder, out=folder / "marey", spacing=6)
     assert read_surface(folder / "marey" / "surface.npz").frames.tolist() == [0]
 
 
 @pytest.mark.parametrize("kind", ["other balls", "flat", "far apart"])
-def test_without_a_common_surface_there_is_a_reason_and_no_file(tmp_path, rng, capsys, kind):
+def test_without_a_common_surface_there_is_a_reason_and_no_file(tmp_path, rng, kind):
     rig = scenes.rig(0, 90, 180) if kind == "far apart" else scenes.rig(-5, 5)
     ball = scenes.Ball.draw(rng)
     balls = [ball if kind == "far apart" else scenes.Ball.draw(rng) for _ in rig]
@@ -142,23 +162,19 @@ def test_without_a_common_surface_there_is_a_reason_and_no_file(tmp_path, rng, c
     if kind == "flat":
         images = [np.full_like(image, 90) for image in images]
     folder = write_trial(tmp_path / "trial", [images], rig)
-    assert run(["surface", str(folder), *OPTIONS]) == WRONG_INPUT
-    said = capsys.readouterr().err
-    assert {"other balls": "no surface that", "flat": "no texture", "far apart": "differ by less"}[kind] in said
+    wrong = {"other balls": "no surface that", "flat": "too little texture", "far apart": "differ by less"}
+    with pytest.raises(MareyError, match=wrong[kind]):
+        measured(folder, out=folder / "marey", spacing=6)
     assert not (folder / "marey" / "surface.npz").exists()
 
 
-def test_a_seed_outside_of_its_picture_names_file_and_row(instants, tmp_path, capsys):
+def test_a_seed_outside_of_its_picture_names_file_and_row(instants, tmp_path):
     folder = write_trial(tmp_path / "trial", instants[:1])
     (tmp_path / "clicked.csv").write_text("100,100,100,100,100,100\n100,100,900,100,100,100\n")
-    assert run(["surface", str(folder), *OPTIONS, "--seeds", str(tmp_path / "clicked.csv")]) == WRONG_INPUT
-    said = capsys.readouterr().err
-    assert "clicked.csv" in said
-    assert "row 2" in said
+    with pytest.raises(MareyError, match=r"clicked\.csv.*row 2"):
+        measured(folder, seeds=tmp_path / "clicked.csv")
 
 
-def test_impossible_settings_are_told(tmp_path, capsys):
-    folder = tmp_path / "trial"
-    folder.mkdir()
-    assert run(["surface", str(folder), "--patch", "12"]) == WRONG_INPUT
-    assert "patch is 12" in capsys.readouterr().err
+def test_an_impossible_setting_is_reported_before_the_trial_is_read(tmp_path):
+    with pytest.raises(SettingProblem, match="patch is 12"):
+        measured(tmp_path / "nowhere", patch=12)
