@@ -35,9 +35,9 @@ class Shapes(Described):
 
     Example:
         >>> import marey
-        >>> shapes = marey.load_shapes("tracks_marey")  # doctest: +SKIP
-        >>> shapes.shape.shape  # doctest: +SKIP
-        (60, 3, 12)
+        >>> shapes = marey.load_shapes("cluster_marey")
+        >>> shapes.shape.shape
+        (40, 3, 9)
     """
 
     found: RecoveredShapes
@@ -214,7 +214,9 @@ def load_shapes(folder: Path | str) -> Shapes:
 
     Example:
         >>> import marey
-        >>> shapes = marey.load_shapes("tracks_marey")  # doctest: +SKIP
+        >>> shapes = marey.load_shapes("cluster_marey")
+        >>> shapes.rate
+        50.0
     """
     folder = Path(folder)
     path = folder / _FILE
