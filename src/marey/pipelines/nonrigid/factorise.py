@@ -36,7 +36,7 @@ from marey.nonrigid.recovered import (
     with_known_distance,
 )
 from marey.pipelines.nonrigid.input import NonRigidInput, input_of_data, read_input
-from marey.pipelines.nonrigid.measure import MeasuredPoints, measure_points
+from marey.pipelines.nonrigid.measure import NonRigidPoints, measure_points
 from marey.pipelines.nonrigid.settings import NonRigidSettings
 from marey.pipelines.nonrigid.shapes import COMMAND, Shapes
 from marey.pipelines.progress import Progress, RecordingProgress
@@ -189,7 +189,7 @@ def _shapes(
 
 
 def _recovered(
-    given: NonRigidInput, measured: MeasuredPoints, settings: NonRigidSettings, cache: StageCache, progress: Progress
+    given: NonRigidInput, measured: NonRigidPoints, settings: NonRigidSettings, cache: StageCache, progress: Progress
 ) -> RecoveredShapes:
     """Factorise the frames and points with enough data; the others are NaN."""
     wanted = np.zeros(given.frames, bool)
@@ -222,7 +222,7 @@ def _shapes_stage(given: NonRigidInput, progress: Progress) -> Iterator[Callable
             yield done
 
 
-def _least(given: NonRigidInput, measured: MeasuredPoints) -> tuple[int, int]:
+def _least(given: NonRigidInput, measured: NonRigidPoints) -> tuple[int, int]:
     """Return the least number of points per frame, and of frames per point."""
     if measured.points is not None or given.rig is not None:
         return 3, 2
@@ -233,7 +233,7 @@ def _least(given: NonRigidInput, measured: MeasuredPoints) -> tuple[int, int]:
 
 def _factorised(
     given: NonRigidInput,
-    measured: MeasuredPoints,
+    measured: NonRigidPoints,
     frames: Mask,
     points: Mask,
     settings: NonRigidSettings,
