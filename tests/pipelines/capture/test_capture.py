@@ -69,7 +69,7 @@ def shorten_a_video(trial: Path) -> str:
 def spoil_the_lens(trial: Path) -> str:
     path = trial / "cameras.toml"
     path.write_text(path.read_text().replace("distortions = [ 0.0, 0.0, 0.0, 0.0]", "distortions = [0.1, 0.2, 0.3]", 1))
-    return "3 lens numbers"
+    return "3 distortion coefficients"
 
 
 def add_an_unknown_key(trial: Path) -> str:

@@ -129,3 +129,10 @@ def test_warnings_of_a_run_are_python_warnings():
         issue_warnings(progress)
     assert [str(each.message) for each in caught] == ["cam02 is dark"]
     assert issubclass(caught[0].category, marey.MareyWarning)
+
+
+def test_trials_and_cameras_describe_themselves(trial):
+    opened = marey.open_trial(trial, frames=range(10, 20), cameras=["cam01", "cam02"])
+    expected = "Trial trial: 2 cameras (cam01, cam02), frames 10 to 19 of 130 at 30 Hz; with background and silhouettes"
+    assert repr(opened) == expected
+    assert repr(opened.rig) == "Rig of 2 cameras: Camera cam01 (640 x 480 px), Camera cam02 (640 x 480 px)"

@@ -1,4 +1,4 @@
-"""`marey capture`: from the videos of a trial to the motion of the person in it."""
+"""`marey capture`: the motion of a person from the videos of a trial."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -86,7 +86,7 @@ def capture_trial(
         FileProblem: Something in the trial cannot be used.
     """
     with opened(trial, settings, progress, observations=observations) as (run, bodies, logs):
-        _capture(run, bodies, logs)
+        run_capture(run, bodies, logs)
     return load_motion(run.out)
 
 
@@ -107,8 +107,14 @@ class FollowedPerson:
         return SilhouetteTake(tuple(run.trial.rig), store, tuple(poses), run.trial.take.rate, store.edges)
 
 
-def _capture(run: Run, bodies: Bodies, logs: Logs) -> None:
-    """Go from pictures to results: silhouettes, person, silhouettes about the person, and the person again."""
+def run_capture(run: Run, bodies: Bodies, logs: Logs) -> None:
+    """Run all stages: silhouettes, the person, silhouettes with the person as prior, the refined person, and results.
+
+    Args:
+        run: The run.
+        bodies: The body with many and with few vertices.
+        logs: Storage of the silhouettes.
+    """
     followed = follow_person(run, bodies, logs)
     refined = refined_person(run, followed, bodies)
     write_capture(run, refined, followed.outlines, followed.frames)
