@@ -24,7 +24,7 @@ from mkdocs.structure.files import File
 DOCS = Path(__file__).parents[1]
 BIBLIOGRAPHY = "reference/bibliography.md"
 
-_CITATION = re.compile(r"\[([A-Z][A-Za-z]+\d{4}[a-z]?)\](?![(\[:])")
+_CITATION = re.compile(r"\[([A-Z][A-Za-z]+\d{4}[a-z]?)\](?![(\[]|: *\S)")
 _CODE = re.compile(r"(^ *```.*?^ *```[^\n]*$|^(?: {4}|\t)[^\n]*$|`[^`\n]+`)", re.MULTILINE | re.DOTALL)
 _SOURCE = re.compile(r"<!-- source (\S+) (\w+) -->")
 _FORMULA = re.compile(r'<(span|div) class="arithmatex">(.*?)</\1>', re.DOTALL)
