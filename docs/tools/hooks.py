@@ -228,7 +228,7 @@ def examples() -> str:
         title, _, text = (ast.get_docstring(ast.parse(source)) or path.stem).partition("\n")
         code = re.sub(r'^("""|\'\'\').*?\1\n+', "", source, count=1, flags=re.DOTALL)
         name = f"`examples/{path.name}`"
-        parts.append(f"### {title.rstrip('.')}\n\n{name}\n\n{text.strip()}\n\n```python\n{code.rstrip()}\n```")
+        parts.append(f"### {title.rstrip('.')}\n\n{name}\n\n{text.strip(chr(10))}\n\n```python\n{code.rstrip()}\n```")
     return "\n\n".join(parts)
 
 
