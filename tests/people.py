@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from marey.body.articulation.pose import Pose, SurfacePoints
+from marey.body.articulation.pose import Pose, SkinPoints
 from marey.body.articulation.skeleton import Skeleton, full_skeleton
 from marey.body.articulation.surface import Body, ShapeSpace
 
@@ -50,7 +50,5 @@ def any_pose(rng: np.random.Generator, body: Body, *, spread: float = 0.4) -> Po
     return rest.step(change)
 
 
-def any_points(rng: np.random.Generator, body: Body, count: int) -> SurfacePoints:
-    return SurfacePoints(
-        face=rng.integers(0, len(body.faces), count), barycentric=rng.dirichlet([1.0, 1.0, 1.0], count)
-    )
+def any_points(rng: np.random.Generator, body: Body, count: int) -> SkinPoints:
+    return SkinPoints(face=rng.integers(0, len(body.faces), count), barycentric=rng.dirichlet([1.0, 1.0, 1.0], count))

@@ -15,6 +15,7 @@ from bench.recording import Run
 from marey.fit.recipes.sequence import SequenceSettings
 from marey.io.trial.trial import read_trial
 from marey.pipelines.capture import capture
+from marey.pipelines.capture.run import opened
 from marey.pipelines.capture.settings import CaptureSettings
 from marey.pipelines.progress import RecordingProgress
 
@@ -44,7 +45,7 @@ CHOICES: dict[str, dict[str, object]] = {
 
 def refined_by_choice(names: list[str], seconds: dict[str, float]):
     """Return stand-ins for the last two steps of a capture: refine and write once for each choice."""
-    refine, write = capture._refined, capture.write_capture
+    refine, write = capture.refined_person, capture.write_capture
 
     def refined(run, *found):
         fits = {}
@@ -71,11 +72,13 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(run: Run) -> None:
     """Capture, refine by choice, and score."""
     names, seconds = run.arguments.only.split(","), dict[str, float]()
-    capture._refined, capture.write_capture = refined_by_choice(names, seconds)
+    capture.refined_person, capture.write_capture = refined_by_choice(names, seconds)
     table = begin(run, "One choice changed at a time", ("take", "choice"), MOTION)
     for take in run.arguments.takes or ("reach", "walk", "stealth", "jacks"):
         trial, out = run.shared / "data" / "people" / take, run.out / "choices" / take
-        capture.capture_trial(read_trial(trial), CaptureSettings(out=out, overlay=False), RecordingProgress())
+        settings = CaptureSettings(out=out, overlay=False)
+        with opened(read_trial(trial), settings, RecordingProgress()) as (run_on_trial, bodies, logs):
+            capture.run_capture(run_on_trial, bodies, logs)
         for name in names:
             skip = ("--skip-empty", empty_frames(trial))
             numbers = score(run, "capture.py", out / name.replace(" ", "_"), truth_of(trial), *skip)

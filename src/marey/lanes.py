@@ -1,7 +1,7 @@
-"""Eight numbers at a time: sums over a few neighbouring numbers, in the processor's vectors, for kernels.
+"""Vector instructions for kernels: sums over eight neighbouring numbers at a time.
 
-Numba's compiler makes vectors of long loops only. Where a loop has eight turns and lies inside of another one, these
-say outright what is meant; a processor with shorter vectors does it in several strokes.
+Numba vectorises long loops only. These intrinsics express an inner loop over eight numbers as vector instructions; a
+processor with shorter vectors executes several instructions.
 """
 
 from typing import Any
@@ -11,11 +11,14 @@ from numba import types
 from numba.extending import intrinsic
 
 LANES = 8
-"""Numbers that belong together."""
+"""Number of float64 values in one vector: 512 bits."""
 
 _LANES = ir.VectorType(ir.DoubleType(), LANES)
+"""Type of a vector of float64 in LLVM."""
 _LABELS = ir.VectorType(ir.IntType(32), LANES)
+"""Type of a vector of int32 in LLVM."""
 _FAST = ("fast",)
+"""Floating-point flags of LLVM that allow reassociation."""
 
 
 def _spread(builder: Any, scalar: Any) -> Any:

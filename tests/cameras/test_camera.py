@@ -163,12 +163,12 @@ def test_the_border_belongs_to_the_picture(lens_camera):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"distortion": [0.1, 0.2, 0.3]}, "has 3 lens numbers; a lens has 4"),
-        ({"distortion": [0.1] * 5, "fisheye": True}, "a fisheye has the 4 numbers"),
+        ({"distortion": [0.1, 0.2, 0.3]}, "has 3 distortion coefficients; a lens has 4"),
+        ({"distortion": [0.1] * 5, "fisheye": True}, "a fisheye lens has 4"),
         ({"distortion": [0.1, np.nan, 0, 0]}, "not finite"),
-        ({"distortion": [-3.0, 0, 0, 0]}, "folds back inside the picture"),
-        ({"distortion": [5.0, 0, 0, 0]}, "no real lens"),
-        ({"distortion": [-2.0, 0, 0, 0], "fisheye": True}, "folds back"),
+        ({"distortion": [-3.0, 0, 0, 0]}, "not invertible"),
+        ({"distortion": [5.0, 0, 0, 0]}, "implausible distortion"),
+        ({"distortion": [-2.0, 0, 0, 0], "fisheye": True}, "not invertible"),
         ({"matrix": np.diag([-600.0, 600, 1])}, "must be positive"),
         ({"matrix": np.full((3, 3), 1.0)}, "not \\[\\[fx"),
         ({"size": (0, 480)}, "must be positive"),

@@ -12,9 +12,6 @@ from marey.geometry.rigid import RigidTransform
 from marey.io.npz import write_arrays
 from marey.io.opensim.mot_sto import Table, write_table
 from marey.io.opensim.trc import PointPaths, write_trc
-from marey.motion.names import hinge_sign, known_angle, known_point, known_segment
-from marey.motion.recording import Recording
-from marey.pipelines.compare import same_names
 
 SHIFT = 0.25
 TIME = np.arange(0, 4, 0.01)
@@ -122,7 +119,7 @@ def test_names_that_only_the_user_knows_are_given_in_a_file(folder, capsys):
         ("[angles\n", "cannot be read as TOML"),
     ],
 )
-def test_a_wrong_file_of_names_is_said(folder, capsys, text, wrong):
+def test_a_wrong_file_of_names_is_reported(folder, capsys, text, wrong):
     (folder / "names.toml").write_text(text)
     assert run(["compare", "ours.mot", "theirs.mot", "--map", "names.toml"]) == 2
     error = capsys.readouterr().err
@@ -146,27 +143,3 @@ def test_wrong_input_is_one_clear_line(folder, capsys, arguments, wrong):
     error = capsys.readouterr().err
     assert wrong in error
     assert [line for line in error.splitlines() if line.startswith("marey:")] == [error.splitlines()[-1]]
-
-
-def test_known_names_of_other_programs_are_ours():
-    assert known_angle("knee_angle_l") == ("left_knee_flexion", 1.0)
-    assert known_angle("lumbar_extension") == ("trunk_flexion", -1.0)
-    assert known_angle("subtalar_angle_r") is None
-    names = ("RKnee", "R_KJC", "RightKneeCenter", "knee_r", "right_knee", "RKJC")
-    assert {known_point(name) for name in names} == {"right_knee"}
-    assert known_point("R.Knee.Lat") is None
-    assert (known_segment("femur_l"), known_segment("torso")) == ("left_thigh", "thorax")
-
-
-def test_a_knee_that_bends_below_zero_is_turned_round():
-    assert hinge_sign("left_knee_flexion", np.radians([-60, -30, 2.0])) == -1
-    assert hinge_sign("left_knee_flexion", np.radians([60, 30, -4.0])) == 1
-    assert hinge_sign("left_hip_flexion", np.radians([-60, -30, 2.0])) == 1
-
-
-def test_two_names_for_one_quantity_stay_apart():
-    time = np.arange(4.0)
-    both = Recording(time=time, point_names=("RKJC", "RKnee"), points=np.zeros((4, 2, 3)))
-    one = Recording(time=time, point_names=("right_knee",), points=np.zeros((4, 1, 3)))
-    first, second = same_names(both, one, {})
-    assert (first.point_names, second.point_names) == (("RKJC", "RKnee"), ("right_knee",))

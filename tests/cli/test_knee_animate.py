@@ -182,7 +182,7 @@ def test_too_few_common_markers_are_an_error(made: MadeActivity, tmp_path: Path,
     (tmp_path / "knee" / "markers.json").write_text(json.dumps(few), encoding="utf-8")
     said = failing("--reference", str(made.standing), knee=tmp_path / "knee")
     assert "markers.json: cannot be related to" in said
-    assert "No bone can be carried" in said
+    assert "No bone can be transformed" in said
 
 
 def test_where_one_bone_alone_can_be_joined_it_is_moved_and_the_exit_code_says_so(

@@ -33,7 +33,7 @@ def capture(monkeypatch: pytest.MonkeyPatch) -> FakeCapture:
     return fake
 
 
-def test_the_version_is_told(capsys):
+def test_the_version_is_printed(capsys):
     assert run(["--version"]) == 0
     assert capsys.readouterr().out.strip() == f"marey {marey.__version__}"
 
@@ -122,13 +122,13 @@ def test_the_commands_on_a_trial_print_the_path_of_their_result(tmp_path, capsys
     assert given["shape"][1]["preset"] == "right_arm"
 
 
-def test_interrupting_says_that_the_same_command_goes_on(capture, tmp_path, capsys):
+def test_an_interrupted_run_names_the_way_to_resume_it(capture, tmp_path, capsys):
     capture.fails = KeyboardInterrupt()
     assert run(["capture", str(tmp_path)]) == 130
     assert "same command" in capsys.readouterr().err
 
 
-def test_a_full_disk_is_the_users_to_mend_but_a_fault_of_the_program_keeps_its_traceback(capture, tmp_path, capsys):
+def test_a_full_disk_is_reported_in_one_line_but_an_error_of_the_program_keeps_its_traceback(capture, tmp_path, capsys):
     capture.fails = OSError(28, "No space left on device", str(tmp_path / "motion.npz"))
     assert run(["capture", str(tmp_path)]) == 2
     assert "motion.npz: No space left on device" in capsys.readouterr().err
@@ -138,14 +138,14 @@ def test_a_full_disk_is_the_users_to_mend_but_a_fault_of_the_program_keeps_its_t
 
 
 @pytest.mark.parametrize("page", ["report.html", "marey/report.html", "surface.html", "knee.html", "knee/knee.html"])
-def test_view_prints_where_the_report_is(page, tmp_path, capsys):
+def test_view_prints_the_path_of_the_report(page, tmp_path, capsys):
     (tmp_path / page).parent.mkdir(exist_ok=True)
     (tmp_path / page).write_text("<html>")
     assert run(["view", str(tmp_path), "--no-browser"]) == 0
     assert capsys.readouterr().out.strip() == str((tmp_path / page).resolve())
 
 
-def test_what_was_typed_wrong_is_told_with_the_help_of_its_own_command(capsys):
+def test_a_missing_argument_is_reported_with_the_help_of_its_own_command(capsys):
     assert run(["knee", "animate", "folder"]) == 2
     assert capsys.readouterr().err == "marey: Missing argument 'MOTION'. See marey knee animate --help.\n"
 
@@ -157,7 +157,7 @@ def test_the_demo_captures_the_example_of_the_clone_in_its_own_folder(capture, c
     assert settings["out"] == folder / "marey"
 
 
-def test_the_demo_of_an_installed_program_leaves_its_results_where_it_was_called(capture, tmp_path, monkeypatch):
+def test_the_demo_of_an_installed_program_writes_to_the_current_folder(capture, tmp_path, monkeypatch):
     example = tmp_path / "share" / "marey" / "examples" / "reach"
     example.mkdir(parents=True)
     (example / "cameras.toml").touch()

@@ -26,13 +26,13 @@ def test_away_from_a_terminal_stages_are_plain_lines_with_the_time_left(monkeypa
     monkeypatch.setattr(module, "SECONDS_BETWEEN_LINES", 0.0)
     stream = io.StringIO()
     with TerminalProgress(stream).stage("Silhouettes", 10, done=4) as step:
-        for seconds in (7.0, 1.0, 1.0):
+        for seconds in (7.0, 2.0, 2.0):
             clock[0] += seconds
             step()
     lines = stream.getvalue().splitlines()
     assert lines[0] == "Silhouettes ... 4 of 10 finished by an earlier run"
     assert lines[1] == "Silhouettes: 5 of 10"
-    assert lines[3] == "Silhouettes: 7 of 10, about 3.0 s left"
+    assert lines[3] == "Silhouettes: 7 of 10, about 6.0 s left"
     assert "\x1b" not in stream.getvalue()
     assert lines[-1].startswith("Silhouettes: done in")
 
@@ -78,9 +78,9 @@ def test_the_time_spent_on_compilation_does_not_count_in_the_time_left(monkeypat
             progress.compilation.start()
             clock[0] += compiling
             progress.compilation.end()
-            clock[0] += 1.0
+            clock[0] += 2.0
             step()
-    assert re.search(r"3 of 10, about 7\.0 s left", stream.getvalue())
+    assert re.search(r"3 of 10, about 14\.0 s left", stream.getvalue())
 
 
 def test_kernels_that_call_each_other_are_counted_once():

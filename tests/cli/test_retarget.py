@@ -20,7 +20,7 @@ def folder(tmp_path):
     return tmp_path
 
 
-def test_the_copy_lies_beside_the_motion_and_the_joints_are_told(folder, capsys):
+def test_the_copy_lies_beside_the_motion_and_the_joints_are_reported(folder, capsys):
     assert run(["retarget", str(folder / "trial"), str(folder / "knight.glb")]) == 0
     said = capsys.readouterr().out
     assert "left_thigh = mixamorig:LeftUpLeg" in said
@@ -35,7 +35,7 @@ def test_a_file_alone_and_a_place_for_the_copy_may_be_given(folder, capsys):
     assert capsys.readouterr().out == f"Written: {folder / 'new' / 'a.glb'}\n"
 
 
-def test_twist_joints_and_planted_feet_are_told(folder, capsys):
+def test_twist_joints_and_planted_feet_are_reported(folder, capsys):
     rigs.write_rig(folder / "ranger.glb", rigs.UNREAL_5, segments(rigs.UNREAL_5))
     assert run(["retarget", str(folder / "trial"), str(folder / "ranger.glb"), "--plant-feet"]) == 0
     said = capsys.readouterr().out

@@ -11,15 +11,15 @@ COUNT = 120
 
 
 def steady() -> np.ndarray:
-    return np.full(COUNT, 0.2)
+    return np.full(COUNT, 0.8)
 
 
 def slow_first_step() -> np.ndarray:
-    return np.concatenate([[16.0], np.full(COUNT - 1, 0.05)])
+    return np.concatenate([[16.0], np.full(COUNT - 1, 0.1)])
 
 
 def irregular() -> np.ndarray:
-    return np.random.default_rng(5).gamma(2.0, 0.1, COUNT)
+    return np.random.default_rng(5).gamma(2.0, 0.4, COUNT)
 
 
 def in_batches(size: int) -> np.ndarray:
@@ -28,11 +28,16 @@ def in_batches(size: int) -> np.ndarray:
 
 
 def ever_slower() -> np.ndarray:
-    return np.geomspace(0.1, 0.3, COUNT)
+    return np.geomspace(0.4, 1.2, COUNT)
 
 
 def ever_faster() -> np.ndarray:
-    return np.geomspace(0.3, 0.1, COUNT)
+    return np.geomspace(1.2, 0.4, COUNT)
+
+
+def empty_frames_first() -> np.ndarray:
+    """As in a take whose first frames show no person."""
+    return np.concatenate([np.full(12, 0.02), np.full(COUNT - 12, 0.4)])
 
 
 def slow_first_batch() -> np.ndarray:
@@ -44,6 +49,7 @@ def slow_first_batch() -> np.ndarray:
 STAGES = {
     "steady": steady(), "slow first step": slow_first_step(), "irregular": irregular(), "in twos": in_batches(2),
     "in eights": in_batches(8), "ever slower": ever_slower(), "ever faster": ever_faster(),
+    "empty frames first": empty_frames_first(),
     "slow first batch": slow_first_batch(), "three steps": np.array([25.0, 3.0, 4.0]), "few steps": np.full(8, 2.0),
 }  # fmt: skip
 

@@ -79,7 +79,7 @@ def test_a_failed_run_leaves_the_last_results_as_they_were(tmp_path):
     assert not (tmp_path / ".work" / "results").exists()
 
 
-def test_the_record_tells_what_was_run_on_what(tmp_path):
+def test_the_record_holds_command_settings_and_inputs(tmp_path):
     video = tmp_path / "cam01.mp4"
     video.write_bytes(b"film")
     progress = RecordingProgress()
@@ -97,7 +97,7 @@ def test_the_record_tells_what_was_run_on_what(tmp_path):
 @pytest.mark.parametrize(
     ("error", "kept"), [(None, False), (FileProblem("a", "b"), False), (KeyboardInterrupt(), True)]
 )
-def test_what_was_found_is_kept_when_interrupted_and_forgotten_when_done_or_to_be_mended(tmp_path, error, kept):
+def test_checkpoints_stay_after_an_interruption_and_go_after_the_end_or_a_users_error(tmp_path, error, kept):
     out = tmp_path / "results"
 
     def work() -> None:

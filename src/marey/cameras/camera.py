@@ -1,4 +1,4 @@
-"""One camera with its lens: from the world to pixels and back."""
+"""A calibrated camera with its lens: projection of points to pixels, and rays of pixels."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -12,12 +12,20 @@ from marey.errors import SettingProblem
 from marey.geometry.rigid import RigidTransform
 
 RADIAL_COUNTS = (0, 4, 5, 8, 12)
+"""Numbers of distortion coefficients that OpenCV's radial and tangential model allows."""
 FISHEYE_COUNTS = (0, 4)
+"""Numbers of distortion coefficients that OpenCV's fisheye model allows."""
 
 _BLIND_SHARE = 0.05
-"""A calibration may fold in the outermost corners, where no board was held; a larger part of the picture may not."""
+"""Largest allowed share of the image in which the lens model is not invertible.
+
+A calibration may fail in the outermost corners, which no board covered. Chosen by hand.
+"""
 _GREATEST_BEND = 1.4
-"""Strong pincushion lenses move a corner outward by a tenth; mixed-up numbers move it further than this."""
+"""Largest allowed ratio of distorted to undistorted radius.
+
+Strong pincushion lenses reach about 1.1; coefficients in the wrong order give larger ratios. Chosen by hand.
+"""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -36,9 +44,9 @@ class Camera:
     """
 
     name: str
-    """What the camera is called in every file and message."""
+    """Name of the camera in files and messages."""
     size: tuple[int, int]
-    """Width and height of the picture [px]."""
+    """Width and height of the image [px]."""
     matrix: Floats
     """(3, 3) focal lengths, skew and principal point [px]."""
     distortion: Floats
@@ -46,7 +54,10 @@ class Camera:
     fisheye: bool = False
     """True for OpenCV's fisheye model."""
     camera_from_world: RigidTransform
-    """Carries the world to the camera's axes: x right, y down, z forward."""
+    """Transform from world to camera axes: x right, y down, z forward."""
+
+    def __repr__(self) -> str:
+        return f"Camera {self.name} ({self.width} x {self.height} px)"
 
     def __post_init__(self) -> None:
         freeze_fields(self, "matrix")
@@ -58,7 +69,7 @@ class Camera:
 
     @cached_property
     def packed(self) -> Floats:
-        """The camera as one vector for kernels, laid out as `marey.cameras.lens` says."""
+        """The camera as one vector for kernels, in the layout of `marey.cameras.lens`."""
         pose = self.camera_from_world
         return frozen(_pack(self.matrix, self.distortion, fisheye=self.fisheye, pose=pose))
 
@@ -69,12 +80,12 @@ class Camera:
 
     @property
     def width(self) -> int:
-        """Width of the picture [px]."""
+        """Width of the image [px]."""
         return self.size[0]
 
     @property
     def height(self) -> int:
-        """Height of the picture [px]."""
+        """Height of the image [px]."""
         return self.size[1]
 
     def project(self, points: Floats) -> Floats:
@@ -92,7 +103,7 @@ class Camera:
         return out[:, :2].reshape(*points.shape[:-1], 2).copy()
 
     def project_with_derivative(self, points: Floats) -> tuple[Floats, Floats]:
-        """Project points of the world and differentiate the pixels by them.
+        """Project points of the world, with the derivatives of the pixels with respect to the points.
 
         Args:
             points: (n, 3) [m].
@@ -106,7 +117,7 @@ class Camera:
         return pixels, derivative
 
     def depths(self, points: Floats) -> Floats:
-        """Measure how far points lie before the camera.
+        """Return the depths of points.
 
         Args:
             points: (..., 3) [m].
@@ -117,13 +128,13 @@ class Camera:
         return np.asarray(points, float) @ self.camera_from_world.rotation[2] + self.camera_from_world.translation[2]
 
     def undistort(self, pixels: Floats) -> Floats:
-        """Straighten pixels.
+        """Undistort pixels.
 
         Args:
             pixels: (..., 2) [px].
 
         Returns:
-            (..., 2) x/z and y/z in camera axes; NaN where the lens shows nothing.
+            (..., 2) x/z and y/z in camera axes; NaN where the lens model is not invertible.
         """
         pixels = np.ascontiguousarray(pixels, float)
         out = np.empty((pixels.size // 2, 2))
@@ -131,30 +142,30 @@ class Camera:
         return out.reshape(pixels.shape)
 
     def rays(self, pixels: Floats) -> PluckerLines:
-        """Send rays through pixels.
+        """Return the rays of pixels.
 
         Args:
             pixels: (..., 2) [px].
 
         Returns:
-            Lines in the world, directed away from the camera; NaN where the lens shows nothing.
+            Lines in the world, directed away from the camera; NaN where the lens model is not invertible.
         """
         straight = self.undistort(pixels)
         directions = np.concatenate([straight, np.ones_like(straight[..., :1])], axis=-1)
         return PluckerLines.through(self.centre, directions @ self.camera_from_world.rotation)
 
     def contour_planes(self, pixels: Floats, normals: Floats) -> tuple[Floats, Floats]:
-        """Lay planes through the camera's centre along contours, exact for every lens.
+        """Return the planes through the camera's centre that are tangent to contours, exact for every lens.
 
-        A point x of the world lies `plane_normals @ x - offsets` from its plane [m]; the side to which the contour's
-        normal points is the positive one.
+        The signed distance of a world point x from its plane is `plane_normals @ x - offsets` [m]; it is positive
+        on the side to which the normal of the contour points.
 
         Args:
             pixels: (n, 2) points of contours [px].
-            normals: (n, 2) the contours' normals in the picture, of any length.
+            normals: (n, 2) normals of the contours in the image, of any length.
 
         Returns:
-            Unit normals (n, 3) and offsets (n,) [m]; NaN where the lens shows nothing.
+            Unit normals (n, 3) and offsets (n,) [m]; NaN where the lens model is not invertible.
         """
         out = np.empty((len(pixels), 3))
         pixels, normals = np.ascontiguousarray(pixels, float), np.ascontiguousarray(normals, float)
@@ -162,14 +173,14 @@ class Camera:
         return out, out @ self.centre
 
     def ray_turns(self, pixels: Floats, steps: Floats) -> Floats:
-        """Measure by how much the ray turns over steps in the picture.
+        """Return the angles by which the ray turns over steps in the image.
 
         Args:
-            pixels: (n, 2) the steps' middles [px].
+            pixels: (n, 2) centres of the steps [px].
             steps: (n, 2) [px].
 
         Returns:
-            (n,) [rad], for steps of a few pixels; NaN where the lens shows nothing.
+            (n,) [rad], for steps of a few pixels; NaN where the lens model is not invertible.
         """
         out = np.empty(len(pixels))
         pixels, steps = np.ascontiguousarray(pixels, float), np.ascontiguousarray(steps, float)
@@ -177,11 +188,11 @@ class Camera:
         return out
 
     def sees(self, pixels: Floats, *, margin: float = 0.0) -> np.ndarray:
-        """Tell which pixels lie inside the picture.
+        """Return which pixels lie inside the image.
 
         Args:
             pixels: (..., 2) [px].
-            margin: How far from the border they must stay at least [px].
+            margin: Smallest allowed distance from the border [px].
 
         Returns:
             (...) bool; false for NaN.
@@ -191,13 +202,13 @@ class Camera:
         return (x >= low) & (y >= low) & (x <= self.width - 1 - low) & (y <= self.height - 1 - low)
 
     def scaled(self, factor: float) -> "Camera":
-        """Give the camera whose picture is this one's resized by a factor.
+        """Return the camera of images that are resized by a factor.
 
-        Pixel centres stay at whole numbers: x' = (x + 0.5) factor - 0.5, which is what
+        Pixel centres keep integer coordinates: x' = (x + 0.5) factor - 0.5, which is what
         `cv2.resize(image, None, fx=factor, fy=factor)` does.
 
         Args:
-            factor: New size over old size.
+            factor: Ratio of new to old size.
 
         Returns:
             The camera; its size is rounded as OpenCV rounds it.
@@ -208,10 +219,10 @@ class Camera:
         return replace(self, size=size, matrix=resize @ self.matrix)
 
     def moved(self, new_from_old: RigidTransform) -> "Camera":
-        """Express the same camera in another world.
+        """Return the same camera in another world frame.
 
         Args:
-            new_from_old: Carries points of the present world to the new one.
+            new_from_old: Transform from the present world frame to the new one.
 
         Returns:
             The camera in the new world.
@@ -220,16 +231,16 @@ class Camera:
 
 
 def camera_faults(size: tuple[int, int], matrix: Floats, distortion: Floats, *, fisheye: bool) -> list[str]:
-    """List what is wrong with a camera's inner numbers.
+    """List the errors in the intrinsic parameters of a camera.
 
     Args:
         size: Width and height [px].
         matrix: (3, 3) [px].
-        distortion: (n,) the lens.
+        distortion: (n,) distortion coefficients.
         fisheye: Whether the lens is OpenCV's fisheye.
 
     Returns:
-        One clause a fault, each going on from "Camera 'NAME' ..."; empty where all is well.
+        One clause per error, each to follow "Camera 'NAME' ..."; empty if there is none.
     """
     faults = []
     if min(size) < 1:
@@ -239,7 +250,7 @@ def camera_faults(size: tuple[int, int], matrix: Floats, distortion: Floats, *, 
 
 
 def matrix_faults(matrix: Floats) -> list[str]:
-    """List what is wrong with a camera's matrix, each as the middle of a sentence ("has ...")."""
+    """List the errors in a camera matrix, each as the middle of a sentence ("has ...")."""
     if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
         return ["has a matrix that is not 3 x 3 finite numbers"]
     if min(matrix[0, 0], matrix[1, 1]) <= 0:
@@ -251,17 +262,17 @@ def matrix_faults(matrix: Floats) -> list[str]:
 
 def _count_faults(distortion: Floats, *, fisheye: bool) -> list[str]:
     if fisheye and distortion.size not in FISHEYE_COUNTS:
-        return [f"has {distortion.size} lens numbers; a fisheye has the 4 numbers k1 k2 k3 k4"]
+        return [f"has {distortion.size} distortion coefficients; a fisheye lens has 4: k1 k2 k3 k4"]
     if not fisheye and distortion.size not in RADIAL_COUNTS:
         known = "4 (k1 k2 p1 p2), 5 (with k3), 8 (with k4 k5 k6) or 12 (with s1 s2 s3 s4)"
-        return [f"has {distortion.size} lens numbers; a lens has {known}"]
+        return [f"has {distortion.size} distortion coefficients; a lens has {known}"]
     if not np.isfinite(distortion).all():
-        return [f"has a lens number that is not finite: {np.array2string(distortion, precision=4)}"]
+        return [f"has a distortion coefficient that is not finite: {np.array2string(distortion, precision=4)}"]
     return []
 
 
 def _range_faults(size: tuple[int, int], matrix: Floats, distortion: Floats, *, fisheye: bool) -> list[str]:
-    """Check that the lens shows a direction in every part of the picture, and a believable one."""
+    """Check that the lens model is invertible and plausible in the whole image."""
     packed = _pack(matrix, distortion, fisheye=fisheye, pose=RigidTransform.identity())
     x, y = np.meshgrid(np.linspace(0, size[0] - 1, 41), np.linspace(0, size[1] - 1, 41))
     pixels = np.stack([x.ravel(), y.ravel()], axis=-1)
@@ -270,13 +281,14 @@ def _range_faults(size: tuple[int, int], matrix: Floats, distortion: Floats, *, 
     blind = np.isnan(straight[:, 0])
     numbers = np.array2string(np.asarray(distortion), precision=4, separator=", ")
     if blind.mean() > _BLIND_SHARE:
-        share = f"{100 * blind.mean():.0f} % of its picture"
-        return [f"has the lens {numbers}, which folds back inside the picture and shows nothing in {share}"]
+        share = f"{100 * blind.mean():.0f} % of its image"
+        return [f"has the distortion coefficients {numbers}, which are not invertible in {share}"]
     bent = (pixels - matrix[:2, 2]) @ np.linalg.inv(matrix[:2, :2]).T
     bend = np.linalg.norm(bent, axis=1) / np.maximum(np.linalg.norm(straight, axis=1), 1e-9)
     far = np.linalg.norm(bent, axis=1) > 0.1
     if np.any(far) and np.nanmax(np.where(far, bend, 0)) > _GREATEST_BEND:
-        return [f"has the lens {numbers}, which no real lens has: it stretches the picture {np.nanmax(bend):.1f} times"]
+        stretched = f"they stretch the image {np.nanmax(bend):.1f} times"
+        return [f"has implausible distortion coefficients {numbers}: {stretched}"]
     return []
 
 

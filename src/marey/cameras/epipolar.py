@@ -1,4 +1,4 @@
-"""Epipolar lines: where a second camera can see what a first one sees in a pixel."""
+"""Epipolar lines between two cameras, with lens distortion."""
 
 import numpy as np
 
@@ -6,24 +6,24 @@ from marey.arrays import Floats
 from marey.cameras.camera import Camera
 
 _PARALLEL = 1e-12
-"""Squared sine of the angle between two rays below which they do not meet."""
+"""Squared sine of the angle between two rays below which they count as parallel; near the limit of float64."""
 
 
 def epipolar_lines(first: Camera, second: Camera, pixels: Floats, starts: Floats) -> tuple[Floats, Floats]:
-    """Give the piece of each pixel's epipolar line that lies near a start in the second picture.
+    """Return the tangent of the epipolar line of each pixel near a start in the second image.
 
-    Through a lens the line is a curve; this is its tangent, which leaves it by 0.014 px in ten pixels and by 0.0001 px
-    in one, at most, where a lens with k1 = -0.3 fills 640 pixels.
+    With lens distortion the line is a curve. Its tangent deviates from it by at most 0.014 px over ten pixels and
+    0.0001 px over one, for a lens with k1 = -0.3 and an image of 640 px.
 
     Args:
-        first: The camera of the template picture.
-        second: The camera of the search picture.
-        pixels: (n, 2) in the first picture [px].
-        starts: (n, 2) near the line in the second picture [px].
+        first: The camera of the template image.
+        second: The camera of the searched image.
+        pixels: (n, 2) in the first image [px].
+        starts: (n, 2) near the line in the second image [px].
 
     Returns:
         Points (n, 2) on the lines near the starts [px], and unit directions (n, 2), in which the depth in the first
-        picture grows. NaN where the rays through both pixels are parallel or meet behind a camera.
+        image grows. NaN where the rays through both pixels are parallel or meet behind a camera.
     """
     ray, other = first.rays(pixels).directions, second.rays(starts).directions
     baseline = second.centre - first.centre

@@ -1,9 +1,9 @@
-"""Lenses: from a direction before the camera to the picture and back, as kernels for other kernels.
+"""Lens models: kernels that map directions to pixels and back, for use in other kernels.
 
-A camera travels through kernels as one float64 vector of `PACKED` numbers: the rotation (9, row by row) and the
-translation (3) that carry world to camera; fx, skew, fy, cx, cy [px]; the model (0 radial and tangential, 1 fisheye);
-the lens numbers in OpenCV's order, filled up to 14 with zeros; and the square of the radius x/z, y/z up to which the
-lens is one to one. Beyond that radius a polynomial folds back, and a point there has no picture: its pixel is NaN.
+A camera is passed to kernels as one float64 vector of `PACKED` numbers: the rotation (9, row by row) and the
+translation (3) from world to camera; fx, skew, fy, cx, cy [px]; the model (0 radial and tangential, 1 fisheye);
+the distortion coefficients in OpenCV's order, padded with zeros to 14; and the square of the radius of (x/z, y/z) up to
+which the lens model is invertible. Points beyond that radius have no image: their pixels are NaN.
 """
 
 import numpy as np
@@ -12,17 +12,19 @@ from marey.arrays import Floats
 from marey.kernels import kernel
 
 PACKED = 33
+"""Length of the vector of a camera."""
 TRANSLATION, FX, SKEW, FY, CX, CY, MODEL, LENS, LIMIT = 9, 12, 13, 14, 15, 16, 17, 18, 32
+"""Positions of the entries in the vector of a camera; the rotation starts at 0."""
 
 _LEAST_STRETCH = 0.01
-"""Where the lens shrinks areas by more than this, a pixel no longer fixes a direction."""
+"""Determinant of the lens's Jacobian below which a pixel determines no direction; chosen by hand."""
 _NEAR_AXIS = 1e-8
-"""Squared radius below which the fisheye's closed forms lose digits and its series are exact."""
+"""Squared radius below which the series of the fisheye model replaces its closed form, which loses digits there."""
 
 
 @kernel
 def distort(packed: Floats, x: float, y: float) -> tuple[float, float]:
-    """Bend a direction (x/z, y/z) by the lens, by OpenCV's formulas.
+    """Distort a direction (x/z, y/z) with the formulas of OpenCV.
 
     Args:
         packed: (PACKED,) the camera.
@@ -30,7 +32,7 @@ def distort(packed: Floats, x: float, y: float) -> tuple[float, float]:
         y: Down, in units of the depth.
 
     Returns:
-        The place in a picture of focal length 1.
+        The position in an image of focal length 1.
     """
     k = packed[LENS:LIMIT]
     s = x * x + y * y
@@ -52,7 +54,7 @@ def distort(packed: Floats, x: float, y: float) -> tuple[float, float]:
 
 @kernel
 def distort_with_derivative(packed: Floats, x: float, y: float) -> tuple[float, float, float, float, float, float]:
-    """Bend a direction and differentiate the result by it.
+    """Distort a direction, with the derivatives of the result.
 
     Args:
         packed: (PACKED,) the camera.
@@ -94,13 +96,13 @@ def distort_with_derivative(packed: Floats, x: float, y: float) -> tuple[float, 
 
 @kernel
 def one_to_one_radius(packed: Floats) -> float:
-    """Find up to which radius x/z, y/z the lens is one to one: where its derivative first loses its determinant.
+    """Find the radius of (x/z, y/z) up to which the lens is invertible: where its Jacobian first becomes singular.
 
     Args:
-        packed: (PACKED,) the camera; its limit is not read.
+        packed: (PACKED,) the camera; its limit is ignored.
 
     Returns:
-        The radius, infinite where the lens never folds back within 89.9 degrees.
+        The radius; infinite if the lens is invertible up to 89.9 degrees.
     """
     steps, directions = 4000, 16
     radius = 0.0
@@ -109,7 +111,7 @@ def one_to_one_radius(packed: Floats) -> float:
         for j in range(directions):
             turn = 2.0 * np.pi * j / directions
             _, _, ux, uy, vx, vy = distort_with_derivative(packed, r * np.cos(turn), r * np.sin(turn))
-            # A right angle between the ray and the axis squeezes every fisheye: (1 + r^2)^(3/2) takes that out.
+            # Every fisheye compresses the image towards 90 degrees; (1 + r^2)^(3/2) compensates for that.
             fair = (1.0 + r * r) ** 1.5 if packed[MODEL] == 1.0 else 1.0
             if not (ux * vy - uy * vx) * fair > _LEAST_STRETCH:
                 return radius
@@ -136,7 +138,7 @@ def _radius_before(packed: Floats, after: float) -> float:
 
 @kernel
 def undistort(packed: Floats, u: float, v: float) -> tuple[float, float]:
-    """Straighten a place in a picture of focal length 1 by Newton's method; NaN where the lens shows nothing there.
+    """Undistort a position in an image of focal length 1 by Newton's method; NaN where the lens is not invertible.
 
     Args:
         packed: (PACKED,) the camera.
@@ -153,7 +155,7 @@ def undistort(packed: Floats, u: float, v: float) -> tuple[float, float]:
     i = 0
     while i < 30:
         if not x * x + y * y <= limit or (i == 8 and not restarted):
-            # Plain Newton left the lens's range: begin again where the radial part alone would put the point.
+            # The iteration left the range of the lens: restart from the solution of the radial part alone.
             if restarted:
                 break
             restarted, i = True, 0
@@ -175,7 +177,7 @@ def undistort(packed: Floats, u: float, v: float) -> tuple[float, float]:
 
 @kernel
 def undistort_pixel(packed: Floats, column: float, row: float) -> tuple[float, float]:
-    """Straighten a pixel: the direction (x/z, y/z) in camera axes, NaN where the lens shows nothing.
+    """Undistort a pixel: the direction (x/z, y/z) in camera axes, NaN where the lens is not invertible.
 
     Args:
         packed: (PACKED,) the camera.
@@ -201,7 +203,8 @@ def project(packed: Floats, x: float, y: float, z: float) -> tuple[float, float,
         z: World z [m].
 
     Returns:
-        Column and row [px], and one over the depth [1/m]; NaN, NaN, 0 behind the camera and beyond the lens's range.
+        Column and row [px], and one over the depth [1/m]; NaN, NaN, 0 behind the camera and beyond the
+        range of the lens.
     """
     depth = packed[6] * x + packed[7] * y + packed[8] * z + packed[11]
     if not depth > 0.0:
@@ -222,7 +225,7 @@ def project_points(packed: Floats, points: Floats, out: Floats) -> None:
     Args:
         packed: (PACKED,) the camera.
         points: (n, 3) [m].
-        out: (n, 3) is filled with column, row [px] and one over the depth [1/m]; NaN, NaN, 0 where there is no picture.
+        out: (n, 3) is filled with column, row [px] and one over the depth [1/m]; NaN, NaN, 0 where there is no image.
     """
     for i in range(len(points)):
         out[i, 0], out[i, 1], out[i, 2] = project(packed, points[i, 0], points[i, 1], points[i, 2])
@@ -230,13 +233,13 @@ def project_points(packed: Floats, points: Floats, out: Floats) -> None:
 
 @kernel
 def project_points_with_derivative(packed: Floats, points: Floats, pixels: Floats, derivative: Floats) -> None:
-    """Project many points of the world and differentiate the pixels by them.
+    """Project many points of the world, with the derivatives of the pixels.
 
     Args:
         packed: (PACKED,) the camera.
         points: (n, 3) [m].
-        pixels: (n, 2) is filled [px]; NaN where there is no picture.
-        derivative: (n, 2, 3) is filled [px/m]; NaN where there is no picture.
+        pixels: (n, 2) is filled [px]; NaN where there is no image.
+        derivative: (n, 2, 3) is filled [px/m]; NaN where there is no image.
     """
     fx, skew, fy, limit = packed[FX], packed[SKEW], packed[FY], packed[LIMIT]
     for i in range(len(points)):
@@ -260,12 +263,12 @@ def project_points_with_derivative(packed: Floats, points: Floats, pixels: Float
 
 @kernel
 def undistort_pixels(packed: Floats, pixels: Floats, out: Floats) -> None:
-    """Straighten many pixels.
+    """Undistort many pixels.
 
     Args:
         packed: (PACKED,) the camera.
         pixels: (n, 2) [px].
-        out: (n, 2) is filled with x/z and y/z; NaN where the lens shows nothing.
+        out: (n, 2) is filled with x/z and y/z; NaN where the lens is not invertible.
     """
     for i in range(len(pixels)):
         out[i, 0], out[i, 1] = undistort_pixel(packed, pixels[i, 0], pixels[i, 1])
@@ -273,22 +276,22 @@ def undistort_pixels(packed: Floats, pixels: Floats, out: Floats) -> None:
 
 @kernel
 def contour_normals(packed: Floats, pixels: Floats, normals: Floats, out: Floats) -> None:
-    """Find the planes through the camera's centre that touch the solid along contours.
+    """Find the planes through the camera's centre that are tangent to a solid along contours.
 
-    The plane holds the ray d of the pixel and the direction in which the ray moves along the contour's tangent,
-    both exact for the lens; it is turned so that a point that moves along the contour's normal moves positively.
+    The plane contains the ray of the pixel and the direction in which the ray moves along the tangent of the contour,
+    both exact for the lens. Its normal points to the side of the normal of the contour.
 
     Args:
         packed: (PACKED,) the camera.
         pixels: (n, 2) points of contours [px].
-        normals: (n, 2) the contours' normals in the picture, of any length.
-        out: (n, 3) is filled with unit normals of the planes, in world axes; NaN where the lens shows nothing.
+        normals: (n, 2) normals of the contours in the image, of any length.
+        out: (n, 3) is filled with unit normals of the planes, in world axes; NaN where the lens is not invertible.
     """
     fx, skew, fy = packed[FX], packed[SKEW], packed[FY]
     for i in range(len(pixels)):
         x, y = undistort_pixel(packed, pixels[i, 0], pixels[i, 1])
         _, _, ux, uy, vx, vy = distort_with_derivative(packed, x, y)
-        # In the plane z = 1 the contour's covector is the picture's one times the derivative of the pixel.
+        # In the plane z = 1 the covector of the contour is that of the image times the derivative of the pixel.
         a, b = normals[i, 0] * fx, normals[i, 0] * skew + normals[i, 1] * fy
         nx, ny = a * ux + b * vx, a * uy + b * vy
         nz = -(nx * x + ny * y)
@@ -299,13 +302,13 @@ def contour_normals(packed: Floats, pixels: Floats, normals: Floats, out: Floats
 
 @kernel
 def ray_turns(packed: Floats, pixels: Floats, steps: Floats, out: Floats) -> None:
-    """Measure by how much the ray turns over steps in the picture: the length between the unit rays of both ends.
+    """Measure the rotation of the ray over steps in the image: the distance between the unit rays of both ends.
 
     Args:
         packed: (PACKED,) the camera.
-        pixels: (n, 2) the steps' middles [px].
+        pixels: (n, 2) centres of the steps [px].
         steps: (n, 2) [px].
-        out: (n,) is filled [rad, for small steps]; NaN where the lens shows nothing.
+        out: (n,) is filled [rad, for small steps]; NaN where the lens is not invertible.
     """
     for i in range(len(pixels)):
         dx, dy = 0.5 * steps[i, 0], 0.5 * steps[i, 1]

@@ -22,11 +22,11 @@ class PluckerLines:
 
     @staticmethod
     def through(point: Floats, directions: Floats) -> "PluckerLines":
-        """Lay lines through a point, or one through each of several points.
+        """Return lines through a point, or one line through each of several points.
 
         Args:
             point: (3,) or (..., 3) [m].
-            directions: (..., 3) of any length but zero.
+            directions: (..., 3) of any non-zero length.
 
         Returns:
             The lines.
@@ -42,22 +42,23 @@ class PluckerLines:
 
     @property
     def nearest_to_origin(self) -> Floats:
-        """The point (..., 3) of each line that lies nearest to the origin [m]."""
+        """The point (..., 3) of each line that is nearest to the origin [m]."""
         return np.cross(self.directions, self.moments)
 
     def distance_vectors(self, points: Floats) -> Floats:
-        """Give x × direction - moment for each point: the residual of [Rosenhahn2006] eq. (10).
+        """Return x × direction - moment for each point: the residual of [Rosenhahn2006] eq. (10).
 
         Args:
             points: (..., 3) [m], one for each line, or broadcast.
 
         Returns:
-            (..., 3) [m], as long as the point is away from its line, at right angles to the line and to the way there.
+            (..., 3) [m]; its length is the distance of the point from the line, and it is perpendicular to the line and
+            to the shortest connection.
         """
         return np.cross(points, self.directions) - self.moments
 
     def distances(self, points: Floats) -> Floats:
-        """Measure how far points are from the lines.
+        """Return the distances of points from the lines.
 
         Args:
             points: (..., 3) [m].

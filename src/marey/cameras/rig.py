@@ -39,7 +39,7 @@ class Rig:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """The cameras' names."""
+        """Names of the cameras."""
         return tuple(camera.name for camera in self.cameras)
 
     @cached_property
@@ -51,6 +51,9 @@ class Rig:
     def centres(self) -> Floats:
         """The centres of projection (C, 3) in the world [m]."""
         return frozen(np.stack([camera.centre for camera in self.cameras]))
+
+    def __repr__(self) -> str:
+        return f"Rig of {len(self.cameras)} cameras: " + ", ".join(map(repr, self.cameras))
 
     def __len__(self) -> int:
         return len(self.cameras)
@@ -78,24 +81,24 @@ class Rig:
         return Rig(tuple(camera for camera in self.cameras if camera.name in set(names)))
 
     def scaled(self, factor: float) -> "Rig":
-        """Give the cameras of pictures resized by a factor.
+        """Return the cameras of images that are resized by a factor.
 
         Args:
-            factor: New size over old size.
+            factor: Ratio of new to old size.
 
         Returns:
-            The rig for the resized pictures.
+            The rig of the resized images.
         """
         return Rig(tuple(camera.scaled(factor) for camera in self.cameras))
 
     def moved(self, new_from_old: RigidTransform) -> "Rig":
-        """Express the same cameras in another world.
+        """Return the same cameras in another world frame.
 
         Args:
-            new_from_old: Carries points of the present world to the new one.
+            new_from_old: Transform from the present world frame to the new one.
 
         Returns:
-            The rig in the new world.
+            The rig in the new world frame.
         """
         return Rig(tuple(camera.moved(new_from_old) for camera in self.cameras))
 

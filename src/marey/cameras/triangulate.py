@@ -1,4 +1,4 @@
-"""Points in space from their pixels in two or more views, with covariance."""
+"""Triangulation of points from their pixels in two or more views, with covariance."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,25 +9,28 @@ from marey.arrays import Floats, Integers, freeze_fields
 from marey.cameras.camera import Camera
 
 _LEAST_SPREAD = 1e-6
-"""Smallest eigenvalue of the rays' normal matrix (about half the squared angle between two rays) that still fixes a
-point; below it the rays are parallel to within 0.08 degrees."""
+"""Smallest eigenvalue of the normal matrix of the rays that determines a point; chosen by hand.
+
+It is about half the squared angle between two rays: below it the rays are parallel to within 0.08 degrees.
+"""
 _ITERATIONS = 20
+"""Largest number of Gauss-Newton iterations; chosen by hand."""
 _SMALL_STEP = 1e-10
-"""Relative to the distance from the first camera."""
+"""Length of a step, relative to the distance from the first camera, that ends the iteration; chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class TriangulatedPoints:
-    """Points with what is known about their errors; NaN where the views do not fix a point."""
+    """Points with their uncertainty; NaN where the views do not determine a point."""
 
     points: Floats
     """(n, 3) [m]."""
     covariance: Floats
-    """(n, 3, 3) [m2], of the stated precision of the pixels."""
+    """(n, 3, 3) [m2], from the stated standard deviation of the pixels."""
     residual_px: Floats
-    """(n,) root mean square distance of the pixels from the point's projections [px]."""
+    """(n,) root mean square distance between the pixels and the projections of the point [px]."""
     views: Integers
-    """(n,) in how many views the point was measured."""
+    """(n,) number of views in which the point was measured."""
 
     def __post_init__(self) -> None:
         freeze_fields(self, "points", "covariance", "residual_px")
@@ -35,9 +38,9 @@ class TriangulatedPoints:
 
 
 def triangulate(cameras: Sequence[Camera], pixels: Floats, *, sigma_px: float | Floats) -> TriangulatedPoints:
-    """Find the points whose projections lie nearest to measured pixels, in weighted least squares.
+    """Triangulate points by weighted least squares in the images.
 
-    The start is the point nearest to all rays; Gauss-Newton on the distances in the pictures follows.
+    The initial point is the one nearest to all rays; Gauss-Newton iterations minimise the distances in the images.
 
     Args:
         cameras: C cameras.
@@ -45,7 +48,7 @@ def triangulate(cameras: Sequence[Camera], pixels: Floats, *, sigma_px: float | 
         sigma_px: Standard deviation of the pixels in x and in y [px]; one number, or (C, n).
 
     Returns:
-        The points; NaN with fewer than two views, with parallel rays, and where no point before the cameras fits.
+        The points; NaN with fewer than two views, with parallel rays, and if no point in front of the cameras fits.
 
     Example:
         >>> import numpy as np
@@ -92,9 +95,9 @@ def _nearest_to_rays(cameras: Sequence[Camera], pixels: Floats, measured: np.nda
 def _system(
     cameras: Sequence[Camera], points: Floats, pixels: Floats, weights: Floats
 ) -> tuple[Floats, Floats, Floats]:
-    """Build the normal equations (n, 3, 3) and (n, 3), and give the squared distances (C, n) [px2].
+    """Return the normal equations (n, 3, 3) and (n, 3), and the squared distances (C, n) [px2].
 
-    A view that measured a point it cannot see makes the point's rows NaN.
+    A view that measured a point which it cannot see makes the rows of the point NaN.
     """
     n = len(points)
     normal, right, squares = np.zeros((n, 3, 3)), np.zeros((n, 3)), np.zeros((len(cameras), n))

@@ -1,4 +1,4 @@
-"""What a camera sees of a triangle mesh: depth buffer, visible faces and rim."""
+"""Visibility of a triangle mesh in a camera: depth buffer, visible faces and rim."""
 
 import threading
 from dataclasses import dataclass
@@ -13,86 +13,86 @@ from marey.lanes import LANES, paint_row
 
 
 class Rim(NamedTuple):
-    """The outermost covered pixels of a mesh in a picture, and the surface points seen there."""
+    """The outermost covered pixels of a mesh in an image, with their surface points."""
 
     pixels: Floats
-    """(n, 2) x, y in the picture, whole numbers."""
+    """(n, 2) x, y in the image, integers."""
     inward: Floats
-    """(n, 2) unit normals of the outline, towards the inside [px]."""
+    """(n, 2) inward unit normals of the outline [px]."""
     face: Integers
-    """(n,) the face seen."""
+    """(n,) the visible face."""
     barycentric: Floats
-    """(n, 3) where on the face."""
+    """(n, 3) barycentric coordinates on the face."""
     depth: Floats
     """(n,) of the surface point from the camera [m]."""
 
 
 JUMP = 0.025
-"""Limbs that lie one behind the other by less than this touch, and no rim is seen between them [m]."""
+"""Depth difference of two limbs below which they count as touching, without a rim between them [m]; chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A mesh as one camera sees it, kept for the part of the picture that it covers."""
+    """A mesh rendered by one camera, stored for the part of the image that it covers."""
 
     corner: tuple[int, int]
-    """x, y of the part's first pixel in the picture."""
+    """x, y of the first pixel of the part in the image."""
     size: tuple[int, int]
-    """Width and height of the whole picture."""
+    """Width and height of the whole image."""
     inverse_depth: Floats
-    """(h, w) [1/m], zero where nothing is seen."""
+    """(h, w) [1/m], zero where the mesh is not visible."""
     face: NDArray[np.int32]
-    """(h, w) index of the visible face, -1 where nothing is seen."""
+    """(h, w) index of the visible face, -1 where there is none."""
     projected: Floats
-    """(V, 3) the vertices as x, y [px] and inverse depth [1/m]; NaN where they cannot be seen."""
+    """(V, 3) the vertices as x, y [px] and inverse depth [1/m]; NaN where they are not visible."""
 
     @property
     def covered(self) -> Mask:
-        """(h, w) true where the mesh is seen, for the part of the picture."""
+        """(h, w) true where the mesh is visible, for the part of the image."""
         return self.face >= 0
 
     def mask(self) -> Mask:
-        """(height, width) true where the mesh is seen, for the whole picture."""
+        """(height, width) true where the mesh is visible, for the whole image."""
         full = np.zeros((self.size[1], self.size[0]), bool)
         x, y = self.corner
         full[y : y + self.face.shape[0], x : x + self.face.shape[1]] = self.face >= 0
         return full
 
     def rim(self, faces: Integers) -> Rim:
-        """Find the rim: covered pixels beside an uncovered one; the picture's border is no outline.
+        """Find the rim: covered pixels next to an uncovered one; the border of the image is not an outline.
 
         Args:
-            faces: (T, 3) the mesh that was seen.
+            faces: (T, 3) the rendered mesh.
         """
         return Rim(*rim_pixels(self.face, self.projected, faces, self.corner[0], self.corner[1]))
 
     def interior_rim(self, faces: Integers, limb: Integers, *, jump: float = JUMP) -> Rim:
-        """Find the rims inside of the outline: pixels of a limb beside a pixel of another limb that lies behind.
+        """Find the rims inside of the outline: pixels of a limb next to a pixel of another limb farther away.
 
         Args:
-            faces: (T, 3) the mesh that was seen.
-            limb: (T,) to which limb each face belongs.
-            jump: how much farther away the other limb lies at least [m].
+            faces: (T, 3) the rendered mesh.
+            limb: (T,) limb of each face.
+            jump: smallest depth difference to the other limb [m].
         """
         x, y = self.corner
         return Rim(*interior_rim_pixels(self.face, self.inverse_depth, self.projected, faces, limb, x, y, jump))
 
 
 MARGIN = 3
-"""Pixels kept around the mesh."""
+"""Width of the empty border around the rendered mesh [px]; chosen by hand."""
 
 
 def see(projected: Floats, faces: Integers, size: tuple[int, int], *, margin: int = MARGIN) -> View:
-    """Draw a mesh into a depth buffer.
+    """Render a mesh into a depth buffer.
 
-    Faces count where they turn their counter-clockwise side to the camera. A pixel is covered when
-    its centre lies in a face; inverse depth is linear over the picture.
+    Only faces whose counter-clockwise side faces the camera are drawn. A pixel is covered if
+    its centre lies in a face; inverse depth is linear in the image.
 
     Args:
-        projected: (V, 3) x, y [px] and inverse depth [1/m] of the vertices; NaN where not to be seen.
+        projected: (V, 3) x, y [px] and inverse depth [1/m] of the vertices; NaN if not visible.
         faces: (T, 3).
-        size: width and height of the picture.
-        margin: pixels kept around the mesh.
+        size: width and height of the image.
+        margin: width of the border around the mesh [px].
     """
     corner, inverse_depth, face = draw_window(projected, faces, size[0], size[1], margin)
     return View(corner, size, inverse_depth, face, projected)
@@ -100,7 +100,7 @@ def see(projected: Floats, faces: Integers, size: tuple[int, int], *, margin: in
 
 @kernel
 def draw_window(projected, faces, width, height, margin):
-    """Find the part of the picture that the vertices may cover, and draw the faces into it."""
+    """Find the part of the image that the vertices may cover, and draw the faces into it."""
     left, top, right, bottom = find_window(projected, width, height, margin)
     count = (bottom - top) * (right - left)
     inverse_depth = np.zeros(count + LANES)[:count].reshape((bottom - top, right - left))
@@ -111,7 +111,7 @@ def draw_window(projected, faces, width, height, margin):
 
 @kernel
 def find_window(projected, width, height, margin):
-    """Find the part of the picture that the vertices may cover: first x, first y, and the ones behind the last."""
+    """Find the part of the image that the vertices may cover: first x, first y, and the ones behind the last."""
     left, top, right, bottom = np.inf, np.inf, -np.inf, -np.inf
     for v in range(projected.shape[0]):
         x, y = projected[v, 0], projected[v, 1]
@@ -141,7 +141,7 @@ class Scratch(NamedTuple):
 
     @staticmethod
     def of(vertices: int, size: tuple[int, int]) -> "Scratch":
-        """Give this thread's buffers for a mesh of so many vertices in a picture of a size."""
+        """Return this thread's buffers for a mesh of so many vertices in a image of a size."""
         known = _BUFFERS.__dict__.setdefault("known", {})
         if (vertices, size) not in known:
             if len(known) > 8:
@@ -152,6 +152,7 @@ class Scratch(NamedTuple):
 
 
 _BUFFERS = threading.local()
+"""Buffers of each thread, by numbers of vertices and image size."""
 
 
 @kernel
@@ -166,7 +167,7 @@ def draw_into(scratch, faces, width, height, margin):
 
 @kernel
 def drawn_last(scratch, width, height, margin):
-    """Give what `draw_into` gave, as long as nothing else was drawn into the scratch."""
+    """Return what `draw_into` gave, as long as nothing else was drawn into the scratch."""
     left, top, right, bottom = find_window(scratch.projected, width, height, margin)
     count = (bottom - top) * (right - left)
     inverse_depth = scratch.inverse_depth[:count].reshape((bottom - top, right - left))
@@ -318,7 +319,7 @@ def _write_unit(nx, ny, inward):
 
 @kernel
 def _on_surface(found, inward, face, projected, faces, left, top):
-    """Give what `Rim` holds of pixels (n, 2) of the buffers."""
+    """Return what `Rim` holds of pixels (n, 2) of the buffers."""
     count = len(found)
     pixels = np.empty((count, 2))
     rim_face = np.empty(count, np.int64)

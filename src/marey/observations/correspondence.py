@@ -8,7 +8,7 @@ import numpy as np
 
 from marey.arrays import Floats, Integers, Mask
 from marey.body.articulation.kinematics import points_on_faces
-from marey.body.articulation.pose import PosedBody, SurfacePoints
+from marey.body.articulation.pose import PosedBody, SkinPoints
 from marey.cameras import lens
 from marey.cameras.camera import Camera
 from marey.cameras.rays import PluckerLines
@@ -128,7 +128,7 @@ def match_outline(
 
 def as_planes(
     sighting: ObservedOutline,
-    where: SurfacePoints,
+    where: SkinPoints,
     j: Integers,
     pixels_per_metre: Floats,
     matching: OutlineMatchSettings,
@@ -143,7 +143,7 @@ def as_planes(
 
 def as_rays(
     sighting: ObservedOutline,
-    where: SurfacePoints,
+    where: SkinPoints,
     j: Integers,
     pixels_per_metre: Floats,
     matching: OutlineMatchSettings,
@@ -180,7 +180,7 @@ def outline_matches(
     if len(j) == 0:
         return None
     observations_of = as_rays if matching.residual == "ray" else as_planes
-    match = observations_of(sighting, SurfacePoints(face=face, barycentric=barycentric), j, scale, matching)
+    match = observations_of(sighting, SkinPoints(face=face, barycentric=barycentric), j, scale, matching)
     return OutlineMatches(match, counts)
 
 
@@ -244,7 +244,7 @@ def match_rays(
 
 def _matches(
     posed: PosedBody, view: View, sighting: ObservedOutline, matching: OutlineMatchSettings
-) -> tuple[SurfacePoints, Integers, Floats] | None:
+) -> tuple[SkinPoints, Integers, Floats] | None:
     """Return the matched surface points, their contour pixels (n,), and the scale (n,) there [px/m]."""
     body, contour = posed.body, sighting.contour
     rim = view.rim(body.faces)
@@ -256,7 +256,7 @@ def _matches(
     )  # fmt: skip
     if len(i) == 0:
         return None
-    where = SurfacePoints(face=rim.face[i], barycentric=rim.barycentric[i])
+    where = SkinPoints(face=rim.face[i], barycentric=rim.barycentric[i])
     reach = distances(posed.points(where), sighting.camera.centre)
     return where, j, 1.0 / (sighting.radians_per_pixel[j] * reach)
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from marey.body.articulation.kinematics import points_on_faces
-from marey.body.articulation.pose import PosedBody, SurfacePoints
+from marey.body.articulation.pose import PosedBody, SkinPoints
 from marey.cameras import lens
 from marey.cameras.visibility import JUMP, MARGIN, Scratch, draw_into, drawn_last, interior_rim_pixels
 from marey.kernels import kernel
@@ -56,7 +56,7 @@ def interior_matches(
     if len(j) == 0:
         return None
     match = SilhouettePlanes(
-        where=SurfacePoints(face=face, barycentric=barycentric), normals=normals[j], offsets=offsets[j],
+        where=SkinPoints(face=face, barycentric=barycentric), normals=normals[j], offsets=offsets[j],
         pixels_per_metre=scale, sigma_px=matching.interior_sigma_px,
     )  # fmt: skip
     return OutlineMatches(match, counts)

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import final
+from typing import Any, final
 
 import numpy as np
 
@@ -60,7 +60,7 @@ class PointsOnMetaballs(Observation):
         return self._kept["balls"]
 
     @cached_property
-    def _kept(self) -> dict:
+    def _kept(self) -> dict[str, Any]:
         return {}
 
     def linearize(self, posed: PosedBody, *, shape: bool = False) -> Linearization:

@@ -7,7 +7,7 @@ from typing import final
 import numpy as np
 
 from marey.arrays import Floats
-from marey.body.articulation.pose import PosedBody, SurfacePoints
+from marey.body.articulation.pose import PosedBody, SkinPoints
 from marey.kernels import kernel
 
 
@@ -109,7 +109,7 @@ class SurfaceObservation(Observation):
         ...         return rows, self.heights_m[:, None]
     """
 
-    where: SurfacePoints
+    where: SkinPoints
     """The n points of the surface."""
 
     @abstractmethod

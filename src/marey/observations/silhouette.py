@@ -6,7 +6,7 @@ from typing import final
 import numpy as np
 
 from marey.arrays import Floats
-from marey.body.articulation.pose import PosedBody, SurfacePoints
+from marey.body.articulation.pose import PosedBody, SkinPoints
 from marey.observations.observation import SurfaceObservation
 
 
@@ -19,7 +19,7 @@ class SilhouettePlanes(SurfaceObservation):
     to slide along the contour, where a silhouette gives no information; see `SilhouetteRays`.
     """
 
-    where: SurfacePoints
+    where: SkinPoints
     """The n rim points."""
     normals: Floats
     """(n, 3) unit normals of the planes."""
@@ -46,7 +46,7 @@ class SilhouettePlanes(SurfaceObservation):
 class SilhouetteRays(SurfaceObservation):
     """Rim points on the ray of a contour pixel ([Rosenhahn2006] eq. (10))."""
 
-    where: SurfacePoints
+    where: SkinPoints
     """The n rim points."""
     directions: Floats
     """(n, 3) unit directions of the Plücker lines."""

@@ -1,14 +1,16 @@
-"""Values that a caller in Python may give in more than one form."""
+"""What all functions of the public interface share: forms of their arguments, and Python warnings."""
 
+import warnings
 from collections.abc import Iterable
 from pathlib import Path
 
-from marey.errors import SettingProblem
+from marey.errors import MareyWarning, SettingProblem
+from marey.pipelines.progress import Progress
 
 PathLike = str | Path
 """A file or folder, as text or as a path."""
-FrameRange = range | tuple[int, int]
-"""Successive frames: a range, or the first frame and the frame after the last."""
+Frames = range | tuple[int, int]
+"""Successive frames: a range with steps of one, or the first frame and the frame after the last."""
 
 
 def optional_path(path: PathLike | None) -> Path | None:
@@ -21,14 +23,26 @@ def path_tuple(paths: PathLike | Iterable[PathLike]) -> tuple[Path, ...]:
     return (Path(paths),) if isinstance(paths, str | Path) else tuple(Path(each) for each in paths)
 
 
-def frame_limits(frames: FrameRange | None) -> tuple[int, int] | None:
-    """Return the first frame and the frame after the last; None stands for all frames.
+def first_and_end(frames: Frames | None) -> tuple[int, int] | None:
+    """Return the first frame and the one after the last.
 
     Raises:
-        SettingProblem: The frames are not successive, or there are none.
+        SettingProblem: The range has gaps, or holds no frame.
     """
-    if isinstance(frames, range):
-        if frames.step != 1 or not len(frames):
-            raise SettingProblem(f"frames is {frames}; it should be successive frames, such as range(40, 100).")
-        return frames.start, frames.stop
-    return frames
+    if frames is None:
+        return None
+    first, end = (frames.start, frames.stop) if isinstance(frames, range) else frames
+    if (isinstance(frames, range) and frames.step != 1) or not 0 <= first < end:
+        raise SettingProblem(f"The frames are {frames}; they should be consecutive, for example range(40, 100).")
+    return first, end
+
+
+def issue_warnings(progress: Progress, *, stacklevel: int = 3) -> None:
+    """Issue what a run warned of as Python warnings.
+
+    Args:
+        progress: Progress reporter of the run.
+        stacklevel: Number of calls between this function and the code to which the warnings refer.
+    """
+    for text in progress.warnings:
+        warnings.warn(text, MareyWarning, stacklevel=stacklevel)

@@ -50,7 +50,7 @@ def test_all_faults_of_a_file_are_told_at_once(tmp_path):
         read_rig(tmp_path)
     message = str(caught.value)
     assert str(tmp_path / "cameras.toml") in message
-    assert "camera 'left' has 3 lens numbers" in message
+    assert "camera 'left' has 3 distortion coefficients" in message
     assert "camera 'right' has no rotation" in message
     assert "camera 'top' needs a translation of 3 numbers" in message
     assert "Each camera is a table" in message
@@ -62,8 +62,8 @@ def test_all_faults_of_a_file_are_told_at_once(tmp_path):
         ("[cam\n", "is not TOML"),
         ("", "has no camera"),
         (CAMERA + CAMERA.replace("cam_0", "cam_1"), "two cameras are called 'left'"),
-        (CAMERA.replace("-0.001]", "nan]"), "a lens number that is not finite"),
-        (CAMERA.replace("[ -0.1,", "[ -5.0,"), "folds back inside the picture"),
+        (CAMERA.replace("-0.001]", "nan]"), "a distortion coefficient that is not finite"),
+        (CAMERA.replace("[ -0.1,", "[ -5.0,"), "not invertible"),
         (CAMERA.replace("640.0", "0.0"), "has the size 0 x 480"),
         (CAMERA + 'fisheye = "no"', "must be true or false"),
         (CAMERA + CAMERA.replace("cam_0", "b").replace("left", "b").replace("3.0]", "3000.0]"), "not in metres"),

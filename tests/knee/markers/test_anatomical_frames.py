@@ -40,7 +40,7 @@ def test_a_femurs_frame_lies_between_its_condyles_with_their_axis_to_the_right()
 
 def test_a_short_shaft_leaves_the_scanners_axis_and_a_word_about_it():
     found = bone_frame("femur", made_femur(60.0), BALLS_MM, left=False)
-    assert "too little of its shaft" in found.notes[0]
+    assert "its shaft is too short" in found.notes[0]
     assert found.scanner_from_bone.rotation[:, 1] == pytest.approx([0, 0, 1], abs=0.02)
 
 
@@ -84,15 +84,15 @@ def test_principal_axes_turn_with_the_points_they_are_of(rng):
     assert np.abs(inside.T @ inside - np.diag((inside**2).sum(0))).max() < 1e-8
 
 
-def test_axes_that_small_errors_turn_are_told(rng):
+def test_axes_that_small_errors_rotate_are_reported(rng):
     square = np.array([[30.0, 0, 0], [0, 30, 0], [-30, 0, 0], [0, -30, 0]])
     _, notes = principal_frame(square)
     assert any("longest and middle" in note for note in notes)
-    assert any("reach alike to both sides" in note for note in notes)
+    assert any("reach equally far to both sides" in note for note in notes)
     assert principal_frame(np.array([[60.0, 5, 0], [-20, -10, 3], [-25, 12, -8], [-15, -7, 20]]))[1] == ()
 
 
-def test_a_bone_whose_condyles_are_not_seen_is_told_and_gets_another_frame():
+def test_a_bone_whose_condyles_are_not_visible_is_reported_and_gets_another_frame():
     bone = made_femur(220.0)
     cut = bone.faces[(bone.vertices_mm[bone.faces][:, :, 2] > 40).all(1)]
     used = np.unique(cut)

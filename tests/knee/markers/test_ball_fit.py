@@ -4,7 +4,7 @@ from tests.made_balls import limb_grid, limb_with_balls, on_skin
 
 from marey.knee.markers import ball_fit
 from marey.knee.markers.ball_candidates import BallCandidate
-from marey.knee.markers.ball_fit import fit_ball
+from marey.knee.markers.ball_fit import BALL_FIT_DEFAULTS, fit_ball
 
 GRID = limb_grid((0.7, 0.7, 1.2))
 CENTRE = np.array(on_skin(2.0, 3.3, 3.0))
@@ -15,7 +15,7 @@ def start(off: float = 0.0, radius: float = 3.0) -> BallCandidate:
 
 
 def test_the_model_has_the_derivatives_that_it_states(rng):
-    patch = ball_fit._patch(limb_with_balls(GRID, CENTRE, [3.0], "bright"), start(), ())
+    patch = ball_fit._patch(limb_with_balls(GRID, CENTRE, [3.0], "bright"), start(), (), settings=BALL_FIT_DEFAULTS)
     assert patch is not None
     numbers = np.array([0.2, -0.3, 0.1, 2.9, 0.4, 160, 5, 120, 2, -1, 0.5, 0.3, 0.9, -0.6, 0.4])
     _, jacobian = ball_fit._model(numbers, patch, derivatives=True)

@@ -13,7 +13,7 @@ from marey.knee.markers.correspondence import (
     bone_chain,
     correspond,
     mean_error_quantile,
-    surface_doubt,
+    surface_uncertainty,
 )
 from marey.knee.markers.reference_posture import reference_posture
 from marey.markers.kinematics.transform_chain import CAPTURE_GLOBAL, MR_GLOBAL, NamedTransform
@@ -74,14 +74,14 @@ def test_a_surfaces_doubt_is_that_of_drawn_transforms(rng):
     moved = points @ np.swapaxes(turned, 1, 2) + (transform.translation + draws[:, 3:])[:, None]
     errors = moved - transform.apply(points)
     seen = np.sqrt((errors**2).sum(-1).mean(0))
-    assert surface_doubt(transform, points).sd_mm == pytest.approx(seen, rel=0.03)
-    held = np.linalg.norm(errors, axis=-1) < surface_doubt(transform, points).within_mm
+    assert surface_uncertainty(transform, points).sd_mm == pytest.approx(seen, rel=0.03)
+    held = np.linalg.norm(errors, axis=-1) < surface_uncertainty(transform, points).within_mm
     assert held.mean(0) == pytest.approx(0.95, abs=0.01)
     within = np.linalg.norm(errors, axis=-1).mean(1)
     assert mean_error_quantile(transform, points) == pytest.approx(np.quantile(within, 0.95), rel=0.1)
 
 
-def test_a_bone_with_two_common_markers_is_told_and_the_other_one_is_carried(rng):
+def test_a_bone_with_two_common_markers_is_reported_and_the_other_one_is_transformed(rng):
     scan = made_scan(rng)
     fewer = [*range(5), 5, 6]
     lost = replace(
@@ -104,7 +104,7 @@ def test_named_markers_that_the_reference_never_shows_are_not_used(rng):
     assert found.missing["tibia"].startswith("2 markers in common (MR5, MR7, MR8 in no frame of the reference)")
 
 
-def test_a_patella_that_is_tracked_but_carries_no_ball_is_told(rng):
+def test_a_patella_that_is_tracked_but_carries_no_ball_is_reported(rng):
     scan = made_scan(rng)
     posture = reference_posture(scan.activity, scan.standing)
     with_patella = replace(posture, bones={**posture.bones, "patella": posture.bones["thigh"]})
@@ -131,5 +131,5 @@ def test_an_activity_without_the_knees_segments_is_an_error_that_names_the_bones
 def test_a_reference_without_the_balls_is_an_error_that_says_so(rng):
     scan = made_scan(rng, named=False)
     without = [label for label in scan.standing.labels if not label.startswith("MR")]
-    with pytest.raises(MareyError, match=r"No three of the scanner's markers.*Are they in it"):
+    with pytest.raises(MareyError, match=r"no three of the scanner's markers.*Check that they are in"):
         joined(replace(scan, standing=scan.standing.select(without)))

@@ -59,7 +59,7 @@ def test_markers_of_two_volumes_are_joined_by_their_precision_and_the_rest_kept(
     both = joined(made([[0.0, 0, 0], [50, 0, 10]], 0.1), made([[50.3, 0, 10], [0, 80, -20]], 0.2))
     np.testing.assert_allclose(both.centres_mm, [[50.06, 0, 10], [0, 0, 0], [0, 80, -20]])
     np.testing.assert_allclose(both.centres_sd_mm[:, 0], [np.sqrt(1 / 125), 0.1, 0.2])
-    assert [note.split(" is seen in ")[1] for note in both.notes] == [
+    assert [note.split(" is visible in ")[1] for note in both.notes] == [
         "the first volume only.",
         "the second volume only.",
     ]

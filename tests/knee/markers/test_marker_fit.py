@@ -102,7 +102,7 @@ def test_of_three_markers_the_moved_one_is_named_and_kept_with_raised_deviations
     fit = fit_markers(markers)
     assert fit.used.all()
     assert fit.raised > 10
-    assert any("M2 seems to lie elsewhere" in note for note in fit.notes)
+    assert any("M2 seems to have moved" in note for note in fit.notes)
 
 
 def test_exchanged_names_are_said(rng):

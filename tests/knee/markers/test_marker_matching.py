@@ -2,13 +2,13 @@ import numpy as np
 import pytest
 
 from marey.geometry.rigid import RigidTransform
-from marey.knee.markers.marker_matching import Markers, best_matching, match_group
+from marey.knee.markers.marker_matching import MarkerPositions, best_matching, match_group
 
 PLACES = np.array([[-40.0, 0, 10], [35, -20, 20], [0, 40, 45], [20, 30, -15], [-25, -35, 60]])
 
 
-def markers(places: np.ndarray, sd_mm: float = 0.5) -> Markers:
-    return Markers(places_mm=places, sd_mm=np.full(len(places), sd_mm))
+def markers(places: np.ndarray, sd_mm: float = 0.5) -> MarkerPositions:
+    return MarkerPositions(places_mm=places, sd_mm=np.full(len(places), sd_mm))
 
 
 def any_motion(rng) -> RigidTransform:

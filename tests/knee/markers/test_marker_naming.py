@@ -19,10 +19,10 @@ def named(scan: MadeScan, scanner: ScannerMarkers) -> NamedBalls:
 
 def test_unnamed_balls_get_their_names_and_bones_by_distance_and_place(rng):
     scan = made_scan(rng, noise_mm=0.4, named=False)
-    told = named(scan, replace(scan.scanner, bones=()))
-    assert list(told.labels) == scan.ball_labels
-    assert told.bones == ("femur",) * 5 + ("tibia",) * 5
-    assert any("By its place" in note for note in told.notes)
+    found = named(scan, replace(scan.scanner, bones=()))
+    assert list(found.labels) == scan.ball_labels
+    assert found.bones == ("femur",) * 5 + ("tibia",) * 5
+    assert any("By position" in note for note in found.notes)
 
 
 def test_some_names_given_are_kept_and_the_others_found(rng):
@@ -33,9 +33,9 @@ def test_some_names_given_are_kept_and_the_others_found(rng):
 
 def test_a_label_of_the_activity_tells_the_bone_before_the_place(rng):
     scan = made_scan(rng, named=True, balls_are_clusters=True)
-    told = named(scan, replace(scan.scanner, bones=()))
-    assert told.bones == ("femur",) * 5 + ("tibia",) * 5
-    assert not any("By its place" in note for note in told.notes)
+    found = named(scan, replace(scan.scanner, bones=()))
+    assert found.bones == ("femur",) * 5 + ("tibia",) * 5
+    assert not any("By position" in note for note in found.notes)
 
 
 def test_a_ball_nearer_to_the_wrong_bone_goes_to_the_bone_whose_motion_it_shares(rng):
@@ -43,11 +43,11 @@ def test_a_ball_nearer_to_the_wrong_bone_goes_to_the_bone_whose_motion_it_shares
     tibia = scan.bones["tibia"]
     # Ball 3, the lowest of the femur's, is nearer to a tibia that reaches so high.
     high = replace(tibia, vertices_mm=tibia.vertices_mm + [0, 0, 40.0])
-    told = named(replace(scan, bones={**scan.bones, "tibia": high}), replace(scan.scanner, bones=()))
-    assert list(told.labels) == scan.ball_labels
-    assert told.bones == ("femur",) * 5 + ("tibia",) * 5
-    assert any("marker 3 is MR3 if it rides on the femur" in note for note in told.notes)
-    assert any("About as near to both: markers 0, 3" in note for note in told.notes)
+    found = named(replace(scan, bones={**scan.bones, "tibia": high}), replace(scan.scanner, bones=()))
+    assert list(found.labels) == scan.ball_labels
+    assert found.bones == ("femur",) * 5 + ("tibia",) * 5
+    assert any("marker 3 is MR3 if it is on the femur" in note for note in found.notes)
+    assert any("About as near to both: markers 0, 3" in note for note in found.notes)
 
 
 def test_balls_that_stand_too_regularly_are_an_error_that_names_them(rng):
@@ -87,9 +87,9 @@ def test_a_marker_that_rides_elsewhere_in_the_activity_is_no_ball_of_this_bone(r
     scan = made_scan(rng, named=False)
     posture = reference_posture(scan.activity, scan.standing)
     segments = {**scan.activity.segment_of_label, "MR2": "pelvis"}
-    told = named_balls(scan.scanner, posture, scan.bones, segment_of_label=segments, left=None)
-    assert list(told.labels) == ["MR0", "MR1", None, *scan.ball_labels[3:]]
-    assert any("Of the femur, marker 2: no marker of the reference" in note for note in told.notes)
+    found = named_balls(scan.scanner, posture, scan.bones, segment_of_label=segments, left=None)
+    assert list(found.labels) == ["MR0", "MR1", None, *scan.ball_labels[3:]]
+    assert any("Of the femur, marker 2: the reference has no marker" in note for note in found.notes)
 
 
 def test_segments_are_bones_of_the_knee_that_was_scanned():
@@ -110,7 +110,7 @@ def test_segments_are_bones_of_the_knee_that_was_scanned():
     ("given", "said"),
     [
         ({"names": ("A", "A", "B")}, "have the name A"),
-        ({"bones": ("femur", "hip", None)}, "rides on hip"),
+        ({"bones": ("femur", "hip", None)}, "on hip"),
         ({"names": ("A",)}, "do not fit"),
     ],
 )

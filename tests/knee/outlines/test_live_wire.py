@@ -97,7 +97,7 @@ def test_what_is_no_slice_and_no_outline_is_an_error(rng: np.random.Generator):
     with pytest.raises(MareyError, match="finite"):
         LiveWire(np.full((20, 20), np.nan), (1.0, 1.0))
     wire = LiveWire(made_slice(rng), (1.0, 1.0))
-    with pytest.raises(MareyError, match="anchor before"):
+    with pytest.raises(MareyError, match="needs an anchor first"):
         wire.path_to((3, 4))
     with pytest.raises(MareyError, match="two anchors"):
         wire.closed([(3, 4), (3.1, 4.1)])

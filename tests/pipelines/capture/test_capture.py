@@ -39,8 +39,8 @@ def test_known_silhouettes_and_clicked_joints_give_a_motion_near_the_truth(trial
     assert [path.name for path in out.iterdir()] == [".work"]
     monkeypatch.setattr(capture, "track_person", not_again)
     monkeypatch.setattr(capture, "begin", not_again)
-    monkeypatch.setattr("marey.fit.recipes.track._mend", not_again)
-    monkeypatch.setattr("marey.fit.recipes.sequence._Work._part", not_again)
+    monkeypatch.setattr("marey.fit.recipes.track._repair_frame", not_again)
+    monkeypatch.setattr("marey.fit.recipes.sequence._Work._window_terms", not_again)
     tasks.capture(trial, **settings)
     names, joints = truth()
     with np.load(out / "motion.npz") as motion:
@@ -69,7 +69,7 @@ def shorten_a_video(trial: Path) -> str:
 def spoil_the_lens(trial: Path) -> str:
     path = trial / "cameras.toml"
     path.write_text(path.read_text().replace("distortions = [ 0.0, 0.0, 0.0, 0.0]", "distortions = [0.1, 0.2, 0.3]", 1))
-    return "3 lens numbers"
+    return "3 distortion coefficients"
 
 
 def add_an_unknown_key(trial: Path) -> str:

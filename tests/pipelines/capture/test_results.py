@@ -129,7 +129,7 @@ def test_files_of_points_tell_the_same_as_the_motion(results):
         np.testing.assert_allclose(found.points, wanted.points, atol=tolerance)
 
 
-def test_the_record_says_what_was_run_on_what(results):
+def test_the_record_holds_command_settings_and_inputs(results):
     record = json.loads((results / "run.json").read_text())
     assert record["settings"]["frames"] == [FIRST, END]
     assert {"cam01.mp4", "cameras.toml", "background/cam01.png"} <= set(record["inputs"])

@@ -142,7 +142,7 @@ def test_silhouettes_of_some_cameras_only_are_refused(store):
         stages.known_silhouettes(some, store, RecordingProgress())
 
 
-def test_frames_in_which_somebody_was_lost_are_told():
+def test_frames_in_which_the_person_was_lost_are_reported():
     progress = RecordingProgress()
     stages.warn_of_lost(progress, range(3, 9), {3: 0, 4: 0, 8: 0}, count=12)
     assert progress.warnings == ["The person is visible but was lost in frames 5 to 7: these frames have no pose."]
@@ -197,7 +197,7 @@ def test_edges_are_looked_for_where_the_body_expects_them_and_kept_with_the_silh
     np.testing.assert_array_equal(kept.limb, found.limb)
 
 
-def test_clutter_is_told_by_camera_and_only_what_is_common_is_kept(tmp_path):
+def test_clutter_is_reported_by_camera_and_only_what_is_common_is_kept(tmp_path):
     body = worlds.person()
     cameras = worlds.ring(4)
     masks = worlds.silhouettes(PosedBody(body, worlds.pose(body)), cameras)

@@ -76,7 +76,8 @@ def test_an_observation_of_a_kind_from_outside_pulls_the_body(motion, trial):
     head = names.index("head")
     before = motion.data.segment_origin[FRAMES, head, 2]
     given = {frame: [JointHeight(head, before[0] + 0.03)] for frame in FRAMES}
-    pulled = marey.capture(trial, frames=FRAMES, overlay=False, observations=given)
+    with pytest.warns(marey.MareyWarning, match=r"without a pose are not used: 7\."):
+        pulled = marey.capture(trial, frames=FRAMES, overlay=False, observations=given | {7: given[42]})
     after = pulled.data.segment_origin[FRAMES, head, 2]
     np.testing.assert_allclose(after, before[0] + 0.03, atol=0.01)
     assert np.abs(after - before).min() > 0.015
@@ -129,3 +130,10 @@ def test_warnings_of_a_run_are_python_warnings():
         issue_warnings(progress)
     assert [str(each.message) for each in caught] == ["cam02 is dark"]
     assert issubclass(caught[0].category, marey.MareyWarning)
+
+
+def test_trials_and_cameras_describe_themselves(trial):
+    opened = marey.open_trial(trial, frames=range(10, 20), cameras=["cam01", "cam02"])
+    expected = "Trial trial: 2 cameras (cam01, cam02), frames 10 to 19 of 130 at 30 Hz; with background and silhouettes"
+    assert repr(opened) == expected
+    assert repr(opened.rig) == "Rig of 2 cameras: Camera cam01 (640 x 480 px), Camera cam02 (640 x 480 px)"

@@ -6,12 +6,14 @@ from tests.made_animations import GAP_MM, made_activity
 
 from marey.errors import SettingProblem
 from marey.pipelines.knee.animate import AnimateSettings, animate_knee
+from marey.pipelines.progress import RecordingProgress
 
 
 def test_gaps_and_angles_are_found_by_name(tmp_path):
     made = made_activity(tmp_path, fine=2)
     before = sorted(path.name for path in made.motion.iterdir())
-    moving = animate_knee(made.knee, made.motion, reference=made.standing, views=("plateau",))
+    progress = RecordingProgress()
+    moving = animate_knee(made.knee, made.motion, reference=made.standing, views=("plateau",), progress=progress)
     assert moving.moved == ("femur", "tibia")
     gap = moving.gaps["tibiofemoral medial"]
     # A coarse mesh has facets up to some tenths of a millimetre within its ball.

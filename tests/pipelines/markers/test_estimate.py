@@ -115,5 +115,5 @@ def test_with_a_folder_the_same_call_writes_the_files_of_the_command(walk, tmp_p
 
 
 def test_frames_must_be_successive(folder):
-    with pytest.raises(SettingProblem, match="successive"):
+    with pytest.raises(SettingProblem, match="consecutive"):
         open_markers(folder / "walk.c3d", frames=range(0, 90, 2))

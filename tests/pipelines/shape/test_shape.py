@@ -85,7 +85,7 @@ class Calibrated:
     rig: Rig
 
 
-def test_cameras_that_the_surface_corrected_are_used_and_it_is_said(tmp_path):
+def test_cameras_that_the_surface_corrected_are_used_and_it_is_reported(tmp_path):
     cameras = worlds.ring(3)
     rig = Rig(tuple(replace(camera, name=name) for camera, name in zip(cameras, "abc", strict=True)))
     shift = RigidTransform(rotation=np.eye(3), translation=np.array([0.01, 0.0, 0.0]))

@@ -110,7 +110,7 @@ def test_another_commands_results_stay(results):
     assert json.loads((results / "run.json").read_text())["earlier"]["capture"] == kept
 
 
-def test_cameras_that_nod_are_corrected_and_it_is_said(instants, tmp_path):
+def test_cameras_that_nod_are_corrected_and_it_is_reported(instants, tmp_path):
     from tests.surface.points.test_refine_rig import turned
 
     wrong = type(RIG)((*RIG.cameras[:2], turned(RIG.cameras[2], 0.12)))
@@ -125,7 +125,7 @@ def test_cameras_that_nod_are_corrected_and_it_is_said(instants, tmp_path):
     assert 0.05 < found["cameras"]["right"]["turned_deg"] < 0.2
 
 
-def test_an_interrupted_run_goes_on(instants, tmp_path, monkeypatch):
+def test_an_interrupted_run_is_resumed(instants, tmp_path, monkeypatch):
     from marey.pipelines.surface import stages as surface_stages
 
     folder = write_trial(tmp_path / "trial", instants)

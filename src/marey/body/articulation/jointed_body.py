@@ -1,5 +1,6 @@
 """A body whose joints move about axes by functions of its coordinates, as in OpenSim's models."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
@@ -227,7 +228,7 @@ class JointedBody:
             source[self.coordinate(c.dependent)] = self.coordinate(c.independent)
             functions[self.coordinate(c.dependent)] = c.function
 
-        def stacked(items: list, shape: tuple[int, ...]) -> Floats:
+        def stacked(items: Sequence[Floats], shape: tuple[int, ...]) -> Floats:
             return np.ascontiguousarray(np.array(items, float).reshape(-1, *shape))
 
         return PackedBody(

@@ -47,7 +47,7 @@ class Pose:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class SurfacePoints:
+class SkinPoints:
     """Points attached to the body's surface."""
 
     face: Integers
@@ -128,11 +128,11 @@ class PosedBody(PosedSegments):
             self.segment_rotation, self.segment_origin,
         )  # fmt: skip
 
-    def points(self, where: SurfacePoints) -> Floats:
+    def points(self, where: SkinPoints) -> Floats:
         """Return the positions (n, 3) of surface points in the world."""
         return kinematics.points_on_faces(self.vertices, self.body.faces, where.face, where.barycentric)
 
-    def parts(self, where: SurfacePoints) -> tuple[Integers, Floats]:
+    def parts(self, where: SkinPoints) -> tuple[Integers, Floats]:
         """Decompose surface points into the parts carried by their segments, see `kinematics.gather_parts`."""
         body = self.body
         segment = np.empty((len(where), PARTS), np.int64)
@@ -151,7 +151,7 @@ class PosedBody(PosedSegments):
         part[:, 0, 3] = 1.0
         return segment, part
 
-    def constraint_jacobian(self, where: SurfacePoints, rows: Floats, *, shape: bool = False) -> Floats:
+    def constraint_jacobian(self, where: SkinPoints, rows: Floats, *, shape: bool = False) -> Floats:
         """Return the derivatives of rows p, for surface points p, by the pose and the shape.
 
         Args:
@@ -208,7 +208,7 @@ class PosedBody(PosedSegments):
         """(S, 3, M)."""
         return np.ascontiguousarray(np.swapaxes(self._origin_modes[1], 1, 2))
 
-    def shape_jacobian(self, where: SurfacePoints) -> Floats:
+    def shape_jacobian(self, where: SkinPoints) -> Floats:
         """Return the derivatives of surface points by the shape numbers: (n, 3, M) [m by unit of the number]."""
         body = self.body
         jacobian = np.empty((len(where), 3, len(body.space)))

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -210,7 +210,7 @@ def _shoulder_axes(arm: Floats) -> tuple[Floats, Floats]:
     return first, np.cross(arm, first)
 
 
-def _left_arm(arm: Floats, elbow: Floats, palm: Floats) -> list[tuple]:
+def _left_arm(arm: Floats, elbow: Floats, palm: Floats) -> list[tuple[Any, ...]]:
     """List the left arm's coordinates: name, segment, axis, mean, sd, limits [deg]."""
     sweep, lift = _shoulder_axes(arm)
     hand_side = np.cross(arm, palm)
@@ -242,7 +242,7 @@ _LEFT_LEG = [
 cover sport and daily life, deliberately wide."""
 
 
-def _both_sides(left: list[tuple]) -> list[Coordinate]:
+def _both_sides(left: list[tuple[Any, ...]]) -> list[Coordinate]:
     """Make the coordinates of both sides; a rotation mirrored in the plane X = 0 keeps its sign."""
     coordinates = []
     for side in ("left", "right"):

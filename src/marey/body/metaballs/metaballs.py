@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -127,7 +127,7 @@ class PosedMetaballs(PosedSegments):
         turned = self.segment_rotation[self.balls.segment] @ self.balls.rotation
         return np.ascontiguousarray(np.swapaxes(turned, 1, 2))
 
-    def _field_arguments(self, points: Floats, limb: Integers | int) -> tuple:
+    def _field_arguments(self, points: Floats, limb: Integers | int) -> tuple[Any, ...]:
         balls = self.balls
         points = np.ascontiguousarray(points, float)
         limbs = np.ascontiguousarray(np.broadcast_to(np.asarray(limb, np.int64), len(points)))

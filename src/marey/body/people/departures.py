@@ -1,5 +1,6 @@
 """Linear modes beyond the learned family: lengths, girths, clothes, and positions of the joint centres."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -146,7 +147,7 @@ def dense_weights(family: BodyFamily) -> Floats:
     return weights
 
 
-def children_moved(family: BodyFamily, segment: int, field) -> tuple[Floats, Floats]:
+def children_moved(family: BodyFamily, segment: int, field: Callable[[Floats], Floats]) -> tuple[Floats, Floats]:
     """Return the motion of skin and joints when a displacement field moves a segment and the segments beyond it.
 
     Args:

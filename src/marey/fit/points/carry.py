@@ -10,6 +10,7 @@ from marey.arrays import Floats, Integers
 from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.articulation.surface import Body
 from marey.fit.points.surface_points import PersonPoints
+from marey.fit.progress import FrameProgress, no_progress
 from marey.fit.solver.pose_solver import add_dense, solve_step
 from marey.fit.solver.weights import geman_mcclure
 from marey.observations.carried_points import CarriedPoints, local_places
@@ -109,7 +110,7 @@ def follow_points(
     *,
     settings: CarrySettings | None = None,
     anchor: Callable[[int, Pose], Pose] = lambda frame, pose: pose,
-    progress: Callable[[int], None] = lambda frame: None,
+    progress: FrameProgress = no_progress,
 ) -> dict[int, Pose]:
     """Track a body from one frame to both ends by the trajectories on it ([Plaenkers1999] section 4.2).
 

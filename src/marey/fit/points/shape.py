@@ -1,6 +1,6 @@
 """Estimation of a person's own metaballs and motion from measured points and silhouettes in one system."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -20,6 +20,7 @@ from marey.body.people.person import CONSTANT, VARYING, family_body
 from marey.errors import SettingProblem
 from marey.fit.points.person_tracks import AttachedTracks, PersonTracks
 from marey.fit.points.surface_points import PersonPoints
+from marey.fit.progress import FrameProgress, no_progress
 from marey.fit.recipes.sequence import FrameTerms, SequenceFit, SequenceSettings, join_pieces, refine_in_pieces
 from marey.fit.search.levels import FrameLevels
 from marey.fit.solver.pose_solver import add_dense
@@ -257,7 +258,7 @@ def refine_shape(
     repeats: int,
     settings: ShapeSettings,
     scale_m: float = np.inf,
-    progress: Callable[[int], None] = lambda frame: None,
+    progress: FrameProgress = no_progress,
 ) -> ShapeEstimate:
     """Refine shape and motion, and estimate the standard deviations that weigh the observations from the residuals.
 

@@ -1,6 +1,6 @@
 """Start of the fit of a shape, from a person captured from silhouettes or from clicked joints."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +12,7 @@ from marey.fit.points.carry import CarrySettings, follow_points, pose_on_surface
 from marey.fit.points.levenberg import fit_points
 from marey.fit.points.shape import ShapeEstimate, ShapeSettings, metaballs_like, with_coordinates, with_free_trunk
 from marey.fit.points.surface_points import FramePoints, PersonPoints, thinned_evenly
+from marey.fit.progress import FrameProgress, no_progress
 from marey.observations.observation import Observation
 
 FIRST_SCALE_M = 0.05
@@ -52,7 +53,7 @@ def start_from_clicked_joints(
 
 def extend_by_trajectories(
     begun: ShapeEstimate, frames: Integers, position: Floats, points: Mapping[int, FramePoints],
-    settings: ShapeSettings, *, progress: Callable[[int], None] = lambda frame: None,
+    settings: ShapeSettings, *, progress: FrameProgress = no_progress,
 ) -> ShapeEstimate:  # fmt: skip
     """Track a body from its one frame by trajectories, aligned with the measured points every few frames.
 

@@ -11,6 +11,7 @@ from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.articulation.surface import Body
 from marey.body.metaballs.metaball_person import reshaped
 from marey.cameras.camera import Camera
+from marey.fit.progress import FrameProgress, no_progress
 from marey.fit.recipes.pick_up import PickUpSettings, best_per_frame, pick_up, restart, weak_frames
 from marey.fit.recipes.sequence import (
     FrameTermsFactory,
@@ -25,13 +26,6 @@ from marey.fit.search.search import Candidate, Search, StartSettings
 from marey.fit.search.start import find_start
 from marey.fit.solver.threads import map_in_threads
 from marey.images.silhouettes.interior import InteriorEdges
-
-FrameProgress = Callable[[int], None]
-"""Called with the number of each frame that is finished."""
-
-
-def no_progress(frame: int) -> None:
-    """Ignore the frame: the default where no progress is reported."""
 
 
 @dataclass(frozen=True, kw_only=True)

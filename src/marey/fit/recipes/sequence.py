@@ -18,6 +18,7 @@ from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.articulation.skeleton import Skeleton
 from marey.body.articulation.surface import Body, ShapeSpace
 from marey.body.metaballs.metaball_person import reshaped
+from marey.fit.progress import FrameProgress, no_progress
 from marey.fit.recipes.track import TRUNK_SEGMENTS
 from marey.fit.search.levels import FrameLevels
 from marey.fit.solver.banded import BandedSystem, Window, windows, with_shape_covariance
@@ -143,7 +144,7 @@ def refine_sequence(
     settings: SequenceSettings | None = None,
     ignored_frames: Container[int] = (),
     extra_terms: FrameTermsFactory | None = None,
-    progress: Callable[[int], None] = lambda frame: None,
+    progress: FrameProgress = no_progress,
     checkpoint: RefineCheckpoint | None = None,
 ) -> SequenceFit:
     """Refine all poses, and the shape if frames for it are given.
@@ -172,7 +173,7 @@ def refine_in_pieces(
     settings: SequenceSettings | None = None,
     ignored_frames: Container[int] = (),
     extra_terms: FrameTermsFactory | None = None,
-    progress: Callable[[int], None] = lambda frame: None,
+    progress: FrameProgress = no_progress,
     checkpoint: RefineCheckpoint | None = None,
 ) -> Iterator[SequenceFit]:
     """Refine all poses, and the shape if frames for it are given, and yield the result window by window.
@@ -275,7 +276,7 @@ class _Work:
     rate: float
     rounds: int
     settings: SequenceSettings
-    progress: Callable[[int], None]
+    progress: FrameProgress
     checkpoint: RefineCheckpoint
     first: Body
     """The body at the start, from which bodies of other numbers are made, so that an interruption changes nothing."""

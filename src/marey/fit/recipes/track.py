@@ -1,6 +1,6 @@
 """Frame-to-frame tracking: prediction and fit, with sampled starts and a search of the limbs where agreement drops."""
 
-from collections.abc import Callable, Iterable, MutableMapping
+from collections.abc import Iterable, MutableMapping
 from dataclasses import dataclass, field, replace
 
 import cv2
@@ -10,6 +10,7 @@ from marey.arrays import Floats
 from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.articulation.skeleton import Skeleton
 from marey.body.articulation.surface import Body
+from marey.fit.progress import FrameProgress, no_progress
 from marey.fit.search.levels import FrameLevels, SilhouetteLevel
 from marey.fit.search.multi_start import SampleSettings, best_of_samples
 from marey.fit.search.search import Candidate, Search, StartSettings
@@ -111,7 +112,7 @@ def track(
     rate: float,
     settings: TrackSettings | None = None,
     coarse: Body | None = None,
-    progress: Callable[[int], None] = lambda frame: None,
+    progress: FrameProgress = no_progress,
     checkpoint: MutableMapping[int, Candidate] | None = None,
 ) -> dict[int, Candidate]:
     """Track a person from a known pose through frames in either direction.
@@ -226,7 +227,7 @@ def repair(
     rate: float,
     settings: TrackSettings | None = None,
     roughness: float = 0.0015,
-    progress: Callable[[int], None] = lambda frame: None,
+    progress: FrameProgress = no_progress,
     checkpoint: MutableMapping[tuple[int, int], Candidate] | None = None,
 ) -> dict[int, Candidate]:
     """Repair frames that agree worse, cover less, or move less smoothly than their neighbours.

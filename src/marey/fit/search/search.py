@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -166,7 +167,7 @@ def limb_directions(body: Body) -> tuple[Floats, Floats]:
     return arm / np.linalg.norm(arm), leg / np.linalg.norm(leg)
 
 
-def _rest(body: Body) -> tuple:
+def _rest(body: Body) -> tuple[Any, ...]:
     packed = body.packed
     return (*packed, body.joint_centres, body.vertices, body.vertex_segments, body.vertex_weights)
 

@@ -10,7 +10,8 @@ import scipy.optimize
 from marey.arrays import Floats
 from marey.body.articulation.pose import PosedBody
 from marey.body.articulation.surface import Body
-from marey.fit.solver.pose_solver import LONGEST_STEP_RAD, Schedule, add_dense, match_all, solve_step
+from marey.fit.solver.pose_solver import Schedule, add_dense, match_all, solve_step
+from marey.fit.solver.pose_steps import LONGEST_STEP_RAD
 from marey.observations.correspondence import ObservedOutline
 from marey.observations.observation import Observation, SurfaceObservation
 

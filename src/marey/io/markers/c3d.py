@@ -151,6 +151,12 @@ def point_labels(c3d: ezc3d.c3d) -> tuple[str, ...]:
     return tuple(labels[: c3d["data"]["points"].shape[1]])
 
 
+def y_points_up(c3d: ezc3d.c3d) -> bool:
+    """Return whether Y points up in the laboratory of a C3D: its POINT:Y_SCREEN is +Y."""
+    point = c3d["parameters"]["POINT"]
+    return "Y_SCREEN" in point and str((point["Y_SCREEN"]["value"] or [""])[0]).strip() == "+Y"
+
+
 def read_c3d(path: Path | str) -> PointPaths:
     """Read a C3D's points into metres; its axes are taken as they are.
 

@@ -16,20 +16,25 @@ _KINDS = {"foot strike": STRIKE, "heel strike": STRIKE, "foot off": OFF, "toe of
 _CHANNELS = {1: 6, 2: 6, 3: 8, 4: 6}
 
 
-def read_events(path: Path | str, *, opened: ezc3d.c3d | None = None) -> tuple[GaitEvent, ...]:
-    """Read the gait events that a C3D gives: Foot Strike and Foot Off of the left and the right foot.
-
-    Args:
-        path: The file.
-        opened: Its content, if it is open already.
-
-    Returns:
-        In the order of time; other events are passed over.
+def read_events(path: Path | str) -> tuple[GaitEvent, ...]:
+    """Read the gait events of a C3D file; see `events_in`.
 
     Raises:
         FileProblem: It is no C3D.
     """
-    group = (open_c3d(path) if opened is None else opened)["parameters"]
+    return events_in(open_c3d(path))
+
+
+def events_in(c3d: ezc3d.c3d) -> tuple[GaitEvent, ...]:
+    """Return the gait events that a C3D gives: Foot Strike and Foot Off of the left and the right foot.
+
+    Args:
+        c3d: The content of the file.
+
+    Returns:
+        The events in the order of time; other events are skipped.
+    """
+    group = c3d["parameters"]
     event = group.get("EVENT", {})
     if not event or not (_values(event, "USED") or [0])[0]:
         return ()
@@ -51,27 +56,32 @@ def _values(group: ezc3d.c3d, key: str) -> list:
     return list(group[key]["value"]) if key in group else []
 
 
-def read_force_plates(path: Path | str, *, opened: ezc3d.c3d | None = None) -> tuple[ForcePlate, ...]:
-    """Read the force plates of a C3D: their corners, and their channels as ground reaction and moment.
-
-    Plates of the types 1 to 4 are read. The baseline that FORCE_PLATFORM:ZERO names is taken off. The reaction's sign
-    is the one with which the plate carries.
-
-    Args:
-        path: The file.
-        opened: Its content, if it is open already.
-
-    Returns:
-        One a plate; none where the file has none.
+def read_force_plates(path: Path | str) -> tuple[ForcePlate, ...]:
+    """Read the force plates of a C3D file; see `force_plates_in`.
 
     Raises:
-        FileProblem: It is no C3D, a plate is of another type, or names channels that are not there.
+        FileProblem: It is no C3D, a plate has another type, or its channels are missing.
     """
-    c3d = open_c3d(path) if opened is None else opened
-    groups = c3d["parameters"]
-    group = groups.get("FORCE_PLATFORM", {})
+    c3d = open_c3d(path)
+    return force_plates_in(path, c3d, METRES[point_unit(path, c3d)])
+
+
+def force_plates_in(path: Path | str, c3d: ezc3d.c3d, metres: float) -> tuple[ForcePlate, ...]:
+    """Return the force plates of a C3D: their corners, and their channels as ground reaction and moment.
+
+    Plates of the types 1 to 4 are read. The baseline in the frames of FORCE_PLATFORM:ZERO is subtracted. The sign of
+    the reaction is the one with which the plate supports the person.
+
+    Args:
+        path: The file, for error messages.
+        c3d: Its content.
+        metres: Metres in the unit of the points.
+
+    Raises:
+        FileProblem: A plate has another type, or its channels are missing.
+    """
+    group = c3d["parameters"].get("FORCE_PLATFORM", {})
     used = int((_values(group, "USED") or [0])[0])
-    metres = METRES[point_unit(path, c3d)]
     return tuple(_plate(Path(path), c3d, n, metres) for n in range(used))
 
 

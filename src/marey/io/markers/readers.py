@@ -2,7 +2,6 @@
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from functools import partial
 from pathlib import Path
 
 import ezc3d
@@ -21,7 +20,7 @@ _SMALLEST, _LARGEST = 0.02, 50.0
 """Between which the markers of a frame spread [m]: a finger, a sports hall."""
 
 
-def read_markers(path: Path | str, *, unit: str | None = None, opened: ezc3d.c3d | None = None) -> MarkerTrajectories:
+def read_markers(path: Path | str, *, unit: str | None = None) -> MarkerTrajectories:
     """Read the trajectories of markers from a C3D, TRC or CSV.
 
     Axes are the file's own. A point that is missing in the file (empty, NaN, all three coordinates zero, or with a
@@ -32,21 +31,42 @@ def read_markers(path: Path | str, *, unit: str | None = None, opened: ezc3d.c3d
     Args:
         path: The file.
         unit: mm, cm or m, where the file says it wrong or not at all.
-        opened: The content of a C3D that is open already.
 
     Raises:
         FileProblem: It cannot be read, holds no markers or no frames, or its unit cannot be right.
     """
     path = Path(path)
-    from_c3d = partial(_from_c3d, opened=opened)
     readers: dict[str, Callable[[Path, str | None], Raw]] = {
-        ".c3d": from_c3d, ".trc": _from_trc, ".csv": read_marker_csv, ".tsv": read_marker_csv,
+        ".c3d": _from_c3d, ".trc": _from_trc, ".csv": read_marker_csv, ".tsv": read_marker_csv,
     }  # fmt: skip
     if path.suffix.lower() not in readers:
         raise FileProblem(path, "is no file of markers that is read here", "Give a C3D, TRC or CSV.")
+    _require_unit(unit)
+    return _checked(path, readers[path.suffix.lower()](path, unit))
+
+
+def markers_in(path: Path, c3d: ezc3d.c3d, *, unit: str) -> MarkerTrajectories:
+    """Return the trajectories of markers in a C3D that is open already; see `read_markers`.
+
+    Args:
+        path: The file, for error messages.
+        c3d: Its content.
+        unit: Unit of its points: mm, cm or m.
+
+    Raises:
+        FileProblem: It has no markers or no frames, or its unit is impossible.
+    """
+    _require_unit(unit)
+    return _checked(path, _places_in(c3d, unit))
+
+
+def _require_unit(unit: str | None) -> None:
     if unit is not None and unit not in METRES:
         raise MareyError(f"The unit {unit!r} is not known. Known are {', '.join(METRES)}.")
-    labels, points, residuals, rate, start_s, unit, said = readers[path.suffix.lower()](path, unit)
+
+
+def _checked(path: Path, raw: "Raw") -> MarkerTrajectories:
+    labels, points, residuals, rate, start_s, unit, said = raw
     points = np.where((points == 0).all(-1, keepdims=True), np.nan, points)
     residuals = np.where(np.isfinite(points).all(-1), residuals, np.nan)
     if not len(points) or not len(labels):
@@ -67,12 +87,15 @@ Raw = tuple[Sequence[str], Floats, Floats, float, float, str, list[str]]
 """Labels, points (F, M, 3) [m], residuals (F, M) [m], rate [Hz], time of the first frame [s], unit, notes."""
 
 
-def _from_c3d(path: Path, unit: str | None, *, opened: ezc3d.c3d | None) -> Raw:
-    """Read the points of a C3D that are places."""
-    c3d = open_c3d(path) if opened is None else opened
+def _from_c3d(path: Path, unit: str | None) -> Raw:
+    c3d = open_c3d(path)
+    return _places_in(c3d, unit or point_unit(path, c3d))
+
+
+def _places_in(c3d: ezc3d.c3d, unit: str) -> Raw:
+    """Return the points of a C3D that are places."""
     point = c3d["parameters"]["POINT"]
     computed = {label for key in _COMPUTED if key in point for label in (point[key]["value"] or [])}
-    unit = unit or point_unit(path, c3d)
     labels = list(point_labels(c3d))
     labels += [f"*{n}" for n in range(len(labels), c3d["data"]["points"].shape[1])]
     kept = [n for n, label in enumerate(labels) if label not in computed]

@@ -6,14 +6,13 @@ from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 
-import ezc3d
 import numpy as np
 
 from marey.arrays import Floats
 from marey.geometry.rigid import RigidTransform
 from marey.io.atomic import replacing
 from marey.io.axes import OPENSIM_FROM_WORLD
-from marey.io.markers.c3d import METRES, add_rotations, open_c3d, point_labels, point_unit, write_c3d
+from marey.io.markers.c3d import METRES, add_rotations, open_c3d, point_labels, point_unit, write_c3d, y_points_up
 from marey.io.opensim.mot_sto import Orientations, Table, write_orientations, write_table
 from marey.io.opensim.trc import PointPaths
 from marey.markers.data.bone_motion import BoneMotion
@@ -222,10 +221,6 @@ def write_motion_c3d(
         c3d.write(str(beside))
 
 
-def is_y_up(path: Path, *, opened: ezc3d.c3d | None = None) -> bool:
-    """Return whether Y points up in a file of markers: in a TRC, or in a C3D whose POINT:Y_SCREEN is +Y."""
-    if path.suffix.lower() != ".c3d":
-        return path.suffix.lower() == ".trc"
-    point = (open_c3d(path) if opened is None else opened)["parameters"]["POINT"]
-    says = [str((point[key]["value"] or [""])[0]).strip() for key in ("Y_SCREEN",) if key in point]
-    return says == ["+Y"]
+def is_y_up(path: Path) -> bool:
+    """Return whether Y points up in a file of markers: in a TRC, or in a C3D that says so."""
+    return path.suffix.lower() == ".trc" or (path.suffix.lower() == ".c3d" and y_points_up(open_c3d(path)))

@@ -4,10 +4,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from marey.errors import FileProblem
-from marey.io.markers.c3d import open_c3d
-from marey.io.markers.c3d_forces import read_events, read_force_plates
-from marey.io.markers.readers import read_markers
-from marey.io.markers.results import is_y_up
+from marey.io.markers.c3d import METRES, open_c3d, point_unit, y_points_up
+from marey.io.markers.c3d_forces import events_in, force_plates_in
+from marey.io.markers.readers import markers_in, read_markers
 from marey.markers.data.force_plates import ForcePlate
 from marey.markers.data.trajectories import MarkerTrajectories
 from marey.motion.gait import GaitEvent
@@ -45,16 +44,18 @@ def read_marker_file(path: Path, *, unit: str | None = None) -> MarkerFile:
     if not path.is_file():
         raise FileProblem(path, "is a folder" if path.is_dir() else "does not exist", "Give a C3D, TRC or CSV.")
     if path.suffix.lower() != ".c3d":
-        return MarkerFile(path=path, trajectories=read_markers(path, unit=unit), y_up=is_y_up(path))
-    opened = open_c3d(path)
-    trajectories = read_markers(path, unit=unit, opened=opened)
+        return MarkerFile(
+            path=path, trajectories=read_markers(path, unit=unit), y_up=path.suffix.lower() == ".trc"
+        )  # fmt: skip
+    c3d = open_c3d(path)
+    y_up, trajectories = y_points_up(c3d), markers_in(path, c3d, unit=unit or point_unit(path, c3d))
     plates: tuple[ForcePlate, ...] = ()
     notes: tuple[str, ...] = ()
     try:
-        plates = read_force_plates(path, opened=opened)
+        plates = force_plates_in(path, c3d, METRES[point_unit(path, c3d)])
     except FileProblem as problem:
         notes = (f"The force plates cannot be read: {problem}",)
     return MarkerFile(
-        path=path, trajectories=trajectories, y_up=is_y_up(path, opened=opened), plates=plates,
-        events=read_events(path, opened=opened), plate_notes=notes,
+        path=path, trajectories=trajectories, y_up=y_up, plates=plates, events=events_in(c3d),
+        plate_notes=notes,
     )  # fmt: skip

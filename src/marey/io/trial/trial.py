@@ -102,6 +102,15 @@ class Trial:
     up_given: bool
     """Whether the user said which way is up: then a lying person is a lying person."""
 
+    def __repr__(self) -> str:
+        cameras = ", ".join(self.rig.names)
+        known = [name for name, held in (("background", self.background), ("silhouettes", self.masks)) if held]
+        given = f"; with {' and '.join(known)}" if known else ""
+        return (
+            f"Trial {self.folder.resolve().name}: {len(self.rig)} cameras ({cameras}), frames {self.take.first} to "
+            f"{self.take.end - 1} of {self.take.count} at {self.take.rate:g} Hz{given}"
+        )
+
     @property
     def input_files(self) -> tuple[Path, ...]:
         """Every file that the results depend on."""

@@ -1,4 +1,4 @@
-"""A bright ball beside air and tissue fitted to the voxels about it, each the mean of what it covers."""
+"""Fit of a bright ball in air and tissue to the voxels about it, each of which is the mean over its box."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,54 +13,74 @@ from marey.knee.markers.ball_candidates import BallCandidate, sphere_directions
 from marey.knee.space.resampling import part_of
 from marey.knee.space.volume import Volume, VoxelGrid
 
-_MARGIN_MM = 2.5
-"""How far about the ball voxels are fitted."""
-_FINE = 8.0
-"""Voxels are averaged until a radius has about so many of them: more cost time and tell nothing."""
-_WITHIN_MM = 0.5
-"""Distance of the points by whose mean a voxel is modelled, about; in balls that are averaged more than that."""
-_BESIDE_MM = (0.8, 2.0)
-_BRIGHT = 0.3
-_BLUR_MM = (0.1, 1.5)
-_ROBUST = 3.0
-"""Residuals beyond so many standard deviations count less: tissue is not as even as the model has it."""
-_SLOPE = 0.02
-"""Standard deviation of the slope of the tissue's level [1/mm], as a share of the patch's span of intensities."""
-_MOST_STEPS = 15
-_STEEPEST = 20.0
-_SEEN = 0.03
-"""Least span of the levels about a ball, as a share of its own, for tissue to be seen there."""
-_BANDWIDTH = 2
-"""Voxels within which residuals may depend on each other, by the scanner's filters or by the model's faults."""
 
-_FAULT, _FAULT_IN_TISSUE = 0.03, 0.07
-"""Standard deviations of what the model cannot follow, as shares of the width of an edge: of any ball, and of one in
-tissue as bright as itself. Made balls ask for them (bench/knee/gadolinium.py); noise alone would give microns."""
+@dataclass(frozen=True, kw_only=True)
+class BallFitSettings:
+    """Settings for fitting a ball to the voxels about it.
+
+    Values without a stated source were chosen by hand.
+    """
+
+    margin_mm: float = 2.5
+    """Distance [mm] about the ball up to which voxels are fitted."""
+    voxels_per_radius: float = 8.0
+    """Voxels are averaged until a radius has about this many of them: more do not improve the fit."""
+    point_spacing_mm: float = 0.5
+    """Spacing [mm] of the points whose mean models a voxel; larger in balls whose voxels are averaged."""
+    beside_mm: tuple[float, float] = (0.8, 2.0)
+    """Range [mm] outside the ball in which tissue is searched."""
+    tissue_share: float = 0.3
+    """Voxels count as tissue above this share of the step from air to the ball."""
+    blur_mm: tuple[float, float] = (0.1, 1.5)
+    """Least and largest standard deviation [mm] of the blur."""
+    robust: float = 3.0
+    """Number of standard deviations beyond which residuals have less weight: tissue is less even than the model."""
+    slope_sd: float = 0.02
+    """Standard deviation of the slope of the tissue's level [1/mm], as a share of the patch's range of
+    intensities."""
+    most_steps: int = 15
+    """Largest number of evaluations of the least-squares solver."""
+    steepest: float = 20.0
+    """Largest change of the parameters of the skin's plane."""
+    least_span: float = 0.03
+    """Least range of the levels about a ball, as a share of its contrast, from which tissue is fitted."""
+    bandwidth: int = 2
+    """Number of voxels within which residuals may depend on each other, by the scanner's filters or errors of the
+    model."""
+    model_error: float = 0.03
+    """Standard deviation of the centre due to errors of the model, as a share of the width of an edge. Made balls
+    need it (bench/knee/gadolinium.py); by noise alone it would be micrometres."""
+    model_error_in_tissue: float = 0.07
+    """The additional standard deviation for a ball in tissue of the same brightness."""
+
+
+BALL_FIT_DEFAULTS = BallFitSettings()
+"""Default settings for fitting a ball to the voxels about it."""
 
 _BALL = 7
-"""Numbers of the ball and the air: centre, radius, blur, level, level of the air."""
+"""Number of parameters of the ball and the air: centre, radius, blur, level, level of the air."""
 _ALL = _BALL + 8
-"""And of the tissue: level, its slopes, and the plane of the skin."""
+"""Number of all parameters, with those of the tissue: level, its slopes, and the plane of the skin."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class BallFit:
-    """A ball as it was fitted."""
+    """A fitted ball."""
 
     centre_mm: Floats
     """(3,) LPS."""
     covariance_mm2: Floats
-    """(3, 3) of the centre, by the noise and by what the model cannot follow."""
+    """(3, 3) of the centre, by noise and by errors of the model."""
     radius_mm: float
     radius_sd_mm: float
     level: float
     air: float
     tissue: float
-    """Level of the bright tissue that it touches; the air's where it touches none."""
+    """Level of the bright tissue that it touches; that of air if it touches none."""
     tissue_share: float
     """Share of the ball's surroundings that is such tissue."""
     misfit: float
-    """Root mean square residual about the ball's edge, as a share of its level over the air's."""
+    """Root mean square residual about the ball's edge, as a share of its contrast to air."""
     seen: float
     """Share of the ball that lies within the image."""
 
@@ -70,40 +90,53 @@ class _Patch:
     """The voxels about a ball."""
 
     values: Floats
-    """(n,)"""
+    """(n,) intensities."""
     points: Floats
-    """(n, m, 3) mm from the start's centre: points spread within each voxel."""
+    """(n, m, 3) mm from the start's centre: points within each voxel."""
     middles: Floats
-    """(n, 3)"""
+    """(n, 3) mm from the start's centre: the voxels' centres."""
     voxel_mm: float
-    """Standard deviation of the place within a voxel, the root mean square of the axes."""
+    """Standard deviation of the position within a voxel, the root mean square of the axes."""
     point_mm: float
-    """Standard deviation of the place within what each point stands for, along an axis."""
+    """Standard deviation of the position within the part of a voxel that each point represents, along an axis."""
     index: Integers
     """(n, 3) k, j, i in the patch."""
     shape: tuple[int, ...]
 
 
-def fit_ball(volume: Volume, start: BallCandidate, others: Sequence[tuple[Floats, float]] = ()) -> BallFit | None:
-    """Fit a ball and what it lies in, by least squares.
+def fit_ball(
+    volume: Volume,
+    start: BallCandidate,
+    others: Sequence[tuple[Floats, float]] = (),
+    *,
+    settings: BallFitSettings = BALL_FIT_DEFAULTS,
+) -> BallFit | None:
+    """Fit a ball and its surroundings by least squares.
 
     The model is a ball of one level, blurred by a Gaussian and averaged over each voxel, in air of another level beside
-    tissue, whose skin is a plane and whose level may slope; without tissue where none is seen. The covariance allows
-    for residuals of neighbouring voxels that depend on each other.
+    tissue whose skin is a plane and whose level may slope; without tissue if none is visible. The covariance allows for
+    correlated residuals of neighbouring voxels.
 
     Args:
         volume: The image.
-        start: About where it is.
-        others: Centre and radius of balls nearby, whose voxels are left out.
+        start: Approximate position and radius.
+        others: Centre and radius of balls nearby, whose voxels are ignored.
+        settings: Tuned constants of the algorithm.
 
     Returns:
         The fit; None where too few voxels show the ball.
     """
-    patch = _patch(volume, start, others)
+    patch = _patch(volume, start, others, settings=settings)
     if patch is None:
         return None
-    beside = _start_at_skin(patch, start)
-    return _told(volume.grid, patch, _solved(patch, _start_in_air(patch, start) if beside is None else beside), start)
+    beside = _start_at_skin(patch, start, settings=settings)
+    return _ball(
+        volume.grid,
+        patch,
+        _solved(patch, _start_in_air(patch, start) if beside is None else beside, settings=settings),
+        start,
+        settings=settings,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,8 +147,10 @@ class _Solution:
     weight: Floats
 
 
-def _patch(volume: Volume, start: BallCandidate, others: Sequence[tuple[Floats, float]]) -> _Patch | None:
-    reach = start.radius_mm + _MARGIN_MM
+def _patch(
+    volume: Volume, start: BallCandidate, others: Sequence[tuple[Floats, float]], *, settings: BallFitSettings
+) -> _Patch | None:
+    reach = start.radius_mm + settings.margin_mm
     grid = volume.grid
     half = reach / grid.spacing_mm + 1
     middle = grid.voxels(start.centre_mm)
@@ -124,7 +159,7 @@ def _patch(volume: Volume, start: BallCandidate, others: Sequence[tuple[Floats, 
     if (high - low < 1).any():
         return None
     box = tuple(slice(a, b) for a, b in zip(low.tolist(), high.tolist(), strict=True))
-    values, part = _coarser(volume.intensity[box], part_of(grid, box), start.radius_mm / _FINE)
+    values, part = _coarser(volume.intensity[box], part_of(grid, box), start.radius_mm / settings.voxels_per_radius)
     index = np.argwhere(np.ones(values.shape, dtype=bool))
     middles = part.lps(index[:, ::-1].astype(float))
     kept = np.linalg.norm(middles - start.centre_mm, axis=1) < reach
@@ -133,14 +168,14 @@ def _patch(volume: Volume, start: BallCandidate, others: Sequence[tuple[Floats, 
     if kept.sum() < 4 * _ALL:
         return None
     middles = middles[kept] - start.centre_mm
-    within, point = _within_voxel(part, max(_WITHIN_MM, start.radius_mm / _FINE))
+    within, point = _within_voxel(part, max(settings.point_spacing_mm, start.radius_mm / settings.voxels_per_radius))
     points = middles[:, None, :] + within[None]
     voxel = float(np.sqrt((part.spacing_mm**2).mean() / 12))
     return _Patch(values[tuple(index[kept].T)].astype(float), points, middles, voxel, point, index[kept], values.shape)
 
 
 def _coarser(values: np.ndarray, grid: VoxelGrid, wanted_mm: float) -> tuple[np.ndarray, VoxelGrid]:
-    """Return the means of blocks of voxels no wider than wanted; the voxels where they are wide themselves."""
+    """Return the means of blocks of voxels no wider than wanted; the voxels themselves where they are wider."""
     blocks = [max(1, int(wanted_mm / spacing)) for spacing in grid.array_spacing_mm]
     counts = [n // block for n, block in zip(values.shape, blocks, strict=True)]
     trimmed = values[tuple(slice(0, n * block) for n, block in zip(counts, blocks, strict=True))]
@@ -154,7 +189,7 @@ def _coarser(values: np.ndarray, grid: VoxelGrid, wanted_mm: float) -> tuple[np.
 
 
 def _within_voxel(grid: VoxelGrid, apart_mm: float) -> tuple[Floats, float]:
-    """(m, 3) offsets [mm] of points spread evenly within a voxel, and how far what each stands for spreads about it."""
+    """Return offsets (m, 3) [mm] of points spaced evenly in a voxel, and the standard deviation of the part of each."""
     counts = np.maximum(np.rint(grid.spacing_mm / apart_mm), 1)
     axes = [(np.arange(n) + 0.5) / n - 0.5 for n in counts]
     steps = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -170,8 +205,8 @@ def _start_in_air(patch: _Patch, start: BallCandidate) -> Floats:
     return np.array([0.0, 0.0, 0.0, start.radius_mm, 0.3, level, air])
 
 
-def _start_at_skin(patch: _Patch, start: BallCandidate) -> Floats | None:
-    """Return the numbers with a plane between the darker and the brighter part about the ball, if there are two."""
+def _start_at_skin(patch: _Patch, start: BallCandidate, *, settings: BallFitSettings) -> Floats | None:
+    """Return parameters with a plane between the darker and the brighter part about the ball, if there are two."""
     away = np.linalg.norm(patch.middles, axis=1)
     shell = away > start.radius_mm + 0.7
     if shell.sum() < _ALL:
@@ -179,7 +214,7 @@ def _start_at_skin(patch: _Patch, start: BallCandidate) -> Floats | None:
     values, places = patch.values[shell], patch.middles[shell]
     alone = _start_in_air(patch, start)
     air, tissue = np.percentile(values, [10, 90])
-    if tissue - air < _SEEN * (alone[5] - alone[6]):
+    if tissue - air < settings.least_span * (alone[5] - alone[6]):
         return None
     design = np.column_stack([np.ones(len(places)), places])
     plane = np.linalg.lstsq(design, np.where(values > (air + tissue) / 2, 1.0, -1.0), rcond=None)[0]
@@ -190,7 +225,7 @@ def _start_at_skin(patch: _Patch, start: BallCandidate) -> Floats | None:
 
 
 def _model(numbers: Floats, patch: _Patch, *, derivatives: bool) -> tuple[Floats, Floats]:
-    """(n,) intensity and (n, p) its derivatives by the numbers.
+    """Return the intensity (n,) and its derivatives (n, p) with respect to the parameters.
 
     A ball of radius r under a Gaussian of width s has at the distance d from its centre, with A = (r - d) / s and
     B = (r + d) / s, the value Phi(A) + Phi(B) - 1 - s / d (phi(A) - phi(B)): half of it lies within r, not at r.
@@ -198,7 +233,7 @@ def _model(numbers: Floats, patch: _Patch, *, derivatives: bool) -> tuple[Floats
     centre, (radius, blur, level, air) = numbers[:3], numbers[3:_BALL]
     off = patch.points - centre
     away = np.maximum(np.sqrt((off**2).sum(axis=-1)), 1e-3)
-    # What a point stands for blurs the ball's edge, too.
+    # The part of the voxel that a point represents blurs the ball's edge as well.
     wide = np.hypot(blur, patch.point_mm)
     near, far = _density((radius - away) / wide), _density((radius + away) / wide)
     ball = ndtr((radius - away) / wide) + ndtr((radius + away) / wide) - 1 - wide / away * (near - far)
@@ -228,7 +263,7 @@ def _model(numbers: Floats, patch: _Patch, *, derivatives: bool) -> tuple[Floats
 
 
 def _skin(numbers: Floats, patch: _Patch) -> tuple[Floats, Floats]:
-    """(n,) share of tissue in each voxel, ball aside, and (n,) the tissue's level there."""
+    """Return the share (n,) of tissue in each voxel without the ball, and the tissue's level (n,) there."""
     if len(numbers) == _BALL:
         return np.zeros(len(patch.values)), np.zeros(len(patch.values))
     places = np.column_stack([np.ones(len(patch.values)), patch.middles])
@@ -239,60 +274,60 @@ def _density(values: Floats) -> Floats:
     return np.asarray(np.exp(-0.5 * values**2) / np.sqrt(2 * np.pi))
 
 
-def _solved(patch: _Patch, start: Floats) -> _Solution:
-    """Fit by least squares, with residuals beyond the noise counting less."""
-    low, high = _bounds(start, patch)
-    numbers, scale = start, _ROBUST * max(0.05 * float(np.ptp(patch.values)), 1e-6)
+def _solved(patch: _Patch, start: Floats, *, settings: BallFitSettings) -> _Solution:
+    """Fit by least squares, with less weight for residuals beyond the noise."""
+    low, high = _bounds(start, patch, settings=settings)
+    numbers, scale = start, settings.robust * max(0.05 * float(np.ptp(patch.values)), 1e-6)
     for _ in range(2):
-        even = _evenness(len(start), patch, scale)
+        even = _evenness(len(start), patch, scale, settings=settings)
         solved = least_squares(
             lambda x, even=even: np.append(_model(x, patch, derivatives=False)[0] - patch.values, even @ x),
             np.clip(numbers, low + 1e-6, high - 1e-6),
             jac=lambda x, even=even: np.vstack([_model(x, patch, derivatives=True)[1], even]),
-            bounds=(low, high), x_scale="jac", loss="soft_l1", f_scale=scale, max_nfev=_MOST_STEPS,
+            bounds=(low, high), x_scale="jac", loss="soft_l1", f_scale=scale, max_nfev=settings.most_steps,
             xtol=1e-6, ftol=1e-6,
         )  # fmt: skip
         numbers = solved.x
         given, jacobian = _model(numbers, patch, derivatives=True)
         residual = given - patch.values
-        scale = _ROBUST * max(_spread(residual), 1e-9)
+        scale = settings.robust * max(_spread(residual), 1e-9)
     return _Solution(numbers, residual, jacobian, 1 / np.sqrt(1 + (residual / scale) ** 2))
 
 
-def _bounds(start: Floats, patch: _Patch) -> tuple[Floats, Floats]:
-    """(p,) and (p,): the ball stays within its start's radius, for what lies farther is another thing."""
+def _bounds(start: Floats, patch: _Patch, *, settings: BallFitSettings) -> tuple[Floats, Floats]:
+    """Return lower and upper bounds (p,) of the parameters: the ball stays within its start's radius."""
     span = float(np.ptp(patch.values))
     reach = np.full(len(start), 2 * span)
     reach[:4] = start[3]
-    reach[11:] = _STEEPEST
+    reach[11:] = settings.steepest
     low, high = start - reach, start + reach
-    low[4], high[4] = _BLUR_MM
+    low[4], high[4] = settings.blur_mm
     return low, high
 
 
-def _evenness(size: int, patch: _Patch, scale: float) -> Floats:
-    """(3, p) or nothing: the tissue's slopes are zero by about so much, as residuals in the intensity's unit."""
+def _evenness(size: int, patch: _Patch, scale: float, *, settings: BallFitSettings) -> Floats:
+    """Return the derivatives (3, p), or (0, p) in air, of the residuals of the prior of the tissue's slopes."""
     even = np.zeros((3 if size == _ALL else 0, size))
     if len(even):
-        even[:, 8:11] = np.eye(3) * scale / _ROBUST / (_SLOPE * float(np.ptp(patch.values)))
+        even[:, 8:11] = np.eye(3) * scale / settings.robust / (settings.slope_sd * float(np.ptp(patch.values)))
     return even
 
 
 def _spread(residual: Floats) -> float:
-    """Return the standard deviation of what is usual among residuals."""
+    """Return the robust standard deviation of residuals."""
     return max(float(1.4826 * np.median(np.abs(residual))), 0.3 * float(residual.std()), 1e-12)
 
 
-def _covariance(patch: _Patch, best: _Solution) -> Floats:
-    """(p, p): the sandwich of White and of Newey and West, with neighbours' residuals depending on each other."""
-    even = _evenness(len(best.numbers), patch, _ROBUST * _spread(best.residual))
+def _covariance(patch: _Patch, best: _Solution, *, settings: BallFitSettings) -> Floats:
+    """(p, p) covariance: the sandwich estimator of White and of Newey and West for correlated residuals."""
+    even = _evenness(len(best.numbers), patch, settings.robust * _spread(best.residual), settings=settings)
     information = (best.jacobian * best.weight[:, None]).T @ best.jacobian + even.T @ even
     bread = np.linalg.pinv(information, rcond=1e-12, hermitian=True)
     scores = np.zeros((*patch.shape, len(best.numbers)))
     scores[tuple(patch.index.T)] = best.jacobian * (best.weight * best.residual)[:, None]
     near = scores
-    lags = np.arange(-_BANDWIDTH, _BANDWIDTH + 1)
-    bartlett = 1 - np.abs(lags) / (_BANDWIDTH + 1)
+    lags = np.arange(-settings.bandwidth, settings.bandwidth + 1)
+    bartlett = 1 - np.abs(lags) / (settings.bandwidth + 1)
     for axis in range(3):
         near = ndimage.convolve1d(near, bartlett, axis=axis, mode="constant")
     size = len(best.numbers)
@@ -301,16 +336,18 @@ def _covariance(patch: _Patch, best: _Solution) -> Floats:
     return np.asarray(bread @ (meat + meat.T) / 2 @ bread * n / max(n - size, 1))
 
 
-def _told(grid: VoxelGrid, patch: _Patch, best: _Solution, start: BallCandidate) -> BallFit:
+def _ball(
+    grid: VoxelGrid, patch: _Patch, best: _Solution, start: BallCandidate, *, settings: BallFitSettings
+) -> BallFit:
     numbers = best.numbers
-    covariance = _covariance(patch, best)
+    covariance = _covariance(patch, best, settings=settings)
     sds = np.sqrt(np.maximum(np.diag(covariance), 0))
     centre, (radius, blur, level, air) = start.centre_mm + numbers[:3], numbers[3:_BALL].tolist()
     away = np.linalg.norm(patch.middles - numbers[:3], axis=1) - radius
     edge = np.abs(away) < 1.0 + blur
-    share, tissue = _bright_beside(patch, away, level, air)
-    like = np.clip((tissue - air) / max(level - air, 1e-12), 0, 1)
-    fault = (_FAULT + _FAULT_IN_TISSUE * like) * float(np.hypot(blur, patch.voxel_mm))
+    share, tissue = _bright_beside(patch, away, level, air, settings=settings)
+    similar = np.clip((tissue - air) / max(level - air, 1e-12), 0, 1)
+    fault = (settings.model_error + settings.model_error_in_tissue * similar) * float(np.hypot(blur, patch.voxel_mm))
     return BallFit(
         centre_mm=centre,
         covariance_mm2=covariance[:3, :3] + np.eye(3) * fault**2,
@@ -325,13 +362,15 @@ def _told(grid: VoxelGrid, patch: _Patch, best: _Solution, start: BallCandidate)
     )
 
 
-def _bright_beside(patch: _Patch, away: Floats, level: float, air: float) -> tuple[float, float]:
-    """Return the share of the voxels just about a ball that are tissue not much darker than it, and their level.
+def _bright_beside(
+    patch: _Patch, away: Floats, level: float, air: float, *, settings: BallFitSettings
+) -> tuple[float, float]:
+    """Return the share of the voxels just outside a ball that are tissue not much darker than it, and their level.
 
-    From the voxels as they are: a thin layer of fat over muscle is no half space of one level.
+    It is measured in the voxels, because a thin layer of fat over muscle is not a half space of one level.
     """
-    beside = patch.values[(away > _BESIDE_MM[0]) & (away < _BESIDE_MM[1])]
-    bright = beside[beside > air + _BRIGHT * (level - air)]
+    beside = patch.values[(away > settings.beside_mm[0]) & (away < settings.beside_mm[1])]
+    bright = beside[beside > air + settings.tissue_share * (level - air)]
     return (len(bright) / len(beside), float(np.percentile(bright, 75))) if len(bright) else (0.0, air)
 
 

@@ -1,6 +1,6 @@
-"""The scanner's markers and the laboratory's: the transforms that carry bones from MR into the motion of an activity.
+"""Correspondence of scanner and laboratory: transforms of bones from MR into the motion of an activity.
 
-Millimetres throughout, also in the chain that is made here.
+All lengths are in millimetres, also in the chains.
 """
 
 from collections.abc import Mapping, Sequence
@@ -28,28 +28,29 @@ from marey.markers.kinematics.transform_chain import (
 )
 
 _MM = 1e3
+"""Millimetres per metre."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class BoneCorrespondence:
-    """One bone: its frame in the scanner, and how that lies in the bone's frame in the laboratory."""
+    """One bone: its frame in the scanner, and that frame in the bone's frame in the laboratory."""
 
     bone: str
     """`femur`, `tibia` or `patella`."""
     segment: str
-    """What the laboratory calls it: `thigh`, `left_shank`, ..."""
+    """Its name in the laboratory: `thigh`, `left_shank`, ..."""
     mr_anatomic_from_mr_global: NamedTransform
     """Direct [mm]."""
     capture_anatomic_from_mr_anatomic: NamedTransform
     """Optimised [mm], with covariance [rad, mm]."""
     fit: MarkerFit
-    """Of the common markers; its residuals and which of them were used, by label."""
+    """Fit of the common markers, with their residuals and which of them were used, by label."""
     balls: tuple[int, ...]
-    """Which of the scanner's markers they are, in the order of `fit.names`."""
+    """Indices of the scanner's markers in the order of `fit.names`."""
     frame_source: str
-    """What the bone's frame in the scanner was made of."""
+    """From what the bone's frame in the scanner was constructed."""
     posture_residual_mm: float | None
-    """How far the activity's cluster lies from rigid between the reference posture and the standing trial (RMS)."""
+    """Root mean square deviation of the activity's cluster between the reference posture and the standing trial."""
     notes: tuple[str, ...] = ()
 
     @property
@@ -60,14 +61,14 @@ class BoneCorrespondence:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class KneeCorrespondence:
-    """What joins a scanned knee to an activity."""
+    """The relation of a scanned knee to an activity."""
 
     bones: Mapping[str, BoneCorrespondence]
-    """By bone; those that carry three common markers or more."""
+    """By bone; only bones with at least three common markers."""
     missing: Mapping[str, str]
     """Bones that have no correspondence, and why."""
     naming: NamedBalls
-    """Which ball is which marker of the laboratory and rides on which bone."""
+    """The marker of the laboratory and the bone of each ball."""
     notes: tuple[str, ...] = ()
 
 
@@ -77,19 +78,19 @@ def correspond(
 ) -> KneeCorrespondence:  # fmt: skip
     """Find the transform of each bone from its frame in the scanner to its frame in the laboratory.
 
-    [Alexander2003] section 2.2 and the second row of table 1. Each bone has its own: the knee may be bent otherwise in
-    the scanner than in the reference posture.
+    [Alexander2003] section 2.2 and the second row of table 1. Each bone has its own, because the knee may be bent
+    differently in the scanner and in the reference posture.
 
     Args:
-        scanner: The balls that were found in the volume.
-        posture: Where the laboratory's markers lie on the bones.
+        scanner: The balls found in the volume.
+        posture: Positions of the laboratory's markers on the bones.
         bones: Their surfaces in the scanner, by name.
-        segment_of_label: On which segment the activity's markers ride.
-        left: Which knee it is; None where it is not known.
-        landmarks: Picked in the scanner's images, where there are any.
+        segment_of_label: Label of the activity to the segment that the marker is attached to.
+        left: Whether it is a left knee; None where it is not known.
+        landmarks: Picked in the scanner's images, if any.
 
     Raises:
-        MareyError: No bone has a correspondence, or which marker is which cannot be told.
+        MareyError: No bone has a correspondence, or the markers cannot be identified.
     """
     naming = named_balls(scanner, posture, bones, segment_of_label=segment_of_label, left=left)
     found: dict[str, BoneCorrespondence] = {}
@@ -112,22 +113,22 @@ def correspond(
 
 
 def _nothing(missing: Mapping[str, str], naming: NamedBalls) -> str:
-    """Say why no bone has a correspondence."""
+    """Return why no bone has a correspondence."""
     if all(label is None for label in naming.labels):
         return (
-            "No three of the scanner's markers lie as far from each other as markers of the reference do. Are they in "
-            "it? Give the trial that shows them as reference, or write marker_names into markers.json."
+            "The distances between no three of the scanner's markers agree with the reference. Check that they are in "
+            "it, give the trial that shows them as reference, or write marker_names into markers.json."
         )
     why = "; ".join(f"{bone}: {reason}" for bone, reason in missing.items())
     said = " ".join(naming.notes)
-    return f"No bone can be carried from the scanner into the laboratory ({why}). {said}".rstrip()
+    return f"No bone can be transformed from the scanner to the laboratory ({why}). {said}".rstrip()
 
 
 def _seen(naming: NamedBalls, bone: str, posture: ReferencePosture, places: BonePlaces) -> tuple[int, ...]:
-    """Return a bone's balls whose markers the reference shows.
+    """Return a bone's balls whose markers are visible in the reference.
 
     Raises:
-        MareyError: They are too few; it names those that are in no frame.
+        MareyError: There are too few; the message names those that are in no frame.
     """
     balls = naming.of(bone)
     there: Mask = np.asarray(np.isfinite(places.places_mm).all(1))
@@ -143,10 +144,10 @@ def _bone(
     bone: str, scanner: ScannerMarkers, balls: Sequence[int], posture: ReferencePosture, places: BonePlaces,
     naming: NamedBalls, frame: BoneFrame,
 ) -> BoneCorrespondence:  # fmt: skip
-    """Fit one bone's common markers, and carry on what is not known of the bone in the reference posture."""
+    """Fit one bone's common markers, and add the uncertainty of the bone in the reference posture."""
     chosen = [posture.labels.index(naming.labels[ball]) for ball in balls]
     inverse = frame.scanner_from_bone.inverse()
-    # The detector's deviations belong to the scanner's axes; a turned axis takes its share of each.
+    # The detector's standard deviations are along the scanner's axes; those along rotated axes combine them.
     sd = np.sqrt(scanner.sd_mm[list(balls)] ** 2 @ (inverse.rotation.T**2))
     common = CommonMarkers(
         names=tuple(posture.labels[m] for m in chosen), from_mm=inverse.apply(scanner.centres_mm[list(balls)]),
@@ -168,14 +169,14 @@ def _bone(
 
 
 def _with_posture(fit: MarkerFit, chosen: Sequence[int], places: BonePlaces) -> Floats:
-    """Add to the fit's covariance that of the bone in the reference posture, which its cluster's markers tell.
+    """Add to the fit's covariance that of the bone in the reference posture, as located by its cluster's markers.
 
-    A marker that is at the same time one of the fit's and one of the cluster's is off by the same in both. What is off
-    in the cluster's form itself is off in the activity, too, and cancels: it belongs to the activity's motion.
+    A marker of both the fit and the cluster has the same error in both. An error of the cluster's shape itself is the
+    same in the activity, and cancels: it belongs to the activity's motion.
     """
     if not places.cluster:
         return fit.covariance
-    posture = _turned_by_posture(fit)
+    posture = _derivatives_by_posture(fit)
     of_cluster = np.einsum("ab,bmi->ami", posture, places.cluster_gain)
     both = np.zeros((6, 6))
     for row, marker in enumerate(chosen):
@@ -187,8 +188,8 @@ def _with_posture(fit: MarkerFit, chosen: Sequence[int], places: BonePlaces) -> 
     return np.asarray(fit.covariance + spread + both)
 
 
-def _turned_by_posture(fit: MarkerFit) -> Floats:
-    """Return what turn and translation (6, 6) take from a turn and shift of the bone along its own axes."""
+def _derivatives_by_posture(fit: MarkerFit) -> Floats:
+    """Return the derivatives (6, 6) of rotation and translation by a motion of the bone along its own axes."""
     matrix = np.zeros((6, 6))
     matrix[:3, :3] = -fit.rotation.T
     matrix[3:, :3] = rotations.hat(fit.translation_mm)
@@ -199,15 +200,15 @@ def _turned_by_posture(fit: MarkerFit) -> Floats:
 def bone_chain(
     found: BoneCorrespondence, corrected: BoneMotion, cluster: BoneMotion | None = None
 ) -> TransformChain:  # fmt: skip
-    """Make the five steps of [Alexander2003] table 1 for one bone, in millimetres.
+    """Return the five steps of [Alexander2003] table 1 for one bone, in millimetres.
 
     `chain.between(CAPTURE_GLOBAL, MR_GLOBAL).apply(surface.vertices_mm)` is the bone in the laboratory in every frame.
 
     Args:
         found: The bone's correspondence.
         corrected: The activity's bones as the method estimates them [m].
-        cluster: As their clusters move them, without a correction [m]; without it the fourth step is the identity and
-            carries the covariance alone.
+        cluster: The bones as their clusters move, without correction [m]; without it the fourth step is the identity,
+            with the covariance only.
 
     Raises:
         MareyError: The motion does not have the bone's segment.
@@ -228,25 +229,25 @@ def _in_mm(motion: BoneMotion) -> BoneMotion:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class SurfaceDoubt:
-    """How well the places of a surface's vertices are known after a transform."""
+class SurfaceUncertainty:
+    """Uncertainty of the positions of a surface's vertices after a transform."""
 
     covariance_mm2: Floats
-    """(V, 3, 3), or (F, V, 3, 3) of a transform a frame, along the axes of the frame that it leads to."""
+    """(V, 3, 3), or (F, V, 3, 3) for one transform per frame, along the axes of the target frame."""
 
     def __post_init__(self) -> None:
         freeze_fields(self, "covariance_mm2")
 
     @property
     def sd_mm(self) -> Floats:
-        """(..., V) root mean square distance from the true place."""
+        """(..., V) root mean square distance from the true position."""
         return np.asarray(np.sqrt(np.trace(self.covariance_mm2, axis1=-2, axis2=-1)))
 
     @property
     def within_mm(self) -> Floats:
-        """(..., V) distance from the true place that is not exceeded in 95 of 100 cases.
+        """(..., V) 95th percentile of the distance from the true position.
 
-        The squared distance counts as a gamma variable of its mean and variance ([Box1954]).
+        The squared distance is approximated by a gamma variable of its mean and variance ([Box1954]).
         """
         mean = np.trace(self.covariance_mm2, axis1=-2, axis2=-1)
         square = (self.covariance_mm2**2).sum((-2, -1))  # the trace of the covariance squared, which is symmetric
@@ -254,18 +255,18 @@ class SurfaceDoubt:
         return np.asarray(np.sqrt(gammaincinv(shape, 0.95) * mean / shape))
 
 
-def surface_doubt(transform: NamedTransform, vertices_mm: Floats) -> SurfaceDoubt:
-    """Carry a transform's covariance to points; zero for a transform that is known exactly.
+def surface_uncertainty(transform: NamedTransform, vertices_mm: Floats) -> SurfaceUncertainty:
+    """Propagate a transform's covariance to points; zero for an exact transform.
 
     Args:
         transform: Of millimetres.
         vertices_mm: (V, 3) in the frame that it comes from.
     """
     if transform.covariance is None:
-        return SurfaceDoubt(covariance_mm2=np.zeros((*transform.rotation.shape[:-2], len(vertices_mm), 3, 3)))
+        return SurfaceUncertainty(covariance_mm2=np.zeros((*transform.rotation.shape[:-2], len(vertices_mm), 3, 3)))
     turn = -transform.rotation[..., None, :, :] @ rotations.hat(vertices_mm)
     jacobian = np.concatenate([turn, np.broadcast_to(np.eye(3), turn.shape)], -1)
-    return SurfaceDoubt(
+    return SurfaceUncertainty(
         covariance_mm2=jacobian @ transform.covariance[..., None, :, :] @ np.swapaxes(jacobian, -1, -2)
     )  # fmt: skip
 
@@ -273,15 +274,15 @@ def surface_doubt(transform: NamedTransform, vertices_mm: Floats) -> SurfaceDoub
 def mean_error_quantile(
     transform: NamedTransform, vertices_mm: Floats, *, share: float = 0.95, draws: int = 1000
 ) -> float:
-    """Return the limit below which the mean distance of a surface from its true place stays, in a share of cases [mm].
+    """Return a quantile [mm] of the mean distance of a surface from its true position.
 
-    Found from draws of the transform's covariance, always the same ones.
+    It is found from draws of the transform's covariance, which are always the same.
 
     Args:
         transform: Of millimetres, constant.
         vertices_mm: (V, 3) in the frame that it comes from; some hundred are enough.
-        share: Of the cases.
-        draws: How many.
+        share: Probability of the quantile.
+        draws: Number of draws.
     """
     if transform.covariance is None:
         return 0.0

@@ -1,4 +1,4 @@
-"""Markers filled with gadolinium, bright balls on the skin, found in MR volumes to a part of a voxel."""
+"""Detection of gadolinium markers, bright balls on the skin, in MR volumes to a fraction of a voxel."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -19,39 +19,66 @@ from marey.knee.space.surface import Surface
 from marey.knee.space.triangle_tree import TriangleTree
 from marey.knee.space.volume import Volume
 
-_OPEN = 0.2
-"""Least share of the directions in which nothing but air lies beyond a ball."""
-_AIRY = 0.9
-_OPEN_FROM_MM, _OPEN_TO_MM = 2.0, 6.0
-_RADII_MM = (1.75, 10.75)
-_BRIGHT = 0.9
-"""Least level of a ball, as a share of the body's bright tissue."""
-_MISFIT = 0.1
-"""Most root mean square residual about its edge, as a share of its contrast: what is not round misses by more."""
-_EMBEDDED, _DEEP = 0.1, 0.7
-"""Share of tissue about a ball from which it must be brighter than the tissue; and the most that there may be."""
-_OVER_TISSUE = 0.07
-_BLURRED_MM = 2.5
-"""Below this radius the image at work is too smooth to tell a ball's level."""
-_SURE_MM = 0.4
-"""Most standard deviation of a coordinate."""
-_SLICES, _SLICES_FITTED = 1.5, 1.8
-"""Least diameter in the widest voxel spacings, of a candidate and of a fitted ball: of one that shows in one slice, or
-in the halves of two, nobody sees whether it is round."""
-_LEAST_SEEN, _WHOLE = 0.6, 0.98
-_SAME_MM = 3.0
+
+@dataclass(frozen=True, kw_only=True)
+class GadoliniumSettings:
+    """Settings for deciding which balls are markers.
+
+    Values without a stated source were chosen by hand.
+    """
+
+    least_open: float = 0.2
+    """Least share of the directions in which only air lies beyond a ball."""
+    least_air: float = 0.9
+    """Least share of air along such a direction."""
+    open_from_mm: float = 2.0
+    """Distance [mm] from the ball at which these directions begin."""
+    open_to_mm: float = 6.0
+    """Least length [mm] within the image of a direction that counts."""
+    radii_mm: tuple[float, float] = (1.75, 10.75)
+    """Least and largest radius [mm] of a marker."""
+    least_level: float = 0.9
+    """Least level of a ball, as a share of the body's bright tissue."""
+    most_misfit: float = 0.1
+    """Largest root mean square residual about the ball's edge, as a share of its contrast; larger for shapes that
+    are not round."""
+    embedded: float = 0.1
+    """Share of tissue about a ball from which the ball must be brighter than the tissue."""
+    most_embedded: float = 0.7
+    """Largest share of tissue about a ball."""
+    over_tissue: float = 0.07
+    """Least contrast of a ball to such tissue, as a share of its level."""
+    blurred_mm: float = 2.5
+    """Radius [mm] below which the smoothed image does not show a ball's level."""
+    most_sd_mm: float = 0.4
+    """Largest standard deviation [mm] of a coordinate."""
+    least_slices: float = 1.5
+    """Least diameter of a candidate, in the widest voxel spacings."""
+    least_slices_fitted: float = 1.8
+    """Least diameter of a fitted ball, in the widest voxel spacings: a ball visible in one slice, or in the halves
+    of two, cannot be recognised as round."""
+    least_visible: float = 0.6
+    """Least share of a ball that lies within the image."""
+    whole: float = 0.98
+    """Share of a ball within the image below which it is reported as cut."""
+    same_mm: float = 3.0
+    """Largest distance [mm] of the same marker in two volumes."""
+
+
+GADOLINIUM_DEFAULTS = GadoliniumSettings()
+"""Default settings for deciding which balls are markers."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Gadolinium:
-    """The markers of a volume."""
+    """The gadolinium markers of a volume."""
 
     centres_mm: Floats
     """(M, 3) LPS."""
     centres_sd_mm: Floats
     """(M, 3) standard deviations along L, P and S."""
     diameter_mm: Floats
-    """(M,) of what is bright: the filling without its wall."""
+    """(M,) diameter of the filling, without the wall."""
     notes: tuple[str, ...] = ()
     """What a user should know, as sentences."""
 
@@ -63,47 +90,58 @@ class Gadolinium:
         return len(self.centres_mm)
 
 
-def find_gadolinium(volume: Volume, bones: Mapping[str, Surface] | None = None) -> Gadolinium:
+def find_gadolinium(
+    volume: Volume, bones: Mapping[str, Surface] | None = None, *, settings: GadoliniumSettings = GADOLINIUM_DEFAULTS
+) -> Gadolinium:
     """Find bright balls of 2 to 10 mm radius on the skin or beside it.
 
     A ball is bright, round, as sharp as the image, open to the air in a fifth of all directions at least, and
-    brighter than the tissue in which the rest of it lies. Its centre comes from a fit of the image's own voxels
-    (`ball_fit.fit_ball`); the standard deviation is the fit's and knows nothing of the scanner's distortions.
+    brighter than the tissue in which the rest of it lies. Its centre comes from a fit to the image's own voxels
+    (`ball_fit.fit_ball`); the standard deviation is that of the fit, without distortions of the scanner.
 
     Args:
         volume: The image, fat suppressed or not.
-        bones: By name, where they are known: what is centred within one is no marker.
+        bones: By name, where they are known: balls centred within one are not markers.
+        settings: Tuned constants of the algorithm.
 
     Returns:
-        The markers from head to foot; none where there are none.
+        The markers from head to foot.
     """
     if not np.ptp(volume.intensity):
-        return _told([])
+        return _markers([], settings=settings)
     limb = limb_image(volume)
     found: list[BallFit] = []
     for place in ball_candidates(limb):
-        if not _may_be(place, limb, volume):
+        if not _may_be(place, limb, volume, settings=settings):
             continue
         ball = fit_ball(volume, place)
         if ball is None or any(_same(ball, other) for other in found):
             continue
-        # A neighbour that is taken for even tissue makes it look less round.
-        if _is_ball(ball, limb, volume, misfit=2 * _MISFIT):
+        # A neighbouring ball, modelled as tissue, increases the misfit.
+        if _is_ball(ball, limb, volume, misfit=2 * settings.most_misfit, settings=settings):
             found.append(ball)
     alone = [_beside_others(volume, ball, found) for ball in found]
-    return _told([ball for ball in alone if _is_ball(ball, limb, volume) and not _within_bone(ball, bones or {})])
+    return _markers(
+        [
+            ball
+            for ball in alone
+            if _is_ball(ball, limb, volume, settings=settings) and not _within_bone(ball, bones or {})
+        ],
+        settings=settings,
+    )
 
 
-def joined(first: Gadolinium, second: Gadolinium) -> Gadolinium:
-    """Join the markers of two volumes of one knee: those in both by their precision, those in one as they are.
+def joined(first: Gadolinium, second: Gadolinium, *, settings: GadoliniumSettings = GADOLINIUM_DEFAULTS) -> Gadolinium:
+    """Combine the markers of two volumes of one knee, weighted by their precision; those in one volume are kept.
 
-    Where two places of a marker differ by more than their standard deviations say, the joint ones grow accordingly.
+    Where the two positions of a marker differ by more than their standard deviations explain, these are increased.
 
     Args:
         first: Of one volume.
         second: Of the other.
+        settings: Tuned constants of the algorithm.
     """
-    pairs = _pairs(first, second)
+    pairs = _pairs(first, second, settings=settings)
     centres, sds, diameters, off = [], [], [], []
     for one, two in pairs:
         weights = np.stack([first.centres_sd_mm[one], second.centres_sd_mm[two]]) ** -2.0
@@ -117,7 +155,8 @@ def joined(first: Gadolinium, second: Gadolinium) -> Gadolinium:
     notes = [*first.notes, *(note for note in second.notes if note not in first.notes)]
     if off and max(off) > 1.0:
         notes.append(
-            f"A marker lies {max(off):.1f} mm apart in the two volumes: the knee moved, or they are not of one place."
+            f"A marker lies {max(off):.1f} mm apart in the two volumes: the knee moved, or the volumes do not show one"
+            " place."
         )
     for index, (each, matched) in enumerate(((first, {a for a, _ in pairs}), (second, {b for _, b in pairs}))):
         for n in set(range(len(each))) - matched:
@@ -125,7 +164,7 @@ def joined(first: Gadolinium, second: Gadolinium) -> Gadolinium:
             sds.append(each.centres_sd_mm[n])
             diameters.append(each.diameter_mm[n])
             where = ("first", "second")[index]
-            notes.append(f"The marker at LPS {_said(each.centres_mm[n])} mm is seen in the {where} volume only.")
+            notes.append(f"The marker at LPS {_as_text(each.centres_mm[n])} mm is visible in the {where} volume only.")
     order = np.argsort([-centre[2] for centre in centres], kind="stable")
     return Gadolinium(
         centres_mm=np.array(centres).reshape(-1, 3)[order],
@@ -135,20 +174,23 @@ def joined(first: Gadolinium, second: Gadolinium) -> Gadolinium:
     )
 
 
-def _pairs(first: Gadolinium, second: Gadolinium) -> list[tuple[int, int]]:
-    """Match markers that are each other's nearest and no farther apart than a marker is wide."""
+def _pairs(first: Gadolinium, second: Gadolinium, *, settings: GadoliniumSettings) -> list[tuple[int, int]]:
+    """Match markers that are each other's nearest and at most `same_mm` apart."""
     if not len(first) or not len(second):
         return []
     apart = np.linalg.norm(first.centres_mm[:, None] - second.centres_mm[None], axis=2)
     pairs = [(one, int(apart[one].argmin())) for one in range(len(first))]
-    return [(one, two) for one, two in pairs if apart[:, two].argmin() == one and apart[one, two] < _SAME_MM]
+    return [(one, two) for one, two in pairs if apart[:, two].argmin() == one and apart[one, two] < settings.same_mm]
 
 
-def _may_be(place: BallCandidate, limb: LimbImage, volume: Volume) -> bool:
-    """Judge a candidate by what costs little: its size in voxels, what lies about it, and whether that is air."""
-    if 2 * place.radius_mm < _SLICES * float(volume.grid.spacing_mm.max()) or _open_share(place, limb) < _OPEN:
+def _may_be(place: BallCandidate, limb: LimbImage, volume: Volume, *, settings: GadoliniumSettings) -> bool:
+    """Return whether a candidate may be a marker by inexpensive tests of its size and surroundings."""
+    if (
+        2 * place.radius_mm < settings.least_slices * float(volume.grid.spacing_mm.max())
+        or _open_share(place, limb, settings=settings) < settings.least_open
+    ):
         return False
-    if place.radius_mm < _BLURRED_MM:
+    if place.radius_mm < settings.blurred_mm:
         return True
     level, beside = (
         read_at(limb.intensity, limb.grid, place.centre_mm + steps[None, :, None] * sphere_directions()[:, None, :])
@@ -156,18 +198,19 @@ def _may_be(place: BallCandidate, limb: LimbImage, volume: Volume) -> bool:
     )
     tissue = beside[beside > 0.3 * np.median(level)]
     return bool(
-        tissue.size < _EMBEDDED * beside.size or np.median(level) > (1 + _OVER_TISSUE / 2) * np.percentile(tissue, 75)
+        tissue.size < settings.embedded * beside.size
+        or np.median(level) > (1 + settings.over_tissue / 2) * np.percentile(tissue, 75)
     )
 
 
-def _open_share(place: BallCandidate, limb: LimbImage) -> float:
+def _open_share(place: BallCandidate, limb: LimbImage, *, settings: GadoliniumSettings) -> float:
     """Return the share of directions in which air reaches from a ball to the image's end.
 
-    To its end, since dark marrow may hang together with an end of the image, too: from a place in the joint the cut
-    shaft fills a small share of all directions. Those that leave the image at once tell nothing.
+    Dark marrow may also be connected to an end of the image, but from a position in the joint the cut shaft fills only
+    a small share of the directions. Directions that leave the image at once are ignored.
     """
     ends = limb.grid.spacing_mm * limb.grid.shape[::-1]
-    steps = np.arange(place.radius_mm + _OPEN_FROM_MM, float(np.linalg.norm(ends)), 1.5)
+    steps = np.arange(place.radius_mm + settings.open_from_mm, float(np.linalg.norm(ends)), 1.5)
     points = place.centre_mm + steps[None, :, None] * sphere_directions()[:, None, :]
     voxels = np.rint(limb.grid.voxels(points)).astype(np.int64)[..., ::-1]
     within: Mask = np.asarray(((voxels >= 0) & (voxels < limb.grid.shape)).all(axis=-1))
@@ -175,24 +218,32 @@ def _open_share(place: BallCandidate, limb: LimbImage) -> float:
     air = np.zeros(within.shape, dtype=bool)
     air[within] = limb.air[tuple(voxels[within].T)]
     count = within.sum(axis=1)
-    told = count * 1.5 >= _OPEN_TO_MM
-    return float((air.sum(axis=1)[told] >= _AIRY * count[told]).mean()) if told.any() else 0.0
+    counted = count * 1.5 >= settings.open_to_mm
+    return float((air.sum(axis=1)[counted] >= settings.least_air * count[counted]).mean()) if counted.any() else 0.0
 
 
-def _is_ball(ball: BallFit, limb: LimbImage, volume: Volume, misfit: float = _MISFIT) -> bool:
+def _is_ball(
+    ball: BallFit,
+    limb: LimbImage,
+    volume: Volume,
+    misfit: float | None = None,
+    *,
+    settings: GadoliniumSettings,
+) -> bool:
+    misfit = settings.most_misfit if misfit is None else misfit
     sds = np.sqrt(np.diag(ball.covariance_mm2))
     bias = float(read_at(limb.bias.factor, limb.bias.grid, ball.centre_mm[None], outside=1.0)[0])
     sound = (
-        _RADII_MM[0] <= ball.radius_mm <= _RADII_MM[1]
-        and 2 * ball.radius_mm >= _SLICES_FITTED * float(volume.grid.spacing_mm.max())
-        and ball.level >= _BRIGHT * limb.bright * bias
+        settings.radii_mm[0] <= ball.radius_mm <= settings.radii_mm[1]
+        and 2 * ball.radius_mm >= settings.least_slices_fitted * float(volume.grid.spacing_mm.max())
+        and ball.level >= settings.least_level * limb.bright * bias
         and ball.misfit <= misfit
-        and ball.tissue_share <= _DEEP
-        and sds.max() <= _SURE_MM
-        and ball.seen >= _LEAST_SEEN
+        and ball.tissue_share <= settings.most_embedded
+        and sds.max() <= settings.most_sd_mm
+        and ball.seen >= settings.least_visible
     )
-    embedded = ball.tissue_share > _EMBEDDED
-    return bool(sound and not (embedded and ball.level - ball.tissue < _OVER_TISSUE * ball.level))
+    embedded = ball.tissue_share > settings.embedded
+    return bool(sound and not (embedded and ball.level - ball.tissue < settings.over_tissue * ball.level))
 
 
 def _same(ball: BallFit, other: BallFit) -> bool:
@@ -200,7 +251,7 @@ def _same(ball: BallFit, other: BallFit) -> bool:
 
 
 def _beside_others(volume: Volume, ball: BallFit, found: Sequence[BallFit]) -> BallFit:
-    """Fit a ball again without the voxels of those so near that they were in its picture."""
+    """Fit a ball again without the voxels of neighbouring balls."""
     near = [
         (other.centre_mm, other.radius_mm)
         for other in found
@@ -221,13 +272,13 @@ def _within_bone(ball: BallFit, bones: Mapping[str, Surface]) -> bool:
     return False
 
 
-def _told(balls: Sequence[BallFit]) -> Gadolinium:
+def _markers(balls: Sequence[BallFit], *, settings: GadoliniumSettings) -> Gadolinium:
     balls = sorted(balls, key=lambda ball: -ball.centre_mm[2])
     notes = [
-        f"The marker at LPS {_said(ball.centre_mm)} mm is cut by the image's end:"
-        f" {100 * ball.seen:.0f} % of it are seen."
+        f"The marker at LPS {_as_text(ball.centre_mm)} mm is cut by the image's end:"
+        f" {100 * ball.seen:.0f} % of it is visible."
         for ball in balls
-        if ball.seen < _WHOLE
+        if ball.seen < settings.whole
     ]
     return Gadolinium(
         centres_mm=np.array([ball.centre_mm for ball in balls]),
@@ -237,5 +288,5 @@ def _told(balls: Sequence[BallFit]) -> Gadolinium:
     )
 
 
-def _said(place_mm: Floats) -> str:
+def _as_text(place_mm: Floats) -> str:
     return " ".join(f"{each:.1f}" for each in place_mm)

@@ -1,4 +1,4 @@
-"""Which bone a marker rides on: said, told by its label's segment, or told by its place."""
+"""The bone that each marker is attached to: given, by its label's segment, or by its position."""
 
 from collections.abc import Mapping
 
@@ -13,16 +13,19 @@ from marey.markers.data.labels import segment_from_label
 BONE_OF_SEGMENT = {
     "thigh": "femur", "femur": "femur", "shank": "tibia", "leg": "tibia", "tibia": "tibia", "patella": "patella",
 }  # fmt: skip
+"""Name of a segment, without side, to the bone in it."""
 _BY_PLACE = ("femur", "tibia")
+"""Bones to which markers are assigned by their position."""
 _CLEAR_MM = 5.0
+"""Least difference [mm] of the distances to both bones by which a marker is assigned with certainty; chosen by hand."""
 
 
 def bone_of_segment(segment: str, *, left: bool | None = None) -> str | None:
-    """Return the bone of a segment of the laboratory (`left_thigh`: femur); None for one that is no part of this knee.
+    """Return the bone of a segment of the laboratory (`left_thigh`: femur); None if it is not part of this knee.
 
     Args:
-        segment: Its name, with or without a side; also as OpenSim's models have it (`tibia_r`).
-        left: Which knee it is; None where it is not known, or the names of the segments tell no side.
+        segment: Its name, with or without a side; also as in OpenSim's models (`tibia_r`).
+        left: Whether it is a left knee; None where it is not known, or the segments' names have no side.
     """
     for before, after, is_left in (("left_", "_l", True), ("right_", "_r", False)):
         if segment.startswith(before) or segment.endswith(after):
@@ -32,7 +35,7 @@ def bone_of_segment(segment: str, *, left: bool | None = None) -> str | None:
 
 
 def bone_of_label(label: str, segments: Mapping[str, str], *, left: bool | None = None) -> str | None:
-    """Return the bone that a label tells: by the segment it is said to ride on, else by its own name (`tibia_02`).
+    """Return the bone of a label: by its given segment, else by its own name (`tibia_02`).
 
     Args:
         label: Of the laboratory.
@@ -43,8 +46,8 @@ def bone_of_label(label: str, segments: Mapping[str, str], *, left: bool | None 
     return None if named is None else bone_of_segment(named, left=left)
 
 
-def may_ride(label: str, bone: str, segments: Mapping[str, str], *, left: bool | None = None) -> bool:
-    """Return whether a label may be on a bone: the activity puts it nowhere else, and its name says nothing else.
+def may_be_on(label: str, bone: str, segments: Mapping[str, str], *, left: bool | None = None) -> bool:
+    """Return whether a label may be on a bone: neither the activity nor its name assigns it to another one.
 
     Args:
         label: Of the laboratory.
@@ -58,27 +61,27 @@ def may_ride(label: str, bone: str, segments: Mapping[str, str], *, left: bool |
 
 
 def bones_by_place(places_mm: Floats, bones: Mapping[str, Surface]) -> tuple[tuple[str, ...], tuple[int, ...]]:
-    """Take each marker to the nearer one of femur and tibia.
+    """Assign each marker to the nearer one of femur and tibia.
 
-    A marker that lies about as near to the other bone counts as doubtful. No marker is given to the patella, which
-    slides beneath the skin over it.
+    The assignment is uncertain if the other bone is about as near. No marker is assigned to the patella, which slides
+    beneath its skin.
 
     Args:
         places_mm: (M, 3) LPS.
         bones: By name.
 
     Returns:
-        (M,) bones, and which of the markers are doubtful.
+        (M,) bones, and the indices of the markers whose assignment is uncertain.
     """
     there = [bone for bone in _BY_PLACE if bone in bones]
     distance = np.stack([cKDTree(bones[bone].vertices_mm).query(places_mm)[0] for bone in there], 1)
     nearest = tuple(there[k] for k in distance.argmin(1).tolist())
     if len(there) < 2:
         return nearest, ()
-    doubtful = np.flatnonzero(np.abs(distance[:, 0] - distance[:, 1]) < _CLEAR_MM)
-    return nearest, tuple(doubtful.tolist())
+    uncertain = np.flatnonzero(np.abs(distance[:, 0] - distance[:, 1]) < _CLEAR_MM)
+    return nearest, tuple(uncertain.tolist())
 
 
 def in_order(bones: Mapping[str, object]) -> tuple[str, ...]:
-    """Return the names of bones as the knee has them: femur, tibia, patella."""
+    """Return the names of bones in the order femur, tibia, patella."""
     return tuple(bone for bone in BONES if bone in bones)

@@ -1,4 +1,4 @@
-"""The rigid transform between two places of the same markers: its residuals, its covariance, a marker that moved."""
+"""Rigid transform between two sets of positions of the same markers, with detection of a marker that moved."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -11,18 +11,35 @@ from marey.errors import MareyError
 from marey.geometry import rotations
 
 FEWEST = 3
-LARGEST_TURN_SD = np.radians(10.0)
-"""A turn known worse than this is not known: the markers lie too near to one line [rad]."""
-DOUBTED = 1e-3
-"""Residuals that chance makes as large as this seldom are no chance: a marker is elsewhere."""
-_LARGER = 0.05  # the stated deviations are raised where chance makes the residuals so large as seldom as this
-_AHEAD = 9.0  # in chi square, by which leaving one marker out is better than another: odds of 90 to 1
-_EXPLAINED = 0.01  # the others fit again without the marker that was elsewhere
+"""Fewest markers that determine a rigid transform."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MarkerFitSettings:
+    """Settings of the rigid fit between two sets of the same markers.
+
+    Values without a stated source were chosen by hand.
+    """
+
+    most_rotation_sd: float = float(np.radians(10.0))
+    """Largest standard deviation [rad] of the rotation: beyond it the markers lie too near to one line."""
+    least_probability: float = 1e-3
+    """Probability of the residuals below which a marker is taken to have moved."""
+    raised_below: float = 0.05
+    """Probability of the residuals below which the stated standard deviations are raised."""
+    clear_difference: float = 9.0
+    """Difference of chi square by which leaving one marker out is better than another: odds of 90 to 1."""
+    explained: float = 0.01
+    """Least probability of the others' residuals without the marker that moved."""
+
+
+MARKER_FIT_DEFAULTS = MarkerFitSettings()
+"""Default settings of the rigid fit between two sets of the same markers."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CommonMarkers:
-    """The places of M markers in two frames, with standard deviations along the axes of each."""
+    """Positions of M markers in two frames, with standard deviations along the axes of each."""
 
     names: tuple[str, ...]
     from_mm: Floats
@@ -42,12 +59,12 @@ class CommonMarkers:
                 raise MareyError(f"{len(self.names)} common markers and their {name} do not fit together.")
 
     def without(self, index: int) -> "CommonMarkers":
-        """Give all markers but one."""
+        """Return all markers except one."""
         kept = [m for m in range(len(self.names)) if m != index]
         return self.chosen(kept)
 
     def chosen(self, kept: Sequence[int]) -> "CommonMarkers":
-        """Give some of the markers, in the order asked for."""
+        """Return some of the markers, in the given order."""
         rows = np.asarray(kept, np.int64)
         return CommonMarkers(
             names=tuple(self.names[m] for m in rows), from_mm=self.from_mm[rows], from_sd_mm=self.from_sd_mm[rows],
@@ -56,13 +73,13 @@ class CommonMarkers:
 
     @property
     def variance_mm2(self) -> Floats:
-        """(M,) of a coordinate's difference between the two frames, the mean over the axes."""
+        """(M,) variance of a coordinate's difference between the two frames, the mean over the axes."""
         return np.asarray((self.from_sd_mm**2 + self.to_sd_mm**2).mean(1))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MarkerFit:
-    """A rigid transform p_to = R p_from + t between the places of M markers."""
+    """A rigid transform p_to = R p_from + t between two sets of positions of M markers."""
 
     names: tuple[str, ...]
     rotation: Floats
@@ -70,77 +87,88 @@ class MarkerFit:
     translation_mm: Floats
     """(3,)."""
     residuals_mm: Floats
-    """(M, 3) place there less place carried there, along the axes of the frame it leads to; of markers that were left
-    out, too."""
+    """(M, 3) position minus transformed position, along the axes of the target frame; also of ignored markers."""
     used: Mask
-    """(M,) false for a marker that was left out, since it lies elsewhere in one of the two."""
+    """(M,) false for a marker that is ignored because it moved between the two."""
     gain: Floats
-    """(6, M, 3) what the turn exp(turn) to the right of R [rad] and the translation [mm] take from a shift of each
-    marker [mm] in the frame that the transform leads to."""
+    """(6, M, 3) derivatives of the rotation exp(turn) to the right of R [rad] and of the translation [mm] with respect
+    to the position of each marker [mm] in the target frame."""
     covariance: Floats
-    """(6, 6) of turn [rad] and translation [mm]: from the markers' deviations, raised where residuals ask for it."""
+    """(6, 6) of rotation [rad] and translation [mm]: from the markers' standard deviations, raised by the residuals."""
     chi_square: float
     """Sum of the squared residuals in their standard deviations."""
     freedom: int
-    """How many of the coordinates are left over."""
+    """Degrees of freedom of the residuals."""
     raised: float = 1.0
-    """By how much the variances were raised."""
+    """Factor by which the variances were raised."""
     notes: tuple[str, ...] = ()
 
     @property
     def residual_mm(self) -> float:
-        """Distance of the markers that were used from where they are carried (RMS)."""
+        """Root mean square distance of the used markers from their transformed positions."""
         return float(np.sqrt((self.residuals_mm[self.used] ** 2).sum(1).mean()))
 
     @property
     def chance(self) -> float:
-        """How often chance makes residuals so large."""
+        """Probability of residuals at least as large."""
         return float(gammaincc(self.freedom / 2, self.chi_square / 2))
 
 
-def fit_markers(common: CommonMarkers) -> MarkerFit:
-    """Fit the rigid transform between two places of the same markers, and look for one that lies elsewhere.
+def fit_markers(common: CommonMarkers, *, settings: MarkerFitSettings = MARKER_FIT_DEFAULTS) -> MarkerFit:
+    """Fit the rigid transform between two sets of positions of the same markers, and detect one that moved.
 
-    The linear least squares of [Alexander2003] section 2.2, in closed form (singular values). Unlike the paper, each
-    marker counts by its standard deviation. Where the residuals are no chance, the marker without which the others
-    agree is left out, and named; where it may be one of several, they are named, and none is left out. Three markers
-    are too few to leave one out, but the one that moved is named where the distance of the other two is right. What
-    remains unexplained raises the deviations.
+    It is the linear least squares of [Alexander2003] section 2.2, in closed form (singular values). Unlike the paper,
+    each marker is weighted by its standard deviation. Where noise does not explain the residuals, the marker without
+    which the others agree is ignored, and named; where it may be one of several, they are named, and none is ignored.
+    Three markers are too few to ignore one, but the one that moved is named if the distance of the other two is right.
+    Residuals that remain unexplained raise the standard deviations.
 
     Args:
         common: At least three markers, not in a line.
+        settings: Tuned constants of the algorithm.
 
     Raises:
-        MareyError: There are fewer, or they lie so near to one line that the turn about it is not known.
+        MareyError: There are fewer, or they lie so near to one line that the rotation about it is unknown.
     """
-    fit = _weighted(common)
-    if fit.chance >= DOUBTED:
-        return _with_raised(fit)
+    fit = _weighted(common, settings=settings)
+    if fit.chance >= settings.least_probability:
+        return _with_raised(fit, settings=settings)
     if len(common.names) == FEWEST:
-        return _with_raised(replace(fit, notes=_exchanged(common) or _suspect_of_three(common)))
-    without = [(_weighted(common.without(m)), m) for m in range(len(common.names)) if _determined(common.without(m))]
-    likely = sorted([pair for pair in without if pair[0].chance >= _EXPLAINED], key=lambda pair: pair[0].chi_square)
-    alike = [m for each, m in likely if each.chi_square - likely[0][0].chi_square < _AHEAD]
+        return _with_raised(
+            replace(fit, notes=_exchanged(common, settings=settings) or _suspect_of_three(common)), settings=settings
+        )
+    without = [
+        (_weighted(common.without(m), settings=settings), m)
+        for m in range(len(common.names))
+        if _determined(common.without(m), settings=settings)
+    ]
+    likely = sorted(
+        [pair for pair in without if pair[0].chance >= settings.explained], key=lambda pair: pair[0].chi_square
+    )
+    alike = [m for each, m in likely if each.chi_square - likely[0][0].chi_square < settings.clear_difference]
     if len(alike) == 1:
-        return _with_raised(_left_out(common, *likely[0]))
+        return _with_raised(_left_out(common, *likely[0]), settings=settings)
     if alike:
         either = " or ".join(common.names[m] for m in sorted(alike))
-        return _with_raised(replace(fit, notes=(f"{either} lies elsewhere in one of the two; which, cannot be told",)))
-    several = "more than one marker lies elsewhere in one of the two; none can be left out"
-    return _with_raised(replace(fit, notes=_exchanged(common) or (several,)))
+        return _with_raised(
+            replace(fit, notes=(f"{either} moved between the two; which one cannot be determined",)),
+            settings=settings,
+        )
+    several = "more than one marker moved between the two; none can be ignored"
+    return _with_raised(replace(fit, notes=_exchanged(common, settings=settings) or (several,)), settings=settings)
 
 
-def _weighted(common: CommonMarkers) -> MarkerFit:
-    """Fit all markers as they are."""
+def _weighted(common: CommonMarkers, *, settings: MarkerFitSettings) -> MarkerFit:
+    """Fit all markers."""
     if len(common.names) < FEWEST:
         raise MareyError(f"{len(common.names)} markers in common, and a bone needs {FEWEST}")
     weight = 1 / common.variance_mm2
     middle_from, middle_to = (weight @ each / weight.sum() for each in (common.from_mm, common.to_mm))
     turned, shape = common.to_mm - middle_to, common.from_mm - middle_from
-    if not (_off_line(shape, weight) and _off_line(turned, weight)):
+    if not (_off_line(shape, weight, settings=settings) and _off_line(turned, weight, settings=settings)):
         raise MareyError(
-            f"the markers {', '.join(common.names)} lie so near to one line that the turn about it is not known to "
-            f"{np.degrees(LARGEST_TURN_SD):.0f} degrees"
+            f"the markers {', '.join(common.names)} lie so near to one line that the rotation about it is not known to "
+            f"{np.degrees(settings.most_rotation_sd):.0f} degrees"
         )
     rotation = rotations.nearest((weight[:, None] * turned).T @ shape)
     translation = middle_to - rotation @ middle_from
@@ -154,15 +182,18 @@ def _weighted(common: CommonMarkers) -> MarkerFit:
     )  # fmt: skip
 
 
-def _off_line(centred: Floats, weight: Floats) -> bool:
-    """Return whether the turn about the longest axis of points is known well enough."""
+def _off_line(centred: Floats, weight: Floats, *, settings: MarkerFitSettings) -> bool:
+    """Return whether the rotation about the longest axis of points is known well enough."""
     spread = np.linalg.eigvalsh((weight[:, None] * centred).T @ centred)
-    return bool(spread[0] + spread[1] > 1 / LARGEST_TURN_SD**2)
+    return bool(spread[0] + spread[1] > 1 / settings.most_rotation_sd**2)
 
 
-def _determined(common: CommonMarkers) -> bool:
+def _determined(common: CommonMarkers, *, settings: MarkerFitSettings) -> bool:
     weight = 1 / common.variance_mm2
-    return all(_off_line(each - weight @ each / weight.sum(), weight) for each in (common.from_mm, common.to_mm))
+    return all(
+        _off_line(each - weight @ each / weight.sum(), weight, settings=settings)
+        for each in (common.from_mm, common.to_mm)
+    )
 
 
 def _gain(rotation: Floats, shape: Floats, weight: Floats) -> Floats:
@@ -174,7 +205,7 @@ def _gain(rotation: Floats, shape: Floats, weight: Floats) -> Floats:
 
 
 def _variances(common: CommonMarkers, rotation: Floats) -> Floats:
-    """Return the covariances (M, 3, 3) of the differences in the frame that the transform leads to."""
+    """Return the covariances (M, 3, 3) of the differences in the target frame."""
     return np.asarray(_diagonal(common.to_sd_mm**2) + rotation @ _diagonal(common.from_sd_mm**2) @ rotation.T)
 
 
@@ -183,30 +214,30 @@ def _diagonal(values: Floats) -> Floats:
 
 
 def spread_through(gain: Floats, covariance: Floats) -> Floats:
-    """Carry the markers' covariances (M, 3, 3) through a gain (6, M, 3): (6, 6)."""
+    """Propagate the markers' covariances (M, 3, 3) through a gain (6, M, 3) to (6, 6)."""
     return np.einsum("ami,mij,bmj->ab", gain, covariance, gain)
 
 
-def _with_raised(fit: MarkerFit) -> MarkerFit:
-    """Raise the covariance where the residuals are larger than the deviations explain."""
-    if fit.chance >= _LARGER:
+def _with_raised(fit: MarkerFit, *, settings: MarkerFitSettings) -> MarkerFit:
+    """Raise the covariance where the residuals are larger than the standard deviations explain."""
+    if fit.chance >= settings.raised_below:
         return fit
     ratio = fit.chi_square / fit.freedom
     said = (
         f"the markers lie {fit.residual_mm:.2f} mm (RMS) from each other, {np.sqrt(ratio):.1f} times what their "
-        "standard deviations explain; those of the bone's place are raised by as much"
+        "standard deviations explain; those of the bone's pose are raised by the same factor"
     )
     return replace(fit, covariance=fit.covariance * ratio, raised=ratio, notes=(*fit.notes, said))
 
 
 def _left_out(common: CommonMarkers, best: MarkerFit, moved: int) -> MarkerFit:
-    """Return the fit without one marker a row for it again, and name it."""
+    """Return the fit without one marker, with a row for it again, and name it."""
     residuals = common.to_mm - common.from_mm @ best.rotation.T - best.translation_mm
     used = np.arange(len(common.names)) != moved
     off = np.linalg.norm(residuals[moved])
     said = (
-        f"{common.names[moved]} lies {off:.1f} mm from where the other {used.sum()} put it, and is left out: "
-        "was it put back in another place?"
+        f"{common.names[moved]} lies {off:.1f} mm from its position by the other {used.sum()}, and is ignored: "
+        "check whether it was replaced at another position"
     )
     return replace(
         best, names=common.names, residuals_mm=residuals, used=used, gain=np.insert(best.gain, moved, 0.0, axis=1),
@@ -222,8 +253,8 @@ def _suspect_of_three(common: CommonMarkers) -> tuple[str, ...]:
     if len(right) == 1:
         pair = _distance_changes(common)[right[0]][0]
         suspect = next(name for m, name in enumerate(common.names) if m not in pair)
-        return (f"{suspect} seems to lie elsewhere in one of the two; with three markers none can be left out",)
-    return ("the distances between the three markers are not the same in both; which one moved cannot be told",)
+        return (f"{suspect} seems to have moved between the two; with three markers none can be ignored",)
+    return ("the distances between the three markers are not the same in both; which one moved cannot be determined",)
 
 
 def _distance_changes(common: CommonMarkers) -> list[tuple[tuple[int, int], float]]:
@@ -233,15 +264,16 @@ def _distance_changes(common: CommonMarkers) -> list[tuple[tuple[int, int], floa
     return list(zip(pairs, (length[1] - length[0]).tolist(), strict=True))
 
 
-def _exchanged(common: CommonMarkers) -> tuple[str, ...]:
+def _exchanged(common: CommonMarkers, *, settings: MarkerFitSettings) -> tuple[str, ...]:
     """Find two markers whose names, exchanged, would make all agree."""
     count = len(common.names)
     for a in range(count):
         for b in range(a + 1, count):
             order = [b if m == a else a if m == b else m for m in range(count)]
             turned = replace(common, to_mm=common.to_mm[order], to_sd_mm=common.to_sd_mm[order])
-            if _determined(turned) and _weighted(turned).chance >= _EXPLAINED:
-                return (
-                    f"with {common.names[a]} and {common.names[b]} exchanged all would agree: are their names right?",
-                )
+            if (
+                _determined(turned, settings=settings)
+                and _weighted(turned, settings=settings).chance >= settings.explained
+            ):
+                return (f"with {common.names[a]} and {common.names[b]} exchanged all would agree: check their names",)
     return ()

@@ -1,4 +1,4 @@
-"""Which of the scanner's balls is which of the laboratory's markers, told by the distances between them."""
+"""BallMatching of the scanner's balls to the laboratory's markers by the distances between them."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -12,25 +12,44 @@ from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
 
 FEWEST = 3
-_REACH = 5.0  # standard deviations by which a distance may differ
-_LEAST_CHANCE = 1e-6  # of the residuals of a match: one that is less likely is none
-_LEAST_OF_THREE = 1e-5  # of three balls, whose few distances are soon alike by chance
-_AHEAD = 12.0  # in chi square, by which the best match is better than any other: odds of 400 to 1
-_MOST = 4000  # matches of one bone; where so many fit, distances tell nothing
-LARGEST_KNEE_TURN = np.radians(75.0)
-"""Between the scanner and standing a knee bends by less than this [rad]."""
-LARGEST_KNEE_SHIFT_MM = 25.0
-"""And its middle, carried by the femur and by the tibia, comes apart by less than this."""
+"""Fewest balls of a match: fewer determine no rigid motion."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MarkerMatchingSettings:
+    """Settings for matching balls to markers by their distances.
+
+    Values without a stated source were chosen by hand.
+    """
+
+    reach: float = 5.0
+    """Number of standard deviations by which a distance may differ."""
+    least_probability: float = 1e-6
+    """Least probability of the residuals of a match."""
+    least_probability_of_three: float = 1e-5
+    """The same for three balls, whose few distances agree more easily by chance."""
+    clear_difference: float = 12.0
+    """Difference of chi square by which the best match is better than any other: odds of 400 to 1."""
+    most_matches: int = 4000
+    """Largest number of matches of one bone; where so many fit, distances cannot decide."""
+    most_knee_rotation: float = float(np.radians(75.0))
+    """Largest rotation [rad] of the knee between the scanner and standing."""
+    most_knee_shift_mm: float = 25.0
+    """Largest distance [mm] of the knee's middle, mapped by the femur, from the same mapped by the tibia."""
+
+
+MARKER_MATCHING_DEFAULTS = MarkerMatchingSettings()
+"""Default settings for matching balls to markers by their distances."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Markers:
-    """Places of N markers with one standard deviation each."""
+class MarkerPositions:
+    """Positions of N markers with one standard deviation each."""
 
     places_mm: Floats
-    """(N, 3); NaN where not known."""
+    """(N, 3); NaN where unknown."""
     sd_mm: Floats
-    """(N,)."""
+    """(N,) standard deviations of a coordinate."""
 
     def __post_init__(self) -> None:
         freeze_fields(self, "places_mm", "sd_mm")
@@ -47,70 +66,77 @@ class GroupMatch:
     to_from: RigidTransform
     """The markers' frame from the balls' [mm]."""
     by_chance: float
-    """How many such matches are to be expected of markers that are none of the balls."""
+    """Expected number of such matches by chance, with markers that are none of the balls."""
 
     def __post_init__(self) -> None:
         freeze_fields(self, "markers", dtype=np.int64)
 
     @property
     def count(self) -> int:
-        """How many balls have a marker."""
+        """Number of balls with a marker."""
         return int((self.markers >= 0).sum())
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Matching:
+class BallMatching:
     """The match of the balls of all bones."""
 
     groups: Mapping[str, GroupMatch]
     """By bone."""
     rivals: tuple[tuple[str, tuple[int, ...]], ...]
-    """Bone, and balls of it that other markers fit as well: ambiguous; empty where the match is the only one."""
+    """Bone, and its balls that other markers fit as well; empty where the match is unambiguous."""
     by_chance: float = 0.0
-    """How many such matches are to be expected of markers that are none of the balls: the bones' own, times the share
-    of chance poses that make a knee."""
+    """Expected number of such matches by chance: the product of those of the bones, times the share of chance poses
+    that form a knee."""
 
 
-def match_group(balls: Markers, markers: Markers, allowed: Mask) -> list[GroupMatch]:
-    """List all matches of one rigid group of balls to markers that leave the fewest balls without a marker.
+def match_group(
+    balls: MarkerPositions,
+    markers: MarkerPositions,
+    allowed: Mask,
+    *,
+    settings: MarkerMatchingSettings = MARKER_MATCHING_DEFAULTS,
+) -> list[GroupMatch]:
+    """Return all matches of one rigid group of balls to markers with the fewest balls without a marker.
 
-    A mirror image is none: the fit is a proper rotation, and its residuals must be chance.
+    A mirror image is no match: the fit is a proper rotation, whose residuals must be explained by noise.
 
     Args:
         balls: M of them.
         markers: N of them.
-        allowed: (M, N) which marker a ball may be.
+        allowed: (M, N) whether a ball may be a marker.
+        settings: Tuned constants of the algorithm.
 
     Returns:
         The best one first; empty where no three balls fit.
     """
-    fits = _compatible(balls, markers)
+    fits = _compatible(balls, markers, settings=settings)
     spread = spread_of(markers, allowed)
     for lost in range(len(balls.places_mm) - FEWEST + 1):
         found = []
         for assignment in _assignments(fits, allowed & np.isfinite(markers.places_mm).all(1), lost):
-            group = _fitted(balls, markers, assignment)
+            group = _fitted(balls, markers, assignment, settings=settings)
             if group is not None:
                 found.append(replace(group, by_chance=_by_chance(group, balls, markers, allowed, spread)))
-            if len(found) > _MOST:
-                raise MareyError("too many markers lie about as the balls do; write marker_names into markers.json")
+            if len(found) > settings.most_matches:
+                raise MareyError("too many markers are arranged like the balls; write marker_names into markers.json")
         if found:
             return sorted(found, key=lambda group: group.chi_square)
     return []
 
 
-def _compatible(balls: Markers, markers: Markers) -> Mask:
-    """Tell for balls b, c and markers A, B whether their distances are alike: (M, M, N, N)."""
+def _compatible(balls: MarkerPositions, markers: MarkerPositions, *, settings: MarkerMatchingSettings) -> Mask:
+    """Return whether the distances of balls b, c and markers A, B agree: (M, M, N, N)."""
     here, there = (np.linalg.norm(m.places_mm[:, None] - m.places_mm, axis=-1) for m in (balls, markers))
     variance = [m.sd_mm[:, None] ** 2 + m.sd_mm**2 for m in (balls, markers)]
-    reach = _REACH * np.sqrt(variance[0][:, :, None, None] + variance[1])
-    alike = np.abs(here[:, :, None, None] - there) < reach
+    reach = settings.reach * np.sqrt(variance[0][:, :, None, None] + variance[1])
+    similar = np.abs(here[:, :, None, None] - there) < reach
     different = ~np.eye(len(markers.places_mm), dtype=bool)
-    return np.asarray(alike & different)
+    return np.asarray(similar & different)
 
 
 def _assignments(fits: Mask, allowed: Mask, lost: int) -> Iterator[list[int]]:
-    """Give every assignment of markers to balls whose distances are all alike, with so many balls lost."""
+    """Yield every assignment of markers to balls whose distances all agree, with a given number of balls unmatched."""
     count = len(allowed)
 
     def extended(assignment: list[int], left: Mask, lost: int) -> Iterator[list[int]]:
@@ -129,8 +155,10 @@ def _assignments(fits: Mask, allowed: Mask, lost: int) -> Iterator[list[int]]:
     yield from extended([], allowed, lost)
 
 
-def _fitted(balls: Markers, markers: Markers, assignment: Sequence[int]) -> GroupMatch | None:
-    """Fit an assignment rigidly; None where its residuals are no chance (a mirror image, chance distances)."""
+def _fitted(
+    balls: MarkerPositions, markers: MarkerPositions, assignment: Sequence[int], *, settings: MarkerMatchingSettings
+) -> GroupMatch | None:
+    """Fit an assignment rigidly; None where noise does not explain its residuals (a mirror image, chance distances)."""
     pairs = np.array([(ball, marker) for ball, marker in enumerate(assignment) if marker >= 0])
     here, there = balls.places_mm[pairs[:, 0]], markers.places_mm[pairs[:, 1]]
     weight = 1 / (balls.sd_mm[pairs[:, 0]] ** 2 + markers.sd_mm[pairs[:, 1]] ** 2)
@@ -138,13 +166,13 @@ def _fitted(balls: Markers, markers: Markers, assignment: Sequence[int]) -> Grou
     rotation = rotations.nearest((weight[:, None] * (there - middles[1])).T @ (here - middles[0]))
     motion = RigidTransform(rotation, middles[1] - rotation @ middles[0])
     chi_square = float((weight[:, None] * (there - motion.apply(here)) ** 2).sum())
-    least = _LEAST_OF_THREE if len(pairs) == FEWEST else _LEAST_CHANCE
+    least = settings.least_probability_of_three if len(pairs) == FEWEST else settings.least_probability
     if gammaincc((3 * len(pairs) - 6) / 2, chi_square / 2) < least:
         return None
     return GroupMatch(markers=np.asarray(assignment), chi_square=chi_square, to_from=motion, by_chance=0.0)
 
 
-def spread_of(markers: Markers, allowed: Mask) -> float:
+def spread_of(markers: MarkerPositions, allowed: Mask) -> float:
     """Return the mean distance between the markers that a ball may be."""
     there = markers.places_mm[allowed.any(0) & np.isfinite(markers.places_mm).all(1)]
     count = len(there)
@@ -152,11 +180,13 @@ def spread_of(markers: Markers, allowed: Mask) -> float:
     return max(float(apart), 1.0)
 
 
-def _by_chance(group: GroupMatch, balls: Markers, markers: Markers, allowed: Mask, spread_mm: float) -> float:
-    """Return how many matches as good as this one are to be expected of as many markers strewn over their spread.
+def _by_chance(
+    group: GroupMatch, balls: MarkerPositions, markers: MarkerPositions, allowed: Mask, spread_mm: float
+) -> float:
+    """Return the expected number of equally good matches with as many random markers over the same extent.
 
-    The number of assignments, times the share of the residuals' space that is as near to none: a ball of as many
-    dimensions as coordinates are left over.
+    It is the number of assignments, times the share of the space of residuals that is as near to zero: a ball with one
+    dimension per degree of freedom.
     """
     kept = np.flatnonzero(group.markers >= 0)
     assignments = 1.0
@@ -173,49 +203,50 @@ def _volume(dimensions: int) -> float:
     return float(np.pi ** (dimensions / 2) / gamma(dimensions / 2 + 1))
 
 
-def _share_of_knees(spread_mm: float) -> float:
-    """Return the share of chance poses of one bone beside another that make a knee."""
-    turns = (LARGEST_KNEE_TURN - np.sin(LARGEST_KNEE_TURN)) / np.pi
-    return float(min(turns * _volume(3) * (LARGEST_KNEE_SHIFT_MM / spread_mm) ** 3, 1.0))
+def _share_of_knees(spread_mm: float, *, settings: MarkerMatchingSettings) -> float:
+    """Return the share of random poses of one bone relative to another that form a knee."""
+    turns = (settings.most_knee_rotation - np.sin(settings.most_knee_rotation)) / np.pi
+    return float(min(turns * _volume(3) * (settings.most_knee_shift_mm / spread_mm) ** 3, 1.0))
 
 
 def best_matching(
     found: Mapping[str, Sequence[GroupMatch]], knee_mm: Floats, posture: Mapping[str, RigidTransform],
-    *, spread_mm: float = 200.0,
-) -> Matching:  # fmt: skip
-    """Choose one match a bone so that the bones make a knee, and say where others would do as well.
+    *, spread_mm: float = 200.0, settings: MarkerMatchingSettings = MARKER_MATCHING_DEFAULTS
+) -> BallMatching:  # fmt: skip
+    """Choose one match per bone so that the bones form a knee, and report where others fit as well.
 
-    No marker is on two bones; between the scanner and standing the knee bends by less than `LARGEST_KNEE_TURN`, and
-    its middle stays together to `LARGEST_KNEE_SHIFT_MM`.
+    No marker is on two bones; between the scanner and standing the knee rotates by less than `most_knee_rotation`, and
+    its middle stays together to `most_knee_shift_mm`.
 
     Args:
-        found: Bone to its matches; bones without any are left out.
+        found: Bone to its matches; bones without any are ignored.
         knee_mm: (3,) the middle of the knee in the scanner.
         posture: Bone to the laboratory from the frame in which its markers are given [mm].
-        spread_mm: Over what the laboratory's markers are strewn.
+        spread_mm: Mean distance between the laboratory's markers.
+        settings: Tuned constants of the algorithm.
     """
     bones = [bone for bone, matches in found.items() if matches]
-    ranked = sorted(_joint(bones, found, knee_mm, posture), key=lambda pair: pair[0])
+    ranked = sorted(_joint(bones, found, knee_mm, posture, settings=settings), key=lambda pair: pair[0])
     if not ranked:
-        return Matching(groups={}, rivals=())
+        return BallMatching(groups={}, rivals=())
     least, chosen = ranked[0]
     rivals: dict[str, set[int]] = {}
     for chi_square, other in ranked[1:]:
-        if chi_square - least < _AHEAD:
+        if chi_square - least < settings.clear_difference:
             for bone in bones:
                 differ = np.flatnonzero(chosen[bone].markers != other[bone].markers)
                 rivals.setdefault(bone, set()).update(differ.tolist())
-    told = tuple((bone, tuple(sorted(balls))) for bone, balls in rivals.items() if balls)
+    ambiguous = tuple((bone, tuple(sorted(balls))) for bone, balls in rivals.items() if balls)
     by_chance = float(np.prod([match.by_chance for match in chosen.values()]))
-    by_chance *= _share_of_knees(spread_mm) ** (len(chosen) - 1)
-    return Matching(groups=chosen, rivals=told, by_chance=by_chance)
+    by_chance *= _share_of_knees(spread_mm, settings=settings) ** (len(chosen) - 1)
+    return BallMatching(groups=chosen, rivals=ambiguous, by_chance=by_chance)
 
 
 def _joint(
     bones: Sequence[str], found: Mapping[str, Sequence[GroupMatch]], knee_mm: Floats,
-    posture: Mapping[str, RigidTransform],
+    posture: Mapping[str, RigidTransform], *, settings: MarkerMatchingSettings
 ) -> Iterator[tuple[float, dict[str, GroupMatch]]]:  # fmt: skip
-    """Return the combinations of matches that make a knee, with their chi square."""
+    """Yield the combinations of matches that form a knee, with their chi square."""
     if not bones:
         return
     partial: list[tuple[float, dict[str, GroupMatch]]] = [(0.0, {})]
@@ -224,16 +255,25 @@ def _joint(
             (chi_square + match.chi_square, {**others, bone: match})
             for chi_square, others in partial
             for match in found[bone]
-            if all(_makes_knee({bone: match, name: other}, knee_mm, posture) for name, other in others.items())
+            if all(
+                _makes_knee({bone: match, name: other}, knee_mm, posture, settings=settings)
+                for name, other in others.items()
+            )
         ]
     yield from partial
 
 
-def _makes_knee(pair: Mapping[str, GroupMatch], knee_mm: Floats, posture: Mapping[str, RigidTransform]) -> bool:
+def _makes_knee(
+    pair: Mapping[str, GroupMatch],
+    knee_mm: Floats,
+    posture: Mapping[str, RigidTransform],
+    *,
+    settings: MarkerMatchingSettings,
+) -> bool:
     first, second = pair.values()
     if set(first.markers[first.markers >= 0].tolist()) & set(second.markers[second.markers >= 0].tolist()):
         return False
     there = [posture[bone] @ match.to_from for bone, match in pair.items()]
     turn = np.linalg.norm((there[0].inverse() @ there[1]).rotation_vector)
     shift = np.linalg.norm(there[0].apply(knee_mm) - there[1].apply(knee_mm))
-    return bool(turn < LARGEST_KNEE_TURN and shift < LARGEST_KNEE_SHIFT_MM)
+    return bool(turn < settings.most_knee_rotation and shift < settings.most_knee_shift_mm)

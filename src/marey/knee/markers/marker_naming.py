@@ -1,4 +1,4 @@
-"""Each of the scanner's markers by the laboratory's name, and the bone it rides on."""
+"""Names of the scanner's markers in the laboratory, and the bones they are attached to."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -8,30 +8,41 @@ import numpy as np
 from marey.arrays import Floats, Mask, freeze_fields
 from marey.errors import MareyError
 from marey.geometry.rigid import RigidTransform
-from marey.knee.markers.marker_bones import bone_of_label, bone_of_segment, bones_by_place, in_order, may_ride
-from marey.knee.markers.marker_matching import GroupMatch, Markers, Matching, best_matching, match_group, spread_of
+from marey.knee.markers.marker_bones import bone_of_label, bone_of_segment, bones_by_place, in_order, may_be_on
+from marey.knee.markers.marker_matching import (
+    BallMatching,
+    GroupMatch,
+    MarkerPositions,
+    best_matching,
+    match_group,
+    spread_of,
+)
 from marey.knee.markers.reference_posture import BonePlaces, ReferencePosture
 from marey.knee.space.structures import BONES
 from marey.knee.space.surface import Surface
 
-_NEAR = 4.0  # standard deviations within which a lost ball belongs to the other bone's marker
+_NEAR = 4.0
+"""Number of standard deviations within which an unmatched ball belongs to the other bone's marker; chosen by hand."""
 _FEWEST = 3
+"""Fewest balls of a bone that are matched by their distances: fewer determine no rigid motion."""
 _MOST_BY_CHANCE = 0.05
+"""Largest expected number of chance matches; chosen by hand."""
 _REMEDY = "Write marker_names into markers.json."
+"""What a user can do when distances do not identify the markers."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ScannerMarkers:
-    """The M markers that were found in an MR volume, and what is said of them."""
+    """The M markers found in an MR volume, with their given names and bones."""
 
     centres_mm: Floats
     """(M, 3) LPS."""
     sd_mm: Floats
     """(M, 3)."""
     names: tuple[str | None, ...] = ()
-    """(M,) the laboratory's label of each, None where it is not said; empty where none is."""
+    """(M,) the laboratory's label of each, None where it is not given; empty if none is."""
     bones: tuple[str | None, ...] = ()
-    """(M,) the bone that each rides on, None where it is not said; empty where none is."""
+    """(M,) the bone of each, None where it is not given; empty if none is."""
 
     def __post_init__(self) -> None:
         freeze_fields(self, "centres_mm", "sd_mm")
@@ -47,17 +58,17 @@ class ScannerMarkers:
             raise MareyError(f"Two markers in the scanner have the name {', '.join(twice)}.")
         strange = sorted({bone for bone in self.bones if bone is not None} - set(BONES))
         if strange:
-            raise MareyError(f"A marker rides on {', '.join(strange)}; the bones are {', '.join(BONES)}.")
+            raise MareyError(f"A marker is on {', '.join(strange)}; the bones are {', '.join(BONES)}.")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class NamedBalls:
-    """Which marker of the laboratory each of the M balls is."""
+    """The marker of the laboratory that corresponds to each of the M balls."""
 
     labels: tuple[str | None, ...]
-    """(M,) None for a ball without a marker there."""
+    """(M,) label of each; None for a ball without a marker in the laboratory."""
     bones: tuple[str, ...]
-    """(M,) the bone that each rides on."""
+    """(M,) the bone of each ball."""
     notes: tuple[str, ...]
 
     def of(self, bone: str) -> tuple[int, ...]:
@@ -68,14 +79,16 @@ class NamedBalls:
 
 
 def segment_of_bone(bone: str, segments: Iterable[str], *, left: bool | None = None) -> str | None:
-    """Return the one segment of the laboratory that is a bone of this knee.
+    """Return the segment of the laboratory that corresponds to a bone of this knee.
 
     Raises:
-        MareyError: Two of them could be.
+        MareyError: Two segments may correspond to it.
     """
     found = [segment for segment in segments if bone_of_segment(segment, left=left) == bone]
     if len(found) > 1:
-        raise MareyError(f"The activity has {' and '.join(found)}, and which knee was scanned is not known: --side.")
+        raise MareyError(
+            f"The activity has {' and '.join(found)}, and the side of the scanned knee is unknown: give --side."
+        )
     return found[0] if found else None
 
 
@@ -83,13 +96,13 @@ def named_balls(
     scanner: ScannerMarkers, posture: ReferencePosture, bones: Mapping[str, Surface], *,
     segment_of_label: Mapping[str, str], left: bool | None,
 ) -> NamedBalls:  # fmt: skip
-    """Return which marker of the laboratory each ball is, and which bone it rides on.
+    """Return the marker of the laboratory that corresponds to each ball, and its bone.
 
-    Names that are given count; the others are told by the distances of the balls of a bone from each other. The bone
-    is the one that is given, else that of the label's segment, else the nearer one.
+    Given names are used; the others are found by the distances between the balls of a bone. The bone is the given one,
+    else that of the label's segment, else the nearer one.
 
     Raises:
-        MareyError: A name is not in the laboratory's reference; or the distances fit several ways, or none.
+        MareyError: A name is not in the laboratory's reference; or the distances fit in several ways, or in none.
     """
     strange = [name for name in scanner.names if name is not None and name not in posture.labels]
     if strange:
@@ -97,36 +110,36 @@ def named_balls(
             f"markers.json names {', '.join(strange)}, which the reference does not have. It has: "
             f"{', '.join(posture.labels)}."
         )
-    riding, notes = _bones(scanner, bones, segment_of_label, left)
+    bone_of_ball, notes = _bones(scanner, bones, segment_of_label, left)
     if all(name is not None for name in scanner.names):
-        return NamedBalls(labels=scanner.names, bones=riding, notes=tuple(notes))
-    named = {bone: segment_of_bone(bone, posture.bones, left=left) for bone in in_order(dict.fromkeys(riding))}
+        return NamedBalls(labels=scanner.names, bones=bone_of_ball, notes=tuple(notes))
+    named = {bone: segment_of_bone(bone, posture.bones, left=left) for bone in in_order(dict.fromkeys(bone_of_ball))}
     open_ = {
         bone: _OpenBone(
             places=posture.bones[segment], labels=posture.labels,
-            free=np.array([may_ride(label, bone, segment_of_label, left=left) for label in posture.labels]),
+            free=np.array([may_be_on(label, bone, segment_of_label, left=left) for label in posture.labels]),
         )
         for bone, segment in named.items()
         if segment is not None
     }  # fmt: skip
-    found, said = _matched(scanner, riding, open_, bones)
+    found, said = _matched(scanner, bone_of_ball, open_, bones)
     notes += said
-    labels, riding, said = _told(scanner, riding, open_, found)
-    return NamedBalls(labels=labels, bones=riding, notes=(*notes, *said))
+    labels, bone_of_ball, said = _labelled(scanner, bone_of_ball, open_, found)
+    return NamedBalls(labels=labels, bones=bone_of_ball, notes=(*notes, *said))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _OpenBone:
-    """A bone among whose markers balls are sought."""
+    """A bone with the markers among which its balls are searched."""
 
     places: BonePlaces
     labels: tuple[str, ...]
     """N of the reference."""
     free: Mask
-    """(N,) whether a label may be on this bone, as far as the activity tells."""
+    """(N,) whether a label may be on this bone according to the activity."""
 
-    def markers(self) -> Markers:
-        """Return the markers with one deviation each."""
+    def markers(self) -> MarkerPositions:
+        """Return the markers with one standard deviation each."""
         sd = np.where(np.isfinite(self.places.sd_mm), self.places.sd_mm, 1.0)
         return _markers(self.places.places_mm, sd)
 
@@ -140,7 +153,7 @@ class _OpenBone:
     def nearby(
         self, scanner: ScannerMarkers, ball: int, motion: RigidTransform, taken: Sequence[str | None]
     ) -> str | None:
-        """Return the free marker where a ball would lie if it rode on this bone."""
+        """Return the free marker where a ball would lie if it were on this bone."""
         off = np.linalg.norm(self.places.places_mm - motion.apply(scanner.centres_mm[ball]), axis=1)
         reach = _NEAR * np.sqrt((self.places.sd_mm**2).mean(1) + (scanner.sd_mm[ball] ** 2).mean())
         near = [m for m in np.flatnonzero((off < reach) & self.free) if self.labels[m] not in taken]
@@ -150,40 +163,40 @@ class _OpenBone:
 def _bones(
     scanner: ScannerMarkers, bones: Mapping[str, Surface], segment_of_label: Mapping[str, str], left: bool | None
 ) -> tuple[tuple[str, ...], list[str]]:
-    """Return the bone of each ball: said, by its label, or by its place."""
-    said: list[str | None] = [
+    """Return the bone of each ball: given, by its label, or by its position."""
+    assigned: list[str | None] = [
         given or (None if name is None else bone_of_label(name, segment_of_label, left=left))
         for given, name in zip(scanner.bones, scanner.names, strict=True)
     ]
-    open_ = [ball for ball, bone in enumerate(said) if bone is None]
+    open_ = [ball for ball, bone in enumerate(assigned) if bone is None]
     if not open_:
-        return tuple(bone for bone in said if bone is not None), []
+        return tuple(bone for bone in assigned if bone is not None), []
     if not {"femur", "tibia"} & set(bones):
-        raise MareyError("Which bone a marker rides on is not said, and there is no femur or tibia to tell it by.")
-    near, doubtful = bones_by_place(scanner.centres_mm[open_], bones)
+        raise MareyError("The bone of a marker is not given, and there is no femur or tibia to find it by.")
+    near, uncertain = bones_by_place(scanner.centres_mm[open_], bones)
     for ball, bone in zip(open_, near, strict=True):
-        said[ball] = bone
-    notes = [f"By its place each of {_numbers(open_)} rides on the nearer of femur and tibia."]
-    if doubtful:
-        between = _numbers([open_[k] for k in doubtful])
+        assigned[ball] = bone
+    notes = [f"By position, each of {_numbers(open_)} is assigned to the nearer of femur and tibia."]
+    if uncertain:
+        between = _numbers([open_[k] for k in uncertain])
         notes.append(f"About as near to both: {between}. Write marker_segment into markers.json to be sure.")
-    return tuple(bone for bone in said if bone is not None), notes
+    return tuple(bone for bone in assigned if bone is not None), notes
 
 
 def _numbers(balls: Sequence[int]) -> str:
-    """Name balls by their place in markers.json, counted from 0."""
+    """Name balls by their index in markers.json, counted from 0."""
     return ("marker " if len(balls) == 1 else "markers ") + ", ".join(str(ball) for ball in balls)
 
 
 def _matched(
-    scanner: ScannerMarkers, riding: Sequence[str], open_: Mapping[str, _OpenBone], bones: Mapping[str, Surface]
-) -> tuple[Matching, list[str]]:
+    scanner: ScannerMarkers, bone_of_ball: Sequence[str], open_: Mapping[str, _OpenBone], bones: Mapping[str, Surface]
+) -> tuple[BallMatching, list[str]]:
     """Match the balls of every bone by their distances."""
     found: dict[str, list[GroupMatch]] = {}
     notes: list[str] = []
     spread = 0.0
     for bone, there in open_.items():
-        group = _group(riding, bone)
+        group = _group(bone_of_ball, bone)
         if len(group) < _FEWEST:
             continue
         balls, markers = _markers(scanner.centres_mm[group], scanner.sd_mm[group]), there.markers()
@@ -191,69 +204,70 @@ def _matched(
         found[bone] = match_group(balls, markers, allowed)
         spread = max(spread, spread_of(markers, allowed))
         if not found[bone]:
-            notes.append(f"{bone}: no three of its markers lie as far from each other as any in the reference do.")
+            notes.append(f"{bone}: the distances between no three of its markers agree with the reference.")
     frames = {bone: open_[bone].places.laboratory_from_bone for bone in found}
     matching = best_matching(found, _knee_middle(bones, scanner), frames, spread_mm=spread)
     if any(found.values()) and not matching.groups:
         raise MareyError(
-            "The markers' distances fit some of the reference, but not so that femur and tibia make a knee. Are the "
-            f"scanner's markers in it? {_REMEDY}"
+            "The markers' distances agree with some of the reference, but femur and tibia then form no knee. Check "
+            f"that the scanner's markers are in it. {_REMEDY}"
         )
     if matching.rivals:
         doubt = "; ".join(
-            f"{_numbers([_group(riding, bone)[k] for k in balls])} of the {bone}" for bone, balls in matching.rivals
+            f"{_numbers([_group(bone_of_ball, bone)[k] for k in balls])} of the {bone}"
+            for bone, balls in matching.rivals
         )
         raise MareyError(
-            f"The markers' distances fit the reference in more than one way ({doubt}): they stand too regularly to be "
-            f"told apart. {_REMEDY}"
+            f"The markers' distances fit the reference in more than one way ({doubt}): their arrangement is too "
+            f"regular. {_REMEDY}"
         )
     if matching.by_chance > _MOST_BY_CHANCE:
         raise MareyError(
-            "The markers' distances fit the reference, but among so many markers so few distances would by chance, too "
-            f"(to be expected: {matching.by_chance:.2g} times). {_REMEDY}"
+            "The markers' distances fit the reference, but with so many markers so few distances would do so by "
+            f"chance as well (expected: {matching.by_chance:.2g} times). {_REMEDY}"
         )
     return matching, notes
 
 
 def _knee_middle(bones: Mapping[str, Surface], scanner: ScannerMarkers) -> Floats:
-    """Return the middle between femur and tibia, or of the markers where a bone lacks."""
+    """Return the middle between femur and tibia, or of the markers where a bone is missing."""
     if {"femur", "tibia"} <= set(bones):
         low = bones["femur"].vertices_mm
         return np.asarray((low[low[:, 2] < low[:, 2].min() + 20.0]).mean(0))
     return np.asarray(scanner.centres_mm.mean(0))
 
 
-def _group(riding: Sequence[str], bone: str) -> list[int]:
-    return [ball for ball, its in enumerate(riding) if its == bone]
+def _group(bone_of_ball: Sequence[str], bone: str) -> list[int]:
+    return [ball for ball, its in enumerate(bone_of_ball) if its == bone]
 
 
-def _markers(places_mm: Floats, sd_mm: Floats) -> Markers:
-    return Markers(places_mm=places_mm, sd_mm=np.sqrt((sd_mm**2).mean(1)))
+def _markers(places_mm: Floats, sd_mm: Floats) -> MarkerPositions:
+    return MarkerPositions(places_mm=places_mm, sd_mm=np.sqrt((sd_mm**2).mean(1)))
 
 
-def _told(
-    scanner: ScannerMarkers, riding: Sequence[str], open_: Mapping[str, _OpenBone], found: Matching
+def _labelled(
+    scanner: ScannerMarkers, bone_of_ball: Sequence[str], open_: Mapping[str, _OpenBone], found: BallMatching
 ) -> tuple[tuple[str | None, ...], tuple[str, ...], list[str]]:
-    """Return the labels, and see whether a ball that was lost belongs to the other bone."""
+    """Return labels, bones and notes; an unmatched ball may belong to the other bone."""
     labels: list[str | None] = list(scanner.names)
-    riding = list(riding)
+    bone_of_ball = list(bone_of_ball)
     for bone, match in found.groups.items():
-        for ball, marker in zip(_group(riding, bone), match.markers.tolist(), strict=True):
+        for ball, marker in zip(_group(bone_of_ball, bone), match.markers.tolist(), strict=True):
             labels[ball] = open_[bone].labels[marker] if marker >= 0 else None
     notes = []
     for ball in [ball for ball, label in enumerate(labels) if label is None and scanner.bones[ball] is None]:
         for bone, match in found.groups.items():
             label = open_[bone].nearby(scanner, ball, match.to_from, labels)
-            if label is not None and labels[ball] is None and bone != riding[ball]:
-                notes.append(f"{_numbers([ball])} is {label} if it rides on the {bone}, so it does.")
-                labels[ball], riding[ball] = label, bone
+            if label is not None and labels[ball] is None and bone != bone_of_ball[ball]:
+                notes.append(f"{_numbers([ball])} is {label} if it is on the {bone}, and is assigned to it.")
+                labels[ball], bone_of_ball[ball] = label, bone
     pairs = ", ".join(f"{ball} is {label}" for ball, label in enumerate(labels) if label != scanner.names[ball])
     if pairs:
         notes.append(f"By the distances between them: marker {pairs}.")
-    lost = {bone: [b for b in _group(riding, bone) if labels[b] is None] for bone in dict.fromkeys(riding)}
+    lost = {bone: [b for b in _group(bone_of_ball, bone) if labels[b] is None] for bone in dict.fromkeys(bone_of_ball)}
     notes += [
-        f"Of the {bone}, {_numbers(balls)}: no marker of the reference where it should be; passed over."
+        f"Of the {bone}, {_numbers(balls)}: the reference has no marker at its position; ignored."
         for bone, balls in lost.items()
         if balls
     ]
-    return tuple(labels), tuple(riding), notes
+    return tuple(labels), tuple(bone_of_ball), notes

@@ -1,4 +1,4 @@
-"""Where the laboratory's markers lie on the bones: in the activity's own reference posture, or a standing trial."""
+"""Positions of the laboratory's markers on the bones, from the activity's reference posture or a standing trial."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -17,29 +17,31 @@ from marey.markers.data.rigid_fit import RigidFit, fit_rigid
 from marey.markers.data.trajectories import MarkerTrajectories
 
 NOISE_MM = 0.5
-"""Standard deviation of a marker's coordinate, where nothing else is said."""
+"""Default standard deviation [mm] of a marker's coordinate; chosen by hand."""
 _MM = 1e3
+"""Millimetres per metre."""
 _NO_CHANCE = 0.05
+"""Probability of a cluster's residuals below which its standard deviation is raised; chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Activity:
-    """What `marey markers` found of a trial, as far as the knee needs it."""
+    """Results of `marey markers` for a trial that the knee needs."""
 
     motion: BoneMotion
     """The bones as the method estimates them [m]."""
     cluster: BoneMotion | None = None
-    """The bones as their clusters move them, without the correction of the skin's motion; None where not computed."""
+    """The bones as their clusters move, without correction of the skin's motion; None if not computed."""
     markers: MarkerTrajectories
     """All markers of the trial [m]."""
     segment_of_label: Mapping[str, str]
-    """On which bone each marker rides."""
+    """Label to the segment that the marker is attached to."""
     reference_frames: Integers | None
-    """(K,) frames of the trial in which the bones were known; None where it is not told (a model's bones)."""
+    """(K,) frames of the trial in which the bones were known; None where they are unknown (a model's bones)."""
     time: Floats
     """(F,) [s]."""
     side: str | None = None
-    """`left` or `right`, where it is known and the segments' names do not tell."""
+    """`left` or `right`, where it is known but not part of the segments' names."""
 
     def __post_init__(self) -> None:
         freeze_fields(self, "time")
@@ -47,9 +49,9 @@ class Activity:
             freeze_fields(self, "reference_frames", dtype=np.int64)
 
     def places(self, segment: str, labels: tuple[str, ...]) -> Floats:
-        """Return the places (M, 3) of markers in a bone's frame in the reference posture [m]; NaN where not seen.
+        """Return the positions (M, 3) of markers in a bone's frame in the reference posture [m]; NaN if never visible.
 
-        Of several postures, or where none is told of all frames, the mean.
+        They are means over the frames of the reference posture, or over all frames if these are unknown.
         """
         rotation, origin = self.motion.bone(segment)
         points = self.markers.select(labels).points
@@ -60,29 +62,30 @@ class Activity:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class BonePlaces:
-    """Where N markers lie in one bone's frame in the reference posture."""
+    """Positions of N markers in one bone's frame in the reference posture."""
 
     segment: str
     places_mm: Floats
-    """(N, 3) capture anatomic; NaN of a marker that is never seen."""
+    """(N, 3) in the capture anatomic frame; NaN for a marker that is never visible."""
     sd_mm: Floats
     """(N, 3)."""
     laboratory_from_bone: RigidTransform
     """In one frame of the posture [mm]."""
     cluster: tuple[int, ...] = ()
-    """Which of the markers the bone was found by; none where it is known otherwise."""
+    """Indices of the markers by which the bone was located; empty where it is known otherwise."""
     cluster_gain: Floats = field(default_factory=lambda: np.zeros((6, 0, 3)))
-    """(6, cluster, 3) what the bone's turn [rad] and shift [mm], both along its own axes, take from a shift of each
-    marker of the cluster [mm], along the same axes."""
+    """(6, cluster, 3) derivatives of the bone's rotation [rad] and shift [mm], both along its own axes, with respect to
+    the position of each marker of the cluster [mm], along the same axes."""
     cluster_sd_mm: float = 0.0
     """Standard deviation of a coordinate of the cluster's markers."""
     residual_mm: float | None = None
-    """How far the cluster lies from its form in the activity's reference posture (RMS); None where it is the same."""
+    """Root mean square deviation of the cluster from its shape in the activity's reference posture; None if it is the
+    same."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ReferencePosture:
-    """The posture that joins the scanner's markers and the activity's."""
+    """The posture that relates the scanner's markers to the activity's."""
 
     labels: tuple[str, ...]
     """N markers."""
@@ -94,17 +97,17 @@ class ReferencePosture:
 def reference_posture(
     activity: Activity, standing: MarkerTrajectories | None = None, *, noise_mm: float = NOISE_MM
 ) -> ReferencePosture:
-    """Find where the markers lie on the bones.
+    """Find the positions of the markers on the bones.
 
-    Without a standing trial the activity's own reference posture is taken, which then shows the scanner's markers,
-    too. With one, each bone's cluster is laid over itself in every frame of it, and the markers' places in the bone's
-    frame are averaged: swaying does no harm. It may be the trial that told `marey markers` where the bones are.
+    Without a standing trial the activity's own reference posture is used, which must then contain the scanner's
+    markers. With one, each bone's cluster is fitted to every frame of it, and the markers' positions in the bone's
+    frame are averaged, so that sway has no influence. It may be the static trial of `marey markers`.
 
     Args:
-        activity: What `marey markers` found.
+        activity: Results of `marey markers`.
         standing: A trial with the markers of the activity and those of the scanner.
-        noise_mm: Standard deviation of a marker's coordinate, which no averaging takes away: how well it came back to
-            its place, and what the laboratory's calibration leaves.
+        noise_mm: Standard deviation of a marker's coordinate that averaging does not reduce: by replacing the marker,
+            and by the laboratory's calibration.
 
     Raises:
         MareyError: The activity has no segment of a knee, or no bone can be found in the standing trial.
@@ -148,12 +151,12 @@ def _own_posture(activity: Activity, segments: Sequence[str], noise_mm: float) -
 def _standing_bone(
     activity: Activity, segment: str, standing: MarkerTrajectories, noise_mm: float
 ) -> tuple[BonePlaces, list[str]]:
-    """Lay one bone's cluster over itself in the standing trial."""
-    riding = [label for label, name in activity.segment_of_label.items() if name == segment]
-    shared = tuple(label for label in riding if label in standing.labels)
+    """Fit one bone's cluster to the standing trial."""
+    attached = [label for label, name in activity.segment_of_label.items() if name == segment]
+    shared = tuple(label for label in attached if label in standing.labels)
     if len(shared) < MINIMUM_MARKERS:
         raise MareyError(
-            f"the standing trial has {len(shared)} of the activity's markers ({', '.join(riding)}), "
+            f"the standing trial has {len(shared)} of the activity's markers ({', '.join(attached)}), "
             f"and needs {MINIMUM_MARKERS}."
         )
     shape = activity.places(segment, shared)
@@ -172,17 +175,17 @@ def _standing_bone(
         cluster=tuple(standing.labels.index(label) for label in shared), cluster_gain=gain,
         cluster_sd_mm=noise_mm * np.sqrt(raised), residual_mm=residual,
     )  # fmt: skip
-    said = f"{segment}: its markers in the standing trial lie {residual:.1f} mm (RMS) from their form in the activity."
-    lacking = [label for label in riding if label not in shared]
-    more = [f"{segment}: the standing trial lacks {', '.join(lacking)}."] if lacking else []
-    return found, [said, *more]
+    note = f"{segment}: its markers in the standing trial lie {residual:.1f} mm (RMS) from those in the activity."
+    missing = [label for label in attached if label not in shared]
+    more = [f"{segment}: the standing trial lacks {', '.join(missing)}."] if missing else []
+    return found, [note, *more]
 
 
 def _cluster_gain(fit: RigidFit, shape_mm: Floats, answered: Integers) -> tuple[Floats, float]:
-    """Return what a bone's turn and shift along its own axes take from its markers, and how far these are from rigid.
+    """Return the derivatives of a bone's pose with respect to its markers, and the variance ratio of their residuals.
 
-    Only the markers that are there in at least half of the frames count. What they are off counts as of all frames
-    alike, as skin that lies elsewhere is.
+    Only the markers visible in at least half of the frames are used. Their deviations are assumed to be the same in all
+    frames, as those of displaced skin are.
     """
     there = np.isfinite(fit.residuals[answered]).all(-1).mean(0) >= 0.5
     weight = np.where(there, 1.0, 0.0)
@@ -196,7 +199,7 @@ def _cluster_gain(fit: RigidFit, shape_mm: Floats, answered: Integers) -> tuple[
 
 
 def _mean(values: Floats) -> tuple[Floats, Floats]:
-    """Give mean (M, 3) over the frames that have a place (F, M, 3), and the standard deviation of the mean."""
+    """Return the mean (M, 3) over the frames with a position (F, M, 3), and the standard deviation of the mean."""
     known = np.isfinite(values)
     count = known.sum(0)
     mean = np.where(count > 0, np.where(known, values, 0.0).sum(0) / np.maximum(count, 1), np.nan)

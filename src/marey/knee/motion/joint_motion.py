@@ -1,4 +1,4 @@
-"""The bones of a knee over an activity: in the room, in the tibia's frame, their joint's angles and their nearness."""
+"""Motion of a knee's bones over an activity: in the room and relative to the tibia, joint angles and proximity."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -23,21 +23,23 @@ from marey.markers.kinematics.transform_chain import (
 )
 
 BASE = "tibia"
-"""The bone that is held fast."""
+"""The bone relative to which others are shown."""
 JOINTS = (("tibiofemoral", "tibia", "femur"), ("patellofemoral", "patella", "femur"))
 """Name, the bone on whose cartilage the compartments are, and the bone that moves over it."""
 _MM = 1e3
+"""Millimetres per metre."""
 _SEGMENT = {"femur": "thigh", "tibia": "shank"}
+"""Bone to the name of its segment, without side."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class JointMotion:
-    """The motion of a knee's bones over F frames; scanner's places in LPS mm, NaN where the activity has no answer."""
+    """The motion of a knee's bones over F frames; NaN where the activity has no pose."""
 
     time: Floats
     """(F,) [s]."""
     left: bool | None
-    """Whether it is a left knee; None where nobody knows."""
+    """Whether it is a left knee; None where it is not known."""
     poses: Mapping[str, NamedTransform]
     """Bone to capture global from MR global [mm], with covariance."""
     anatomical: Mapping[str, NamedTransform]
@@ -54,19 +56,19 @@ class JointMotion:
 
     @property
     def bones(self) -> tuple[str, ...]:
-        """Those that move."""
+        """Names of the bones that move."""
         return tuple(self.poses)
 
     def answered(self, bone: str) -> Mask:
-        """Give (F,) the frames in which a bone has a pose."""
+        """Return the frames (F,) in which a bone has a pose."""
         pose = self.poses[bone]
         return np.asarray(np.isfinite(pose.rotation).all((1, 2)) & np.isfinite(pose.translation).all(1))
 
     def held(self, bone: str, base: str = BASE) -> NamedTransform:
-        """Return where a bone lies in every frame when another is held fast as it lay in the scanner [mm].
+        """Return the pose of a bone in every frame relative to another, which keeps its pose in the scanner [mm].
 
         Raises:
-            MareyError: One of them does not move.
+            MareyError: The motion of one of them was not measured.
         """
         missing = [name for name in (bone, base) if name not in self.poses]
         if missing:
@@ -74,26 +76,26 @@ class JointMotion:
         return self.poses[base].inverse() @ self.poses[bone]
 
     def relative(self, bone: str, base: str) -> RelativePoses:
-        """Return the same as poses for the nearness of surfaces."""
+        """Return the same as poses for the proximity of surfaces."""
         held = self.held(bone, base)
         return RelativePoses(rotation=held.rotation, translation_mm=held.translation, covariance=held.covariance)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class KneeMotion:
-    """All that is measured of a knee over an activity by one correction of the skin's motion."""
+    """All measurements of a knee over an activity with one correction of the skin's motion."""
 
     method: str
-    """Of the correction."""
+    """Name of the correction."""
     motion: JointMotion
     joints: tuple[Proximity, ...]
-    """Of each joint both of whose bones move."""
+    """Proximity in each joint both of whose bones move."""
     angles: JointKinematics | None
     """None where femur or tibia does not move."""
 
 
 def motion_of_chains(chains: Mapping[str, TransformChain], time: Floats, *, left: bool | None) -> JointMotion:
-    """Take the motion of bones from their chains.
+    """Return the motion of bones from their chains.
 
     Args:
         chains: Bone to its chain [mm].
@@ -133,11 +135,11 @@ def knee_angles(motion: JointMotion) -> JointKinematics | None:
 def joint_sides(
     parts: Mapping[str, Surface], bones: Sequence[str], *, left: bool | None
 ) -> tuple[dict[str, JointSurface], tuple[str, ...]]:
-    """Take the joint's side of each bone's cartilage; of a bone without cartilage the bone itself, and say so.
+    """Return the articular side of each bone's cartilage, or of the bone itself if it has none, and notes.
 
     Args:
         parts: Structures by name.
-        bones: Which are wanted.
+        bones: Names of the bones.
         left: Whether it is a left knee.
     """
     sides, notes = {}, []
@@ -155,13 +157,13 @@ def joint_proximities(
     motion: JointMotion, sides: Mapping[str, JointSurface], *, limit_mm: float = LIMIT_MM,
     done: Callable[[float], None] = lambda share: None,
 ) -> tuple[Proximity, ...]:  # fmt: skip
-    """Measure the nearness in each joint both of whose bones move.
+    """Measure the proximity in each joint both of whose bones move.
 
     Args:
         motion: Of the bones.
-        sides: Bone to the side of it that faces the joint.
-        limit_mm: How near is near.
-        done: Told the share that is done.
+        sides: Bone to its articular side.
+        limit_mm: Distance up to which surfaces count as near.
+        done: Called with the share of the work that is done.
     """
     joints = [joint for joint in JOINTS if all(bone in sides and bone in motion.poses for bone in joint[1:])]
     total, count = max(len(joints) * len(motion), 1), 0
@@ -178,7 +180,7 @@ def joint_proximities(
 
 
 def packed_joints(joints: Sequence[Proximity]) -> dict[str, np.ndarray]:
-    """Return the numbers of joints as plain arrays, to be kept while a run lasts."""
+    """Return the measurements of joints as plain arrays, for a checkpoint."""
     arrays = {"names": np.array([joint.name for joint in joints], np.str_)}
     for joint in joints:
         arrays |= {f"{joint.name}.{key}": value for key, value in vars(joint).items() if isinstance(value, np.ndarray)}
@@ -190,7 +192,7 @@ def packed_joints(joints: Sequence[Proximity]) -> dict[str, np.ndarray]:
 def unpacked_joints(
     arrays: Mapping[str, np.ndarray], sides: Mapping[str, JointSurface]
 ) -> tuple[Proximity, ...]:  # fmt: skip
-    """Make joints of such arrays again, between the same surfaces."""
+    """Restore joints from such arrays, with the same surfaces."""
     bones = {name: pair for name, *pair in JOINTS}
     found = []
     for name in map(str, arrays["names"]):

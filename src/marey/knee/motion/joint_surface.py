@@ -1,4 +1,4 @@
-"""The side of a cartilage that faces the joint, and how far points lie above or below it."""
+"""The articular side of a cartilage, and signed distances of points from it."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,47 +16,49 @@ FACING = 0.3
 """A face of a cartilage belongs to the joint's side when the cosine between its normal and the bone's is above this:
 the side on the bone has -1, the walls at the rim have about 0."""
 COMPARTMENTS = ("medial", "lateral")
+"""Names of the compartments of a knee."""
 _TRIMMED = 0.01
+"""Share of the vertices that is ignored at each end when a bone's width is measured; chosen by hand."""
 _ON = 1e-7
-"""A share of a corner below this is none: the point lies on the opposite side of the triangle."""
+"""Barycentric weight of a corner below which a point lies on the opposite side of the triangle: rounding errors."""
 
 
 class Heights(NamedTuple):
-    """How points lie over a joint's surface."""
+    """Signed distances of points from an articular surface."""
 
     distance_mm: Floats
-    """(N,) from the surface, negative below it; NaN of a point below it whose nearest place is on the rim."""
+    """(N,) distance from the surface, negative below it; NaN for a point below it whose nearest point is on the rim."""
     places_mm: Floats
-    """(N, 3) the nearest places."""
+    """(N, 3) the nearest points of the surface."""
     upward: Floats
-    """(N, 3) unit vectors, away from the surface: along them the distance grows by 1."""
+    """(N, 3) unit vectors, along which the distance increases."""
     triangle: Integers
-    """(N,) of the tree, a good guess when the points have moved a little."""
+    """(N,) triangles of the tree, a good guess after a small motion."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class JointSurface:
-    """An open surface of triangles that turn outward, into the joint."""
+    """An open surface of triangles that face outward, into the joint."""
 
     name: str
     """The structure."""
     surface: Surface
     sources: Integers
-    """(V,) which vertex of the whole structure each one is."""
+    """(V,) index of each vertex in the whole structure."""
     lateral: Mask | None
     """(V,) true on the lateral side of the bone's middle; None where the knee's side is not known."""
 
     @cached_property
     def tree(self) -> TriangleTree:
-        """Its triangles in boxes."""
+        """Tree of its triangles."""
         return TriangleTree.of(self.surface)
 
     @cached_property
     def _normals(self) -> tuple[Floats, Mask]:
         """(T, 7, 3) normals of each of the tree's faces, its sides and its corners, and (T, 7) where they are rim.
 
-        Normals of sides are those of both faces, of corners of all about weighed by their angles, so that the sign of
-        the distance is right also where these are nearest ([Baerentzen2005]).
+        Normals of sides are sums over both faces, and those of corners over all adjacent faces, weighted by their
+        angles, so that the sign of the distance is correct where these are nearest as well ([Baerentzen2005]).
         """
         faces, across = self.surface.faces, self.surface.face_normals
         normals, rim = np.zeros((len(faces), 7, 3)), np.zeros((len(faces), 7), bool)
@@ -80,18 +82,18 @@ class JointSurface:
 
     @property
     def _angles(self) -> Floats:
-        """(T, 3) of the faces' corners [rad]."""
+        """(T, 3) angles of the faces' corners [rad]."""
         corners = self.surface.corners_mm
         ahead, back = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
         across = np.linalg.norm(np.cross(ahead, back), axis=2)
         return np.asarray(np.arctan2(across, (ahead * back).sum(2)))
 
     def heights(self, points_mm: Floats, guess: Integers | None = None) -> Heights:
-        """Return how far points lie above the surface, or below it.
+        """Return the signed distances of points from the surface.
 
         Args:
             points_mm: (N, 3).
-            guess: (N,) triangles of the tree, such as those of a frame before.
+            guess: (N,) triangles of the tree, such as those of the previous frame.
         """
         points = np.ascontiguousarray(points_mm, float)
         if guess is None:
@@ -106,13 +108,13 @@ class JointSurface:
         return Heights(distance, places, upward, triangle)
 
     def of_lateral(self, triangle: Integers) -> Mask:
-        """Tell of triangles of the tree (N,) whether they are lateral: their first corner is."""
+        """Return whether triangles of the tree (N,) are lateral, by their first corner."""
         if self.lateral is None:
             raise MareyError("The knee's side is not known.")
         return np.asarray(self.lateral[self.surface.faces[self.tree.faces[triangle], 0]])
 
     def onto(self, places_mm: Floats) -> Floats:
-        """Carry places (..., 3) to the nearest ones on the surface; NaN stays."""
+        """Project positions (..., 3) to the nearest points of the surface; NaN is kept."""
         known = np.isfinite(places_mm).all(-1)
         moved = np.full(np.shape(places_mm), np.nan)
         moved[known] = self.tree.nearest(np.asarray(places_mm)[known]).points_mm
@@ -120,16 +122,16 @@ class JointSurface:
 
 
 def joint_surface(name: str, cartilage: Surface, bone: Surface, *, left: bool | None) -> JointSurface:
-    """Take the side of a cartilage that faces away from its bone.
+    """Return the side of a cartilage that faces away from its bone.
 
     Args:
         name: Of the structure.
         cartilage: Closed.
         bone: On which it lies.
-        left: Whether it is a left knee's: LPS x grows to the left; None where nobody knows.
+        left: Whether it is of a left knee: LPS x increases to the left; None where it is not known.
 
     Raises:
-        MareyError: No face turns away from the bone.
+        MareyError: No face faces away from the bone.
     """
     middles = cartilage.corners_mm.mean(1)
     under = bone.face_normals[TriangleTree.of(bone).nearest(middles).face]
@@ -140,7 +142,7 @@ def joint_surface(name: str, cartilage: Surface, bone: Surface, *, left: bool | 
 
 
 def whole_surface(name: str, bone: Surface, *, left: bool | None) -> JointSurface:
-    """Take a bone without cartilage as it is."""
+    """Return the whole surface of a bone without cartilage."""
     return _part(name, bone, bone.faces, left, bone)
 
 
@@ -158,7 +160,7 @@ def _part(name: str, whole: Surface, faces: Integers, left: bool | None, bone: S
 
 @kernel
 def _feature(corners, place):  # pragma: no cover - compiled
-    """Give 0 for a place within a triangle, 1 to 3 for one on the side across from a corner, 4 to 6 for a corner."""
+    """Return 0 for a point within a triangle, 1 to 3 for the side opposite a corner, 4 to 6 for a corner."""
     aa = ab = bb = xa = xb = 0.0
     for i in range(3):
         one, two, off = corners[1, i] - corners[0, i], corners[2, i] - corners[0, i], place[i] - corners[0, i]
@@ -185,7 +187,7 @@ def _feature(corners, place):  # pragma: no cover - compiled
 def _heights(
     points, corners, low, high, starts, normals, rim, guess, distance, places, upward, triangle
 ):  # pragma: no cover - compiled
-    """Find the nearest place of each point, and on which side of the surface it lies."""
+    """Find the nearest point of the surface for each point, and the side it lies on."""
     scratch = np.empty(SCRATCH)
     for n in range(len(points)):
         t = nearest_triangle(points[n], corners, low, high, starts, guess[n], np.inf, places[n], scratch)

@@ -1,4 +1,4 @@
-"""How near the cartilages of two bones come to each other over an activity, where, and how surely."""
+"""Proximity of the cartilages of two bones over an activity: distances, areas and centres, with uncertainty."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,22 +11,22 @@ from marey.geometry import rotations
 from marey.knee.motion.joint_surface import COMPARTMENTS, JointSurface
 
 LIMIT_MM = 5.0
-"""Farther apart than this, surfaces do not count as near."""
+"""Default distance [mm] up to which surfaces count as near; chosen by hand."""
 NEAR_MM = 3.0
-"""Below this they are called close."""
+"""Distance [mm] below which surfaces count as close; chosen by hand."""
 Step = Callable[[], None]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RelativePoses:
-    """Where one bone lies in another's frame over F frames, as p_base = R p_moving + t; NaN where nobody knows."""
+    """Poses of one bone in another's frame over F frames, as p_base = R p_moving + t; NaN where unknown."""
 
     rotation: Floats
     """(F, 3, 3)."""
     translation_mm: Floats
     """(F, 3)."""
     covariance: Floats | None = None
-    """(F, 6, 6) of the turn exp(turn) to the right of the rotation [rad] and of the translation [mm]."""
+    """(F, 6, 6) of the rotation error exp(turn) to the right of the rotation [rad] and of the translation [mm]."""
 
     @property
     def known(self) -> Mask:
@@ -36,7 +36,7 @@ class RelativePoses:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Proximity:
-    """How near two joint surfaces are over F frames, as a whole and in C compartments of the base's surface."""
+    """Proximity of two articular surfaces over F frames, in C compartments of the base's surface."""
 
     name: str
     """Such as `tibiofemoral`."""
@@ -46,14 +46,14 @@ class Proximity:
     compartments: tuple[str, ...]
     """Names of the C compartments; only `all` where the knee's side is not known."""
     base_distance_mm: Floats
-    """(F, V) from each vertex of the base to the other surface, negative where they overlap; NaN where there is no
-    pose, or where the vertex lies beside and below the other's rim."""
+    """(F, V) distance of each vertex of the base from the other surface, negative where they overlap; NaN where there
+    is no pose, or where the vertex lies beside and below the other's rim."""
     moving_distance_mm: Floats
-    """(F, W) the same from the other side."""
+    """(F, W) the same for the vertices of the moving surface."""
     gap_mm: Floats
     """(F, C) the least distance."""
     gap_sd_mm: Floats
-    """(F, C) of it, from the poses of the bones alone, to first order; NaN where these have no covariance."""
+    """(F, C) its standard deviation, from the bones' poses only, to first order; NaN where these have no covariance."""
     overlap_mm2: Floats
     """(F, C) area of the base that overlaps."""
     close_mm2: Floats
@@ -72,7 +72,7 @@ class Proximity:
     def __post_init__(self) -> None:
         for name in vars(self):
             if name.endswith(("_mm", "_mm2")) and name != "limit_mm":
-                # Maps are long; the step of single precision at a metre is a tenth of a micrometre.
+                # Maps are large; single precision is sufficient: at 1 m its resolution is 0.1 micrometres.
                 kind = np.float32 if name.endswith("_distance_mm") else np.float64
                 object.__setattr__(self, name, frozen(getattr(self, name), kind))
 
@@ -90,29 +90,29 @@ def proximity(
     name: str, base: JointSurface, moving: JointSurface, poses: RelativePoses, *, limit_mm: float = LIMIT_MM,
     step: Step = lambda: None,
 ) -> Proximity:  # fmt: skip
-    """Measure how near two joint surfaces are in each frame.
+    """Measure the proximity of two articular surfaces in each frame.
 
-    The distance of a vertex is that to the nearest place of the other surface, negative below it. The centre of
-    proximity is the mean of a surface's vertices, weighted by their areas and by how far their distances lie below
-    the limit, then carried to the nearest place on the surface. These weights, unlike the inverse of the distance, are
-    defined where the surfaces overlap, and nothing jumps as a vertex comes within the limit.
+    The distance of a vertex is that to the nearest point of the other surface, negative below it. The centre of
+    proximity is the mean of a surface's vertices, weighted by their areas and by the difference of the limit and their
+    distances, then projected to the surface. Unlike the inverse of the distance, these weights are defined where the
+    surfaces overlap, and continuous as a vertex comes within the limit.
 
-    Standard deviations carry the poses' covariance to first order: moving the one bone by d changes a vertex' distance
-    by the part of d along the direction in which that distance is measured.
+    Standard deviations propagate the poses' covariance to first order: moving one bone by d changes a vertex' distance
+    by the component of d along the direction in which that distance is measured.
 
     Args:
         name: Of the joint.
         base: In whose frame the poses are.
         moving: The other one.
         poses: F of them.
-        limit_mm: How near is near.
+        limit_mm: Distance up to which surfaces count as near.
         step: Called after each frame.
 
     Raises:
         MareyError: The limit is not above zero.
     """
     if not limit_mm > 0:
-        raise MareyError(f"The limit of nearness is a length above zero, not {limit_mm:g} mm.")
+        raise MareyError(f"The limit of proximity must be above zero, not {limit_mm:g} mm.")
     sided = base.lateral is not None
     frames = _Frames(base, moving, limit_mm, COMPARTMENTS if sided else ("all",), len(poses.rotation))
     for frame, known in enumerate(poses.known):
@@ -123,7 +123,7 @@ def proximity(
 
 
 class _Frames:
-    """What is measured, frame by frame."""
+    """Measurements, accumulated frame by frame."""
 
     def __init__(
         self, base: JointSurface, moving: JointSurface, limit_mm: float, compartments: tuple[str, ...], frames: int
@@ -147,7 +147,7 @@ class _Frames:
         self._maps[0][frame], self._maps[1][frame] = onto_moving.distance_mm, onto_base.distance_mm
 
         def of_base(chosen: Integers) -> Floats:
-            # What moves is the place below; the vertex stands, so its distance falls as that comes up to it.
+            # The nearest point moves and the vertex does not, so its distance decreases as that point comes nearer.
             return -_by_pose(onto_moving.upward[chosen] @ turn.T, onto_moving.places_mm[chosen], turn)
 
         def of_moving(chosen: Integers) -> Floats:
@@ -165,7 +165,7 @@ class _Frames:
     def _measure(
         self, frame: int, c: int, here: Integers, distance: Floats, by_pose: "_ByPose", covariance: Floats
     ) -> None:
-        """Note the gap and the areas of one compartment of the base."""
+        """Record the gap and the areas of one compartment of the base."""
         known = here[np.isfinite(distance[here])]
         if not len(known):
             return
@@ -179,7 +179,7 @@ class _Frames:
     def _centre(
         self, which: int, frame: int, c: int, here: Integers, distance: Floats, by_pose: "_ByPose", covariance: Floats
     ) -> None:  # fmt: skip
-        """Note a centre of proximity and what the poses leave open of it."""
+        """Record a centre of proximity and its standard deviation."""
         near = here[distance[here] < self._limit]
         if not len(near):
             return
@@ -187,13 +187,13 @@ class _Frames:
         places, area = side.surface.vertices_mm[near], side.surface.vertex_areas_mm2[near]
         weight = area * (self._limit - distance[near])
         centre = weight @ places / weight.sum()
-        # d centre = sum (place - centre) d weight / sum weight, and a weight falls by its area as the distance grows.
+        # d centre = sum (place - centre) d weight / sum weight, and a weight decreases by its area with the distance.
         jacobian = -(places - centre).T @ (area[:, None] * by_pose(near)) / weight.sum()
         self._centres[which, frame, c] = centre
         self._centres_sd[which, frame, c] = np.sqrt(np.diag(jacobian @ covariance @ jacobian.T))
 
     def finished(self, name: str) -> Proximity:
-        """Give all of it, the centres on their surfaces."""
+        """Return all measurements, with the centres on their surfaces."""
         return Proximity(
             name=name, base=self._base, moving=self._moving, limit_mm=self._limit, compartments=self._names,
             base_distance_mm=self._maps[0], moving_distance_mm=self._maps[1], gap_mm=self._gap,
@@ -204,18 +204,18 @@ class _Frames:
 
 
 _ByPose = Callable[[Integers], Floats]
-"""Vertices (n,) to the derivatives (n, 6) of their distances by the pose."""
+"""Maps vertices (n,) to the derivatives (n, 6) of their distances with respect to the pose."""
 
 
 def _within(compartment: str, lateral: Mask | None, count: int) -> Integers:
-    """Number the vertices of a compartment."""
+    """Return the indices of the vertices of a compartment."""
     if lateral is None or compartment == "all":
         return np.arange(count)
     return np.flatnonzero(lateral if compartment == "lateral" else ~lateral)
 
 
 def _by_pose(upward: Floats, places: Floats, turn: Floats) -> Floats:
-    """Differentiate the height of places that move with the bone by its pose.
+    """Return the derivatives of the height of points that move with a bone with respect to its pose.
 
     Args:
         upward: (N, 3) in the base's frame.
@@ -223,7 +223,7 @@ def _by_pose(upward: Floats, places: Floats, turn: Floats) -> Floats:
         turn: (3, 3) base from moving.
 
     Returns:
-        (N, 6) by the turn to the right of the rotation and by the translation: a place R exp(w) p + t moves by
+        (N, 6) with respect to the rotation to the right and the translation: a point R exp(w) p + t moves by
         -R [p] w + t.
     """
     return np.concatenate([np.einsum("ni,nij->nj", upward, -turn @ rotations.hat(places)), upward], 1)

@@ -1,4 +1,4 @@
-"""Edges between pixels as pieces of an outline: what the image is like on both sides, and what that makes them cost."""
+"""Steps along the edges between pixels: features of the image on both sides, and their costs in an outline."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,50 +13,66 @@ from marey.kernels import kernel
 from marey.knee.outlines.wire_tree import MOST_COST, Costs
 
 FEATURES = ("inside", "outside", "across", "magnitude")
-"""Intensity on the left and on the right of a step; how it rises to the right, and in whatever direction, per mm."""
-_BLUR_PIXELS = 1.0
-_BLUR_MM = 0.6
-"""Standard deviation of the smoothing before features are measured: the smaller of the two."""
-_REACH_MM = 0.7
-"""So far from the edge its inside and outside are read, a pixel at least."""
-_FLOOR = 0.05
-"""What a step costs at least, as a share of the most: of two outlines as good the shorter one is taken."""
-_BORDER = 0.15
-"""What a step along the border of the slice costs, as such a share."""
-_CLEAR = 1.5
-"""Gradients of so many times the usual one are as much edge as not, before anything is learned."""
-_QUANTILES = 21
+"""Intensity on the left and on the right of a step; its increase to the right, and in any direction, per mm."""
 _RARITY = 4.0
-"""Logarithm of the odds against a step being on an outline, before its features are looked at."""
-_FEWEST = 40
-_SPREAD = 1.5
-"""Classes over which counts are smoothed: standard deviation."""
+"""Prior log odds against a step being on an outline; chosen by hand."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoundarySettings:
+    """Settings for the features and costs of steps between pixels.
+
+    Values without a stated source were chosen by hand.
+    """
+
+    blur_pixels: float = 1.0
+    """Largest standard deviation [px] of the smoothing before features are measured."""
+    blur_mm: float = 0.6
+    """Largest standard deviation [mm] of that smoothing."""
+    reach_mm: float = 0.7
+    """Distance [mm] from the edge, at least one pixel, at which its inside and outside are read."""
+    least_cost: float = 0.05
+    """Least cost of a step, as a share of the largest: of two equally good outlines the shorter one is taken."""
+    border_cost: float = 0.15
+    """Cost of a step along the border of the slice, as a share of the largest."""
+    clear: float = 1.5
+    """Multiple of the median gradient at which a step is as likely on an edge as not, before costs are learned."""
+    quantiles: int = 21
+    """Number of quantiles of each feature on and off outlines that bound its classes."""
+    fewest_steps: int = 40
+    """Fewest steps of outlines from which costs are learned."""
+    class_smoothing: float = 1.5
+    """Standard deviation, in classes, of the smoothing of counts."""
+
+
+BOUNDARY_DEFAULTS = BoundarySettings()
+"""Default settings for the features and costs of steps between pixels."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class BoundaryElements:
     """The steps along the edges between the pixels of a slice, after [Falcao1998]: oriented, the inside to the left.
 
-    Left as one sees a slice whose rows go down and whose columns go to the right: an outline goes against the clock.
+    With rows downward and columns to the right, an outline is counter-clockwise.
     """
 
     features: NDArray[np.float32]
     """(rows + 1, columns + 1, 4, 4): of the steps from each corner to the right, down, to the left and up, the
     `FEATURES`; NaN where there is no step."""
     spacing_mm: tuple[float, float]
-    """Of rows, and of columns."""
+    """Spacing of rows and of columns."""
 
     def __post_init__(self) -> None:
         freeze_fields(self, "features", dtype=np.float32)
 
     @cached_property
     def usual(self) -> NDArray[np.float32]:
-        """(N, 4) features of steps spread over the slice."""
+        """(N, 4) features of a sample of steps over the slice."""
         some = self.features[1:-1:2, 1:-1:2].reshape(-1, len(FEATURES))
         return some[np.isfinite(some).all(axis=1)]
 
     def around(self, mask: Mask) -> NDArray[np.float32]:
-        """Return the features (N, 4) of the steps round what a mask (rows, columns) marks; at the border it goes on."""
+        """Return the features (N, 4) of the steps around a mask (rows, columns), which continues beyond the border."""
         here, below, beside = mask[:-1], mask[1:], mask[:, 1:]
         right, left = here & ~below, below & ~here
         down, up = beside & ~mask[:, :-1], mask[:, :-1] & ~beside
@@ -71,87 +87,98 @@ class BoundaryElements:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class LearnedCosts:
-    """How much likelier each value of each feature is on an outline than anywhere else."""
+    """Log odds of each value of each feature on an outline relative to elsewhere."""
 
     ends: Floats
-    """(4, B + 1) of the classes of values of each feature, ascending."""
+    """(4, B + 1) bounds of the classes of each feature, ascending."""
     log_odds: Floats
-    """(4, B)."""
+    """(4, B) log odds of each class."""
 
     def __post_init__(self) -> None:
         freeze_fields(self, "ends", "log_odds")
 
 
-def boundary_elements(image: Floats, spacing_mm: tuple[float, float]) -> BoundaryElements:
+def boundary_elements(
+    image: Floats, spacing_mm: tuple[float, float], *, settings: BoundarySettings = BOUNDARY_DEFAULTS
+) -> BoundaryElements:
     """Measure the features of all steps in a slice.
 
     Args:
         image: (rows, columns).
-        spacing_mm: Of rows, and of columns; they may differ.
+        spacing_mm: Spacing of rows and of columns; they may differ.
+        settings: Tuned constants of the algorithm.
     """
-    blur = [min(_BLUR_PIXELS, _BLUR_MM / spacing) for spacing in spacing_mm]
+    blur = [min(settings.blur_pixels, settings.blur_mm / spacing) for spacing in spacing_mm]
     smooth = ndimage.gaussian_filter(np.asarray(image, np.float32), blur, mode="nearest")
     rows, columns = smooth.shape
     features = np.full((rows + 1, columns + 1, 4, len(FEATURES)), np.nan, np.float32)
-    above, below = _from_both_sides(smooth, spacing_mm)
+    above, below = _from_both_sides(smooth, spacing_mm, settings=settings)
     features[:, :-1, 0], features[:, 1:, 2] = above, below
-    # With rows and columns exchanged a step down is one to the right.
-    left, right = (seen.swapaxes(0, 1) for seen in _from_both_sides(smooth.T, spacing_mm[::-1]))
+    # With rows and columns exchanged, a step down is a step to the right.
+    left, right = (seen.swapaxes(0, 1) for seen in _from_both_sides(smooth.T, spacing_mm[::-1], settings=settings))
     features[:-1, :, 1], features[1:, :, 3] = right, left
     return BoundaryElements(features=features, spacing_mm=(float(spacing_mm[0]), float(spacing_mm[1])))
 
 
-def learned_costs(examples: Sequence[tuple[BoundaryElements, Mask]]) -> LearnedCosts | None:
-    """Learn from examples what steps of an outline look like, beside the other steps of the same slices.
+def learned_costs(
+    examples: Sequence[tuple[BoundaryElements, Mask]], *, settings: BoundarySettings = BOUNDARY_DEFAULTS
+) -> LearnedCosts | None:
+    """Learn the features of steps on outlines, relative to the other steps of the same slices, from examples.
 
     Unlike the paper, which gives each feature a Gaussian about its mean on the example, both sides of an edge may be of
-    several kinds here (cartilage here, fat there): each feature's values are counted on and off the outline.
+    several kinds here (cartilage in places, fat in others): the values of each feature are counted on and off outlines.
 
     Args:
-        examples: Slices, each with the pixels (rows, columns) that were outlined or painted.
+        examples: Slices, each with the mask (rows, columns) of outlined or painted pixels.
+        settings: Tuned constants of the algorithm.
 
     Returns:
-        None where the examples' outlines have fewer than `_FEWEST` steps in all.
+        None where the examples' outlines have fewer than `fewest_steps` steps in total.
     """
     on = np.concatenate([np.zeros((0, len(FEATURES))), *(each.around(mask) for each, mask in examples)])
-    if len(on) < _FEWEST:
+    if len(on) < settings.fewest_steps:
         return None
     off = np.concatenate([each.usual for each, _ in examples])
-    share = np.linspace(0, 1, _QUANTILES)
+    share = np.linspace(0, 1, settings.quantiles)
     ends = np.sort(np.concatenate([np.quantile(on, share, axis=0), np.quantile(off, share, axis=0)]), axis=0).T
-    log_odds = np.array([_log_odds(on[:, i], off[:, i], ends[i]) for i in range(len(FEATURES))])
+    log_odds = np.array([_log_odds(on[:, i], off[:, i], ends[i], settings=settings) for i in range(len(FEATURES))])
     return LearnedCosts(ends=ends, log_odds=log_odds)
 
 
-def step_costs(elements: BoundaryElements, learned: LearnedCosts | None = None) -> Costs:
-    """Return each step its cost: small on an outline, in proportion to its length in mm.
+def step_costs(
+    elements: BoundaryElements, learned: LearnedCosts | None = None, *, settings: BoundarySettings = BOUNDARY_DEFAULTS
+) -> Costs:
+    """Return the cost of each step: small on an outline, proportional to its length in mm.
 
     Args:
         elements: The steps.
-        learned: From examples. Without them an edge is as good as it stands out of the noise, whatever its direction.
+        learned: From examples. Without them the cost depends on the gradient relative to the noise, in any direction.
+        settings: Tuned constants of the algorithm.
 
     Returns:
-        (rows + 1, columns + 1, 4) whole numbers as `WireTree` wants them. Along the slice's border, where a bone is cut
-        off, an outline may go in one direction only, and at a low price.
+        (rows + 1, columns + 1, 4) integers as `WireTree` expects them. Along the slice's border, where a bone is cut
+        off, steps have one direction only, and a low cost.
     """
     features = elements.features
     if learned is None:
-        clear = max(_CLEAR * float(np.median(elements.usual[:, 3])), float(np.finfo(np.float32).tiny))
+        clear = max(settings.clear * float(np.median(elements.usual[:, 3])), float(np.finfo(np.float32).tiny))
         unlikely = 1 / (1 + (features[..., 3] / clear) ** 2)
     else:
         unlikely = np.empty(features.shape[:3], np.float32)
         _unlikely(features.reshape(-1, 4), learned.ends, learned.log_odds, unlikely.reshape(-1))
     row_mm, column_mm = elements.spacing_mm
     length = np.array([column_mm, row_mm, column_mm, row_mm]) / max(row_mm, column_mm)
-    share = _FLOOR + (1 - _FLOOR) * np.where(np.isfinite(features[..., 0]), unlikely, 0)
+    share = settings.least_cost + (1 - settings.least_cost) * np.where(np.isfinite(features[..., 0]), unlikely, 0)
     costs = np.clip(np.rint(share * length * MOST_COST), 1, MOST_COST).astype(np.int32)
-    _close_border(costs, np.maximum(np.rint(_BORDER * length * MOST_COST), 1).astype(np.int32))
+    _close_border(costs, np.maximum(np.rint(settings.border_cost * length * MOST_COST), 1).astype(np.int32))
     return costs
 
 
-def _from_both_sides(smooth: np.ndarray, spacing_mm: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
-    """(rows + 1, columns, 4) features of the edges between pixels above each other: inside above, and inside below."""
-    reach = max(1, round(_REACH_MM / spacing_mm[0]))
+def _from_both_sides(
+    smooth: np.ndarray, spacing_mm: Sequence[float], *, settings: BoundarySettings
+) -> tuple[np.ndarray, np.ndarray]:
+    """(rows + 1, columns, 4) features of the edges between vertical neighbours: with the inside above, and below."""
+    reach = max(1, round(settings.reach_mm / spacing_mm[0]))
     padded = np.pad(smooth, ((reach, reach), (1, 1)), mode="edge")
     rows, columns = smooth.shape
 
@@ -166,17 +193,17 @@ def _from_both_sides(smooth: np.ndarray, spacing_mm: Sequence[float]) -> tuple[n
     return np.stack([above, below, across, magnitude], -1), np.stack([below, above, -across, magnitude], -1)
 
 
-def _log_odds(on: Floats, off: Floats, ends: Floats) -> Floats:
-    """(B,) logarithm of how much likelier each class is on an outline; smoothed over neighbouring classes."""
+def _log_odds(on: Floats, off: Floats, ends: Floats, *, settings: BoundarySettings) -> Floats:
+    """(B,) log odds of each class on an outline; smoothed over neighbouring classes."""
     counts = np.array([np.histogram(each, ends)[0] for each in (on, off)]) + 1.0
-    shares = ndimage.gaussian_filter1d(counts, _SPREAD, axis=1, mode="nearest")
+    shares = ndimage.gaussian_filter1d(counts, settings.class_smoothing, axis=1, mode="nearest")
     shares /= shares.sum(axis=1, keepdims=True)
     return np.asarray(np.log(shares[0]) - np.log(shares[1]))
 
 
 @kernel
 def _unlikely(features, ends, log_odds, out):  # type: ignore[no-untyped-def]
-    """Probability that a step is not on an outline: the features' odds taken together, and how rare outlines are."""
+    """Write the probability that a step is not on an outline: by the odds of its features, and the prior odds."""
     for step in range(len(features)):
         total = -_RARITY
         for feature in range(features.shape[1]):
@@ -193,8 +220,8 @@ def _unlikely(features, ends, log_odds, out):  # type: ignore[no-untyped-def]
 
 
 def _close_border(costs: Costs, border: NDArray[np.int32]) -> None:
-    """Let steps along the slice's border go only with the slice to their left."""
+    """Allow steps along the slice's border only with the slice to their left."""
     costs[0, :, 0], costs[-1, :, 2], costs[:, 0, 3], costs[:, -1, 1] = 0, 0, 0, 0
     costs[0, 1:, 2], costs[-1, :-1, 0], costs[:-1, 0, 1], costs[1:, -1, 3] = border[2], border[0], border[1], border[3]
-    # No step leads out.
+    # No step leaves the slice.
     costs[:, -1, 0], costs[-1, :, 1], costs[:, 0, 2], costs[0, :, 3] = 0, 0, 0, 0

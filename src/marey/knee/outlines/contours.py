@@ -1,4 +1,4 @@
-"""Outlines of bones and cartilage in the slices of a volume, and the structures that lie between them."""
+"""Outlines of bones and cartilage in the slices of a volume, and the structures interpolated between them."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,9 +15,10 @@ from marey.knee.space.structures import LABELS
 from marey.knee.space.volume import Labels, VoxelGrid
 
 AXES = ("i", "j", "k")
-"""Along which axis of the voxels slices follow each other. Slices across k have rows along j and columns along i, those
+"""Axes of the voxels along which slices follow each other. Slices across k have rows along j and columns along i, those
 across j rows along k and columns along i, those across i rows along k and columns along j."""
 _FAR_MM = 1e3
+"""Signed distance [mm] outside, before the first and after the last outlined slice; larger than any image."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -25,13 +26,13 @@ class Contour:
     """One closed outline in one slice."""
 
     structure: str
-    """Of `LABELS`."""
+    """Name, one of `LABELS`."""
     axis: str
-    """Of `AXES`."""
+    """One of `AXES`."""
     index: int
-    """Of the slice along its axis."""
+    """Index of the slice along its axis."""
     anchors: Floats
-    """(A, 2) x and y [px] that were set by hand; x counts columns, whole numbers are centres of pixels."""
+    """(A, 2) x and y [px] set by hand; x counts columns, integers are centres of pixels."""
     outline: Floats
     """(N, 2) x and y [px]."""
 
@@ -40,37 +41,37 @@ class Contour:
 
 
 def slice_of(array: np.ndarray, axis: str, index: int) -> np.ndarray:
-    """Take a slice (rows, columns) out of a volume (k, j, i)."""
+    """Return a slice (rows, columns) of a volume (k, j, i)."""
     part: np.ndarray = np.take(array, index, axis=_array_axis(axis))
     return part
 
 
 def slice_shape(grid: VoxelGrid, axis: str) -> tuple[int, int]:
-    """Rows and columns of the slices along an axis."""
+    """Return the numbers of rows and columns of the slices along an axis."""
     rows, columns = (count for each, count in enumerate(grid.shape) if each != _array_axis(axis))
     return rows, columns
 
 
 def slice_spacing_mm(grid: VoxelGrid, axis: str) -> tuple[float, float]:
-    """Distances of rows, and of columns, of the slices along an axis."""
+    """Return the spacing of rows and of columns of the slices along an axis."""
     rows, columns = (mm for each, mm in enumerate(grid.array_spacing_mm) if each != _array_axis(axis))
     return rows, columns
 
 
 def slice_count(grid: VoxelGrid, axis: str) -> int:
-    """How many slices follow each other along an axis."""
+    """Return the number of slices along an axis."""
     return grid.shape[_array_axis(axis)]
 
 
 def outline_mm(contour: Contour, grid: VoxelGrid) -> Floats:
-    """(N, 3) LPS [mm] of an outline's points."""
+    """Return the positions (N, 3) LPS [mm] of an outline's points."""
     along = AXES.index(contour.axis)
     voxels = np.insert(contour.outline, along, contour.index, axis=1)
     return grid.lps(voxels)
 
 
 def outlined_mask(contours: Iterable[Contour], shape: tuple[int, int]) -> Mask:
-    """(rows, columns) true of what any of some outlines of one slice encloses."""
+    """Return the mask (rows, columns) of the pixels within any of the outlines of one slice."""
     mask = np.zeros(shape, bool)
     for contour in contours:
         mask |= filled(contour.outline, shape)
@@ -78,19 +79,19 @@ def outlined_mask(contours: Iterable[Contour], shape: tuple[int, int]) -> Mask:
 
 
 def slice_distance(contours: Sequence[Contour], grid: VoxelGrid, structure: str, index: int) -> Floats | None:
-    """Signed distance of a structure in one slice, from its outlines there or from those before and behind.
+    """Return the signed distance of a structure in one slice, from its outlines there or in the slices about it.
 
-    Between outlined slices the distances are interpolated as [Raya1990] do: the edge is where that is 0. Unlike the
-    paper, which goes linearly from outline to outline, by monotone cubics, which round a bone off as bones are.
+    Between outlined slices the distances are interpolated as in [Raya1990]; the edge is where the result is 0. Unlike
+    the paper, which interpolates linearly, by monotone cubics, which follow the rounded shape of bones.
 
     Args:
         contours: Of any structures.
         grid: Of the volume.
-        structure: Which.
+        structure: Name of the structure.
         index: The slice along the axis of the structure's outlines.
 
     Returns:
-        (rows, columns) mm, positive inside; None where outlines are not to be found on both sides.
+        (rows, columns) mm, positive inside; None unless there are outlines on both sides.
 
     Raises:
         MareyError: The structure's outlines lie across several axes.
@@ -101,7 +102,7 @@ def slice_distance(contours: Sequence[Contour], grid: VoxelGrid, structure: str,
         return None
     if index in by_slice:
         return _distance_to(by_slice[index], grid, axis)
-    # Between two slices a monotone cubic knows these and the next ones on either side, no others.
+    # A monotone cubic between two slices depends on these and the next ones on either side only.
     after = next(place for place, each in enumerate(indices) if each > index)
     about = indices[max(after - 2, 0) : after + 2]
     between: Floats = _interpolated({each: _distance_to(by_slice[each], grid, axis) for each in about})(index)
@@ -109,7 +110,7 @@ def slice_distance(contours: Sequence[Contour], grid: VoxelGrid, structure: str,
 
 
 def structure_distance(contours: Sequence[Contour], grid: VoxelGrid, structure: str) -> Floats:
-    """(k, j, i) the same for all slices [mm]; -1000 before the first outlined slice, and behind the last.
+    """Return the signed distance (k, j, i) [mm] in all slices; -1000 before the first and after the last outlined one.
 
     Raises:
         MareyError: As `slice_distance`, or there is no outline of the structure.
@@ -126,7 +127,7 @@ def structure_distance(contours: Sequence[Contour], grid: VoxelGrid, structure: 
 
 
 def labels_of_contours(contours: Sequence[Contour], grid: VoxelGrid) -> Labels:
-    """Fill all outlines and what lies between them; a voxel of two structures goes to the one it lies deeper in.
+    """Fill all outlines and interpolate between them; a voxel in two structures belongs to the one it is deeper in.
 
     Raises:
         MareyError: There are no outlines, or those of a structure lie across several axes.
@@ -144,7 +145,7 @@ def labels_of_contours(contours: Sequence[Contour], grid: VoxelGrid) -> Labels:
 
 
 def _by_slice(contours: Sequence[Contour], structure: str) -> tuple[str, dict[int, tuple[Contour, ...]]]:
-    """Sort a structure's outlines by their slices, and give the one axis they have."""
+    """Return the axis of a structure's outlines, and the outlines by slice."""
     own = [contour for contour in contours if contour.structure == structure]
     axes = sorted({contour.axis for contour in own})
     if len(axes) > 1:

@@ -1,4 +1,4 @@
-"""Outlines drawn by a few anchors: between them a wire runs along the edge that is seen best."""
+"""Live wire: outlines through a few anchors, between which a wire follows the clearest edge."""
 
 from collections import OrderedDict
 from collections.abc import Sequence
@@ -14,50 +14,52 @@ from marey.knee.outlines.outlines import edge_image, filled
 from marey.knee.outlines.wire_tree import WireTree, reversed_costs
 
 _TREES_KEPT = 8
+"""Number of trees that are cached, some megabytes each; chosen by hand."""
 _FEWEST_PIXELS = 4
+"""Fewest rows and columns of a slice."""
 Corner = tuple[int, int]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ClosedWire:
-    """A closed outline, against the clock as the slice is looked at: rows go down, columns to the right."""
+    """A closed outline, counter-clockwise with rows downward and columns to the right."""
 
     anchors: Integers
     """(A, 2) rows and columns of corners: corner (0, 0) is the upper left one of pixel (0, 0)."""
     sides: tuple[Integers, ...]
-    """From each anchor to the next, and from the last to the first: (n, 2) corners, both ends with them."""
+    """(n, 2) corners from each anchor to the next, and from the last to the first, including both ends."""
 
     def __post_init__(self) -> None:
         freeze_fields(self, "anchors", dtype=np.int64)
 
     @cached_property
     def corners(self) -> Integers:
-        """(N, 2) all of them in their order, each once."""
+        """(N, 2) all corners in order, each once."""
         return np.concatenate([side[:-1] for side in self.sides])
 
     @property
     def outline(self) -> Floats:
-        """(N, 2) x and y of the same in pixels."""
+        """(N, 2) x and y of the corners in pixels."""
         return points_of(self.corners)
 
     def mask(self, shape: tuple[int, int]) -> Mask:
-        """(rows, columns) true of the pixels it goes round."""
+        """Return the mask (rows, columns) of the enclosed pixels."""
         return filled(self.outline, shape)
 
 
 class LiveWire:
-    """The wire of [Falcao1998] in one slice, with the paths found on the fly as [Falcao2000] does.
+    """The live wire of [Falcao1998] in one slice, with paths found on the fly as in [Falcao2000].
 
-    Points are x and y in pixels, whole numbers at the pixels' centres; the wire runs on the edges between pixels, so
-    that an outline encloses whole ones. Outlines go against the clock.
+    Points are x and y in pixels, integers at the pixels' centres; the wire runs on the edges between pixels, so that an
+    outline encloses whole pixels. Outlines are counter-clockwise.
 
     Args:
         image: (rows, columns).
-        spacing_mm: Of rows, and of columns; a step costs in proportion to its length.
-        learned: What outlines look like, from examples; without it every clear edge is as good.
+        spacing_mm: Spacing of rows and of columns; the cost of a step is proportional to its length.
+        learned: Costs learned from examples; without them all clear edges are equal.
 
     Raises:
-        MareyError: The image is too small, or holds values that are no numbers.
+        MareyError: The image is too small, or contains values that are not finite.
     """
 
     def __init__(self, image: Floats, spacing_mm: tuple[float, float], learned: LearnedCosts | None = None):
@@ -68,57 +70,57 @@ class LiveWire:
         self.shape = (int(np.shape(image)[0]), int(np.shape(image)[1]))
         self.elements: BoundaryElements = boundary_elements(image, spacing_mm)
         self.edges = edge_image(image)
-        """(rows, columns) the image in which `on_the_edge` finds where an outline's edge truly lies."""
+        """(rows, columns) the smoothed image in which `on_the_edge` finds the edge of an outline."""
         self._trees: OrderedDict[tuple[Corner, bool], WireTree] = OrderedDict()
         self._anchor: Corner | None = None
         self.learn(learned)
 
     def learn(self, learned: LearnedCosts | None) -> None:
-        """Take other costs; an anchor that was set stays."""
+        """Replace the costs; an anchor is kept."""
         self._costs = step_costs(self.elements, learned)
         self._turned = reversed_costs(self._costs)
         self.forget()
 
     def anchor(self, point: Sequence[float]) -> Floats:
-        """Set the anchor where the wire begins, and give the place (2,) it has snapped to."""
+        """Set the anchor where the wire begins, and return the point (2,) to which it snapped."""
         self._anchor = self.corner(point)
         return points_of(np.array(self._anchor))
 
     def path_to(self, point: Sequence[float]) -> Floats:
-        """Return the wire (n, 2) from the anchor to a point; fast for the next point, too.
+        """Return the wire (n, 2) from the anchor to a point; further points are fast.
 
         Raises:
             MareyError: No anchor was set.
         """
         if self._anchor is None:
-            raise MareyError("A live wire needs an anchor before it can lead anywhere.")
+            raise MareyError("A live wire needs an anchor first.")
         return points_of(self.side(self._anchor, self.corner(point)))
 
     def corner(self, point: Sequence[float]) -> Corner:
-        """Find the corner next to a point; beyond the slice the nearest on its border."""
+        """Return the corner next to a point; beyond the slice the nearest one on its border."""
         rows, columns = self.shape
         column, row = np.floor(np.asarray(point, float) + 1).astype(int)
         return int(np.clip(row, 0, rows)), int(np.clip(column, 0, columns))
 
     def side(self, start: Corner, end: Corner, *, keep_end: bool = False) -> Integers:
-        """Find the corners (n, 2) of the cheapest path; the tree at its start is kept, or that at its end."""
+        """Return the corners (n, 2) of the cheapest path; the tree at its start, or at its end, is cached."""
         tree = self._tree(end if keep_end else start, keep_end)
         return tree.path(start)[::-1] if keep_end else tree.path(end)
 
     def cost(self, start: Corner, end: Corner, *, keep_end: bool = False) -> int:
-        """Sum of the costs of that path."""
+        """Return the sum of the costs of that path."""
         tree = self._tree(end if keep_end else start, keep_end)
         return tree.cost(start if keep_end else end)
 
     def closed(self, points: Sequence[Sequence[float]]) -> ClosedWire:
-        """Close an outline through anchors (x, y) given in their order, the one way round or the other.
+        """Close an outline through anchors (x, y) in order, in either orientation.
 
         Raises:
-            MareyError: Fewer than two different anchors, or nothing lies within.
+            MareyError: There are fewer than two different anchors, or the outline encloses nothing.
         """
         corners = list(dict.fromkeys(self.corner(point) for point in points))
         if len(corners) < 2:
-            raise MareyError("An outline needs two anchors at least, at different places.")
+            raise MareyError("An outline needs at least two anchors, at different points.")
         ways = [self._round(corners), self._round(corners[::-1])]
         ways = [way for way in ways if _twice_area(way.corners) > 0] or ways
         best = min(ways, key=self._cost_of)
@@ -127,9 +129,9 @@ class LiveWire:
         return best
 
     def moved(self, wire: ClosedWire, index: int, point: Sequence[float]) -> ClosedWire:
-        """Move one anchor of a closed outline: its two sides alone are found anew.
+        """Move one anchor of a closed outline: only its two sides are recomputed.
 
-        The trees of the anchors before and after it are kept, so that it can be dragged.
+        The trees of the anchors before and after it are cached, so that it can be dragged.
         """
         corner = self.corner(point)
         anchors = [tuple(anchor) for anchor in wire.anchors.tolist()]
@@ -140,7 +142,7 @@ class LiveWire:
         return ClosedWire(anchors=np.array(anchors), sides=tuple(sides))
 
     def forget(self) -> None:
-        """Let the trees go that were kept for the next point: some megabytes each."""
+        """Remove the cached trees, some megabytes each."""
         self._trees.clear()
 
     def _round(self, corners: Sequence[Corner]) -> ClosedWire:
@@ -161,11 +163,11 @@ class LiveWire:
 
 
 def points_of(corners: Integers) -> Floats:
-    """(..., 2) x and y in pixels of the rows and columns of corners."""
+    """Return x and y (..., 2) in pixels of the rows and columns of corners."""
     return corners[..., ::-1] - 0.5
 
 
 def _twice_area(corners: Integers) -> int:
-    """Twice the area within, positive against the clock."""
+    """Return twice the enclosed area, positive if counter-clockwise."""
     row, column = corners.T
     return int(np.sum(row * np.roll(column, -1) - np.roll(row, -1) * column))

@@ -1,4 +1,4 @@
-"""Outlines drawn in slices anchor by anchor with the live wire, and changed where an anchor is."""
+"""Outlines drawn in slices with the live wire, and edited by their anchors."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -12,14 +12,15 @@ from marey.knee.outlines.live_wire import LiveWire, points_of
 from marey.knee.outlines.outlines import on_the_edge
 
 _FEWEST = 2
+"""Fewest anchors of an outline."""
 
 
 def drawn(wire: LiveWire, points: Sequence[Sequence[float]], *, structure: str, axis: str, index: int) -> Contour:
-    """Close an outline through anchors, and lay it where the edge is steepest.
+    """Close an outline through anchors, and move it to where the edge is steepest.
 
     Args:
         wire: Of the slice.
-        points: x and y [px] of the anchors in their order, one way round or the other.
+        points: x and y [px] of the anchors in order, in either orientation.
         structure: What is outlined.
         axis: Of `AXES`.
         index: Of the slice.
@@ -33,7 +34,7 @@ def drawn(wire: LiveWire, points: Sequence[Sequence[float]], *, structure: str, 
 
 
 def anchor_moved(contour: Contour, wire: LiveWire, number: int, point: Sequence[float]) -> Contour:
-    """Move an anchor: the outline to the anchors before and after it is found anew, the rest stays as it is."""
+    """Move an anchor: only the outline to the anchors before and after it is recomputed."""
     anchors = contour.anchors.copy()
     count = len(anchors)
     anchors[number] = points_of(np.array(wire.corner(point)))
@@ -44,7 +45,7 @@ def anchor_moved(contour: Contour, wire: LiveWire, number: int, point: Sequence[
 
 
 def anchor_inserted(contour: Contour, wire: LiveWire, point: Sequence[float]) -> tuple[Contour, int]:
-    """Set another anchor where an outline is nearest to a point, without changing its way; and give its number."""
+    """Insert an anchor where an outline is nearest to a point, without changing its course; return its number too."""
     places = anchor_places(contour)
     place = int(np.argmin(np.linalg.norm(contour.outline - np.asarray(point, float), axis=1)))
     steps = (places - places[0]) % len(contour.outline)
@@ -54,36 +55,36 @@ def anchor_inserted(contour: Contour, wire: LiveWire, point: Sequence[float]) ->
 
 
 def anchor_removed(contour: Contour, wire: LiveWire, number: int) -> Contour:
-    """Take an anchor away: the wire goes from the one before it to the one behind it.
+    """Remove an anchor: the wire then connects the anchors before and after it.
 
     Raises:
-        MareyError: Fewer than two would be left.
+        MareyError: Fewer than two anchors would remain.
     """
     count = len(contour.anchors)
     if count <= _FEWEST:
-        raise MareyError("An outline needs two anchors at least: remove the whole outline instead.")
+        raise MareyError("An outline needs at least two anchors: remove the whole outline instead.")
     ends = (number - 1) % count, (number + 1) % count
     side = wire.side(*(wire.corner(contour.anchors[each]) for each in ends))
     return _spliced(contour, wire, [side], *ends, np.delete(contour.anchors, number, axis=0))
 
 
 def anchor_places(contour: Contour) -> Integers:
-    """(A,) which point of the outline lies nearest to each anchor."""
+    """(A,) index of the point of the outline nearest to each anchor."""
     apart = np.linalg.norm(contour.outline - contour.anchors[:, None], axis=2)
     return np.asarray(np.argmin(apart, axis=1), np.int64)
 
 
 def _in_order(places: Integers) -> bool:
-    """Return whether places follow each other once round."""
+    """Return whether indices increase around the outline, with one wrap."""
     return int((np.diff(np.append(places, places[0])) < 0).sum()) <= 1
 
 
 def _spliced(
     contour: Contour, wire: LiveWire, sides: Sequence[Integers], start: int, end: int, anchors: Floats
 ) -> Contour:
-    """Put new sides in the place of an outline's part from one anchor to another."""
+    """Replace the part of an outline from one anchor to another by new sides."""
     if not _in_order(anchor_places(contour)):
-        # A sheet so thin that an anchor is nearest to its other side: nothing tells which part is which.
+        # In a sheet so thin that an anchor is nearest to its other side, the parts cannot be distinguished.
         fresh = drawn(wire, anchors.tolist(), structure=contour.structure, axis=contour.axis, index=contour.index)
         return replace(fresh, anchors=anchors)
     new = points_of(np.concatenate([*(side[:-1] for side in sides), sides[-1][-1:]]))
@@ -91,7 +92,7 @@ def _spliced(
     if start == end:
         kept = np.zeros((0, 2))
     else:
-        # From the anchor after the new part, round to the one before it.
+        # From the anchor after the new part, around to the one before it.
         count = (places[start] - places[end]) % len(contour.outline)
         kept = contour.outline[(places[end] + np.arange(1, count)) % len(contour.outline)]
     whole = on_the_edge(np.concatenate([new, kept]), wire.edges)

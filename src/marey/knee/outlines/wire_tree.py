@@ -1,4 +1,4 @@
-"""Cheapest paths along the edges between pixels, found only as far as they are asked for."""
+"""Cheapest paths along the edges between pixels, computed only as far as they are needed."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,22 +7,26 @@ from marey.arrays import Integers
 from marey.kernels import kernel
 
 MOST_COST = 1023
+"""Largest cost of a step, below the number of buckets."""
 _BUCKETS = 1024
+"""Number of buckets of the queue: a power of two above the largest cost."""
 _FAR = np.iinfo(np.int32).max
+"""Cost of a corner that has not been reached."""
 _NONE = -1
+"""Entry that marks the end of a list, and the step into the root."""
 
 Costs = NDArray[np.int32]
 
 
 class WireTree:
-    """The cheapest paths from one corner to the others, grown on the fly after [Falcao2000].
+    """The cheapest paths from one corner to the others, computed on the fly after [Falcao2000].
 
-    The tree grows until the corner that is asked for hangs on it, and is kept: what is asked next costs only what is
-    new. Corners wait in a ring of buckets by their cost ([Dial1969]), so none is sorted.
+    The tree grows until it contains the queried corner, and is kept, so that further queries only extend it. Corners
+    wait in a ring of buckets by their cost ([Dial1969]), without sorting.
 
     Args:
-        costs: (rows + 1, columns + 1, 4) whole numbers from 1 to `MOST_COST`: of the step from each corner to the
-            right, down, to the left and up; 0 where there is no step, as there is none out of the slice.
+        costs: (rows + 1, columns + 1, 4) integers from 1 to `MOST_COST`: cost of the step from each corner to
+            the right, down, to the left and up; 0 where there is no step, as at the border of the slice.
         root: Row and column of the corner where the paths begin.
     """
 
@@ -33,7 +37,7 @@ class WireTree:
         self._least = np.full(corners, _FAR, np.int32)
         self._step_in = np.full(corners, _NONE, np.int8)
         self._settled = np.zeros(corners, np.bool_)
-        # Each step is taken up once at most, when its beginning is settled: a step is its own entry in the queue.
+        # Each step enters the queue at most once, when its start is settled: its index is its entry.
         self._behind = np.empty(4 * corners, np.int32)
         self._first = np.full(_BUCKETS, _NONE, np.int32)
         self._reached = np.zeros(2, np.int64)
@@ -51,7 +55,7 @@ class WireTree:
         return int(self._least[at])
 
     def path(self, corner: tuple[int, int]) -> Integers:
-        """Give (n, 2) rows and columns of the corners of the cheapest path from the root to a corner.
+        """Return rows and columns (n, 2) of the corners of the cheapest path from the root to a corner.
 
         Raises:
             ValueError: No path leads there.
@@ -76,7 +80,7 @@ class WireTree:
 
 
 def reversed_costs(costs: Costs) -> Costs:
-    """Return the costs of going every step the other way about: a tree on them holds the paths that end at its root."""
+    """Return the costs of all steps reversed: a tree on them contains the paths that end at its root."""
     turned = np.zeros_like(costs)
     turned[:, 1:, 2], turned[:, :-1, 0] = costs[:, :-1, 0], costs[:, 1:, 2]
     turned[1:, :, 3], turned[:-1, :, 1] = costs[:-1, :, 1], costs[1:, :, 3]
@@ -85,7 +89,7 @@ def reversed_costs(costs: Costs) -> Costs:
 
 @kernel
 def _settle(at, columns, costs, least, step_in, settled, behind, first, reached):  # type: ignore[no-untyped-def]
-    """Make a corner's cost final, and let its neighbours wait with what they cost by way of it."""
+    """Make a corner's cost final, and queue its neighbours with their costs through it."""
     settled[at] = True
     for step in range(4):
         price = costs[4 * at + step]
@@ -115,13 +119,13 @@ def _grow(goal, columns, costs, least, step_in, settled, behind, first, reached)
         first[bucket] = behind[entry]
         reached[1] -= 1
         at = (entry >> 2) + _offset(entry & 3, columns)
-        if not settled[at]:  # otherwise a cheaper step led there meanwhile
+        if not settled[at]:  # otherwise a cheaper step has reached it
             _settle(at, columns, costs, least, step_in, settled, behind, first, reached)
 
 
 @kernel(inline="always")
 def _offset(step, columns):  # type: ignore[no-untyped-def]
-    """How far a corner's number changes by a step."""
+    """Return the change of a corner's number by a step."""
     if step == 0:
         return 1
     if step == 1:
@@ -131,7 +135,7 @@ def _offset(step, columns):  # type: ignore[no-untyped-def]
 
 @kernel
 def _walked_back(at, columns, step_in):  # type: ignore[no-untyped-def]
-    """List the corners from one to the root."""
+    """Return the corners from one to the root."""
     corners = [at]
     while step_in[at] >= 0:
         at -= _offset(step_in[at], columns)

@@ -1,4 +1,4 @@
-"""`marey capture`: from the videos of a trial to the motion of the person in it."""
+"""`marey capture`: the motion of a person from the videos of a trial."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -86,7 +86,7 @@ def capture_trial(
         FileProblem: Something in the trial cannot be used.
     """
     with opened(trial, settings, progress, observations=observations) as (run, bodies, logs):
-        _capture(run, bodies, logs)
+        run_capture(run, bodies, logs)
     return load_motion(run.out)
 
 
@@ -107,8 +107,14 @@ class FollowedPerson:
         return SilhouetteTake(tuple(run.trial.rig), store, tuple(poses), run.trial.take.rate, store.edges)
 
 
-def _capture(run: Run, bodies: Bodies, logs: Logs) -> None:
-    """Go from pictures to results: silhouettes, person, silhouettes about the person, and the person again."""
+def run_capture(run: Run, bodies: Bodies, logs: Logs) -> None:
+    """Run all stages: silhouettes, the person, silhouettes with the person as prior, the refined person, and results.
+
+    Args:
+        run: The run.
+        bodies: The body with many and with few vertices.
+        logs: Storage of the silhouettes.
+    """
     followed = follow_person(run, bodies, logs)
     refined = refined_person(run, followed, bodies)
     write_capture(run, refined, followed.outlines, followed.frames)
@@ -281,6 +287,9 @@ def refined_person(run: Run, followed: FollowedPerson, bodies: Bodies) -> Refine
         The refined motion and body.
     """
     person, take, tracked = run.person, followed.take(run), followed.tracked
+    unused = [str(frame) for frame in sorted(run.observations) if frame not in tracked.poses]
+    if unused:
+        run.progress.warn(f"Observations of frames without a pose are not used: {', '.join(unused)}.")
     with run.cache.frames("mended_frames", depends=run.scope) as log, run.progress.stage("Mending"):
         poses = repair_person(
             take, tracked.body, with_shape(tracked.body, bodies.coarse), tracked.poses, person,

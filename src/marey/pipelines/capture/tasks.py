@@ -1,11 +1,10 @@
 """A capture in one call: open a trial, and measure the motion of the person in it."""
 
-import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from marey.cameras.rig import Rig
-from marey.errors import MareyWarning, SettingProblem
+from marey.errors import SettingProblem
 from marey.io.calibration.readers import read_rig
 from marey.io.trial.trial import Trial, read_trial
 from marey.observations.observation import Observation
@@ -14,9 +13,7 @@ from marey.pipelines.capture.motion import Motion
 from marey.pipelines.capture.settings import CaptureSettings
 from marey.pipelines.progress import Progress, RecordingProgress
 from marey.pipelines.result_files import ResultFiles
-
-Frames = range | tuple[int, int]
-"""Frames of a take: a range with steps of one, or the first frame and the one after the last."""
+from marey.pipelines.values import Frames, first_and_end, issue_warnings
 
 
 def open_trial(
@@ -156,31 +153,6 @@ def reopened(trial: Trial | Path | str, changes: Mapping[str, object]) -> Trial:
     if not given:
         return trial
     return read_trial(trial.folder, **(trial.settings.model_dump(exclude_none=True) | given))
-
-
-def first_and_end(frames: Frames | None) -> tuple[int, int] | None:
-    """Return the first frame and the one after the last.
-
-    Raises:
-        SettingProblem: The range has gaps, or holds no frame.
-    """
-    if frames is None:
-        return None
-    first, end = (frames.start, frames.stop) if isinstance(frames, range) else frames
-    if (isinstance(frames, range) and frames.step != 1) or not 0 <= first < end:
-        raise SettingProblem(f"The frames are {frames}; they should be consecutive, for example range(40, 100).")
-    return first, end
-
-
-def issue_warnings(progress: Progress, *, stacklevel: int = 3) -> None:
-    """Issue what a run warned of as Python warnings.
-
-    Args:
-        progress: Progress reporter of the run.
-        stacklevel: Number of calls between this function and the code to which the warnings refer.
-    """
-    for text in progress.warnings:
-        warnings.warn(text, MareyWarning, stacklevel=stacklevel)
 
 
 def _names(names: Sequence[str] | None) -> tuple[str, ...] | None:

@@ -45,7 +45,7 @@ from marey.pipelines.markers.bones import Bones
 from marey.pipelines.progress import Progress, RecordingProgress
 from marey.pipelines.run_details import RunDetails, checkpoints
 from marey.pipelines.run_record import StageCache, fingerprint
-from marey.pipelines.values import PathLike, optional_path
+from marey.pipelines.values import PathLike, issue_warnings, optional_path
 from marey.view.pictures.knee_picture import DEFAULT_VIEWS, VIEWS
 
 FRAMES = ("tibia", "room")
@@ -101,8 +101,9 @@ class AnimatedKnee(AnimationResults, Described):
 
     Example:
         >>> import marey
-        >>> moving = marey.animate_knee("knee", "walk_marey", reference="standing.c3d")  # doctest: +SKIP
-        >>> moving.gaps["tibiofemoral medial"].values.min()  # doctest: +SKIP
+        >>> moving = marey.animate_knee("bend/knee", "bend/motion", reference="bend/standing.c3d")
+        >>> moving.gaps["tibiofemoral medial"].unit
+        'mm'
     """
 
     @property
@@ -275,7 +276,8 @@ def animate_knee(
         noise_mm: Standard deviation of a marker's coordinate in the laboratory, with that of its attachment [mm].
         out: Folder for the results. If it is given, the files of `marey knee animate` are written there, and an
             interrupted run can be resumed by the same call; otherwise nothing is written.
-        progress: Progress reporter.
+        progress: Progress reporter; by default nothing is shown, and the warnings of the run are issued as Python
+            warnings of the category `marey.MareyWarning`.
 
     Returns:
         The moving knee.
@@ -287,15 +289,21 @@ def animate_knee(
 
     Example:
         >>> import marey
-        >>> moving = marey.animate_knee("knee", "walk_marey", reference="standing.c3d")  # doctest: +SKIP
+        >>> moving = marey.animate_knee("bend/knee", "bend/motion", reference="bend/standing.c3d")
+        >>> moving.moved
+        ('femur', 'tibia')
     """
     settings = AnimateSettings(
         reference=optional_path(reference), method=method, compare=compare, landmarks=optional_path(landmarks),
         side=side, frame=frame, views=tuple(views), limit_mm=limit_mm, noise_mm=noise_mm,
     )  # fmt: skip
     folder = None if out is None else Path(out)
+    reporter = RecordingProgress() if progress is None else progress
     with _in_folder(knee) as knee_folder, _in_folder(motion) as motion_folder:
-        return _animated(knee_folder, motion_folder, settings, folder, progress or RecordingProgress())
+        moving = _animated(knee_folder, motion_folder, settings, folder, reporter)
+    if progress is None:
+        issue_warnings(reporter)
+    return moving
 
 
 @contextmanager

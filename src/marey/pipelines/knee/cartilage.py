@@ -56,9 +56,9 @@ def cartilage_by_template(
     if not any(CARTILAGE_OF_BONE[bone] in held for bone in BONES):
         progress.warn("The template has no cartilage: only bones were segmented.")
         return None, {}
-    asked = [CARTILAGE_OF_BONE[bone] for bone in BONES if CARTILAGE_OF_BONE[bone] in held]
+    wanted = [CARTILAGE_OF_BONE[bone] for bone in BONES if CARTILAGE_OF_BONE[bone] in held]
     if fit is None:
-        return None, dict.fromkeys(asked, _LEFT_OUT)
+        return None, dict.fromkeys(wanted, _LEFT_OUT)
     try:
         with progress.stage("Template", len(held)) as step:
             parts = {}
@@ -70,7 +70,7 @@ def cartilage_by_template(
             found = find_knee_cartilage(volumes, surfaces, model, _starts(bones, model.bones), done)
     except MareyError as problem:
         progress.warn(f"Cartilage was not found, only bones were segmented. {problem}")
-        return None, dict.fromkeys(asked, str(problem))
+        return None, dict.fromkeys(wanted, str(problem))
     for note in found.notes:
         progress.warn(note)
     missing = {CARTILAGE_OF_BONE[bone]: found.missing[bone] for bone in BONES if bone in found.missing}

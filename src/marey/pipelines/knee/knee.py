@@ -71,8 +71,10 @@ class Knee(Described):
 
     Example:
         >>> import marey
-        >>> knee = marey.load_knee("dess_marey")  # doctest: +SKIP
-        >>> knee.surfaces["femur"].volume_mm3 / 1000  # doctest: +SKIP
+        >>> knee = marey.load_knee("knee_marey")
+        >>> knee.bones
+        ('femur', 'tibia', 'patella')
+        >>> volume_cm3 = knee.surfaces["femur"].volume_mm3 / 1000
     """
 
     labels: Labels
@@ -224,7 +226,9 @@ def load_knee(folder: Path | str) -> Knee:
 
     Example:
         >>> import marey
-        >>> knee = marey.load_knee("dess_marey")  # doctest: +SKIP
+        >>> knee = marey.load_knee("knee_marey")
+        >>> knee.side
+        'left'
     """
     folder = Path(folder)
     if not (folder / _FILE).is_file():

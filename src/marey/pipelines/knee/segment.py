@@ -22,7 +22,7 @@ from marey.pipelines.knee.knee import COMMAND, Knee
 from marey.pipelines.knee.markers import earlier_markers, markers_in
 from marey.pipelines.progress import Progress, RecordingProgress
 from marey.pipelines.run_details import RunDetails, checkpoints
-from marey.pipelines.values import PathLike
+from marey.pipelines.values import PathLike, issue_warnings
 
 _UNINFORMATIVE = ("image", "images", "volume", "scan", "series", "dicom", "mr", "mri", "data", "input")
 """Names of files that do not identify a volume; the name of their folder is used instead."""
@@ -92,7 +92,8 @@ def segment_knee(
         side: `left` or `right`, for medial and lateral parts; by default the place of the patella decides.
         out: Folder for the results. If it is given, the files of `marey knee segment` are written there; otherwise
             nothing is written.
-        progress: Progress reporter.
+        progress: Progress reporter; by default nothing is shown, and the warnings of the run are issued as Python
+            warnings of the category `marey.MareyWarning`.
 
     Returns:
         The knee; structures that were not found are in `missing`.
@@ -104,14 +105,15 @@ def segment_knee(
 
     Example:
         >>> import marey
-        >>> knee = marey.segment_knee("dess.nii.gz", template="atlas")  # doctest: +SKIP
-        >>> knee.thickness["femur"].mean_mm  # doctest: +SKIP
+        >>> knee = marey.segment_knee("knee.nii.gz", side="left")
+        >>> knee.missing
+        {}
     """
     settings = SegmentSettings(seeds=_places(seeds), seed_voxels=_places(seed_voxels), side=side)
-    progress = progress or RecordingProgress()
+    reporter = RecordingProgress() if progress is None else progress
     given = [volumes] if isinstance(volumes, str | Path | Volume) else list(volumes)
     folder = None if out is None else Path(out)
-    with progress.stage("Reading"):
+    with reporter.stage("Reading"):
         images = [each if isinstance(each, Volume) else read_volume(each) for each in given]
         labels = template if isinstance(template, Labels) or template is None else read_template(template)
         earlier = None if folder is None else earlier_markers(folder)
@@ -121,16 +123,18 @@ def segment_knee(
     # Opened before the work, so that a folder that cannot be written to is an error at once.
     with checkpoints(folder, files) as cache:
         try:
-            found = _found(images, labels, settings, title, earlier, progress)
-            details = _details(settings, template, found, files, progress)
+            found = _found(images, labels, settings, title, earlier, reporter)
+            details = _details(settings, template, found, files, reporter)
             knee = Knee.of(found, details)
             if folder is not None:
-                knee.save(folder, progress=progress)
+                knee.save(folder, progress=reporter)
         except KeyboardInterrupt:
             cache.clear()
             raise
         except TemplateProblem as problem:
             raise _of_template(template, problem) from problem
+    if progress is None:
+        issue_warnings(reporter)
     return knee
 
 

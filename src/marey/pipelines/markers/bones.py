@@ -44,9 +44,9 @@ class Bones(EstimatedBones, Described):
 
     Example:
         >>> import marey
-        >>> walk = marey.open_markers("walk.c3d", reference="walk_frame0.npz")  # doctest: +SKIP
-        >>> bones = marey.estimate_bones(walk)  # doctest: +SKIP
-        >>> bones.to_pandas()["knee_flexion_deg"].max()  # doctest: +SKIP
+        >>> bones = marey.load_bones("walk_marey")
+        >>> bones.angles["knee flexion"]
+        knee flexion [deg]: 120 frames, 0 to 1.19 s; ...
     """
 
     def method(self, name: str) -> "Bones":
@@ -206,7 +206,9 @@ def load_bones(folder: Path | str) -> Bones:
 
     Example:
         >>> import marey
-        >>> bones = marey.load_bones("walk_marey")  # doctest: +SKIP
+        >>> bones = marey.load_bones("walk_marey")
+        >>> bones.segments, bones.methods
+        (('thigh', 'shank'), ('rigid',))
     """
     folder = Path(folder)
     if not (folder / _FILE).is_file():

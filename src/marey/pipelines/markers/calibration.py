@@ -70,6 +70,8 @@ def calibrated(
         calibration, notes = read_reference(settings.reference, segments, frames=len(measured))
     else:
         calibration, notes = _from_markers(file, used, seen)
+    side, side_notes = _side(calibration.segments, settings)
+    joints = _joints(setup, calibration.segments)
     anatomical = settings.static is not None or settings.reference is not None
     used = used.with_frames_of(measured, calibration.frames)
     # Frames that were not requested are empty in `used`; that is not a fault of the markers.
@@ -78,9 +80,8 @@ def calibrated(
         judged.select([label for cluster in clusters for label in cluster.labels]), clusters,
         calibration if anatomical else None,
     )  # fmt: skip
-    side, side_notes = _side(calibration.segments, settings)
     return Calibrated(
-        calibration=calibration, trajectories=used, anatomical=anatomical, joints=_joints(setup, calibration.segments),
+        calibration=calibration, trajectories=used, anatomical=anatomical, joints=joints,
         side=side, notes=(*notes, *faults), side_notes=side_notes if anatomical else (),
     )  # fmt: skip
 

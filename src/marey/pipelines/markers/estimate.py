@@ -1,23 +1,21 @@
 """From the skin markers of a trial to the motion of the bones beneath them."""
 
-import time
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from marey.errors import SettingProblem
 from marey.io.markers.trial_file import read_marker_file
-from marey.markers.data.marker_motion import marker_motion
 from marey.markers.methods.methods import DEFAULT_METHOD
 from marey.pipelines.markers.bones import COMMAND, Bones
 from marey.pipelines.markers.estimated_bones import MethodRun
 from marey.pipelines.markers.events import find_gait
 from marey.pipelines.markers.method_runs import run_methods
-from marey.pipelines.markers.model import ModelTrial, follow_model, model_trial
+from marey.pipelines.markers.model import ModelTrial, model_trial, run_model
 from marey.pipelines.markers.settings import MarkerSettings
 from marey.pipelines.markers.trial import ClusterTrial, MarkerTrial, cluster_trial
 from marey.pipelines.progress import Progress, RecordingProgress
 from marey.pipelines.run_details import RunDetails, checkpoints
-from marey.pipelines.values import FrameRange, PathLike, frame_limits, optional_path, path_tuple
+from marey.pipelines.values import Frames, PathLike, first_and_end, issue_warnings, optional_path, path_tuple
 
 
 def open_markers(
@@ -31,7 +29,7 @@ def open_markers(
     exercise_reference: PathLike | None = None,
     model: PathLike | None = None,
     weights: PathLike | None = None,
-    frames: FrameRange | None = None,
+    frames: Frames | None = None,
     fill: str = "none",
     unit: str | None = None,
     side: str | None = None,
@@ -65,8 +63,8 @@ def open_markers(
 
     Example:
         >>> import marey
-        >>> walk = marey.open_markers("walk.c3d", reference="walk_frame0.npz")  # doctest: +SKIP
-        >>> walk.segments  # doctest: +SKIP
+        >>> walk = marey.open_markers("walk.c3d", reference="walk_frame0.npz")
+        >>> walk.segments
         ('thigh', 'shank')
     """
     settings = MarkerSettings(
@@ -74,7 +72,7 @@ def open_markers(
         functional=path_tuple(functional), exercise=optional_path(exercise),
         exercise_reference=optional_path(exercise_reference), model=optional_path(model),
         weights=optional_path(weights),
-        frames=frame_limits(frames), fill=fill, unit=unit, side=side,
+        frames=first_and_end(frames), fill=fill, unit=unit, side=side,
     )  # fmt: skip
     with (progress or RecordingProgress()).stage("Reading"):
         file = read_marker_file(Path(path), unit=unit)
@@ -96,7 +94,8 @@ def estimate_bones(
             own method.
         out: Folder for the results. If it is given, the files of `marey markers` are written there, and an
             interrupted run can be resumed by the same call; otherwise nothing is written.
-        progress: Progress reporter.
+        progress: Progress reporter; by default nothing is shown, and the warnings of the run are issued as Python
+            warnings of the category `marey.MareyWarning`.
 
     Returns:
         The motion of the bones.
@@ -107,62 +106,37 @@ def estimate_bones(
 
     Example:
         >>> import marey
-        >>> walk = marey.open_markers("walk.c3d", reference="walk_frame0.npz")  # doctest: +SKIP
-        >>> bones = marey.estimate_bones(walk, method=["skin", "rigid"])  # doctest: +SKIP
+        >>> walk = marey.open_markers("walk.c3d", reference="walk_frame0.npz")
+        >>> bones = marey.estimate_bones(walk, method="rigid")
+        >>> low, high = bones.angles["knee flexion"].interval(0.95)
     """
     if isinstance(trial, ModelTrial) and method is not None:
         raise SettingProblem("--model and --method exclude each other: leave out one of them.")
-    progress = progress or RecordingProgress()
+    reporter = RecordingProgress() if progress is None else progress
     for note in trial.notes:
-        progress.warn(note)
-    folder = None if out is None else Path(out)
-    with checkpoints(folder, [trial.path, *trial.settings.files]) as cache:
+        reporter.warn(note)
+    folder, inputs = None if out is None else Path(out), [trial.path, *trial.settings.files]
+    with checkpoints(folder, inputs) as cache:
+        runs: Sequence[MethodRun]
         if isinstance(trial, ModelTrial):
-            bones = _by_model(trial, progress)
+            runs = [run_model(trial, reporter)]
         elif isinstance(trial, ClusterTrial):
             names = (method,) if isinstance(method, str) else tuple(method or (DEFAULT_METHOD,))
-            bones = _by_methods(trial, run_methods(trial, names, progress, cache), progress)
+            runs = run_methods(trial, names, reporter, cache)
         else:
             raise TypeError(f"estimate_bones takes what open_markers returns, not a {type(trial).__name__}")
+        gait = find_gait(trial.file, trial.clusters, side=trial.side)
+        for note in gait.notes:
+            reporter.warn(note)
+        settings = {name: value for name, value in vars(trial.settings).items() if value not in (None, ())}
+        about = {**settings, "methods": [run.name for run in runs]}
+        bones = Bones(
+            runs=tuple(runs), time=trial.time, frames=trial.selection.frames, gait=gait, anatomical=trial.anatomical,
+            side=trial.side, reference_frames=trial.reference_frames, trial=trial,
+            details=RunDetails.of(COMMAND, about, inputs, trial.path.parent, reporter),
+        )  # fmt: skip
         if folder is not None:
-            bones.save(folder, progress=progress)
+            bones.save(folder, progress=reporter)
+    if progress is None:
+        issue_warnings(reporter)
     return bones
-
-
-def _by_methods(trial: ClusterTrial, runs: Sequence[MethodRun], progress: Progress) -> Bones:
-    gait = find_gait(trial.file, trial.clusters, side=trial.side)
-    for note in gait.notes:
-        progress.warn(note)
-    return Bones(
-        runs=tuple(runs), time=trial.time, frames=trial.selection.frames, gait=gait, anatomical=trial.anatomical,
-        side=trial.side, reference_frames=trial.problem.calibration.frames, details=_details(trial, runs, progress),
-        trial=trial,
-    )  # fmt: skip
-
-
-def _by_model(trial: ModelTrial, progress: Progress) -> Bones:
-    with progress.stage("Inverse kinematics"):
-        began = time.perf_counter()
-        found = follow_model(trial)
-        seconds = time.perf_counter() - began
-    gait = find_gait(trial.file, trial.clusters, side=None)
-    for note in (*found.notes, *gait.notes):
-        progress.warn(note)
-    name = "" if trial.settings.model is None else trial.settings.model.name
-    run = MethodRun(
-        name="model", summary=f"the OpenSim model {name}", seconds=seconds, motion=found.bones,
-        joints=found.coordinates, markers=marker_motion(trial.selection.used, trial.clusters, found.bones),
-        fit=found.summary,
-    )  # fmt: skip
-    return Bones(
-        runs=(run,), time=trial.time, frames=trial.selection.frames, gait=gait, anatomical=True,
-        coordinates=found.table, details=_details(trial, [run], progress), trial=trial,
-    )  # fmt: skip
-
-
-def _details(trial: MarkerTrial, runs: Sequence[MethodRun], progress: Progress) -> RunDetails:
-    settings = {name: value for name, value in vars(trial.settings).items() if value not in (None, ())}
-    return RunDetails.of(
-        COMMAND, {**settings, "methods": [run.name for run in runs]}, [trial.path, *trial.settings.files],
-        trial.path.parent, progress,
-    )  # fmt: skip

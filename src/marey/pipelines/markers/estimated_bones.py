@@ -31,6 +31,8 @@ class MethodRun:
     """Motion of the markers over the bones; without labels if it was not read."""
     seconds: float
     """Computing time [s], of the run in which the result was computed."""
+    table: Table | None = None
+    """All coordinates of an OpenSim model; None for other methods."""
     fit: str = ""
     """Distance between the markers and an OpenSim model, in one line; empty for other methods."""
 
@@ -53,8 +55,6 @@ class EstimatedBones:
     """`left` or `right`, if it is known and the names of the segments do not contain it."""
     reference_frames: Integers | None = None
     """(K,) frames in which the poses of the bones were known; None for a model."""
-    coordinates: Table | None = None
-    """All coordinates of an OpenSim model; None without a model."""
     details: RunDetails
     """Settings, inputs, warnings and times of the run."""
     trial: MarkerTrial | None = None
@@ -66,6 +66,11 @@ class EstimatedBones:
     def methods(self) -> tuple[str, ...]:
         """Names of the methods."""
         return tuple(run.name for run in self.runs)
+
+    @property
+    def coordinates(self) -> Table | None:
+        """All coordinates of an OpenSim model; None without a model."""
+        return self.runs[0].table
 
     @property
     def motion(self) -> BoneMotion:

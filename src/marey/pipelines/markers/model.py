@@ -1,5 +1,6 @@
 """A marker trial and the OpenSim model that follows it."""
 
+import time
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,28 +15,15 @@ from marey.io.opensim.osim_model import read_osim_model
 from marey.io.opensim.osim_tasks import read_task_values, read_tasks
 from marey.markers.data.bone_motion import BoneMotion
 from marey.markers.data.clusters import Cluster
+from marey.markers.data.marker_motion import marker_motion
 from marey.markers.kinematics.inverse_kinematics import InverseKinematics, inverse_kinematics
 from marey.markers.kinematics.joint_angles import JointKinematics
 from marey.markers.kinematics.tasks import TaskSet
+from marey.pipelines.markers.estimated_bones import MethodRun
 from marey.pipelines.markers.selection import selected_trajectories
 from marey.pipelines.markers.settings import MarkerSettings
 from marey.pipelines.markers.trial import MarkerTrial
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class FollowedModel:
-    """Postures of a model that follow the markers of a trial."""
-
-    bones: BoneMotion
-    """Poses of the model's bodies, in the trial's own axes."""
-    coordinates: JointKinematics
-    """Angles and translations of the model."""
-    table: Table
-    """All coordinates in the model's order, as OpenSim reads them."""
-    notes: tuple[str, ...]
-    """What was skipped, and which coordinates are not determined, one sentence each."""
-    summary: str
-    """Number of frames and distance between markers and model, in one line."""
+from marey.pipelines.progress import Progress
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -87,28 +75,35 @@ def model_trial(file: MarkerFile, settings: MarkerSettings) -> ModelTrial:
     )  # fmt: skip
 
 
-def follow_model(trial: ModelTrial) -> FollowedModel:
-    """Estimate the coordinates of the model in every frame.
+def run_model(trial: ModelTrial, progress: Progress) -> MethodRun:
+    """Estimate the coordinates of the model in every frame, by inverse kinematics.
 
     Args:
         trial: The markers and the model.
+        progress: Progress reporter.
 
     Raises:
         FileProblem: Model, tasks and trial have no marker in common, or a task names an unknown coordinate.
     """
-    selection = trial.selection
+    selection, model = trial.selection, trial.settings.model or trial.path
     ground_from_file = np.eye(3) if trial.file.y_up else OPENSIM_FROM_WORLD
     turned = replace(selection.used, points=selection.used.points @ ground_from_file.T)
-    try:
-        found = inverse_kinematics(trial.model, trial.tasks, turned, targets=trial.targets)
-    except MareyError as problem:
-        wrong = f"cannot follow {trial.path.name}: {problem}".rstrip(".")
-        remedy = "Give the model that was scaled to this person, and tasks for its markers."
-        raise FileProblem(trial.settings.model or trial.path, wrong, remedy) from None
-    return FollowedModel(
-        bones=_in_axes_of_file(found.bones, ground_from_file.T), coordinates=_coordinates(found),
-        table=_table(found, trial.time), notes=tuple(found.skipped) + _undetermined(found, selection.frames),
-        summary=_summary(found, selection.frames),
+    with progress.stage("Inverse kinematics"):
+        began = time.perf_counter()
+        try:
+            found = inverse_kinematics(trial.model, trial.tasks, turned, targets=trial.targets)
+        except MareyError as problem:
+            wrong = f"cannot follow {trial.path.name}: {problem}".rstrip(".")
+            remedy = "Give the model that was scaled to this person, and tasks for its markers."
+            raise FileProblem(model, wrong, remedy) from None
+        seconds = time.perf_counter() - began
+    for note in (*found.skipped, *_undetermined(found, selection.frames)):
+        progress.warn(note)
+    bones = _in_axes_of_file(found.bones, ground_from_file.T)
+    return MethodRun(
+        name="model", summary=f"the OpenSim model {model.name}", motion=bones, joints=_coordinates(found),
+        seconds=seconds, table=_table(found, trial.time), fit=_summary(found, selection.frames),
+        markers=marker_motion(selection.used, trial.clusters, bones),
     )  # fmt: skip
 
 

@@ -1,6 +1,6 @@
 """Segments of a marker trial: from a TOML, or from the labels."""
 
-from marey.errors import FileProblem, MareyError
+from marey.errors import FileProblem, MareyError, SettingProblem
 from marey.io.markers.trial_file import MarkerFile
 from marey.markers.data.labels import FoundClusters, clusters_from_names, find_clusters
 from marey.markers.data.setup import MarkerSetup
@@ -20,7 +20,19 @@ def segments_of(file: MarkerFile, setup: MarkerSetup, settings: MarkerSettings) 
 
     Raises:
         FileProblem: There is no segment, or one of the TOML has too few markers.
+        SettingProblem: The TOML describes the skin of a segment that the trial does not have.
     """
+    found = _found_segments(file, setup, settings)
+    there = [cluster.segment for cluster in found.clusters]
+    unknown = sorted(set(setup.skin) - set(there))
+    if unknown:
+        raise SettingProblem(
+            f"[skin] names the unknown segment {', '.join(unknown)}; the segments are: {', '.join(there)}."
+        )
+    return found
+
+
+def _found_segments(file: MarkerFile, setup: MarkerSetup, settings: MarkerSettings) -> FoundClusters:
     labels = file.trajectories.labels
     if setup.segments:
         try:

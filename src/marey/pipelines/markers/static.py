@@ -57,8 +57,8 @@ def from_static(
     static = read_markers(settings.static, unit=settings.unit)
     further, notes = functional_centres(static, setup, settings)
     try:
-        mirrored, said = across_centres(static, setup.landmarks)
-        further, notes = {**mirrored, **further}, [*notes, *said]
+        mirrored, more = across_centres(static, setup.landmarks)
+        further, notes = {**mirrored, **further}, [*notes, *more]
         bones, found = static_bones(
             static, clusters, setup.landmarks, landmark_sd_m=LANDMARK_SD_M, side=settings.side, further=further
         )

@@ -4,8 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from marey.arrays import Floats
-from marey.errors import SettingProblem
+from marey.arrays import Floats, Integers
 from marey.io.markers.setup import read_marker_setup
 from marey.io.markers.trial_file import MarkerFile
 from marey.markers.data.clusters import Cluster
@@ -67,8 +66,18 @@ class MarkerTrial:
         return tuple(cluster.segment for cluster in self.clusters)
 
     @property
+    def anatomical(self) -> bool:
+        """Whether the bones' frames are anatomical; otherwise they are the clusters' principal axes."""
+        return True
+
+    @property
     def side(self) -> str | None:
         """`left` or `right`, if it is known and the names of the segments do not contain it."""
+        return None
+
+    @property
+    def reference_frames(self) -> Integers | None:
+        """(K,) frames in which the poses of the bones are known; None for a model."""
         return None
 
     def __len__(self) -> int:
@@ -88,7 +97,7 @@ class ClusterTrial(MarkerTrial):
 
     problem: MarkerProblem
     """What every method is given."""
-    anatomical: bool
+    has_anatomy: bool
     """Whether the bones' frames are anatomical; otherwise they are the clusters' principal axes."""
     known_side: str | None = None
     """`left` or `right`, if it is known and the names of the segments do not contain it."""
@@ -102,6 +111,16 @@ class ClusterTrial(MarkerTrial):
     def side(self) -> str | None:
         """`left` or `right`, if it is known and the names of the segments do not contain it."""
         return self.known_side
+
+    @property
+    def anatomical(self) -> bool:
+        """Whether the bones' frames are anatomical; otherwise they are the clusters' principal axes."""
+        return self.has_anatomy
+
+    @property
+    def reference_frames(self) -> Integers | None:
+        """(K,) frames in which the poses of the bones are known."""
+        return self.problem.calibration.frames
 
     @property
     def key(self) -> object:
@@ -130,7 +149,6 @@ def cluster_trial(file: MarkerFile, settings: MarkerSettings) -> ClusterTrial:
     found = segments_of(file, setup, settings)
     selection = selected_trajectories(file.trajectories, found.clusters, settings)
     bones = calibrated(file, selection, found.clusters, setup, settings)
-    _require_known(setup, found.clusters)
     problem = _problem(bones, found.clusters, setup)
     notes = [*file.trajectories.notes, *found.notes, *selection.notes, *bones.notes]
     if problem.joints:
@@ -142,17 +160,8 @@ def cluster_trial(file: MarkerFile, settings: MarkerSettings) -> ClusterTrial:
         notes.append("There are no joint angles: no joint between the segments is known. Add [joints] to the TOML.")
     return ClusterTrial(
         file=file, settings=settings, selection=replace(selection, used=bones.trajectories), notes=tuple(notes),
-        problem=problem, anatomical=bones.anatomical, known_side=bones.side,
+        problem=problem, has_anatomy=bones.anatomical, known_side=bones.side,
     )  # fmt: skip
-
-
-def _require_known(setup: MarkerSetup, clusters: Sequence[Cluster]) -> None:
-    """Raise an error if the TOML describes the skin of a segment that the trial does not have."""
-    names = {cluster.segment for cluster in clusters}
-    unknown = sorted(set(setup.skin) - names)
-    if unknown:
-        there = ", ".join(cluster.segment for cluster in clusters)
-        raise SettingProblem(f"[skin] names the unknown segment {', '.join(unknown)}; the segments are: {there}.")
 
 
 def _problem(bones: Calibrated, clusters: Sequence[Cluster], setup: MarkerSetup) -> MarkerProblem:

@@ -36,13 +36,13 @@ from marey.nonrigid.recovered import (
     with_known_distance,
 )
 from marey.pipelines.nonrigid.input import NonRigidInput, input_of_data, read_input
-from marey.pipelines.nonrigid.measure import MeasuredPoints, measure_points
+from marey.pipelines.nonrigid.measure import NonRigidPoints, measure_points
 from marey.pipelines.nonrigid.settings import NonRigidSettings
 from marey.pipelines.nonrigid.shapes import COMMAND, Shapes
 from marey.pipelines.progress import Progress, RecordingProgress
 from marey.pipelines.run_details import RunDetails, checkpoints
 from marey.pipelines.run_record import StageCache
-from marey.pipelines.values import FrameRange, PathLike, frame_limits, optional_path, path_tuple
+from marey.pipelines.values import Frames, PathLike, first_and_end, issue_warnings, optional_path, path_tuple
 
 _MOST_LISTED = 8
 """Number of frames or points that a note lists; more would hide the rest of the note. Chosen by hand."""
@@ -65,7 +65,9 @@ def read_tracks(path: PathLike, *, only: Sequence[str] | None = None) -> Deformi
 
     Example:
         >>> import marey
-        >>> tracks = marey.read_tracks("tracks.npz")  # doctest: +SKIP
+        >>> tracks = marey.read_tracks("cluster.npz", only=["skin_*"])
+        >>> tracks.points.shape
+        (40, 9, 3)
     """
     data = read_deforming(Path(path))
     return data if only is None else with_labels(data, only)
@@ -81,7 +83,7 @@ def factorise(
     scaled: bool = False,
     cameras: PathLike | None = None,
     distance: tuple[int, int, float] | None = None,
-    frames: FrameRange | None = None,
+    frames: Frames | None = None,
     only: Sequence[str] | None = None,
     basis_shapes: int | None = None,
     overlay: bool = True,
@@ -107,7 +109,8 @@ def factorise(
         overlay: Whether overlay videos are drawn when the result is saved.
         out: Folder for the results. If it is given, the files of `marey nonrigid` are written there, and an
             interrupted run can be resumed by the same call; otherwise nothing is written.
-        progress: Progress reporter.
+        progress: Progress reporter; by default nothing is shown, and the warnings of the run are issued as Python
+            warnings of the category `marey.MareyWarning`.
 
     Returns:
         The shapes.
@@ -119,25 +122,28 @@ def factorise(
 
     Example:
         >>> import marey
-        >>> shapes = marey.factorise(marey.read_tracks("tracks.npz"))  # doctest: +SKIP
-        >>> shapes.to_xarray()["shape"].sel(point="3")  # doctest: +SKIP
+        >>> shapes = marey.factorise("cluster.npz", basis_shapes=2)
+        >>> shapes.points["skin 3"].components
+        ('x', 'y', 'z')
     """
     settings = NonRigidSettings(
         points=path_tuple(points), mask=optional_path(mask), matrix=_matrix_text(matrix), scaled=scaled,
-        cameras=optional_path(cameras), distance=distance, frames=frame_limits(frames),
+        cameras=optional_path(cameras), distance=distance, frames=first_and_end(frames),
         only=None if only is None else tuple(only),
         basis_shapes=basis_shapes, overlay=overlay,
     )  # fmt: skip
-    progress = progress or RecordingProgress()
-    with progress.stage("Reading"):
+    reporter = RecordingProgress() if progress is None else progress
+    with reporter.stage("Reading"):
         given = _input(tracks, settings, rate)
     for note in given.notes:
-        progress.warn(note)
+        reporter.warn(note)
     folder, files = None if out is None else Path(out), [*given.paths, *settings.files]
     with checkpoints(folder, files) as cache:
-        shapes = _shapes(given, settings, files, cache, progress)
+        shapes = _shapes(given, settings, files, cache, reporter)
         if folder is not None:
-            shapes.save(folder, progress=progress)
+            shapes.save(folder, progress=reporter)
+    if progress is None:
+        issue_warnings(reporter)
     return shapes
 
 
@@ -183,7 +189,7 @@ def _shapes(
 
 
 def _recovered(
-    given: NonRigidInput, measured: MeasuredPoints, settings: NonRigidSettings, cache: StageCache, progress: Progress
+    given: NonRigidInput, measured: NonRigidPoints, settings: NonRigidSettings, cache: StageCache, progress: Progress
 ) -> RecoveredShapes:
     """Factorise the frames and points with enough data; the others are NaN."""
     wanted = np.zeros(given.frames, bool)
@@ -216,7 +222,7 @@ def _shapes_stage(given: NonRigidInput, progress: Progress) -> Iterator[Callable
             yield done
 
 
-def _least(given: NonRigidInput, measured: MeasuredPoints) -> tuple[int, int]:
+def _least(given: NonRigidInput, measured: NonRigidPoints) -> tuple[int, int]:
     """Return the least number of points per frame, and of frames per point."""
     if measured.points is not None or given.rig is not None:
         return 3, 2
@@ -227,7 +233,7 @@ def _least(given: NonRigidInput, measured: MeasuredPoints) -> tuple[int, int]:
 
 def _factorised(
     given: NonRigidInput,
-    measured: MeasuredPoints,
+    measured: NonRigidPoints,
     frames: Mask,
     points: Mask,
     settings: NonRigidSettings,

@@ -17,7 +17,7 @@ from marey.pipelines.run_record import StageCache
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class MeasuredPoints:
+class NonRigidPoints:
     """Points from which shapes are recovered: either `tracks` or `points` is set."""
 
     tracks: Floats | None = None
@@ -46,7 +46,7 @@ class MeasuredPoints:
         return np.asarray(np.isfinite(self.points).all(2))[None]
 
 
-def measure_points(given: NonRigidInput, cache: StageCache, progress: Progress) -> MeasuredPoints:
+def measure_points(given: NonRigidInput, cache: StageCache, progress: Progress) -> NonRigidPoints:
     """Follow points in videos, and match them between cameras, where that is necessary.
 
     Args:
@@ -59,7 +59,7 @@ def measure_points(given: NonRigidInput, cache: StageCache, progress: Progress) 
     """
     if len(given.data) == 1:
         data = given.data[0]
-        return MeasuredPoints(
+        return NonRigidPoints(
             tracks=data.tracks, points=data.points, labels=data.labels, edges=data.edges, unit=data.unit
         )  # fmt: skip
     if given.data:
@@ -74,16 +74,16 @@ def measure_points(given: NonRigidInput, cache: StageCache, progress: Progress) 
     return _of_videos(videos)
 
 
-def _of_videos(videos: tuple[VideoTracks, ...], probability: Floats | None = None) -> MeasuredPoints:
+def _of_videos(videos: tuple[VideoTracks, ...], probability: Floats | None = None) -> NonRigidPoints:
     """Combine the tracks of all videos, which have the same points in the same order; predicted places are left out."""
     tracks = np.stack([np.where(v.found.visible[:, None], v.found.tracks, np.nan) for v in videos])
-    return MeasuredPoints(
+    return NonRigidPoints(
         tracks=tracks, tracks_sd=np.stack([video.found.tracks_sd for video in videos]), videos=videos, unit="px",
         labels=tuple(map(str, range(tracks.shape[-1]))), edges=np.zeros((0, 2), np.int64), probability=probability,
     )  # fmt: skip
 
 
-def _found_in_all(given: NonRigidInput, cache: StageCache, progress: Progress) -> MeasuredPoints:
+def _found_in_all(given: NonRigidInput, cache: StageCache, progress: Progress) -> NonRigidPoints:
     """Follow the points of the first video in all videos."""
     videos, probability, notes = follow_views(given, cache, progress)
     for note in notes:
@@ -95,7 +95,7 @@ def _found_in_all(given: NonRigidInput, cache: StageCache, progress: Progress) -
     return _of_videos(videos, probability)
 
 
-def _joined(views: Sequence[Floats], given: NonRigidInput, cache: StageCache, progress: Progress) -> MeasuredPoints:
+def _joined(views: Sequence[Floats], given: NonRigidInput, cache: StageCache, progress: Progress) -> NonRigidPoints:
     """Match the points of several cameras by their motion."""
 
     def compute() -> dict[str, np.ndarray]:
@@ -117,7 +117,7 @@ def _joined(views: Sequence[Floats], given: NonRigidInput, cache: StageCache, pr
     tracks = np.full((len(views), given.frames, *found["tracks"].shape[2:]), np.nan)
     tracks[:, given.requested] = found["tracks"]
     labels = tuple("/".join("-" if p < 0 else str(p) for p in column) for column in found["points"].T)
-    return MeasuredPoints(
+    return NonRigidPoints(
         tracks=tracks, labels=labels, edges=np.zeros((0, 2), np.int64), unit=given.data[0].unit,
         camera_points=found["points"], probability=found["probability"],
     )  # fmt: skip

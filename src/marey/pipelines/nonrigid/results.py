@@ -11,7 +11,7 @@ from marey.io.shapes.tracks import write_tracks
 from marey.io.video.video_writer import VideoWriter
 from marey.nonrigid.recovered import RecoveredShapes
 from marey.pipelines.nonrigid.input import NonRigidInput
-from marey.pipelines.nonrigid.measure import MeasuredPoints
+from marey.pipelines.nonrigid.measure import NonRigidPoints
 from marey.pipelines.progress import Progress
 from marey.pipelines.run_details import RunDetails
 from marey.pipelines.run_record import finished_together, write_record
@@ -28,7 +28,7 @@ _ABOUT_A_METRE = 1.0
 
 
 def write_results(
-    given: NonRigidInput, measured: MeasuredPoints, found: RecoveredShapes, details: RunDetails, out: Path,
+    given: NonRigidInput, measured: NonRigidPoints, found: RecoveredShapes, details: RunDetails, out: Path,
     progress: Progress, *, overlay: bool,
 ) -> None:  # fmt: skip
     """Write all files at once.
@@ -62,7 +62,7 @@ def write_results(
         )  # fmt: skip
 
 
-def _write_exports(folder: Path, given: NonRigidInput, measured: MeasuredPoints, found: RecoveredShapes) -> None:
+def _write_exports(folder: Path, given: NonRigidInput, measured: NonRigidPoints, found: RecoveredShapes) -> None:
     """Write the files for other programs, in metres if a length is known."""
     known = bool(np.isfinite(found.metres_per_unit))
     unit = "m" if known else found.unit
@@ -84,7 +84,7 @@ def _write_exports(folder: Path, given: NonRigidInput, measured: MeasuredPoints,
 def _write_overlays(
     folder: Path,
     given: NonRigidInput,
-    measured: MeasuredPoints,
+    measured: NonRigidPoints,
     found: RecoveredShapes,
     progress: Progress,
 ) -> list[Still]:
@@ -112,7 +112,7 @@ def _write_overlays(
     return stills
 
 
-def _tracks_of(measured: MeasuredPoints, camera: int) -> Floats:
+def _tracks_of(measured: NonRigidPoints, camera: int) -> Floats:
     assert measured.tracks is not None
     return measured.tracks[camera]
 
@@ -127,12 +127,12 @@ def _before(given: NonRigidInput, found: RecoveredShapes, camera: int) -> Floats
     return np.asarray(found.cameras.camera_from_first[camera] @ found.rotation @ found.shape)
 
 
-def _lines(measured: MeasuredPoints, found: RecoveredShapes) -> np.ndarray:
+def _lines(measured: NonRigidPoints, found: RecoveredShapes) -> np.ndarray:
     return measured.edges if len(measured.edges) else near_lines(found.basis[0])
 
 
 def _write_report(
-    folder: Path, given: NonRigidInput, measured: MeasuredPoints, found: RecoveredShapes, details: RunDetails,
+    folder: Path, given: NonRigidInput, measured: NonRigidPoints, found: RecoveredShapes, details: RunDetails,
     stills: list[Still], progress: Progress,
 ) -> None:  # fmt: skip
     y_up = bool(given.data) and given.data[0].y_up

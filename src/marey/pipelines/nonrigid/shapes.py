@@ -15,7 +15,7 @@ from marey.io.shapes.shapes import read_shapes
 from marey.nonrigid.recovered import RecoveredShapes
 from marey.pipelines.labelled import Curve, Curves, Described, Summary, count_of, plot_curves
 from marey.pipelines.nonrigid.input import NonRigidInput
-from marey.pipelines.nonrigid.measure import MeasuredPoints
+from marey.pipelines.nonrigid.measure import NonRigidPoints
 from marey.pipelines.nonrigid.results import write_results
 from marey.pipelines.progress import Progress
 from marey.pipelines.result_files import ResultFiles
@@ -35,9 +35,9 @@ class Shapes(Described):
 
     Example:
         >>> import marey
-        >>> shapes = marey.load_shapes("tracks_marey")  # doctest: +SKIP
-        >>> shapes.shape.shape  # doctest: +SKIP
-        (60, 3, 12)
+        >>> shapes = marey.load_shapes("cluster_marey")
+        >>> shapes.shape.shape
+        (40, 3, 9)
     """
 
     found: RecoveredShapes
@@ -50,7 +50,7 @@ class Shapes(Described):
     """Settings, inputs, warnings and times of the run."""
     given: NonRigidInput | None = None
     """The input; None for a result that was read from a folder."""
-    measured: MeasuredPoints | None = None
+    measured: NonRigidPoints | None = None
     """The points from which the shapes were recovered; None for a result that was read from a folder."""
     overlay: bool = False
     """Whether overlay videos are drawn when the result is saved."""
@@ -214,7 +214,9 @@ def load_shapes(folder: Path | str) -> Shapes:
 
     Example:
         >>> import marey
-        >>> shapes = marey.load_shapes("tracks_marey")  # doctest: +SKIP
+        >>> shapes = marey.load_shapes("cluster_marey")
+        >>> shapes.rate
+        50.0
     """
     folder = Path(folder)
     path = folder / _FILE

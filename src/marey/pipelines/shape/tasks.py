@@ -7,11 +7,12 @@ from pathlib import Path
 from marey.io.trial.trial import Trial
 from marey.pipelines.capture.motion import Motion
 from marey.pipelines.capture.settings import CaptureSettings
-from marey.pipelines.capture.tasks import Frames, first_and_end, issue_warnings, reopened
+from marey.pipelines.capture.tasks import reopened
 from marey.pipelines.progress import Progress, RecordingProgress
 from marey.pipelines.result_files import ResultFiles
 from marey.pipelines.shape.shape import SURFACE, shape_trial
 from marey.pipelines.surface.result import Surface
+from marey.pipelines.values import Frames, first_and_end, issue_warnings
 
 
 def fit_shape(

@@ -15,7 +15,7 @@ import numpy as np
 import scipy.optimize
 
 from marey.arrays import Floats, Image, Mask
-from marey.body.articulation.pose import Pose, PosedBody, SurfacePoints
+from marey.body.articulation.pose import Pose, PosedBody, SkinPoints
 from marey.body.people.person import family_body
 from marey.cameras.camera import Camera
 from marey.extras import install_advice
@@ -148,7 +148,7 @@ def solve_task(rng: np.random.Generator) -> SolveTask:
     body = family_body("fine")
     angles = body.skeleton.habit[0] + rng.normal(size=len(body.skeleton) - 6) * 0.2
     truth = Pose(np.array([0.1, 0.2, 1.0]), rotations.exp(rng.normal(size=3)), angles)
-    where = SurfacePoints(
+    where = SkinPoints(
         face=rng.integers(0, len(body.faces), CORRESPONDENCES),
         barycentric=rng.dirichlet([1.0, 1.0, 1.0], CORRESPONDENCES),
     )

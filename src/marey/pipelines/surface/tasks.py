@@ -11,12 +11,13 @@ from marey.cameras.rig import Rig
 from marey.errors import SettingProblem
 from marey.io.trial.trial import Trial
 from marey.io.video.video import read_picture
-from marey.pipelines.capture.tasks import Frames, first_and_end, issue_warnings, reopened
+from marey.pipelines.capture.tasks import reopened
 from marey.pipelines.progress import Progress, RecordingProgress
 from marey.pipelines.result_files import ResultFiles
 from marey.pipelines.surface.result import Surface
 from marey.pipelines.surface.settings import SurfaceOptions
 from marey.pipelines.surface.surface import surface_of_trial
+from marey.pipelines.values import Frames, first_and_end, issue_warnings
 from marey.surface.points.dense import match_tuples
 from marey.surface.points.intersection import intersect
 from marey.surface.points.measured import joined
