@@ -32,8 +32,7 @@ _FORMULA = re.compile(r'<(span|div) class="arithmatex">(.*?)</\1>', re.DOTALL)
 
 def on_config(config: Any) -> Any:
     """Add the pages that are not listed by hand: of the benchmarks behind docs/accuracy.md, and of the notebooks."""
-    folders = (DOCS / "accuracy", DOCS / "development")
-    measured = [path.relative_to(DOCS).as_posix() for folder in folders for path in sorted(folder.rglob("*.md"))]
+    measured = [path.relative_to(DOCS).as_posix() for path in sorted((DOCS / "accuracy").rglob("*.md"))]
     shown = [_notebook_page(path) for path in notebooks()]
     for entry in config["nav"]:
         if "Accuracy" in entry and measured:
