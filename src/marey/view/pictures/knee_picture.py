@@ -1,4 +1,4 @@
-"""Pictures of a knee from chosen sides: bones one sees through, cartilage in the colours of its nearness."""
+"""Drawing of a moving knee from several views: transparent bones, and cartilage coloured by distance."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,19 +13,27 @@ from marey.knee.space.surface import Surface
 from marey.view.pictures.knee_maps import BONE, proximity_colours
 
 VIEWS = ("anterior", "posterior", "medial", "lateral", "plateau")
-"""`plateau` is the tibia from above, with the femur and the patella taken off."""
+"""Names of the views; `plateau` shows the tibia from above, without femur and patella."""
 DEFAULT_VIEWS = ("anterior", "medial", "plateau")
+"""Views that are drawn by default."""
 PANEL = 400
 """Width and height of one view [px]."""
 _FINER = 2
+"""Factor by which a view is drawn larger and then reduced, against aliasing. Chosen by eye."""
 _FROM = 4.0
-"""The eye stands so many times as far away as the knee is large."""
+"""Distance of the camera in multiples of the size of the knee. Chosen by eye."""
 _OPACITY = 0.42
+"""Opacity of bones, from 0 to 1. Chosen by eye."""
 _DARKEST = 0.42
+"""Brightness of faces that are turned away from the camera, from 0 to 1. Chosen by eye."""
 _PAPER = 247
+"""Grey value of the background. Chosen by eye."""
 _INK, _SOFT, _PATH = (40, 32, 28), (120, 110, 100), (25, 25, 25)
+"""Colours of the caption, of further texts, and of paths: blue, green, red. Chosen by eye."""
 _LEFT, _BACK, _UP = np.eye(3)
+"""Unit vectors of the LPS axes: left, posterior, superior."""
 _BAR = 30
+"""Height of the strips above and below the views [px]."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -43,19 +51,19 @@ class KneeInstant:
 
     caption: str
     poses: Mapping[str, Floats]
-    """Bone to (4, 4) of its place [mm]; a bone without one is not drawn."""
+    """(4, 4) pose of each bone [mm]; a bone without a pose is not drawn."""
     distance_mm: Mapping[str, Floats]
-    """Cartilage to (V,) from each vertex to the other cartilage; NaN where nobody knows."""
+    """(V,) distance from each vertex of a cartilage to the opposite cartilage [mm]; NaN where unknown."""
     paths_mm: Sequence[Floats] = ()
-    """Each (n, 3): where centres of proximity came along, the last one now; in the picture's frame."""
+    """Paths (n, 3) of the centres of proximity up to this frame, in the frame of the poses [mm]."""
 
 
 def axes_of_view(view: str, *, left: bool | None) -> Floats:
-    """Give right, down and ahead (3, 3) of a view in the scanner's axes; without a side as of a right knee.
+    """Return the axes right, down and ahead (3, 3) of a view in the scanner's axes.
 
     Args:
         view: One of `VIEWS`.
-        left: Whether it is a left knee: its medial side is its right one.
+        left: Whether it is a left knee; a knee of unknown side is drawn as a right one.
     """
     lateral = _LEFT if left else -_LEFT
     ahead = {"anterior": _BACK, "posterior": -_BACK, "medial": lateral, "lateral": -lateral, "plateau": -_UP}[view]
@@ -64,11 +72,11 @@ def axes_of_view(view: str, *, left: bool | None) -> Floats:
 
 
 class KneeCamera:
-    """A view that stands still while the knee moves.
+    """A fixed camera for all frames of a moving knee.
 
     Args:
-        axes: (3, 3) right, down and ahead.
-        corners_mm: (N, 3) what must be in the picture, in all frames.
+        axes: (3, 3) unit vectors right, down and ahead.
+        corners_mm: (N, 3) points of all frames that must be in the picture [mm].
     """
 
     def __init__(self, axes: Floats, corners_mm: Floats):
@@ -78,12 +86,12 @@ class KneeCamera:
         self._middle = 0.5 * (low + high)
         reach = max(float((high - low)[:2].max()) / 2, 1.0)
         self._depth = _FROM * max(reach, float(high[2] - low[2]))
-        # What is nearest to the eye appears largest.
+        # The nearest points are magnified most.
         nearest = self._depth - 0.5 * float(high[2] - low[2])
         self._scale = 0.46 * nearest / reach
 
     def project(self, points_mm: Floats, size: int) -> Floats:
-        """Give x, y [px] and inverse depth (N, 3) in a square picture."""
+        """Return x, y [px] and inverse depth [1/mm] (N, 3) in a square picture of the given size [px]."""
         seen = points_mm @ self._axes.T - self._middle
         inverse = 1 / (seen[:, 2] + self._depth)
         place = 0.5 * (size - 1) + self._scale * size * seen[:, :2] * inverse[:, None]
@@ -91,7 +99,7 @@ class KneeCamera:
 
     @property
     def ahead(self) -> Floats:
-        """(3,) into the picture."""
+        """(3,) unit vector of the viewing direction."""
         return np.asarray(self._axes[2])
 
 
@@ -100,9 +108,9 @@ class KneePicture:
 
     Args:
         parts: Structures by name.
-        cameras: View to camera.
-        limit_mm: Of nearness, where the colours end.
-        note: Stands below the pictures.
+        cameras: Cameras by the name of the view.
+        limit_mm: Distance at the end of the colour scale [mm].
+        note: Text below the pictures.
     """
 
     def __init__(
@@ -113,11 +121,11 @@ class KneePicture:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of what is drawn [px]."""
+        """Width and height of the drawn pictures [px]."""
         return PANEL * len(self._cameras), PANEL + 2 * _BAR
 
     def draw(self, instant: KneeInstant) -> Image:
-        """Draw all views of one frame beside each other: (height, width, 3) blue, green, red."""
+        """Draw all views of one frame side by side: (height, width, 3) blue, green, red."""
         tints = {name: _tint(name, part, instant, self._limit) for name, part in self._parts.items()}
         panels = [self._panel(view, camera, instant, tints) for view, camera in self._cameras.items()]
         drawn = np.full((self.size[1], self.size[0], 3), _PAPER, np.uint8)
@@ -133,7 +141,7 @@ class KneePicture:
             name: part for name, part in self._parts.items()
             if part.bone in instant.poses and (view != "plateau" or part.bone == "tibia")
         }  # fmt: skip
-        # Bones come after what one sees through them.
+        # The transparent bones are drawn after the opaque cartilage.
         for cartilage, opacity in ((True, 1.0), (False, 1.0 if view == "plateau" else _OPACITY)):
             layer = {name: part for name, part in shown.items() if part.cartilage is cartilage}
             if layer:
@@ -142,7 +150,7 @@ class KneePicture:
                     _outline(picture, seen)
         small = np.asarray(cv2.resize(picture, (PANEL, PANEL), interpolation=cv2.INTER_AREA), np.uint8)
         if not shown:
-            _write(small, "no answer", (PANEL // 2 - 36, PANEL // 2), _SOFT)
+            _write(small, "no result", (PANEL // 2 - 36, PANEL // 2), _SOFT)
         if view == "plateau":
             for path in instant.paths_mm:
                 _draw_path(small, camera, path)
@@ -160,7 +168,7 @@ class KneePicture:
 
 @dataclass(frozen=True, eq=False)
 class _Ready:
-    """A structure with what does not change from frame to frame."""
+    """A structure with the quantities that are the same in all frames."""
 
     bone: str
     vertices: Floats
@@ -180,16 +188,16 @@ def _draw(
     parts: Mapping[str, _Ready], camera: KneeCamera, instant: KneeInstant, tints: Mapping[str, Floats],
     opacity: float, picture: Image, depth: Floats,
 ) -> View:  # fmt: skip
-    """Draw structures as one solid over a picture, where they are nearer than what it holds.
+    """Draw structures as one solid over a picture, where they are nearer than its contents.
 
     Args:
-        parts: At least one.
-        camera: The view.
-        instant: Where the bones are.
+        parts: The structures by name, at least one.
+        camera: The camera of the view.
+        instant: The frame with the poses of the bones.
         tints: Red, green and blue of each face, by structure.
-        opacity: Of the solid.
-        picture: (h, w, 3) is drawn upon.
-        depth: (h, w) inverse depth of what is opaque in it; is kept up.
+        opacity: Opacity of the solid, from 0 to 1.
+        picture: (h, w, 3) the picture; changed in place.
+        depth: (h, w) inverse depth of the opaque contents [1/mm]; changed in place.
     """
     size = len(picture)
     places, faces, colours, count = [], [], [], 0
@@ -203,13 +211,13 @@ def _draw(
     triangles: Integers = np.ascontiguousarray(np.concatenate(faces))
     seen = see(np.ascontiguousarray(np.concatenate(places)), triangles, (size, size), margin=0)
     tint = np.ascontiguousarray(np.concatenate(colours)[:, ::-1])
-    _lay_over(picture, depth, seen.face, seen.inverse_depth, seen.corner[0], seen.corner[1], tint, opacity)
+    _blend_faces(picture, depth, seen.face, seen.inverse_depth, seen.corner[0], seen.corner[1], tint, opacity)
     return seen
 
 
 @kernel
-def _lay_over(picture, depth, face, inverse, left, top, tint, opacity):  # pragma: no cover - compiled
-    """Blend faces over a picture where they are nearer; what is opaque hides what comes later."""
+def _blend_faces(picture, depth, face, inverse, left, top, tint, opacity):  # pragma: no cover - compiled
+    """Blend faces over a picture where they are nearer; opaque faces update the depth."""
     for y in range(face.shape[0]):
         for x in range(face.shape[1]):
             f = face[y, x]
@@ -223,7 +231,7 @@ def _lay_over(picture, depth, face, inverse, left, top, tint, opacity):  # pragm
 
 
 def _tint(name: str, part: _Ready, instant: KneeInstant, limit_mm: float) -> Floats:
-    """Give red, green and blue of each face, (T, 3) or (1, 3)."""
+    """Return red, green and blue of each face, (T, 3) or (1, 3)."""
     if not part.cartilage:
         return np.array([BONE], float)
     distance = instant.distance_mm.get(name, np.full(len(part.vertices), np.nan))
@@ -239,7 +247,7 @@ def _outline(picture: Image, seen: View) -> None:
 
 
 def _draw_path(picture: Image, camera: KneeCamera, path_mm: Floats) -> None:
-    """Draw where a centre came along; gaps stay open."""
+    """Draw the path of a centre; gaps are not bridged."""
     places = camera.project(path_mm, PANEL)[:, :2]
     known: Mask = np.asarray(np.isfinite(places).all(1))
     joined = known[:-1] & known[1:]
