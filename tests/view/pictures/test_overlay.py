@@ -3,8 +3,8 @@ import numpy as np
 import pytest
 from tests.takes import camera
 
+from marey.view.pictures.drawing import LONGEST_SIDE
 from marey.view.pictures.overlay import (
-    LONGEST_SIDE,
     BodyAppearance,
     BodyScene,
     OverlayVideo,

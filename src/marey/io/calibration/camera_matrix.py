@@ -9,7 +9,7 @@ from marey.cameras.camera import matrix_faults
 from marey.errors import FileProblem
 from marey.io.npz import read_arrays
 
-_LAYOUT = "It should hold a 3 x 3 matrix: fx 0 cx / 0 fy cy / 0 0 1, in pixels."
+_LAYOUT = "It should contain a 3 x 3 matrix: fx 0 cx / 0 fy cy / 0 0 1, in pixels."
 """Remedy in the error messages: the expected content."""
 
 

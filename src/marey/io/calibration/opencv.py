@@ -84,7 +84,7 @@ def _camera(faults: Faults, name: str, inner: cv2.FileStorage, outer: cv2.FileSt
     size = _size(inner, name, folder)
     wanted = {f"K_{name}": matrix, f"dist_{name}": lens, f"R_{name}": rotation, f"T_{name}": shift}
     missing = [key for key, value in wanted.items() if value is None]
-    missing += [f"W_{name}, no H_{name} and no video to take the size from"] if size is None else []
+    missing += [f"W_{name}, no H_{name} and no video with its size"] if size is None else []
     if missing or lens is None or shift is None:
         faults.add(name, [f"has no {key}" for key in missing])
         return None

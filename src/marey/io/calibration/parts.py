@@ -121,7 +121,7 @@ def rotation_matrix(value: object) -> Floats | None:
     # Files contain rounded numbers; a matrix with an entry off by more than 0.001 is not a rotation.
     if np.abs(u @ v - matrix).max() > 1e-3 or np.linalg.det(u @ v) < 0:
         return None
-    return u @ v
+    return np.asarray(u @ v)
 
 
 def make_rig(faults: Faults, cameras: Iterable[Camera | None]) -> Rig:

@@ -14,7 +14,7 @@ from marey.io.axes import GLTF_FROM_WORLD, turned_points, turned_rotations
 from marey.io.gltf.gltf import COMPONENT, binary_chunk, pack_glb
 from marey.motion.motion import BodyMotion
 
-_VERTEX_BUFFER, _INDEX_BUFFER = 34962, 34963
+VERTEX_BUFFER, INDEX_BUFFER = 34962, 34963
 _SKIN_COLOUR = [0.80, 0.66, 0.56, 1.0]
 
 
@@ -98,12 +98,12 @@ def _primitive(buffer: GlbBuffer, body: Body) -> dict[str, Any]:
     vertices = turned_points(GLTF_FROM_WORLD, body.vertices)
     joints, weights = _carriers(body)
     attributes = {
-        "POSITION": buffer.add(vertices, "<f4", "VEC3", target=_VERTEX_BUFFER, bounds=True),
-        "NORMAL": buffer.add(_normals(vertices, body.faces), "<f4", "VEC3", target=_VERTEX_BUFFER),
-        "JOINTS_0": buffer.add(joints, "u1", "VEC4", target=_VERTEX_BUFFER),
-        "WEIGHTS_0": buffer.add(weights, "<f4", "VEC4", target=_VERTEX_BUFFER),
+        "POSITION": buffer.add(vertices, "<f4", "VEC3", target=VERTEX_BUFFER, bounds=True),
+        "NORMAL": buffer.add(_normals(vertices, body.faces), "<f4", "VEC3", target=VERTEX_BUFFER),
+        "JOINTS_0": buffer.add(joints, "u1", "VEC4", target=VERTEX_BUFFER),
+        "WEIGHTS_0": buffer.add(weights, "<f4", "VEC4", target=VERTEX_BUFFER),
     }
-    indices = buffer.add(body.faces.reshape(-1, 1), "<u4", "SCALAR", target=_INDEX_BUFFER)
+    indices = buffer.add(body.faces.reshape(-1, 1), "<u4", "SCALAR", target=INDEX_BUFFER)
     return {"attributes": attributes, "indices": indices, "material": 0}
 
 

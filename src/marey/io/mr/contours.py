@@ -19,7 +19,7 @@ _SAME_MM = 0.01
 """Two grids are the same if their corners differ by less than this distance [mm]; chosen by hand, far below a voxel."""
 _DECIMALS = 3
 """Decimal places of the coordinates in the file [0.001 voxel]; chosen by hand."""
-_FEWEST = 3
+_FEWEST_POINTS = 3
 """Smallest number of points of an outline, a triangle."""
 
 
@@ -109,7 +109,7 @@ def _contour(path: Path, number: int, entry: Any, grid: VoxelGrid) -> Contour:
             path, f"has an outline in slice {index} across {axis}, which does not exist in the volume",
             "Remove it from the file.",
         )  # fmt: skip
-    if len(outline) < _FEWEST:
+    if len(outline) < _FEWEST_POINTS:
         raise FileProblem(
             path, f"has an outline, number {number}, of only {len(outline)} points", "Remove it from the file."
         )

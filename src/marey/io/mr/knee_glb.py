@@ -11,13 +11,11 @@ from marey.arrays import Floats, Image, Mask
 from marey.geometry import rotations
 from marey.io.atomic import replacing
 from marey.io.axes import GLTF_FROM_WORLD
-from marey.io.gltf.glb import GlbBuffer
+from marey.io.gltf.glb import INDEX_BUFFER, VERTEX_BUFFER, GlbBuffer
 from marey.io.gltf.gltf import binary_chunk, pack_glb
 from marey.knee.space.surface import Surface
 from marey.markers.kinematics.transform_chain import NamedTransform
 
-_VERTICES, _INDICES = 34962, 34963
-"""Buffer targets ARRAY_BUFFER and ELEMENT_ARRAY_BUFFER of the glTF 2.0 specification."""
 _MM = 1e3
 """Millimetres per metre; glTF's unit is the metre."""
 SEE_THROUGH = 0.35
@@ -65,17 +63,17 @@ def write_knee_glb(
     for bone, pose in poses.items():
         of_bone[bone] = len(nodes)
         root["children"].append(len(nodes))
-        nodes.append({"name": bone, "children": []} | builder.moved(len(nodes), pose))
+        nodes.append({"name": bone, "children": []} | builder.animate_pose(len(nodes), pose))
     for name, part in parts.items():
         meshes.append({"name": name, "primitives": [_primitive(buffer, part, int(part.see_through))]})
         nodes[of_bone[part.bone]]["children"].append(len(nodes))
         nodes.append({"name": f"{name} surface", "mesh": len(meshes) - 1})
-    sphere = _ball(_BALL_MM)
+    sphere = _sphere(_BALL_MM)
     ball = ColouredPart(bone="", surface=sphere, colours=np.full((len(sphere.vertices_mm), 3), 255, np.uint8))
     for name, (bone, places) in balls.items():
         meshes.append({"name": name, "primitives": [_primitive(buffer, ball, 2)]})
         nodes[of_bone[bone]]["children"].append(len(nodes))
-        nodes.append({"name": name, "mesh": len(meshes) - 1} | builder.carried(len(nodes), places))
+        nodes.append({"name": name, "mesh": len(meshes) - 1} | builder.animate_position(len(nodes), places))
     document = _document(buffer, nodes, meshes, materials, builder)
     with replacing(path) as beside:
         beside.write_bytes(pack_glb(document, [binary_chunk(bytes(buffer.bytes))]))
@@ -89,35 +87,35 @@ class _Builder:
         self.samplers: list[dict[str, Any]] = []
         self.channels: list[dict[str, Any]] = []
 
-    def moved(self, node: int, pose: NamedTransform) -> dict[str, Any]:
+    def animate_pose(self, node: int, pose: NamedTransform) -> dict[str, Any]:
         """Animate a node with the pose of a bone, and return its initial transform."""
         if not pose.moves:
-            return _placed(pose.rotation, pose.translation)
+            return _transform(pose.rotation, pose.translation)
         known: Mask = np.asarray(np.isfinite(pose.matrix()).all((1, 2)))
         if not known.any():
             return {"scale": [0.0] * 3}
         turns = rotations.continuous(rotations.to_quaternion(pose.rotation[known]))[:, [1, 2, 3, 0]]
-        self._track(node, "rotation", known, turns, "VEC4")
-        self._track(node, "translation", known, pose.translation[known] / _MM, "VEC3")
-        self._hidden(node, known)
+        self._add_channel(node, "rotation", known, turns, "VEC4")
+        self._add_channel(node, "translation", known, pose.translation[known] / _MM, "VEC3")
+        self._animate_visibility(node, known)
         first = int(np.argmax(known))
-        return _placed(pose.rotation[first], pose.translation[first])
+        return _transform(pose.rotation[first], pose.translation[first])
 
-    def carried(self, node: int, places: Floats) -> dict[str, Any]:
+    def animate_position(self, node: int, places: Floats) -> dict[str, Any]:
         """Animate the translation of a node, and return its initial transform."""
         known: Mask = np.asarray(np.isfinite(places).all(1))
         if not known.any():
             return {"scale": [0.0] * 3}
-        self._track(node, "translation", known, places[known] / _MM, "VEC3")
-        self._hidden(node, known)
+        self._add_channel(node, "translation", known, places[known] / _MM, "VEC3")
+        self._animate_visibility(node, known)
         return {"translation": (places[np.argmax(known)] / _MM).tolist()}
 
-    def _hidden(self, node: int, known: Mask) -> None:
+    def _animate_visibility(self, node: int, known: Mask) -> None:
         if not known.all():
             size = np.repeat(known[:, None].astype(float), 3, 1)
-            self._track(node, "scale", np.ones_like(known), size, "VEC3", "STEP")
+            self._add_channel(node, "scale", np.ones_like(known), size, "VEC3", "STEP")
 
-    def _track(
+    def _add_channel(
         self, node: int, what: str, keys: Mask, values: Floats, kind: str, between: str = "LINEAR"
     ) -> None:  # fmt: skip
         time = self._buffer.add(self._time[keys, None], "<f4", "SCALAR", bounds=True)
@@ -126,7 +124,7 @@ class _Builder:
         self.samplers.append({"input": time, "output": output, "interpolation": between})
 
 
-def _placed(rotation: Floats, translation: Floats) -> dict[str, Any]:
+def _transform(rotation: Floats, translation: Floats) -> dict[str, Any]:
     turn = rotations.to_quaternion(rotation)[[1, 2, 3, 0]]
     return {"rotation": turn.tolist(), "translation": (translation / _MM).tolist()}
 
@@ -135,11 +133,11 @@ def _primitive(buffer: GlbBuffer, part: ColouredPart, material: int) -> dict[str
     surface = part.surface
     colours = np.concatenate([part.colours, np.full((len(part.colours), 1), 255)], 1)
     attributes = {
-        "POSITION": buffer.add(surface.vertices_mm / _MM, "<f4", "VEC3", target=_VERTICES, bounds=True),
-        "NORMAL": buffer.add(_normals(surface), "<f4", "VEC3", target=_VERTICES),
-        "COLOR_0": buffer.add(_linear(colours), "<f4", "VEC4", target=_VERTICES),
+        "POSITION": buffer.add(surface.vertices_mm / _MM, "<f4", "VEC3", target=VERTEX_BUFFER, bounds=True),
+        "NORMAL": buffer.add(_normals(surface), "<f4", "VEC3", target=VERTEX_BUFFER),
+        "COLOR_0": buffer.add(_linear(colours), "<f4", "VEC4", target=VERTEX_BUFFER),
     }
-    index = buffer.add(surface.faces.reshape(-1, 1), "<u4", "SCALAR", target=_INDICES)
+    index = buffer.add(surface.faces.reshape(-1, 1), "<u4", "SCALAR", target=INDEX_BUFFER)
     return {"attributes": attributes, "indices": index, "material": material}
 
 
@@ -161,7 +159,7 @@ def _material(opacity: float, colour: tuple[float, float, float] = (1.0, 1.0, 1.
     return {"pbrMetallicRoughness": shine} | ({"alphaMode": "BLEND"} if opacity < 1 else {})
 
 
-def _ball(radius_mm: float) -> Surface:
+def _sphere(radius_mm: float) -> Surface:
     """Return a sphere of rings and sectors."""
     down, round_ = np.meshgrid(np.linspace(0, np.pi, _RINGS), np.linspace(0, 2 * np.pi, _SECTORS + 1), indexing="ij")
     places = np.stack([np.sin(down) * np.cos(round_), np.sin(down) * np.sin(round_), np.cos(down)], -1).reshape(-1, 3)

@@ -11,7 +11,7 @@ from marey.io.mr.gadolinium import read_markers
 from marey.knee.markers.anatomical_frames import Landmarks
 from marey.knee.markers.marker_naming import ScannerMarkers
 
-_LANDMARKS_RIGHT = 'It holds {"landmarks_lps_mm": {"LE": [x, y, z], ...}}; docs/how-to/knee-markers.md names them.'
+_LANDMARKS_REMEDY = 'Expected is {"landmarks_lps_mm": {"LE": [x, y, z], ...}}; docs/how-to/knee-markers.md names them.'
 """Remedy in the error messages on `landmarks.json`: the expected content."""
 
 
@@ -49,15 +49,15 @@ def read_landmarks(path: Path | str) -> Landmarks:
     try:
         named = json.loads(path.read_text(encoding="utf-8")).get("landmarks_lps_mm")
     except FileNotFoundError as error:
-        raise FileProblem(path, "does not exist", _LANDMARKS_RIGHT) from error
+        raise FileProblem(path, "does not exist", _LANDMARKS_REMEDY) from error
     except (OSError, ValueError, AttributeError) as error:
-        raise FileProblem(path, "is not a JSON object", _LANDMARKS_RIGHT) from error
+        raise FileProblem(path, "is not a JSON object", _LANDMARKS_REMEDY) from error
     if not isinstance(named, dict) or not named:
-        raise FileProblem(path, "has no landmarks_lps_mm", _LANDMARKS_RIGHT)
+        raise FileProblem(path, "has no landmarks_lps_mm", _LANDMARKS_REMEDY)
     places = {str(name): _numbers(at) for name, at in named.items()}
     wrong = [name for name, at in places.items() if at.shape != (3,)]
     if wrong:
-        raise FileProblem(path, f"does not have three numbers for {', '.join(wrong)}", _LANDMARKS_RIGHT)
+        raise FileProblem(path, f"does not have three numbers for {', '.join(wrong)}", _LANDMARKS_REMEDY)
     return Landmarks(places_mm=places)
 
 

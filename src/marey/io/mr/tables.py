@@ -24,7 +24,7 @@ def read_rigid(path: Path | str) -> Floats:
     """Read the matrix (4, 4) [mm], subject from template.
 
     Raises:
-        FileProblem: The file is missing or damaged, or holds no such matrix.
+        FileProblem: The file is missing or damaged, or has no such matrix.
     """
     try:
         matrix = np.array(json.loads(Path(path).read_text(encoding="utf-8"))["subject_from_template"], float)

@@ -23,28 +23,28 @@ from marey.io.atomic import replacing
 from marey.knee.space.structures import LABELS, structure_named
 from marey.knee.space.volume import Labels, Volume, VoxelGrid
 
-_KEPT: list[ModuleType] = []
+_SWIG_TABLES: list[ModuleType] = []
 """SWIG type tables that SimpleITK still uses; kept here so that they are not freed."""
 
 FORMATS = (".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd", ".dcm")
 """File name extensions of the formats that are read."""
 _NAME_FILES = ("labels.json", "names.json")
 """Files that name the values of a label volume, besides one of the volume's own name."""
-_UNEVEN = 0.05
+_SPACING_TOLERANCE = 0.05
 """Largest difference of a slice distance from the median, as a fraction of it; a missing slice differs by 1.
 
 Chosen by hand."""
-_FEWEST = 4
+_FEWEST_VOXELS = 4
 """Smallest number of voxels along each axis of a volume; chosen by hand."""
-_MOST_OTHERS = 200
-"""Largest number of unnamed values in a label volume; with more it is taken for an image. Chosen by hand."""
+_MOST_UNNAMED = 200
+"""Largest number of unnamed values in a label volume; a volume with more is treated as an image. Chosen by hand."""
 _GZIP = b"\x1f\x8b"
 """First two bytes of a gzip file (RFC 1952)."""
 _NIFTI_2 = 540
 """Length of the header of a NIfTI-2 file [bytes]; NIfTI-1 has 348."""
 _NIFTI_FLOATS = {16: "f4", 64: "f8"}
 """Data types of NIfTI that can hold NaN, with their NumPy codes."""
-_BELOW_ZERO = 0.05
+_NEGATIVE_FRACTION = 0.05
 """An image whose 1st percentile is below this negative fraction of its 99th is not accepted as MR.
 
 The margin allows for negative air values after resampling. Chosen by hand."""
@@ -70,7 +70,7 @@ def read_volume(path: Path | str) -> Volume:
     path = Path(path)
     image = _read_series(path) if path.is_dir() else _read_file(path)
     intensity = simple_itk().GetArrayFromImage(image).astype(np.float32)
-    if lost := max(int((~np.isfinite(intensity)).sum()), _no_numbers_in_nifti(path)):
+    if lost := max(int((~np.isfinite(intensity)).sum()), _non_finite_in_nifti(path)):
         wrong = f"has {lost} of {intensity.size} voxels whose values are not finite (NaN or infinite)"
         raise FileProblem(path, wrong, "Replace them, for example by 0.")
     if not np.ptp(intensity):
@@ -78,16 +78,16 @@ def read_volume(path: Path | str) -> Volume:
             path, f"has the same value {intensity.flat[0]:g} in all voxels", "Check that it is the MR image itself."
         )
     low, high = np.percentile(intensity, [1, 99])
-    if low < -_BELOW_ZERO * abs(high):
+    if low < -_NEGATIVE_FRACTION * abs(high):
         raise FileProblem(path, f"has values down to {intensity.min():g}, as in CT", "Give an MR image.")
     return Volume(intensity=intensity, grid=_grid(image))
 
 
-def _no_numbers_in_nifti(path: Path) -> int:
+def _non_finite_in_nifti(path: Path) -> int:
     """Count the values of a NIfTI file that are not finite: ITK silently replaces them by 0."""
     if path.is_dir() or not path.name.lower().endswith((".nii", ".nii.gz")):
         return 0
-    content = _unpacked(path)
+    content = _decompressed(path)
     order = "<" if content[:2] in (b"\x5c\x01", b"\x1c\x02") else ">"
     second = int(np.frombuffer(content, f"{order}i4", 1)[0]) == _NIFTI_2
     kind = int(np.frombuffer(content, f"{order}i2", 1, 12 if second else 70)[0])
@@ -100,7 +100,7 @@ def _no_numbers_in_nifti(path: Path) -> int:
     return int((~np.isfinite(values)).sum())
 
 
-def _unpacked(path: Path) -> bytes:
+def _decompressed(path: Path) -> bytes:
     """Return the uncompressed content of a file; raise an error if it is truncated, which ITK silently pads with 0."""
     content = path.read_bytes()
     if content[:2] != _GZIP:
@@ -128,7 +128,7 @@ def read_labels(path: Path | str) -> Labels:
     image = _read_file(path)
     values = simple_itk().GetArrayFromImage(image)
     number_of = _numbers_by_value(_names_beside(path))
-    if (other := len(set(np.unique(values).tolist()) - {0, *number_of})) > _MOST_OTHERS:
+    if (other := len(set(np.unique(values).tolist()) - {0, *number_of})) > _MOST_UNNAMED:
         raise FileProblem(
             path, f"has {other} values without a name: it seems to be an image", "Give a volume of integer labels."
         )
@@ -205,7 +205,7 @@ def simple_itk() -> Any:
     except ModuleNotFoundError as error:
         raise missing_package("SimpleITK", extra="knee", purpose="MR volumes") from error
     finally:
-        _KEPT.extend(_tables().values())
+        _SWIG_TABLES.extend(_tables().values())
         sys.modules.update(tables)
     return SimpleITK
 
@@ -282,7 +282,7 @@ def _checked(path: Path, image: Any) -> Any:
     size = image.GetSize()
     if size[2] == 1 and path.suffix.lower() == ".dcm":
         raise FileProblem(path, "is a single slice", "Give the folder with the whole series.")
-    if min(size) < _FEWEST:
+    if min(size) < _FEWEST_VOXELS:
         raise FileProblem(path, f"has only {' x '.join(map(str, size))} voxels", "Give the whole volume.")
     return image
 
@@ -379,7 +379,7 @@ def _of_one_size(folder: Path, slices: list[_Slice]) -> list[_Slice]:
     return slices
 
 
-def _unread(folder: Path, slices: list[_Slice]) -> str:
+def _unreadable_file(folder: Path, slices: list[_Slice]) -> str:
     """Return a sentence on a file with the extension of the slices that is not one of them, if there is one."""
     read = {Path(each.file).name for each in slices}
     ending = Path(slices[0].file).suffix
@@ -396,7 +396,7 @@ def _in_order(folder: Path, slices: list[_Slice]) -> list[_Slice]:
     order = np.argsort(places, kind="stable")
     gaps = np.diff(places[order])
     usual = float(np.median(gaps))
-    if usual <= 0 or float(gaps.min()) < _UNEVEN * usual:
+    if usual <= 0 or float(gaps.min()) < _SPACING_TOLERANCE * usual:
         same = int(np.argmin(gaps)) if usual > 0 else 0
         pair = " and ".join(sorted(Path(slices[order[same + each]].file).name for each in (0, 1)))
         raise FileProblem(
@@ -404,12 +404,12 @@ def _in_order(folder: Path, slices: list[_Slice]) -> list[_Slice]:
             "Keep one echo or time point of the series, and no copies.",
         )  # fmt: skip
     worst = int(np.argmax(np.abs(gaps - usual)))
-    if abs(gaps[worst] - usual) > _UNEVEN * usual:
+    if abs(gaps[worst] - usual) > _SPACING_TOLERANCE * usual:
         pair = f"slices {worst + 1} and {worst + 2}"
         raise FileProblem(
             folder,
             f"has missing slices: {pair} are {gaps[worst]:.2f} mm apart, the others {usual:.2f} mm",
-            f"Export the whole series.{_unread(folder, slices)}",
+            f"Export the whole series.{_unreadable_file(folder, slices)}",
         )
     return [slices[index] for index in order]
 

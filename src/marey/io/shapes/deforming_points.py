@@ -14,7 +14,9 @@ from marey.io.markers.results import is_y_up
 from marey.io.npz import read_arrays
 from marey.nonrigid.recovered import UNKNOWN_UNIT
 
-_REMEDY = "An NPZ holds `tracks` (frames, 2, points) or (cameras, frames, 2, points), or `points` (frames, 3, points)."
+_REMEDY = (
+    "An NPZ should have `tracks` (frames, 2, points) or (cameras, frames, 2, points), or `points` (frames, 3, points)."
+)
 """Remedy in the error messages: the expected arrays."""
 _SHAPES = {
     "tracks": "(frames, 2, points), or (cameras, frames, 2, points) of several cameras",
@@ -82,10 +84,10 @@ def deforming_points(path: Path, arrays: dict[str, np.ndarray]) -> DeformingPoin
         raise FileProblem(path, wrong, _REMEDY)
     values = _numbers(path, held[0], arrays[held[0]])
     if held[0] == "points":
-        notes, points, tracks = _half_known(values, 1), np.moveaxis(values, 1, 2), None
+        notes, points, tracks = _incomplete_remark(values, 1), np.moveaxis(values, 1, 2), None
     else:
         whole = values if values.ndim == 4 else values[None]
-        notes, points, tracks = _half_known(whole, 2), None, _only_seen(path, whole, arrays)
+        notes, points, tracks = _incomplete_remark(whole, 2), None, _observed(path, whole, arrays)
         if "predicted" in arrays:
             notes.append("Positions that are marked as predicted are treated as missing.")
     count = values.shape[-1]
@@ -149,14 +151,14 @@ def _numbers(path: Path, name: str, values: np.ndarray) -> Floats:
     return values
 
 
-def _half_known(values: Floats, axis: int) -> list[str]:
+def _incomplete_remark(values: Floats, axis: int) -> list[str]:
     """Return a remark on positions with some but not all coordinates; they are treated as missing."""
     known = np.isfinite(values)
     half = int((known.any(axis) & ~known.all(axis)).sum())
     return [f"{half} positions have an incomplete set of coordinates and are treated as missing."] if half else []
 
 
-def _only_seen(path: Path, tracks: Floats, arrays: dict[str, np.ndarray]) -> Floats:
+def _observed(path: Path, tracks: Floats, arrays: dict[str, np.ndarray]) -> Floats:
     """Return the tracks with NaN where a position was predicted or is incomplete."""
     seen: Mask = np.asarray(np.isfinite(tracks).all(2))
     if "predicted" in arrays:

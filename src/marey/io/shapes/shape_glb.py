@@ -9,15 +9,13 @@ from marey.arrays import Floats, Integers, Mask
 from marey.geometry import rotations
 from marey.io.atomic import replacing
 from marey.io.axes import GLTF_FROM_WORLD
-from marey.io.gltf.glb import GlbBuffer
+from marey.io.gltf.glb import INDEX_BUFFER, VERTEX_BUFFER, GlbBuffer
 from marey.io.gltf.gltf import binary_chunk, pack_glb
 from marey.io.shapes.shapes import upright
 from marey.nonrigid.recovered import RecoveredShapes
 
 _POINTS, _LINES = 0, 1
 """Primitive modes POINTS and LINES of the glTF 2.0 specification."""
-_VERTICES, _INDICES = 34962, 34963
-"""Buffer targets ARRAY_BUFFER and ELEMENT_ARRAY_BUFFER of the glTF 2.0 specification."""
 
 
 def write_shape_glb(
@@ -40,11 +38,11 @@ def write_shape_glb(
     buffer = GlbBuffer()
     known: Mask = np.asarray(np.isfinite(found.basis).all((0, 1)))
     lines = _lines_between(edges, known)
-    targets = [{"POSITION": _places(buffer, shape[:, known])} for shape in scale * found.basis[1:]]
-    position = {"POSITION": _places(buffer, scale * found.basis[0][:, known])}
+    targets = [{"POSITION": _positions(buffer, shape[:, known])} for shape in scale * found.basis[1:]]
+    position = {"POSITION": _positions(buffer, scale * found.basis[0][:, known])}
     parts: list[dict[str, Any]] = [{"attributes": position, "mode": _POINTS, "material": 0}]
     if len(lines):
-        index = buffer.add(lines.reshape(-1, 1), "<u4", "SCALAR", target=_INDICES)
+        index = buffer.add(lines.reshape(-1, 1), "<u4", "SCALAR", target=INDEX_BUFFER)
         parts.append({"attributes": position, "mode": _LINES, "indices": index, "material": 0})
     mesh: dict[str, Any] = {"name": "points", "primitives": parts}
     if targets:
@@ -64,8 +62,8 @@ def write_shape_glb(
         beside.write_bytes(pack_glb(document, [binary_chunk(bytes(buffer.bytes))]))
 
 
-def _places(buffer: GlbBuffer, shape: Floats) -> int:
-    return buffer.add(shape.T, "<f4", "VEC3", target=_VERTICES, bounds=True)
+def _positions(buffer: GlbBuffer, shape: Floats) -> int:
+    return buffer.add(shape.T, "<f4", "VEC3", target=VERTEX_BUFFER, bounds=True)
 
 
 def _lines_between(edges: Integers, known: Mask) -> Integers:

@@ -152,7 +152,7 @@ def open_masks(path: Path, *, shape: tuple[int, int, int] | None = None) -> Mask
 def _picture_mask(path: Path) -> Mask:
     """Return pixels above half of the maximum, for masks of 0 and 1 as well as 0 and 255."""
     grey = read_picture(path).max(axis=2)
-    return grey > grey.max() / 2
+    return np.asarray(grey > grey.max() / 2)
 
 
 def _stated_shape(path: Path) -> tuple[int, int, int]:

@@ -169,7 +169,7 @@ def _read_folder(folder: Path, rig: Rig, count: int) -> StartJoints:
     if not frames:
         raise FileProblem(folder, f"has no keypoints of the frames 0 to {count - 1}", _FOLDER_REMEDY)
     people = {frame: [_people(of_camera.get(frame)) for of_camera in files] for frame in frames}
-    seen = {frame: sum(_clarity(persons) for persons in views) for frame, views in people.items()}
+    seen = {frame: sum(_visibility(persons) for persons in views) for frame, views in people.items()}
     best = max(frames, key=lambda frame: seen[frame])
     if seen[best] == 0:
         raise FileProblem(folder, "has no person in any frame", "Use another detector, or click some joints.")
@@ -221,7 +221,7 @@ def _people(path: Path | None) -> list[Floats]:
     return sorted(found, key=lambda points: -points[:, 2].sum())[:_MOST_PEOPLE]
 
 
-def _clarity(persons: Sequence[Floats]) -> float:
+def _visibility(persons: Sequence[Floats]) -> float:
     """Return the mean confidence of the clearest person, divided by the number of persons in the picture."""
     return float(persons[0][:, 2].mean()) / len(persons) if persons else 0.0
 

@@ -170,7 +170,7 @@ def read_trial(folder: Path | str, **changes: object) -> Trial:
     calibration = calibration_file(folder)
     rig = read_rig(calibration)
     if settings.cameras is not None:
-        rig = _kept(rig, settings.cameras, calibration)
+        rig = _selected(rig, settings.cameras, calibration)
     rate, frames = settings.rate, settings.frames
     take = open_take(folder, rig, rate=rate, frames=frames, others=settings.cameras is not None)
     world_from_file = z_up_from(settings.world.up if settings.world else "z")
@@ -215,7 +215,7 @@ def _faults(error: ValidationError) -> str:
     return "; ".join(clauses)
 
 
-def _kept(rig: Rig, names: tuple[str, ...], calibration: Path) -> Rig:
+def _selected(rig: Rig, names: tuple[str, ...], calibration: Path) -> Rig:
     try:
         return rig.subset(names)
     except MareyError as error:

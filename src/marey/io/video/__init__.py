@@ -1,1 +1,1 @@
-"""Videos, stills and takes."""
+"""Reading and writing of videos, stills and takes."""

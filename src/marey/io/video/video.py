@@ -30,13 +30,13 @@ _SEEK_BEYOND = 60
 """Up to this number of frames ahead is decoded in sequence; farther frames are reached by seeking.
 
 Chosen by hand."""
-_TRIED = 16
+_COMPARED_FRAMES = 16
 """Number of frames whose times are compared when a video is opened; H.264 reorders at most 16 frames."""
-_HEADER_SLACK = 3
+_HEADER_FRAMES = 3
 """Largest error of the number of frames in the header of an intact file; MPEG-4 in AVI counts empty packets.
 
 Chosen by hand."""
-_HEADER_SHARE = 0.01
+_HEADER_FRACTION = 0.01
 """The same as a fraction of the frames or seconds of a long file. Chosen by hand."""
 _COPY_AGAIN = "Copy the file again from the camera"
 """Beginning of the remedy in the error messages on damaged files."""
@@ -223,7 +223,7 @@ def open_video(path: Path) -> Video:
     """
     times = _packet_times(path)
     with _Source(path) as source:
-        shown = list(islice(source.frames, _TRIED))
+        shown = list(islice(source.frames, _COMPARED_FRAMES))
         if not shown:
             raise FileProblem(path, "can be opened, but none of its pictures can be decoded", f"{_COPY_AGAIN}.")
         sound = _has_valid_times(source.stream) and _agree(times, shown)
@@ -265,14 +265,14 @@ def _require_all(path: Path, source: "_Source", times: list[int], readable: int)
     promised, duration, rate = source.stream.frames, source.container.duration, source.rate
     remedy = f"{_COPY_AGAIN}; if the original is incomplete too, re-encode it (for example with ffmpeg)."
     if promised > 0:
-        if promised - readable > max(_HEADER_SLACK, _HEADER_SHARE * promised):
+        if promised - readable > max(_HEADER_FRAMES, _HEADER_FRACTION * promised):
             wrong = f"is incomplete: its header states {promised} frames, but {readable} can be read"
             raise FileProblem(path, wrong, remedy)
     elif duration and times and rate and source.stream.time_base:
         seconds = duration / av.time_base
         # Some containers measure the duration from zero, others from the first picture.
         last = float(max(times[-1], times[-1] - times[0]) * source.stream.time_base)
-        if seconds - last > max((_HEADER_SLACK + 1) / rate, _HEADER_SHARE * seconds):
+        if seconds - last > max((_HEADER_FRAMES + 1) / rate, _HEADER_FRACTION * seconds):
             wrong = f"is incomplete: its header states {seconds:.2f} s, but the last picture is at {last:.2f} s"
             raise FileProblem(path, wrong, remedy)
 

@@ -14,7 +14,7 @@ from marey.view.outline.session import OutlineSession
 
 HOST = "127.0.0.1"
 """Address of the server, accessible from this computer only."""
-_LONGEST = 1_000_000
+_LARGEST_REQUEST = 1_000_000
 """Largest accepted request body [bytes]; an outline is far smaller. Chosen by hand."""
 _JSON = "application/json"
 """Content type of requests and responses."""
@@ -73,7 +73,7 @@ class _Handler(BaseHTTPRequestHandler):
         if not self._is_ours():
             return
         length = int(self.headers.get("Content-Length") or 0)
-        if length > _LONGEST:
+        if length > _LARGEST_REQUEST:
             self.close_connection = True
             self._send(413, _JSON, b'{"error": "The request is larger than any outline."}')
             return

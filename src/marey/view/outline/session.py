@@ -32,11 +32,11 @@ from marey.view.pictures.slice_display import displayed
 
 _WIRES_KEPT = 4
 """Number of slices whose live wires are kept in memory. Chosen by hand."""
-_EXAMPLES = 3
+_EXAMPLE_SLICES = 3
 """Number of outlined slices, the nearest ones, from which the edge costs of a structure are learned. Chosen by hand."""
-_UNDONE = 100
+_UNDO_LIMIT = 100
 """Number of changes that can be undone. Chosen by hand."""
-_GREYS = 65535
+_LARGEST_GREY = 65535
 """Largest grey value of 16 bits, sent for the maximum of the volume."""
 _ACCEPTED_ANCHORS = 8
 """Number of anchors of an accepted interpolated outline, which must have more points. Chosen by hand."""
@@ -94,7 +94,7 @@ class OutlineSession:
         self._check(axis, index)
         low, high = self._range
         part = slice_of(self.volume.intensity, axis, index)
-        return np.rint((part - low) / (high - low) * _GREYS).astype("<u2").tobytes()
+        return np.rint((part - low) / (high - low) * _LARGEST_GREY).astype("<u2").tobytes()
 
     def state(self, axis: str, index: int) -> Reply:
         """Return the outlines in a slice, and the outlined slices of each structure."""
@@ -229,7 +229,7 @@ class OutlineSession:
 
     def _keep(self, contours: tuple[Contour, ...], axis: str, index: int) -> Reply:
         write_contours(self.path, contours, self.volume.grid, self.name)
-        self._before = [*self._before, self.contours][-_UNDONE:]
+        self._before = [*self._before, self.contours][-_UNDO_LIMIT:]
         self.contours, self._version = contours, self._version + 1
         return self.state(axis, index)
 
@@ -284,7 +284,7 @@ class OutlineSession:
 
     def _nearest_outlines(self, axis: str, index: int, structure: str) -> tuple[Contour, ...]:
         own = [each for each in self.contours if (each.structure, each.axis) == (structure, axis)]
-        nearest = sorted({each.index for each in own} - {index}, key=lambda each: abs(each - index))[:_EXAMPLES]
+        nearest = sorted({each.index for each in own} - {index}, key=lambda each: abs(each - index))[:_EXAMPLE_SLICES]
         return tuple(each for each in own if each.index in nearest)
 
     def _learned(self, outlines: Sequence[Contour], axis: str) -> LearnedCosts | None:

@@ -12,9 +12,9 @@ _PX_PER_MM = 6
 """Resolution of the map [px/mm]. Chosen by eye."""
 _MARGIN_PX, _SCALE_PX = 40, 90
 """Margin on each side, and width of the colour scale [px]. Chosen by eye."""
-_REACH_MM = 2.5
+_LARGEST_GAP_MM = 2.5
 """Pixels farther than this distance from all vertices are not coloured [mm]. Chosen by eye."""
-_INK = (60, 60, 60)
+_TEXT_COLOUR = (60, 60, 60)
 """Colour of the texts: blue, green, red. Chosen by eye."""
 
 
@@ -36,7 +36,7 @@ def flat_picture(across_mm: Floats, along_mm: Floats, thickness_mm: Floats, *, f
     width, height = np.ceil((high - low) * _PX_PER_MM).astype(int)
     x, y = np.meshgrid(low[0] + np.arange(width) / _PX_PER_MM, low[1] + np.arange(height) / _PX_PER_MM)
     values = LinearNDInterpolator(places, thickness_mm[covered])(x, y)
-    away = cKDTree(places).query(np.stack([x, y], -1), distance_upper_bound=_REACH_MM)[0]
+    away = cKDTree(places).query(np.stack([x, y], -1), distance_upper_bound=_LARGEST_GAP_MM)[0]
     shown = np.where(np.isfinite(away), np.nan_to_num(values), 0.0)
     map_colours = np.where((shown > 0)[..., None], thickness_colours(shown, full_mm)[..., ::-1], 255)
     picture = np.full((height + 2 * _MARGIN_PX, width + 2 * _MARGIN_PX + _SCALE_PX, 3), 255, np.uint8)
@@ -46,7 +46,7 @@ def flat_picture(across_mm: Floats, along_mm: Floats, thickness_mm: Floats, *, f
         ("medial", (_MARGIN_PX, height + _MARGIN_PX + 24)),
         ("lateral", (_MARGIN_PX + width - 50, height + _MARGIN_PX + 24)),
     ):
-        cv2.putText(picture, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.5, _INK, 1, cv2.LINE_AA)
+        cv2.putText(picture, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.5, _TEXT_COLOUR, 1, cv2.LINE_AA)
     return picture
 
 
@@ -57,4 +57,4 @@ def _draw_scale(picture: Image, left: int, full_mm: float) -> None:
     for mm in range(int(full_mm) + 1):
         row = _MARGIN_PX + int((1 - mm / full_mm) * (rows - 1))
         text = f"{mm} mm"
-        cv2.putText(picture, text, (left + 20, row + 5), cv2.FONT_HERSHEY_SIMPLEX, 0.42, _INK, 1, cv2.LINE_AA)
+        cv2.putText(picture, text, (left + 20, row + 5), cv2.FONT_HERSHEY_SIMPLEX, 0.42, _TEXT_COLOUR, 1, cv2.LINE_AA)

@@ -18,21 +18,21 @@ DEFAULT_VIEWS = ("anterior", "medial", "plateau")
 """Views that are drawn by default."""
 PANEL = 400
 """Width and height of one view [px]."""
-_FINER = 2
+_SUPERSAMPLING = 2
 """Factor by which a view is drawn larger and then reduced, against aliasing. Chosen by eye."""
-_FROM = 4.0
+_CAMERA_DISTANCE = 4.0
 """Distance of the camera in multiples of the size of the knee. Chosen by eye."""
 _OPACITY = 0.42
 """Opacity of bones, from 0 to 1. Chosen by eye."""
-_DARKEST = 0.42
+_DARKEST_FACE = 0.42
 """Brightness of faces that are turned away from the camera, from 0 to 1. Chosen by eye."""
-_PAPER = 247
+_BACKGROUND = 247
 """Grey value of the background. Chosen by eye."""
-_INK, _SOFT, _PATH = (40, 32, 28), (120, 110, 100), (25, 25, 25)
+_CAPTION_COLOUR, _TEXT_COLOUR, _PATH_COLOUR = (40, 32, 28), (120, 110, 100), (25, 25, 25)
 """Colours of the caption, of further texts, and of paths: blue, green, red. Chosen by eye."""
 _LEFT, _BACK, _UP = np.eye(3)
 """Unit vectors of the LPS axes: left, posterior, superior."""
-_BAR = 30
+_STRIP = 30
 """Height of the strips above and below the views [px]."""
 
 
@@ -85,7 +85,7 @@ class KneeCamera:
         low, high = (seen.min(0), seen.max(0)) if len(seen) else (np.full(3, -1.0), np.full(3, 1.0))
         self._middle = 0.5 * (low + high)
         reach = max(float((high - low)[:2].max()) / 2, 1.0)
-        self._depth = _FROM * max(reach, float(high[2] - low[2]))
+        self._depth = _CAMERA_DISTANCE * max(reach, float(high[2] - low[2]))
         # The nearest points are magnified most.
         nearest = self._depth - 0.5 * float(high[2] - low[2])
         self._scale = 0.46 * nearest / reach
@@ -117,26 +117,26 @@ class KneePicture:
         self, parts: Mapping[str, DrawnPart], cameras: Mapping[str, KneeCamera], *, limit_mm: float, note: str = ""
     ):  # fmt: skip
         self._cameras, self._limit, self._note = cameras, limit_mm, note
-        self._parts = {name: _Ready.of(part) for name, part in parts.items()}
+        self._parts = {name: _DrawnStructure.of(part) for name, part in parts.items()}
 
     @property
     def size(self) -> tuple[int, int]:
         """Width and height of the drawn pictures [px]."""
-        return PANEL * len(self._cameras), PANEL + 2 * _BAR
+        return PANEL * len(self._cameras), PANEL + 2 * _STRIP
 
     def draw(self, instant: KneeInstant) -> Image:
         """Draw all views of one frame side by side: (height, width, 3) blue, green, red."""
         tints = {name: _tint(name, part, instant, self._limit) for name, part in self._parts.items()}
         panels = [self._panel(view, camera, instant, tints) for view, camera in self._cameras.items()]
-        drawn = np.full((self.size[1], self.size[0], 3), _PAPER, np.uint8)
-        drawn[_BAR : _BAR + PANEL] = np.concatenate(panels, 1)
-        _write(drawn, instant.caption, (10, 20), _INK)
+        drawn = np.full((self.size[1], self.size[0], 3), _BACKGROUND, np.uint8)
+        drawn[_STRIP : _STRIP + PANEL] = np.concatenate(panels, 1)
+        _write(drawn, instant.caption, (10, 20), _CAPTION_COLOUR)
         self._legend(drawn)
         return drawn
 
     def _panel(self, view: str, camera: KneeCamera, instant: KneeInstant, tints: Mapping[str, Floats]) -> Image:
-        size = PANEL * _FINER
-        picture, depth = np.full((size, size, 3), _PAPER, np.uint8), np.zeros((size, size))
+        size = PANEL * _SUPERSAMPLING
+        picture, depth = np.full((size, size, 3), _BACKGROUND, np.uint8), np.zeros((size, size))
         shown = {
             name: part for name, part in self._parts.items()
             if part.bone in instant.poses and (view != "plateau" or part.bone == "tibia")
@@ -150,24 +150,24 @@ class KneePicture:
                     _outline(picture, seen)
         small = np.asarray(cv2.resize(picture, (PANEL, PANEL), interpolation=cv2.INTER_AREA), np.uint8)
         if not shown:
-            _write(small, "no result", (PANEL // 2 - 36, PANEL // 2), _SOFT)
+            _write(small, "no result", (PANEL // 2 - 36, PANEL // 2), _TEXT_COLOUR)
         if view == "plateau":
             for path in instant.paths_mm:
                 _draw_path(small, camera, path)
-        _write(small, view, (10, PANEL - 10), _SOFT)
+        _write(small, view, (10, PANEL - 10), _TEXT_COLOUR)
         return small
 
     def _legend(self, drawn: Image) -> None:
-        top, left, width = _BAR + PANEL + 10, 10, 160
+        top, left, width = _STRIP + PANEL + 10, 10, 160
         scale = proximity_colours(np.linspace(0, 0.999 * self._limit, width), self._limit)[None, :, ::-1]
         drawn[top : top + 10, left : left + width] = scale
         drawn[top : top + 10, left - 8 : left] = proximity_colours(np.array([-1.0]), self._limit)[0, ::-1]
         words = f"0 to {self._limit:g} mm between cartilages; violet: overlap.  {self._note}"
-        _write(drawn, words, (left + width + 10, top + 9), _SOFT)
+        _write(drawn, words, (left + width + 10, top + 9), _TEXT_COLOUR)
 
 
 @dataclass(frozen=True, eq=False)
-class _Ready:
+class _DrawnStructure:
     """A structure with the quantities that are the same in all frames."""
 
     bone: str
@@ -178,14 +178,14 @@ class _Ready:
     cartilage: bool
 
     @staticmethod
-    def of(part: DrawnPart) -> "_Ready":
+    def of(part: DrawnPart) -> "_DrawnStructure":
         surface = part.surface
         normals = surface.vertex_normals[surface.faces].mean(1)
-        return _Ready(part.bone, surface.vertices_mm, surface.faces, normals, part.cartilage)
+        return _DrawnStructure(part.bone, surface.vertices_mm, surface.faces, normals, part.cartilage)
 
 
 def _draw(
-    parts: Mapping[str, _Ready], camera: KneeCamera, instant: KneeInstant, tints: Mapping[str, Floats],
+    parts: Mapping[str, _DrawnStructure], camera: KneeCamera, instant: KneeInstant, tints: Mapping[str, Floats],
     opacity: float, picture: Image, depth: Floats,
 ) -> View:  # fmt: skip
     """Draw structures as one solid over a picture, where they are nearer than its contents.
@@ -204,7 +204,7 @@ def _draw(
     for name, part in parts.items():
         pose = instant.poses[part.bone]
         places.append(camera.project(part.vertices @ pose[:3, :3].T + pose[:3, 3], size))
-        light = _DARKEST + (1.02 - _DARKEST) * np.maximum(part.normals @ (-camera.ahead @ pose[:3, :3]), 0.0)
+        light = _DARKEST_FACE + (1.02 - _DARKEST_FACE) * np.maximum(part.normals @ (-camera.ahead @ pose[:3, :3]), 0.0)
         colours.append(np.minimum(tints[name] * light[:, None], 255.0))
         faces.append(part.faces + count)
         count += len(part.vertices)
@@ -230,7 +230,7 @@ def _blend_faces(picture, depth, face, inverse, left, top, tint, opacity):  # pr
                 depth[top + y, left + x] = inverse[y, x]
 
 
-def _tint(name: str, part: _Ready, instant: KneeInstant, limit_mm: float) -> Floats:
+def _tint(name: str, part: _DrawnStructure, instant: KneeInstant, limit_mm: float) -> Floats:
     """Return red, green and blue of each face, (T, 3) or (1, 3)."""
     if not part.cartilage:
         return np.array([BONE], float)
@@ -252,10 +252,10 @@ def _draw_path(picture: Image, camera: KneeCamera, path_mm: Floats) -> None:
     known: Mask = np.asarray(np.isfinite(places).all(1))
     joined = known[:-1] & known[1:]
     for first, second in zip(places[:-1][joined], places[1:][joined], strict=True):
-        cv2.line(picture, _pixel(first), _pixel(second), _PATH, 1, cv2.LINE_AA)
+        cv2.line(picture, _pixel(first), _pixel(second), _PATH_COLOUR, 1, cv2.LINE_AA)
     if len(known) and known[-1]:
         cv2.circle(picture, _pixel(places[-1]), 4, (255, 255, 255), -1, cv2.LINE_AA)
-        cv2.circle(picture, _pixel(places[-1]), 3, _PATH, -1, cv2.LINE_AA)
+        cv2.circle(picture, _pixel(places[-1]), 3, _PATH_COLOUR, -1, cv2.LINE_AA)
 
 
 def _pixel(place: Floats) -> tuple[int, int]:

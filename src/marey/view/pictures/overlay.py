@@ -13,10 +13,9 @@ from marey.cameras import lens
 from marey.cameras.camera import Camera
 from marey.cameras.visibility import View, see
 from marey.io.video.video_writer import VideoWriter
+from marey.view.pictures.drawing import FARTHEST, FRACTION_BITS, LONGEST_SIDE
 from marey.view.pictures.palette import bone_pairs, segment_colours, side_colour
 
-LONGEST_SIDE = 1280
-"""Largest side of an overlay [px]; larger pictures are halved until they fit. Chosen by hand."""
 OPACITY = 0.5
 """Opacity of the surface, from 0 to 1. Chosen by eye."""
 SURFACE_LINE = (255, 255, 255)
@@ -25,10 +24,6 @@ SILHOUETTE_LINE = (60, 230, 255)
 """Colour of the outline of the silhouette: blue, green, red. A yellow that is rare in skin and rooms."""
 _STATES = ("no person", "measured", "filled", "lost")
 """Caption of each state of a frame, see `BodyScene.state`."""
-_FAR = 1e5
-"""Points with larger coordinates, and NaN, are not drawn [px]."""
-_SHIFT = 4
-"""Number of fractional bits in the coordinates that OpenCV draws."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -182,7 +177,7 @@ def _light(vertices: Floats, faces: Integers, centre: Floats) -> Floats:
     towards = centre - corners.mean(1)
     scale = np.linalg.norm(smooth, axis=1) * np.linalg.norm(towards, axis=1)
     cosine = np.einsum("ta,ta->t", smooth, towards) / np.maximum(scale, 1e-12)
-    return 0.45 + 0.6 * np.clip(cosine, 0, 1)
+    return np.asarray(0.45 + 0.6 * np.clip(cosine, 0, 1))
 
 
 def _resized(image: np.ndarray, size: tuple[int, int], how: int) -> np.ndarray:
@@ -199,19 +194,25 @@ def _draw_outline(drawn: Image, mask: Image, colour: tuple[int, int, int]) -> No
 def _draw_joints(drawn: Image, camera: Camera, appearance: BodyAppearance, joints: Floats) -> None:
     pixels = camera.project(joints)
     size = max(2, round(max(camera.size) / 320))
-    there = np.array([bool(np.all(np.abs(pixel) < _FAR)) for pixel in pixels])
+    there = np.array([bool(np.all(np.abs(pixel) < FARTHEST)) for pixel in pixels])
     points = np.zeros(pixels.shape, np.int64)
-    points[there] = np.round(pixels[there] * (1 << _SHIFT)).astype(np.int64)
+    points[there] = np.round(pixels[there] * (1 << FRACTION_BITS)).astype(np.int64)
     for thickness, colour in ((size + 2, (30, 30, 30)), (size, (255, 255, 255))):
         for a, b in appearance.bones:
             if there[a] and there[b]:
                 ends = tuple(map(int, points[a])), tuple(map(int, points[b]))
-                cv2.line(drawn, *ends, colour, thickness, cv2.LINE_AA, _SHIFT)
+                cv2.line(drawn, *ends, colour, thickness, cv2.LINE_AA, FRACTION_BITS)
     for i in np.flatnonzero(there):
         where = tuple(map(int, points[i]))
-        cv2.circle(drawn, where, (size + 2) << _SHIFT, (255, 255, 255), -1, cv2.LINE_AA, _SHIFT)
+        cv2.circle(drawn, where, (size + 2) << FRACTION_BITS, (255, 255, 255), -1, cv2.LINE_AA, FRACTION_BITS)
         cv2.circle(
-            drawn, where, (size + 1) << _SHIFT, _bgr(side_colour(appearance.joint_names[i])), -1, cv2.LINE_AA, _SHIFT
+            drawn,
+            where,
+            (size + 1) << FRACTION_BITS,
+            _bgr(side_colour(appearance.joint_names[i])),
+            -1,
+            cv2.LINE_AA,
+            FRACTION_BITS,
         )
 
 

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 
 from marey.arrays import Floats, Image, Integers, Mask
-from marey.view.pictures.overlay import LONGEST_SIDE
+from marey.view.pictures.drawing import FARTHEST, FRACTION_BITS, LONGEST_SIDE
 
-_TOUCHING = 1e-9
+_BALL_MARGIN = 1e-9
 """Relative margin by which a point must be inside a ball, against rounding errors."""
 
 
@@ -28,7 +28,7 @@ def near_lines(shape: Floats) -> Integers:
     for a in range(len(known)):
         later = np.arange(a + 1, len(known))
         # A point c lies in the ball over a and b where ac2 + bc2 < ab2; a and b themselves lie on it.
-        blocked = (square[a] + square[later] < square[a, later][:, None] * (1 - _TOUCHING)).any(1)
+        blocked = (square[a] + square[later] < square[a, later][:, None] * (1 - _BALL_MARGIN)).any(1)
         pairs += [(known[a], known[b]) for b in later[~blocked]]
     return np.array(pairs, np.int64).reshape(-1, 2)
 
@@ -37,15 +37,11 @@ MEASURED, OUTLINE, LINE = (255, 255, 255), (40, 40, 40), (200, 200, 200)
 """Colours of rings at measured points, of rims of observed points, and of lines: blue, green, red. Chosen by eye."""
 _PREDICTED = (74, 111, 220)
 """Colour of rims of predicted points, orange: blue, green, red. Chosen by eye."""
-_SHIFT = 4
-"""Number of fractional bits in the coordinates that OpenCV draws."""
-_FAR = 1e5
-"""Points with larger coordinates, and NaN, are not drawn [px]."""
-_FROM_SIDE = np.radians(75)
+_SIDE_ANGLE = np.radians(75)
 """Angle of the side view about the vertical axis [rad]. Chosen by eye."""
-_FROM_ABOVE = np.radians(15)
+_ELEVATION = np.radians(15)
 """Elevation of the side view [rad]. Chosen by eye."""
-_PANEL = 0.7
+_PANEL_WIDTH = 0.7
 """Width of the side view as a fraction of the picture's height. Chosen by eye."""
 
 
@@ -84,7 +80,7 @@ class ShapeOverlay:
         while max(size) * self._scale > LONGEST_SIDE:
             self._scale /= 2
         self.picture = (round(size[0] * self._scale), round(size[1] * self._scale))
-        self._panel = round(_PANEL * self.picture[1])
+        self._panel = round(_PANEL_WIDTH * self.picture[1])
         answered = np.isfinite(scene.placed).any((1, 2))
         self._depths = scene.depths() if answered.any() else (0.0, 1.0)
         self._reach = _reach(scene.placed[answered]) if answered.any() else 1.0
@@ -112,12 +108,14 @@ class ShapeOverlay:
         _draw_lines(drawn, places, scene.lines)
         _draw_points(drawn, places, colours, radius, np.isfinite(seen).all(1))
         for place in seen[np.isfinite(seen).all(1)]:
-            cv2.circle(drawn, _fixed(place), (radius + 3) << _SHIFT, MEASURED, 1, cv2.LINE_AA, _SHIFT)
+            cv2.circle(
+                drawn, _fixed_point(place), (radius + 3) << FRACTION_BITS, MEASURED, 1, cv2.LINE_AA, FRACTION_BITS
+            )
         count = int(np.isfinite(seen).all(1).sum())
         known = int(np.isfinite(places).all(1).sum())
         words = f"{count} seen" + (f", {known} in the model" if known else ", no result")
         _write_caption(drawn, f"{scene.name}   frame {frame}   {words}")
-        return np.concatenate([drawn, self._from_side(frame, colours, radius)], axis=1)
+        return np.concatenate([drawn, self._side_view(frame, colours, radius)], axis=1)
 
     def _colours(self, frame: int) -> Image:
         """Return the colour (P, 3) of each point by its depth: yellow is near, violet far."""
@@ -129,7 +127,7 @@ class ShapeOverlay:
         grey = np.round(255 * np.where(np.isfinite(share), share, 0)).astype(np.uint8)
         return np.asarray(cv2.applyColorMap(grey[:, None], cv2.COLORMAP_PLASMA)[:, 0], np.uint8)
 
-    def _from_side(self, frame: int, colours: Image, radius: int) -> Image:
+    def _side_view(self, frame: int, colours: Image, radius: int) -> Image:
         panel = np.full((self.picture[1], self._panel, 3), 244, np.uint8)
         shape = self._scene.placed[frame]
         _write_caption(panel, "from the side", light=True)
@@ -147,9 +145,9 @@ class ShapeOverlay:
 
 def turned(points: Floats) -> Floats:
     """Rotate points (3, P) in a camera's axes to a view from its right and slightly from above."""
-    c, s = np.cos(_FROM_SIDE), np.sin(_FROM_SIDE)
+    c, s = np.cos(_SIDE_ANGLE), np.sin(_SIDE_ANGLE)
     side = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
-    c, s = np.cos(_FROM_ABOVE), np.sin(_FROM_ABOVE)
+    c, s = np.cos(_ELEVATION), np.sin(_ELEVATION)
     return np.asarray(np.array([[1, 0, 0], [0, c, -s], [0, s, c]]) @ side @ points)
 
 
@@ -159,27 +157,29 @@ def _reach(placed: Floats) -> float:
     return float(max(np.nanmax(np.linalg.norm(centred, axis=1)), 1e-9))
 
 
-def _fixed(place: Floats) -> tuple[int, int]:
-    return round(float(place[0]) * (1 << _SHIFT)), round(float(place[1]) * (1 << _SHIFT))
+def _fixed_point(place: Floats) -> tuple[int, int]:
+    return round(float(place[0]) * (1 << FRACTION_BITS)), round(float(place[1]) * (1 << FRACTION_BITS))
 
 
-def _there(places: Floats) -> Mask:
-    return np.asarray((np.abs(places) < _FAR).all(1))
+def _is_drawable(places: Floats) -> Mask:
+    return np.asarray((np.abs(places) < FARTHEST).all(1))
 
 
 def _draw_lines(drawn: Image, places: Floats, lines: Integers, colour: tuple[int, int, int] = LINE) -> None:
-    there = _there(places)
+    there = _is_drawable(places)
     for a, b in lines:
         if there[a] and there[b]:
-            cv2.line(drawn, _fixed(places[a]), _fixed(places[b]), colour, 1, cv2.LINE_AA, _SHIFT)
+            cv2.line(drawn, _fixed_point(places[a]), _fixed_point(places[b]), colour, 1, cv2.LINE_AA, FRACTION_BITS)
 
 
 def _draw_points(drawn: Image, places: Floats, colours: Image, radius: int, seen: Mask) -> None:
     """Draw dots in the colours of their depth; points that were not observed have an orange rim."""
-    for p in np.flatnonzero(_there(places)):
+    for p in np.flatnonzero(_is_drawable(places)):
         rim = OUTLINE if seen[p] else _PREDICTED
-        cv2.circle(drawn, _fixed(places[p]), (radius + 1) << _SHIFT, rim, -1, cv2.LINE_AA, _SHIFT)
-        cv2.circle(drawn, _fixed(places[p]), radius << _SHIFT, colours[p].tolist(), -1, cv2.LINE_AA, _SHIFT)
+        cv2.circle(drawn, _fixed_point(places[p]), (radius + 1) << FRACTION_BITS, rim, -1, cv2.LINE_AA, FRACTION_BITS)
+        cv2.circle(
+            drawn, _fixed_point(places[p]), radius << FRACTION_BITS, colours[p].tolist(), -1, cv2.LINE_AA, FRACTION_BITS
+        )
 
 
 def _write_caption(drawn: Image, text: str, *, light: bool = False) -> None:

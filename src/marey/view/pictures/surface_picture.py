@@ -7,13 +7,13 @@ from marey.arrays import Floats, Image, Mask
 from marey.cameras.camera import Camera
 from marey.surface.points.measured import MeasuredPoints
 
-_LAMP = np.array([-0.7, -0.6, -0.5])
+_LAMP_DIRECTION = np.array([-0.7, -0.6, -0.5])
 """Direction to the lamp in the camera's axes: above, left, and towards the camera. Chosen by eye."""
-_DIM = 0.45
+_BRIGHTNESS = 0.45
 """Fraction of the picture's brightness under the points. Chosen by eye."""
-_OUTER = 2.0
+_CLIPPED_PERCENT = 2.0
 """Percentage of points beyond each end of the colour scale [%]. Chosen by eye."""
-_JUMP = 8.0
+_LARGEST_JUMP = 8.0
 """Neighbours farther apart than this multiple of the median spacing are not joined. Chosen by eye."""
 
 
@@ -29,12 +29,12 @@ def depth_picture(points: MeasuredPoints, camera: Camera, number: int, image: Im
     Returns:
         (H, W, 3) blue, green, red.
     """
-    drawn = np.asarray(image * _DIM, np.uint8)
+    drawn = np.asarray(image * _BRIGHTNESS, np.uint8)
     shown = points.template == number
     if not shown.any():
         return drawn
     depth = camera.depths(points.points[shown])
-    near, far = np.percentile(depth, [_OUTER, 100 - _OUTER])
+    near, far = np.percentile(depth, [_CLIPPED_PERCENT, 100 - _CLIPPED_PERCENT])
     share = np.clip((far - depth) / max(far - near, 1e-9), 0, 1)
     colour = cv2.applyColorMap(np.asarray(255 * share, np.uint8)[:, None], cv2.COLORMAP_TURBO)[:, 0]
     radius = max(0, _spacing(points.pixels[shown, number]) // 2)
@@ -77,7 +77,7 @@ def _shaded(place: Floats) -> Image:
     right, down = _slope(place, axis=1), _slope(place, axis=0)
     normal = np.cross(down, right)
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-    light = np.clip(normal @ (_LAMP / np.linalg.norm(_LAMP)), 0, 1)
+    light = np.clip(normal @ (_LAMP_DIRECTION / np.linalg.norm(_LAMP_DIRECTION)), 0, 1)
     known: Mask = np.isfinite(light)
     return np.where(known, 25 + 230 * np.where(known, light, 0), 0).astype(np.uint8)
 
@@ -86,7 +86,7 @@ def _slope(place: Floats, axis: int) -> Floats:
     """Differentiate along an axis, with both neighbours or the only known one."""
     step = np.diff(place, axis=axis)
     usual = np.nanmedian(np.linalg.norm(step, axis=-1)) if np.isfinite(step).any() else 1.0
-    step = np.where(np.linalg.norm(step, axis=-1, keepdims=True) > _JUMP * usual, np.nan, step)
+    step = np.where(np.linalg.norm(step, axis=-1, keepdims=True) > _LARGEST_JUMP * usual, np.nan, step)
     edge = np.full_like(np.take(place, [0], axis=axis), np.nan)
     both = np.stack([np.concatenate([edge, step], axis=axis), np.concatenate([step, edge], axis=axis)])
     known = np.isfinite(both)

@@ -5,12 +5,11 @@ import numpy as np
 
 from marey.arrays import Floats, Image
 from marey.cameras.camera import Camera
+from marey.view.pictures.drawing import FRACTION_BITS
 
-_SHIFT = 4
-"""Number of fractional bits in the coordinates that OpenCV draws."""
-_FADED = 0.55
+_BRIGHTNESS = 0.55
 """Fraction of the picture's brightness under the lines. Chosen by eye."""
-_BAR = (16, 12, 180)
+_LEGEND = (16, 12, 180)
 """Left edge, height and width of the legend [px]."""
 
 
@@ -27,7 +26,7 @@ def vector_field(image: Image, camera: Camera, position: Floats, velocity: Float
     Returns:
         (H, W, 3) the darkened picture with the lines, coloured from violet (slow) to yellow (fast).
     """
-    drawn = np.asarray(image * _FADED, np.uint8)
+    drawn = np.asarray(image * _BRIGHTNESS, np.uint8)
     speed = np.linalg.norm(velocity, axis=1)
     start, end = camera.project(position), camera.project(position + seconds * velocity)
     known = np.isfinite(start).all(axis=1) & np.isfinite(end).all(axis=1) & camera.sees(start)
@@ -38,9 +37,9 @@ def vector_field(image: Image, camera: Camera, position: Floats, velocity: Float
     # Fast points are drawn last, on top.
     for i in np.flatnonzero(known)[np.argsort(speed[known])]:
         colour = tuple(int(c) for c in colours[i])
-        first, last = (tuple(int(c) for c in np.round(place * 2**_SHIFT)) for place in (start[i], end[i]))
-        cv2.line(drawn, first, last, colour, 1, cv2.LINE_AA, _SHIFT)
-        cv2.circle(drawn, first, 20, colour, -1, cv2.LINE_AA, _SHIFT)
+        first, last = (tuple(int(c) for c in np.round(place * 2**FRACTION_BITS)) for place in (start[i], end[i]))
+        cv2.line(drawn, first, last, colour, 1, cv2.LINE_AA, FRACTION_BITS)
+        cv2.circle(drawn, first, 20, colour, -1, cv2.LINE_AA, FRACTION_BITS)
     _write_legend(drawn, fastest)
     return drawn
 
@@ -52,7 +51,7 @@ def speed_colours(share: Floats) -> Image:
 
 
 def _write_legend(drawn: Image, fastest: float) -> None:
-    left, high, wide = _BAR
+    left, high, wide = _LEGEND
     top = drawn.shape[0] - 2 * high
     wide = min(wide, drawn.shape[1] - 2 * left)
     if wide < 20 or top < high:
