@@ -292,7 +292,7 @@ def test_a_damaged_file_is_named(results: Path, tmp_path):
         damaged.write_bytes(whole[: len(whole) // 3])
         with pytest.raises(FileProblem, match=name):
             read(damaged)
-        with pytest.raises(FileProblem, match="not there"):
+        with pytest.raises(FileProblem, match="does not exist"):
             read(tmp_path / f"no_{name}")
     with pytest.raises(FileProblem, match="lacks time"):
         npz.read_motion(results / "skin.npz")
