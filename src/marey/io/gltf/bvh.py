@@ -14,7 +14,7 @@ from marey.motion.anatomical import euler_angles
 from marey.motion.motion import BodyMotion
 
 _CENTIMETRES = 100.0
-"""Centimetres per metre."""
+"""Number of centimetres per metre."""
 _ORDER = "ZXY"
 """Order of the rotation axes in the channels of each joint."""
 

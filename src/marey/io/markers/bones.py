@@ -11,7 +11,7 @@ from marey.io.npz import read_arrays, write_arrays
 from marey.markers.data.bone_motion import BoneMotion
 
 _MM = 1e3
-"""Millimetres per metre."""
+"""Number of millimetres per metre."""
 _IN_MM, _IN_M = (np.diag([1.0] * 3 + [unit] * 3) for unit in (_MM, 1 / _MM))
 """Scale of a pose error (rotation [rad], translation), from metres to millimetres and back."""
 

@@ -12,7 +12,7 @@ from marey.markers.kinematics.joint_angles import JointKinematics
 from marey.motion.gait import GaitEvent
 
 _MM = 1e3
-"""Millimetres per metre."""
+"""Number of millimetres per metre."""
 _RUN_AGAIN = "Run `marey markers` again."
 """Remedy for a damaged result file."""
 

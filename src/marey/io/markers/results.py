@@ -23,7 +23,7 @@ from marey.markers.preprocessing.gaps import FROM_CLUSTER, SPLINE, STILL_MISSING
 from marey.motion.gait import GaitEvent
 
 _MM = 1e3
-"""Millimetres per metre."""
+"""Number of millimetres per metre."""
 
 
 def write_joint_table(path: Path | str, time: Floats, joints: JointKinematics) -> None:
