@@ -174,7 +174,7 @@ def complaint(arguments, capsys) -> str:
         ({"tracks": np.ones((9, 2, 3))}, "at least 4 points must be seen together in at least 6 frames"),
         ({"tracks": np.ones((5, 2, 9))}, "at least 4 points"),
         ({"tracks": np.random.default_rng(1).normal(size=(9, 2, 6))}, "6 points are too few for one camera: 7"),
-        ({"tracks": np.ones((9, 2, 9))}, "one place"),
+        ({"tracks": np.ones((9, 2, 9))}, "coincide in every frame"),
     ],
 )
 def test_a_file_that_cannot_be_used_is_named_with_what_would_be_right(tmp_path, capsys, arrays, words):
