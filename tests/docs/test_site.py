@@ -44,6 +44,7 @@ def wait_for(path: Path) -> None:
         time.sleep(0.1)
 
 
+@pytest.mark.slow
 def test_nothing_is_loaded_from_elsewhere(site: Path):
     loading = re.compile(r'<(?:script|img|iframe|source)[^>]*\bsrc="(?:https?:)?//|<link[^>]*\bhref="(?:https?:)?//')
     asking = [page.name for page in site.rglob("*.html") if loading.search(page.read_text(encoding="utf-8"))]

@@ -55,7 +55,13 @@ def numbers(packed: str, kind: str = "<f4") -> np.ndarray:
 def test_the_page_says_what_was_chosen_and_what_is_left(report):
     page = shape_html(report)
     assert "http" not in page
-    for text in ("&lt;face&gt;", "Sign of depth", "error of what was held back", "The lines come from the input", "of 12, 25 Hz"):
+    for text in (
+        "&lt;face&gt;",
+        "Sign of depth",
+        "error of what was held back",
+        "The lines come from the input",
+        "of 12, 25 Hz",
+    ):
         assert text in page
 
 
