@@ -20,7 +20,8 @@ class Column:
     Attributes:
         name: What is measured.
         unit: Its unit; empty for shares, counts and texts.
-        digits: Printed digits after the decimal point; None prints the value as it is.
+        digits: Printed digits after the decimal point; None prints the value unchanged, a whole number
+            without a decimal point.
     """
 
     name: str
@@ -36,6 +37,8 @@ class Column:
         """Print a value with the column's digits; a dash stands for a missing value."""
         if value is None or value != value:
             return "-"
+        if isinstance(value, float) and self.digits is None and value.is_integer():
+            return str(int(value))
         if isinstance(value, str) or self.digits is None:
             return str(value)
         return f"{value:.{self.digits}f}"

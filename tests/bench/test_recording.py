@@ -37,6 +37,11 @@ def test_a_missing_value_prints_as_a_dash(missing: float | None):
     assert JOINTS.text(missing) == "-"
 
 
+def test_a_whole_number_prints_without_a_decimal_point():
+    assert KIND.text(3683291.0) == "3683291"
+    assert KIND.text(0.5) == "0.5"
+
+
 def test_a_row_of_another_length_is_refused():
     table = made_run().table("Takes", "take", JOINTS)
     with pytest.raises(ValueError, match="1 labels and 1 values"):

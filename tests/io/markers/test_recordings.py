@@ -70,12 +70,16 @@ def test_angles_of_plug_in_gait_are_angles_and_not_points(tmp_path):
 
 
 def test_a_file_without_a_measured_frame_or_a_motion_is_refused(tmp_path):
-    write_table(tmp_path / "empty.mot", Table(name="a", columns=("a",), time=[0.0, 0.1], values=[[np.nan], [np.nan]]))
+    write_table(
+        tmp_path / "empty.mot", Table(name="a", columns=("a",), time=[0.0, 0.1], values=[[np.nan], [np.nan]])
+    )
     with pytest.raises(FileProblem, match="has no measured frame"):
         read_recording(tmp_path / "empty.mot")
     (tmp_path / "a.xlsx").write_text("x")
     with pytest.raises(FileProblem, match="is not a file of a motion"):
         read_recording(tmp_path / "a.xlsx")
-    write_table(tmp_path / "back.mot", Table(name="a", columns=("a",), time=[0.1, 0.0], values=[[1.0], [2.0]]))
-    with pytest.raises(FileProblem, match="not increasing"):
+    write_table(
+        tmp_path / "back.mot", Table(name="a", columns=("a",), time=[0.1, 0.0], values=[[1.0], [2.0]])
+    )
+    with pytest.raises(FileProblem, match="are not increasing"):
         read_recording(tmp_path / "back.mot")
