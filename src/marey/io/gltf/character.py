@@ -12,7 +12,7 @@ import trimesh
 from marey.arrays import Floats, Integers, freeze_fields
 from marey.body.articulation.skeleton import JOINT_OF_SEGMENT, PARENTS
 from marey.errors import FileProblem
-from marey.io.axes import GLTF_FROM_WORLD, turned_points
+from marey.io.axes import GLTF_FROM_WORLD, change_point_axes
 from marey.io.gltf.gltf import Gltf
 from marey.io.gltf.rig_names import VRM_BONES, name_joints, path_up
 
@@ -238,9 +238,9 @@ def _assemble(
     """Combine the nodes of each segment and rotate the character so that Z is up."""
     back = np.asarray(GLTF_FROM_WORLD).T
     return Character(
-        vertices=turned_points(back, vertices),
+        vertices=change_point_axes(back, vertices),
         faces=faces,
-        joint_centres={s: turned_points(back, world[n, :3, 3]) for s, n in named.items()},
+        joint_centres={s: change_point_axes(back, world[n, :3, 3]) for s, n in named.items()},
         weights={s: shares[:, [n for n, o in owner.items() if o == s]].sum(1) for s in named},
         node_names={s: gltf.name(n) for s, n in named.items()},
     )

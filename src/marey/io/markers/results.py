@@ -13,7 +13,7 @@ from marey.geometry.rigid import RigidTransform
 from marey.io.atomic import replacing
 from marey.io.axes import OPENSIM_FROM_WORLD
 from marey.io.markers.c3d import METRES, add_rotations, open_c3d, point_labels, point_unit, write_c3d, y_points_up
-from marey.io.opensim.mot_sto import Orientations, Table, write_orientations, write_table
+from marey.io.opensim.mot_sto import Orientations, TimeSeriesTable, write_orientations, write_table
 from marey.io.opensim.trc import PointPaths
 from marey.markers.data.bone_motion import BoneMotion
 from marey.markers.data.marker_motion import MarkerMotion
@@ -39,7 +39,7 @@ def write_joint_table(path: Path | str, time: Floats, joints: JointKinematics) -
         columns += [name, sd[0]]
         values += [value, sd[1]]
     table = np.stack(values, -1) if values else np.zeros((len(time), 0))
-    write_table(path, Table(name="angles", columns=tuple(columns), time=time, values=table))
+    write_table(path, TimeSeriesTable(name="angles", columns=tuple(columns), time=time, values=table))
 
 
 def write_joint_csv(path: Path | str, time: Floats, joints: JointKinematics) -> None:

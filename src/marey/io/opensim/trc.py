@@ -8,7 +8,7 @@ import numpy as np
 from marey.arrays import Floats, freeze_fields
 from marey.errors import FileProblem
 from marey.io.atomic import replacing
-from marey.io.axes import OPENSIM_FROM_WORLD, turned_points
+from marey.io.axes import OPENSIM_FROM_WORLD, change_point_axes
 
 _METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 """Units of length that a TRC may use, in metres."""
@@ -42,7 +42,7 @@ def write_trc(path: Path | str, paths: PointPaths) -> None:
         path: The file.
         paths: The paths to write.
     """
-    points = turned_points(OPENSIM_FROM_WORLD, paths.points)
+    points = change_point_axes(OPENSIM_FROM_WORLD, paths.points)
     frames, count = points.shape[:2]
     values = (f"{paths.rate:.6f}", f"{paths.rate:.6f}", frames, count, "m", f"{paths.rate:.6f}", 1, frames)
     lines = [
