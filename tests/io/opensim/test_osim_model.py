@@ -26,7 +26,7 @@ def axis(name, coordinate, direction, function):
 
 
 def spatial(*functions):
-    """Write six axes from (coordinate, direction, function) of each."""
+    """Return six axes, each from coordinate, direction and function."""
     names = [f"{kind}{i}" for kind in ("rotation", "translation") for i in (1, 2, 3)]
     return "<SpatialTransform>" + "".join(map(axis, names, *zip(*functions, strict=True))) + "</SpatialTransform>"
 

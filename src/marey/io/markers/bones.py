@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from marey.arrays import Floats, Integers
+from marey.arrays import Floats, Integers, freeze_fields
 from marey.errors import FileProblem
 from marey.io.npz import read_arrays, write_arrays
 from marey.io.units import MM_PER_M
@@ -28,6 +28,10 @@ class BoneFile:
     """`left` or `right`, if the file states it and the names of the segments do not."""
     reference_frames: Integers | None = None
     """(K,) frames of the reference postures, in which the bones were known; None if the file does not state them."""
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, "time")
+        freeze_fields(self, "reference_frames", dtype=np.int64)
 
 
 def write_bones(path: Path | str, bones: BoneFile) -> None:
