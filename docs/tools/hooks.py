@@ -32,8 +32,7 @@ _FORMULA = re.compile(r'<(span|div) class="arithmatex">(.*?)</\1>', re.DOTALL)
 
 def on_config(config: Any) -> Any:
     """Add the pages that are not listed by hand: of the benchmarks behind docs/accuracy.md, and of the notebooks."""
-    folders = (DOCS / "accuracy", DOCS / "development")
-    measured = [path.relative_to(DOCS).as_posix() for folder in folders for path in sorted(folder.rglob("*.md"))]
+    measured = [path.relative_to(DOCS).as_posix() for path in sorted((DOCS / "accuracy").rglob("*.md"))]
     shown = [_notebook_page(path) for path in notebooks()]
     for entry in config["nav"]:
         if "Accuracy" in entry and measured:
@@ -228,7 +227,7 @@ def examples() -> str:
         title, _, text = (ast.get_docstring(ast.parse(source)) or path.stem).partition("\n")
         code = re.sub(r'^("""|\'\'\').*?\1\n+', "", source, count=1, flags=re.DOTALL)
         name = f"`examples/{path.name}`"
-        parts.append(f"### {title.rstrip('.')}\n\n{name}\n\n{text.strip()}\n\n```python\n{code.rstrip()}\n```")
+        parts.append(f"### {title.rstrip('.')}\n\n{name}\n\n{text.strip(chr(10))}\n\n```python\n{code.rstrip()}\n```")
     return "\n\n".join(parts)
 
 

@@ -51,7 +51,7 @@ def test_every_page_is_in_the_navigation():
     listed = set(re.findall(r"([\w/-]+\.md)$", (ROOT / "mkdocs.yml").read_text(encoding="utf-8"), re.MULTILINE))
     there = {page.relative_to(DOCS).as_posix() for page in DOCS.rglob("*.md")}
     # Those that belong to the page on accuracy are added when the site is built.
-    assert listed == {page for page in there if not page.startswith(("accuracy/", "development/"))}
+    assert listed == {page for page in there if not page.startswith("accuracy/")}
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
@@ -84,3 +84,10 @@ def test_pages_never_install_the_name_from_an_index():
         for line in text_of(page).splitlines():
             if re.search(r"pip install[^`]*[\s\"']marey\b", line):
                 assert "Never" in line, f"{page.name}: {line}"
+
+
+def test_pages_named_in_the_code_exist():
+    named = set()
+    for path in [*(ROOT / "src").rglob("*.py"), *(ROOT / "bodies").rglob("*.py")]:
+        named |= set(re.findall(r"docs/[\w/.-]+\.(?:md|bib|png|jpg)", path.read_text(encoding="utf-8")))
+    assert {name for name in named if not (ROOT / name).exists()} == set()

@@ -1,1 +1,1 @@
-"""The person as a function of parameters."""
+"""Parametric model of the human body."""

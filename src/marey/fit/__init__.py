@@ -1,1 +1,1 @@
-"""Parameters from observations: one least squares for all of them."""
+"""Estimation of pose and shape parameters from all observations by least squares."""

@@ -64,10 +64,10 @@ def test_inconsistent_models_are_refused():
             name="m", bodies=(root,), coordinates=(a, b),
             couplings=tuple(Coupling(dependent=x, independent=y, function=linear(1.0)) for x, y in ("ab", "ba")),
         )  # fmt: skip
-    with pytest.raises(MareyError, match="'arm', which does not stand before"):
+    with pytest.raises(MareyError, match="'arm', which is not listed before"):
         JointedBody(name="m", bodies=(ModelBody(name="hand", parent="arm", joint="j"),), coordinates=())
     marker = ModelMarker(label="m", body="head", place=np.zeros(3))
-    with pytest.raises(MareyError, match="no body of the model"):
+    with pytest.raises(MareyError, match="not a body of the model"):
         JointedBody(name="m", bodies=(root,), coordinates=(), markers=(marker,))
     with pytest.raises(MareyError, match="Two coordinates"):
         JointedBody(name="m", bodies=(root,), coordinates=(a, a))

@@ -77,5 +77,5 @@ def test_what_holds_no_answer_or_is_no_motion_is_refused(tmp_path):
     with pytest.raises(FileProblem, match="is no motion that is read here"):
         read_recording(tmp_path / "a.xlsx")
     write_table(tmp_path / "back.mot", Table(name="a", columns=("a",), time=[0.1, 0.0], values=[[1.0], [2.0]]))
-    with pytest.raises(FileProblem, match="do not rise"):
+    with pytest.raises(FileProblem, match="are not increasing"):
         read_recording(tmp_path / "back.mot")

@@ -21,9 +21,9 @@ class PiecewisePolynomial:
     def __post_init__(self) -> None:
         freeze_fields(self, "starts", "coefficients")
         if self.coefficients.ndim != 2 or self.starts.shape != self.coefficients.shape[:1] or not len(self.starts):
-            raise MareyError(f"{len(self.starts)} pieces do not fit to coefficients of {self.coefficients.shape}.")
+            raise MareyError(f"{len(self.starts)} pieces do not match coefficients of shape {self.coefficients.shape}.")
         if not (np.isfinite(self.starts).all() and np.isfinite(self.coefficients).all()):
-            raise MareyError("A function has numbers that are not finite.")
+            raise MareyError("The coefficients of a function must be finite.")
 
     def at(self, x: Floats | float) -> tuple[Floats, Floats]:
         """Return value and slope at x (...)."""
@@ -77,7 +77,7 @@ def polynomial(highest_first: Floats) -> PiecewisePolynomial:
     """
     coefficients = np.atleast_1d(np.asarray(highest_first, float))[::-1]
     if not len(coefficients):
-        raise MareyError("A polynomial needs a coefficient.")
+        raise MareyError("A polynomial needs at least one coefficient.")
     return PiecewisePolynomial(starts=np.zeros(1), coefficients=coefficients[None])
 
 
@@ -137,7 +137,7 @@ def simm_spline(x: Floats, y: Floats) -> PiecewisePolynomial:
     )
     end_slope = slope[-1] + width[-1] * (second[-2] + 2 * second[-1]) / 6
     outer = np.array([[y[0], inner[0, 1], 0, 0], [y[-1], end_slope, 0, 0]])
-    # The line before the first point counts from that point, too: its start is the number just below it.
+    # The line before the first point has that point as its origin: its start is the number just below it.
     return PiecewisePolynomial(
         starts=np.concatenate([[np.nextafter(x[0], -np.inf)], x]),
         coefficients=np.concatenate([outer[:1], inner, outer[1:]]),
@@ -155,6 +155,6 @@ def _points(x: Floats, y: Floats) -> tuple[Floats, Floats]:
     x, y = np.asarray(x, float).ravel(), np.asarray(y, float).ravel()
     if len(x) != len(y) or len(x) < 2 or not (np.diff(x) > 0).all():
         raise MareyError(
-            f"A function through points needs two or more with x ascending; it has {len(x)} x and {len(y)} y."
+            f"An interpolating function needs at least two points with ascending x; it has {len(x)} x and {len(y)} y."
         )
     return x, y

@@ -59,7 +59,7 @@ class JointTwist:
     def __post_init__(self) -> None:
         freeze_fields(self, "axis")
         if self.axis.shape != (3,) or not abs(np.linalg.norm(self.axis) - 1) < 1e-9:
-            raise MareyError(f"The axis {self.axis} is no unit vector.")
+            raise MareyError(f"The axis {self.axis} is not a unit vector.")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -146,14 +146,14 @@ class JointedBody:
         _all_different(tuple(c.dependent for c in self.couplings), "coupled coordinates")
         for k, body in enumerate(self.bodies):
             if body.parent is not None and body.parent not in names[:k]:
-                raise MareyError(f"The body {body.name!r} hangs on {body.parent!r}, which does not stand before it.")
+                raise MareyError(f"The parent of {body.name!r} is {body.parent!r}, which is not listed before it.")
         used = [m.coordinate for body in self.bodies for m in body.motions if m.coordinate is not None]
         used += [name for c in self.couplings for name in (c.dependent, c.independent)]
         for name in used:
             self.coordinate(name)
         for marker in self.markers:
             if marker.body is not None and marker.body not in names:
-                raise MareyError(f"The marker {marker.label!r} sits on {marker.body!r}, which is no body of the model.")
+                raise MareyError(f"The marker {marker.label!r} is on {marker.body!r}, not a body of the model.")
         self._follow_order()
 
     @property
@@ -190,7 +190,7 @@ class JointedBody:
             MareyError: There is no such coordinate.
         """
         if name not in self.coordinate_names:
-            raise MareyError(f"There is no coordinate {name!r}. There are: {', '.join(self.coordinate_names)}.")
+            raise MareyError(f"There is no coordinate {name!r}. The model has {', '.join(self.coordinate_names)}.")
         return self.coordinate_names.index(name)
 
     def coupled(self, values: Floats) -> Floats:
@@ -211,7 +211,7 @@ class JointedBody:
         while waiting:
             ready = [name for name in waiting if source.get(name) not in waiting]
             if not ready:
-                raise MareyError(f"The coordinates {', '.join(waiting)} follow each other in a circle.")
+                raise MareyError(f"The coordinates {', '.join(waiting)} depend on each other in a circle.")
             order += [self.coordinate(name) for name in ready]
             waiting = [name for name in waiting if name not in ready]
         return order

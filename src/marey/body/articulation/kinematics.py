@@ -61,7 +61,7 @@ def turned(rotation, turn):
     for a in range(3):
         for b in range(3):
             product[a, b] = first[a, 0] * rotation[0, b] + first[a, 1] * rotation[1, b] + first[a, 2] * rotation[2, b]
-    # One step towards the nearest rotation, R (3 - R'R) / 2, takes out what rounding added.
+    # One step towards the nearest rotation, R (3 - R'R) / 2, removes the rounding errors.
     nearest = np.empty((3, 3))
     for a in range(3):
         for b in range(3):

@@ -35,7 +35,7 @@ class Preset:
 
 PRESETS: dict[str, Preset] = {
     "full": Preset(),
-    # The paper's: 6 + back 1 + 7 an arm.
+    # The paper's 6 + 1 + 2 * 7 degrees of freedom: root, back, and arms.
     "upper": Preset(
         coordinates=("lumbar_flexion", *(name for side in _BOTH for name in _of(side, _ARM))),
         without_outline=tuple(name for side in _BOTH for name in _of(side, _LEG_SEGMENTS)),

@@ -143,7 +143,7 @@ class Skeleton:
             SettingProblem: There is no segment of this name.
         """
         if name not in self.segment_names:
-            raise SettingProblem(f"There is no segment '{name}'; the skeleton has {', '.join(self.segment_names)}.")
+            raise SettingProblem(f"There is no segment '{name}'. The skeleton has {', '.join(self.segment_names)}.")
         return self.segment_names.index(name)
 
     def above(self) -> Floats:
@@ -185,7 +185,7 @@ def _degrees(
 
 
 # Axes of the rest posture: X to the left, Y backward, Z up; the right side is the mirror image.
-# Mean, spread and limits in degrees. Spreads: what people do in sport and daily life, wide on purpose.
+# Means, standard deviations and limits are in degrees.
 _TRUNK = {
     "abdomen": ("lumbar", (12, 8, 8), (45, 25, 25)),
     "thorax": ("thoracic", (12, 8, 12), (35, 25, 40)),
@@ -247,7 +247,7 @@ def _both_sides(left: list[tuple[Any, ...]]) -> list[Coordinate]:
     coordinates = []
     for side in ("left", "right"):
         for name, segment, axis, *numbers in left:
-            # Mirroring turns a rotation about (x, y, z) into one about (x, -y, -z).
+            # The mirror image of a rotation about (x, y, z) is one about (x, -y, -z).
             mirror = np.array([1, 1, 1] if side == "left" else [1, -1, -1])
             coordinates.append(_degrees(f"{side}_{name}", f"{side}_{segment}", np.array(axis) * mirror, *numbers))
     return coordinates

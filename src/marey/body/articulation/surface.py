@@ -12,9 +12,9 @@ from marey.body.articulation.skeleton import JOINT_OF_SEGMENT, PackedSkeleton, S
 
 
 class SkinModel(Protocol):
-    """What determines a body's skin when the skin is not a mesh of its own.
+    """Interface of a model whose surface is a body's skin.
 
-    `marey.body.metaballs` provides the one model that exists. Use `metaballs_of` there to reach it.
+    `marey.body.metaballs` provides the only implementation. Use `metaballs_of` there to reach it.
     """
 
     @property
@@ -231,7 +231,7 @@ class Body:
     def with_numbers(self, numbers: Floats) -> "Body":
         """Return the body with other shape numbers."""
         other = replace(self, numbers=numbers)
-        # What depends on the skin's topology alone goes along.
+        # Properties of the skin's topology alone stay valid.
         for name in ("face_segment", "outline_counts", "face_shares"):
             if name in self.__dict__:
                 other.__dict__[name] = self.__dict__[name]

@@ -142,7 +142,7 @@ def sample_arm(sections: TrunkSections, name: str) -> Floats:
     line = np.stack([start, elbow, wrist, wrist + 0.4 * size * forward])
     length = np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))
     rim = sections.rims[name]
-    # The first section across the arm lies beyond the armpit, where the trunk is out of its way.
+    # The first section across the arm is beyond the armpit, where it does not intersect the trunk.
     beyond = (rim[3 * s] - start) @ unit(elbow - start) + 0.06 * size
     first = min(max(0.45 * length[0], beyond), 0.9 * length[0])
     rows = limb.along(line, np.linspace(first, length[1] - 0.01 * size, 10 * s))
@@ -161,7 +161,7 @@ def _hand(limb: LimbSections, wrist: Floats, forward: Floats) -> Floats:
     middles, spreads, areas = _smoothed(
         *zip(*(limb.within(wrist + step * forward, forward) for step in steps), strict=True)
     )
-    # Fingers thinner than this are no section any more, but the rounded end.
+    # Thinner sections of the fingers are replaced by the rounded end.
     there = np.flatnonzero(areas > _LEAST_SECTION * caster.size**2)
     if not len(there) or steps[there[-1]] < 0.07 * caster.size:
         raise MareyError(f"The metaballs have no hand at the {limb.name.replace('_', ' ')}.")
@@ -239,7 +239,7 @@ def _foot(limb: LimbSections, above: Floats, down: Floats, ankle: Floats, toes: 
     caster, s = limb.caster, limb.caster.samples
     forward = unit((toes - ankle) * [1, 1, 0])
     start, instep = above.mean(0), 0.5 * (ankle + toes)
-    # The sections turn about the line in which the first and the last one meet, before and above the instep.
+    # The sections rotate about the intersection of the first and the last one, in front of and above the instep.
     hinge = unit(np.cross(down, forward))
     pivot = np.linalg.solve(np.stack([down, forward, hinge]), [down @ start, forward @ instep, hinge @ start])
     arms = [centre - pivot - hinge * (hinge @ (centre - pivot)) for centre in (start, instep)]

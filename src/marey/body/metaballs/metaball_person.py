@@ -158,7 +158,7 @@ def generic_metaballs(detail: Detail = "full") -> Metaballs:
         SettingProblem: There is no such detail.
     """
     if detail not in DETAILS:
-        raise SettingProblem(f"metaballs come {' or '.join(DETAILS)}, not '{detail}'")
+        raise SettingProblem(f"There is no detail '{detail}' of metaballs. It should be {' or '.join(DETAILS)}.")
     body, stored = family_body("coarse"), _stored()
     segment = np.array([body.skeleton.segment(str(name)) for name in stored["segment_names"]])
     return Metaballs(
@@ -386,7 +386,7 @@ def _skin_modes(space: MetaballSpace, posed: PosedMetaballs, vertices: Floats, l
     modes = np.empty((len(space), len(vertices), 3))
     growth = space.growth(balls)
     for i in range(len(space)):
-        # Each ball carries what lies in it as it moves and grows.
+        # Points in a ball move with it as it moves and grows.
         carried = space.joint_modes[i][balls.segment] + space.centre_modes[i]
         grown = posed.axes * growth[i][:, :, None]
         own = np.flatnonzero(np.any(grown, (1, 2)))

@@ -36,8 +36,8 @@ def exits(posed: PosedMetaballs, origins: Floats, directions: Floats, limb: int 
     along = np.ascontiguousarray(along / np.linalg.norm(along, axis=1, keepdims=True))
     balls = posed.balls
     active = np.isin(balls.limb, (0, limb)) if limb > 0 else np.ones(len(balls), bool)
-    # Points in units of the radii along each ball's axes: a sum of its own, for a ray asks for the level alone, and
-    # `metaball_field.log_field` takes a sixth longer.
+    # Points in units of the radii along each ball's axes. A separate sum, because rays need the level only, for which
+    # `metaball_field.log_field` takes 1/6 longer.
     inward = np.ascontiguousarray((posed.axes / balls.radii[:, :, None])[active])
     place, weight = np.ascontiguousarray(posed.place[active]), np.ascontiguousarray(balls.weight[active])
     found = first_exits(start, along, float(reach), np.ascontiguousarray(balls.limb[active]), place, inward, weight)

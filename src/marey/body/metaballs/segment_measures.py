@@ -154,7 +154,7 @@ def _measured(balls: Metaballs, wanted: Integers, density: Floats, grid: Floats)
     second = np.empty((len(wanted), 3, 3))
     for i, (a, b) in enumerate(((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))):
         second[:, a, b] = second[:, b, a] = of[:, 4 + i] - volume * middle[:, a] * middle[:, b]
-    # A cell of the grid is no point: it has its own extent.
+    # The extent of the grid's cells adds to the second moments.
     second += (volume * GRID_STEP**2 / 12.0)[:, None, None] * np.eye(3)
     inertia = np.trace(second, axis1=1, axis2=2)[:, None, None] * np.eye(3) - second
     inertia *= density[:, None, None]

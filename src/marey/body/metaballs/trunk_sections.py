@@ -38,7 +38,7 @@ class TrunkSections:
         self.hips = float(np.mean([joints[f"{side}_thigh"][2] for side in SIDES]))
         centre = self.centre(np.array([self.hips]))[0]
         below = caster.cast("pelvis", centre, DOWN, reach=0.5)[2]
-        # Thighs that touch are not sewn together all the way down.
+        # Thighs that touch are joined down to this height only.
         self.crotch = max(float(below), self.hips - 0.13 * caster.size)
         self.bottom = self.hips - 0.3 * (self.hips - self.crotch)
         self.rims = {arm: self._rim(arm) for arm in OPENINGS}
@@ -50,7 +50,7 @@ class TrunkSections:
         tried = y[:, None] + np.linspace(-_DEEP, _DEEP, 33) * self.caster.size
         lines = np.stack(np.broadcast_arrays(x[:, None], tried, np.asarray(height)[:, None]), -1)
         field = self.caster.posed.field(lines.reshape(-1, 3)).reshape(tried.shape)
-        # The bones of the back may lie beside the balls of a slender person.
+        # The spine may be outside the balls of a slender person.
         inside = lines[np.arange(len(lines)), np.argmax(field, axis=1)]
         faces = [self.caster.cast("trunk", inside, way * BACK, reach=0.45) for way in (-1, 1)]
         return np.stack([x, 0.5 * (faces[0][:, 1] + faces[1][:, 1]), height], -1)
@@ -86,7 +86,7 @@ class TrunkSections:
         angle = np.linspace(-0.5, lowest, 61)
         ways = np.cos(angle)[:, None] * DOWN + np.sin(angle)[:, None] * outward
         out = exits(self.caster.posed, centre, ways, LIMBS.index(arm), reach=0.45 * self.caster.size)
-        # Ways down the trunk end nowhere near.
+        # Rays down the trunk have no exit nearby.
         length = np.nan_to_num(np.linalg.norm(out - centre, axis=1), nan=np.inf)
         armpit = ways[np.argmin(length)]
         return centre, unit(np.cross(armpit, BACK) * SIDES[side]), armpit

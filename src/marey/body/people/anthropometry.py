@@ -216,9 +216,11 @@ def condition(space: ShapeSpace, known: Mapping[str, Measure], given: Mapping[st
     """
     for name, (value, sd) in given.items():
         if name not in known:
-            raise SettingProblem(f"no size is called '{name}'; there are {', '.join(known)}")
+            raise SettingProblem(f"There is no size '{name}'. Known sizes are {', '.join(known)}.")
         if not (np.isfinite(value) and value > 0 and sd > 0):
-            raise SettingProblem(f"the size '{name}' is {value} m with a deviation of {sd} m; both must be positive")
+            raise SettingProblem(
+                f"The size '{name}' is {value} m with a standard deviation of {sd} m. Both must be positive."
+            )
     if not given:
         return space
     modes = np.concatenate([space.vertex_modes, space.joint_modes], axis=1)

@@ -70,7 +70,7 @@ class BodyFamily:
             SettingProblem: No segment has the name.
         """
         if name not in self.segment_names:
-            raise SettingProblem(f"no segment is called '{name}'; there are {', '.join(self.segment_names)}")
+            raise SettingProblem(f"There is no segment '{name}'. The body has {', '.join(self.segment_names)}.")
         return self.segment_names.index(name)
 
     def vertices(self, coefficients: Floats) -> Floats:
@@ -125,12 +125,12 @@ def load_family(level: DetailLevel = "fine", numbers: int | None = None) -> Body
         SettingProblem: The level does not exist, or there are fewer numbers.
     """
     if level not in LEVELS:
-        raise SettingProblem(f"the body has no level '{level}'; there are {' and '.join(LEVELS)}")
+        raise SettingProblem(f"There is no level '{level}' of the body. It should be {' or '.join(LEVELS)}.")
     stored = _stored()
     most = len(stored["joints_modes"])
     keep = most if numbers is None else numbers
     if not 0 <= keep <= most:
-        raise SettingProblem(f"the family has 0 to {most} numbers, not {keep}")
+        raise SettingProblem(f"The family has {most} numbers, so that {keep} cannot be kept.")
     mean_step, mode_step = stored["steps"]
     mean = frozen(stored[f"vertices_mean_{level}"] * mean_step)
     count = len(mean)

@@ -140,7 +140,7 @@ def preset_named(name: str) -> Preset:
         SettingProblem: There is no preset of this name.
     """
     if name not in PRESETS:
-        raise SettingProblem(f"preset is '{name}'; it should be one of {', '.join(PRESETS)}.")
+        raise SettingProblem(f"There is no preset '{name}'. It should be one of {', '.join(PRESETS)}.")
     return PRESETS[name]
 
 

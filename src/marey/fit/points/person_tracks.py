@@ -109,7 +109,7 @@ def _carriers(posed: Sequence[PosedBody], position: Floats, near: Integers, scal
     nearest = place.copy()
     for k, parent in enumerate(parents):
         for there, other in ((k, parent), (parent, k)):
-            # The joint between the two lies at the child's origin.
+            # The joint between the two is the child's origin.
             joint = (
                 np.zeros(3) if there == k else _local_positions(posed, _origins(posed, k)[:, None], there).mean((0, 1))
             )

@@ -11,7 +11,7 @@ from marey.io.mr.gadolinium import read_markers
 from marey.knee.markers.anatomical_frames import Landmarks
 from marey.knee.markers.marker_naming import ScannerMarkers
 
-_LANDMARKS_RIGHT = 'It holds {"landmarks_lps_mm": {"LE": [x, y, z], ...}}; docs/knee-markers.md names them.'
+_LANDMARKS_RIGHT = 'It holds {"landmarks_lps_mm": {"LE": [x, y, z], ...}}; docs/how-to/knee-markers.md names them.'
 
 
 def read_scanner_markers(path: Path | str) -> ScannerMarkers:
@@ -31,7 +31,8 @@ def read_scanner_markers(path: Path | str) -> ScannerMarkers:
     try:
         return ScannerMarkers(centres_mm=read.centres_mm, sd_mm=read.sd_mm, names=names, bones=bones)
     except MareyError as problem:
-        raise FileProblem(path, f"cannot be used: {problem}".rstrip("."), "docs/knee-markers.md says how.") from None
+        wrong = f"cannot be used: {problem}".rstrip(".")
+        raise FileProblem(path, wrong, "docs/how-to/knee-markers.md describes the file.") from None
 
 
 def read_landmarks(path: Path | str) -> Landmarks:

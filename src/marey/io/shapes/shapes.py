@@ -77,7 +77,7 @@ def write_shapes(
     camera_points: Integers | None = None,
     probability: Floats | None = None,
 ) -> None:
-    """Write `shapes.npz`; docs/nonrigid.md lists its keys.
+    """Write `shapes.npz`; docs/reference/files.md lists its keys.
 
     Args:
         path: The file.

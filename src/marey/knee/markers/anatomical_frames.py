@@ -233,6 +233,7 @@ def _tibia(surface: Surface, *, settings: BoneFrameSettings) -> tuple[RigidTrans
 
 
 _SHAPES = {"femur": _femur, "tibia": _tibia}
+"""Bone to the function that constructs a frame from its shape."""
 
 
 def _shaft_axis(

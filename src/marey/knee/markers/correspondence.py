@@ -28,7 +28,7 @@ from marey.markers.kinematics.transform_chain import (
 )
 
 _MM = 1e3
-"""Millimetres per metre."""
+"""Millimetres per metre, the factor of unit conversion."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

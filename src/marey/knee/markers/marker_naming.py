@@ -213,12 +213,12 @@ def _matched(
             f"that the scanner's markers are in it. {_REMEDY}"
         )
     if matching.rivals:
-        doubt = "; ".join(
+        ambiguous = "; ".join(
             f"{_numbers([_group(bone_of_ball, bone)[k] for k in balls])} of the {bone}"
             for bone, balls in matching.rivals
         )
         raise MareyError(
-            f"The markers' distances fit the reference in more than one way ({doubt}): their arrangement is too "
+            f"The markers' distances fit the reference in more than one way ({ambiguous}): their arrangement is too "
             f"regular. {_REMEDY}"
         )
     if matching.by_chance > _MOST_BY_CHANCE:

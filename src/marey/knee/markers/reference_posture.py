@@ -19,7 +19,7 @@ from marey.markers.data.trajectories import MarkerTrajectories
 NOISE_MM = 0.5
 """Default standard deviation [mm] of a marker's coordinate; chosen by hand."""
 _MM = 1e3
-"""Millimetres per metre."""
+"""Millimetres per metre, the factor of unit conversion."""
 _NO_CHANCE = 0.05
 """Probability of a cluster's residuals below which its standard deviation is raised; chosen by hand."""
 

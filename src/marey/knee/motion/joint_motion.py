@@ -27,7 +27,7 @@ BASE = "tibia"
 JOINTS = (("tibiofemoral", "tibia", "femur"), ("patellofemoral", "patella", "femur"))
 """Name, the bone on whose cartilage the compartments are, and the bone that moves over it."""
 _MM = 1e3
-"""Millimetres per metre."""
+"""Millimetres per metre, the factor of unit conversion."""
 _SEGMENT = {"femur": "thigh", "tibia": "shank"}
 """Bone to the name of its segment, without side."""
 

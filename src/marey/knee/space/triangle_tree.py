@@ -122,6 +122,7 @@ class TriangleTree:
 
 
 _SORTED: WeakKeyDictionary[Surface, TriangleTree] = WeakKeyDictionary()
+"""The tree of each surface for which it was built."""
 
 
 def _readable(points: Floats) -> Floats:

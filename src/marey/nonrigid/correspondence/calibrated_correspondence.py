@@ -13,7 +13,7 @@ from marey.cameras.triangulate import triangulate
 from marey.errors import MareyError, SettingProblem
 from marey.nonrigid.core.alignment import mean_shape
 from marey.nonrigid.correspondence.partial_assignment import best_pairs, pair_probabilities
-from marey.nonrigid.correspondence.view_correspondence import AMBIGUOUS, SHARED, TOO_FEW, Correspondence
+from marey.nonrigid.correspondence.view_correspondence import AMBIGUOUS, SHARED, TOO_FEW, Correspondence, check_views
 from marey.nonrigid.correspondence.view_joining import JoinedViews, join_pairs
 
 _AT_ONCE = 32
@@ -115,7 +115,7 @@ def match_calibrated(
         MareyError: The cameras are in one place.
     """
     first, second = np.asarray(first, float), np.asarray(second, float)
-    shape = _checked(first, second, appearance)
+    shape = check_views(first, second, appearance)
     looks = np.zeros(shape) if appearance is None else np.maximum(np.asarray(appearance, float), -1e3)
     looks = looks + np.log(settings.shared / ((1 - settings.shared) ** 2 * max(*shape, 1)))
     normals, directions, sd = _planes(first, second, cameras)
@@ -130,18 +130,6 @@ def match_calibrated(
         off = np.einsum("fni,fni->fn", normals[:, rows], directions[:, columns]) / sd
         sigma = max(settings.least_sd_px, 1.4826 * float(np.nanmedian(np.abs(off))))
     return _correspondence(_with_low_rank(first, second, cameras, score, sigma, settings), settings)
-
-
-def _checked(first: Floats, second: Floats, appearance: Floats | None) -> tuple[int, int]:
-    for tracks in (first, second):
-        if tracks.ndim != 3 or tracks.shape[1] != 2:
-            raise SettingProblem(f"Tracks have shape {tracks.shape}; expected those of one view (frames, 2, points).")
-    if len(first) != len(second):
-        raise SettingProblem(f"The cameras have {len(first)} and {len(second)} frames; they must be the same instants.")
-    shape = first.shape[2], second.shape[2]
-    if appearance is not None and np.shape(appearance) != shape:
-        raise SettingProblem(f"The appearance has shape {np.shape(appearance)}; expected {shape}.")
-    return shape
 
 
 def _planes(first: Floats, second: Floats, cameras: tuple[Camera, Camera]) -> tuple[Floats, Floats, float]:

@@ -185,16 +185,31 @@ def _windows(frames: int, shortest: int) -> list[slice]:
     return [slice(a, a + n) for n in lengths for a in (*range(0, frames - n, max(1, n // 2)), frames - n)]
 
 
-def _checked(first: Floats, second: Floats, appearance: Floats | None) -> Floats:
+def check_views(first: Floats, second: Floats, appearance: Floats | None) -> tuple[int, int]:
+    """Check the shapes of the tracks of two cameras and of their appearance.
+
+    Returns:
+        Numbers of points of the two cameras, P and Q.
+
+    Raises:
+        SettingProblem: A shape is wrong, or the numbers of frames differ.
+    """
     for tracks in (first, second):
         if tracks.ndim != 3 or tracks.shape[1] != 2:
             raise SettingProblem(f"Tracks have shape {tracks.shape}; expected those of one view (frames, 2, points).")
     if len(first) != len(second):
         raise SettingProblem(f"The cameras have {len(first)} and {len(second)} frames; they must be the same instants.")
     shape = first.shape[2], second.shape[2]
+    if appearance is not None and np.shape(appearance) != shape:
+        raise SettingProblem(f"The appearance has shape {np.shape(appearance)}; expected {shape}.")
+    return shape
+
+
+def _checked(first: Floats, second: Floats, appearance: Floats | None) -> Floats:
+    shape = check_views(first, second, appearance)
     looks = np.zeros(shape) if appearance is None else np.asarray(appearance, float)
-    if looks.shape != shape or not np.all(np.isfinite(looks)):
-        raise SettingProblem(f"The appearance has shape {looks.shape}; expected finite values of shape {shape}.")
+    if not np.all(np.isfinite(looks)):
+        raise SettingProblem("The appearance contains values that are not finite; expected log-likelihood ratios.")
     return looks
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from marey.arrays import Floats, Integers
+from marey.arrays import Floats, Integers, freeze_fields
 from marey.nonrigid.correspondence.affine_epipolar import fitted_equation
 
 FEWEST_PAIRS = 6
@@ -45,6 +45,10 @@ class PairTracks:
     """(n,) points of the first camera."""
     columns: Integers
     """(n,) their partners in the second camera."""
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, "first", "second")
+        freeze_fields(self, "rows", "columns", dtype=np.int64)
 
 
 def pair_evidence(pairs: PairTracks, *, leniency: float = 1.0) -> Floats:

@@ -6,7 +6,7 @@ from itertools import combinations
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from marey.arrays import Floats, Integers, Mask
+from marey.arrays import Floats, Integers, Mask, freeze_fields
 from marey.errors import MareyError
 from marey.nonrigid.core.alignment import mean_shape
 from marey.nonrigid.core.completion import COMPLETION_RANK, complete_tracks
@@ -104,6 +104,11 @@ class NormalisedViews:
     """Indices of the two cameras with the largest parallax."""
     pair: ViewPair
     """Relative geometry of these two cameras."""
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, "tracks", "size", "middle", "complete")
+        freeze_fields(self, "seen", dtype=bool)
+        freeze_fields(self, "common", dtype=np.int64)
 
     @property
     def count(self) -> int:

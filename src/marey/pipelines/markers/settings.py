@@ -74,7 +74,7 @@ class MarkerSettings:
                 wrong = "is a folder" if path.is_dir() else "does not exist"
                 raise FileProblem(path, wrong, f"Correct --{option}.")
             if option in ("reference", "exercise-reference") and path.suffix.lower() != ".npz":
-                remedy = f"Correct --{option}; docs/markers.md describes the NPZ."
+                remedy = f"Correct --{option}; docs/reference/marker-input.md describes the NPZ."
                 raise FileProblem(path, "is not an NPZ", remedy)
 
     def _files(self) -> list[tuple[str, Path]]:
