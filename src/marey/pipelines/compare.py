@@ -11,7 +11,7 @@ import numpy as np
 from marey.arrays import Floats
 from marey.errors import FileProblem, MareyError
 from marey.extras import import_optional
-from marey.io.markers.recordings import motion_in, read_recording, recording_of
+from marey.io.markers.recordings import find_motion_file, read_recording, recording_of
 from marey.io.results.comparison import SIGNED_KINDS, UNITS, write_comparison
 from marey.motion.comparison import Agreement, MotionComparison
 from marey.motion.comparison import compare as compare_motions
@@ -225,7 +225,7 @@ def compare_files(first: Path, second: Path, options: CompareOptions, progress: 
     Raises:
         FileProblem: A file cannot be read, or the two have nothing in common.
     """
-    motion_in(first), motion_in(second)
+    find_motion_file(first), find_motion_file(second)
     chosen = {} if options.named is None else read_name_map(options.named)
     with progress.stage("Reading"):
         motions = _opened(first), _opened(second)
@@ -240,7 +240,7 @@ def _opened(motion: Motion | Path | str) -> ComparedMotion:
         return ComparedMotion(
             given=label if file is None else str(file), file=file, label=label, recording=recording_of(motion.data)
         )
-    file = motion_in(Path(motion))
+    file = find_motion_file(Path(motion))
     return ComparedMotion(given=str(motion), file=file, label=_label(Path(motion)), recording=read_recording(file))
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from marey.arrays import Floats
 from marey.errors import FileProblem, MareyError, SettingProblem
 from marey.extras import import_optional
-from marey.io.markers.activity import first_method, read_activity, room_is_y_up
+from marey.io.markers.activity import first_method, laboratory_is_y_up, read_activity
 from marey.io.markers.readers import read_markers
 from marey.io.mr.meshes import read_mesh
 from marey.io.mr.scanner_markers import read_landmarks, read_scanner_markers
@@ -349,7 +349,7 @@ def _animated(
         moving = AnimatedKnee(
             title=f"{knee_folder.resolve().name} by {motion_folder.resolve().name}", parts=knee.parts, found=found,
             compared=compared, joined=joined, in_room=settings.frame == "room" or BASE not in found.motion.poses,
-            y_up=room_is_y_up(motion_folder), views=settings.views, limit_mm=settings.limit_mm,
+            y_up=laboratory_is_y_up(motion_folder), views=settings.views, limit_mm=settings.limit_mm,
             details=RunDetails.of(COMMAND, _about(settings, found, knee), files, knee_folder.parent, progress),
         )  # fmt: skip
         if out is not None:
