@@ -6,7 +6,7 @@ import numpy as np
 
 from marey.arrays import Floats
 from marey.errors import MareyError
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 from marey.knee.space.triangle_tree import TriangleTree
 
 REACH_MM = 10.0
@@ -16,7 +16,7 @@ NEAR_MM = 2.5
 by hand."""
 
 
-def cartilage_thickness(bone: Surface, cartilages: Sequence[Surface]) -> Floats:
+def cartilage_thickness(bone: TriangleSurface, cartilages: Sequence[TriangleSurface]) -> Floats:
     """Measure the thickness of cartilage along the bone's normals.
 
     From each vertex of the bone a line follows its outward normal, from `NEAR_MM` below the bone to `REACH_MM` above.
