@@ -13,6 +13,7 @@ from marey.knee.space.sides import MIRROR, mirrored
 from marey.knee.space.surface import TriangleSurface
 
 
+@pytest.mark.slow
 def test_a_bone_of_the_other_side_is_registered(tmp_path: Path, capsys):
     bone = made_bone(shaft_mm=30.0, size=0.55, fine=3)
     motion = RigidTransform.from_vector(np.radians([10.0, -5, 20]), np.array([20.0, -10, 5]))
@@ -30,6 +31,7 @@ def test_a_bone_of_the_other_side_is_registered(tmp_path: Path, capsys):
     assert len(about["sd_mm"]) == len(about["sd_deg"]) == 3
 
 
+@pytest.mark.slow
 def test_meshes_as_people_have_them_are_told_and_mended(tmp_path: Path, capsys):
     bone = made_bone(shaft_mm=30.0, size=0.55, fine=3)
     write_mesh(tmp_path / "femur.stl", bone)
@@ -55,6 +57,7 @@ def test_metres_are_told(tmp_path: Path, capsys):
     assert "Is it in metres?" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_bones_that_do_not_fit_leave_nothing(tmp_path: Path, capsys):
     bone = made_bone(fine=3)
     write_mesh(tmp_path / "template.ply", bone)
@@ -75,6 +78,7 @@ def test_a_folder_that_cannot_be_written_is_told_before_the_work(tmp_path: Path,
     assert "cannot be created (Not a directory)" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_template_of_which_the_subject_shows_a_part_is_registered_and_that_is_said(tmp_path: Path, capsys):
     bone = made_bone(shaft_mm=30.0, size=0.55, fine=3)
     write_mesh(tmp_path / "template.ply", bone)

@@ -70,6 +70,7 @@ def predicted(bone: TriangleSurface, *, thick: float, rim: float):
     return predict_cartilage(bone, bone, np.where(height > rim, thick, 0.0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("values", [(MARROW, CARTILAGE, FLESH), (120.0, 80.0, 130.0), (120.0, 80.0, 25.0)])
 def test_cartilage_is_found_though_the_template_is_thicker_and_ends_elsewhere(rng, values):
     volume, truth = made_volume(rng, values)
@@ -91,6 +92,7 @@ def test_cartilage_is_found_though_the_template_is_thicker_and_ends_elsewhere(rn
     assert not changed[: changed.shape[0] // 2].any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("values", "off"), [((MARROW, CARTILAGE, FLESH), 0.8), ((120.0, 80.0, 130.0), -0.6)])
 def test_a_bone_that_was_found_beside_its_edge_is_put_right_where_it_is_covered(rng, values, off):
     volume, truth = made_volume(rng, values)
@@ -114,6 +116,7 @@ def test_a_bone_that_was_found_beside_its_edge_is_put_right_where_it_is_covered(
     assert (found.labels[cap & (radius < RADIUS + THICK - 1)] > 0).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("thick", [1.5, 3.8])
 def test_a_template_of_other_thickness_does_not_bias_the_result_where_the_edge_is_visible(rng, thick):
     volume, _ = made_volume(rng)
@@ -129,6 +132,7 @@ def test_a_template_of_other_thickness_does_not_bias_the_result_where_the_edge_i
     assert (np.abs(off) < 1.96 * sheet.thickness_sd_mm[inner])[sure].mean() > 0.85
 
 
+@pytest.mark.slow
 def test_where_the_image_shows_no_edge_only_the_template_determines_the_thickness(rng):
     bone = ball()
     inner = bone.vertices_mm[:, 2] / RADIUS > RIM + 0.15
@@ -141,6 +145,7 @@ def test_where_the_image_shows_no_edge_only_the_template_determines_the_thicknes
     assert "its outer edge is not visible" in _why_invisible(sheet, settings=KNEE_CARTILAGE_DEFAULTS)
 
 
+@pytest.mark.slow
 def test_the_outer_surface_is_closed_and_has_the_cartilages_volume(rng):
     volume, _ = made_volume(rng)
     bone = ball()
@@ -154,6 +159,7 @@ def test_the_outer_surface_is_closed_and_has_the_cartilages_volume(rng):
     np.testing.assert_array_equal(np.isnan(sheet.thickness_sd_mm), sheet.thickness_mm == 0)
 
 
+@pytest.mark.slow
 def test_where_two_cartilages_touch_the_space_is_shared(rng):
     # The other bone is a shell around, and all between the two is as bright as cartilage.
     volume, _ = made_volume(rng, (MARROW, CARTILAGE, CARTILAGE))

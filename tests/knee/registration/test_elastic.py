@@ -16,6 +16,7 @@ def pair():
     return template, subject, register_elastically(template, subject, QUICK)
 
 
+@pytest.mark.slow
 def test_one_made_bone_becomes_another_of_another_size_shape_and_field_of_view(pair):
     template, subject, found = pair
     before = surface_distances(template, subject, (), ()).mean()

@@ -28,6 +28,7 @@ def apart(found: RigidTransform, true: RigidTransform, bone: TriangleSurface) ->
     return float(np.degrees(np.linalg.norm(turn))), float(np.linalg.norm(found.apply(middle) - true.apply(middle)))
 
 
+@pytest.mark.slow
 def test_a_bone_comes_back_from_30_degrees_and_30_mm_with_another_mesh_and_a_shorter_shaft(rng):
     template = made_bone(shaft_mm=60.0, fine=4)
     for _ in range(2):
@@ -40,6 +41,7 @@ def test_a_bone_comes_back_from_30_degrees_and_30_mm_with_another_mesh_and_a_sho
         assert found.residual_mm < 0.1
 
 
+@pytest.mark.slow
 def test_the_stated_deviations_hold_what_noise_does(rng):
     template, whitened = made_bone(), []
     middle = template.vertices_mm.mean(0)
@@ -65,6 +67,7 @@ def test_a_mirrored_bone_is_mirrored_back():
     np.testing.assert_allclose(other.vertex_normals, bone.vertex_normals * (-1, 1, 1), atol=1e-12)
 
 
+@pytest.mark.slow
 def test_surfaces_that_have_nothing_to_do_with_each_other_are_told():
     bone = made_bone()
     with pytest.raises(MareyError, match="same bone"):

@@ -27,6 +27,7 @@ def barycentric_nearest(point: np.ndarray, corners: np.ndarray) -> float:
     return float(best)
 
 
+@pytest.mark.slow
 def test_the_nearest_point_is_that_of_all_triangles(potato: TriangleSurface, rng):
     points = rng.normal(0, 15, (40, 3))
     found = TriangleTree.of(potato).nearest(points)

@@ -28,7 +28,7 @@ NEAR, COMPANY, LIKE = 8.0, 0.6, 1.5
 """An edge is accepted if, among the expected positions within `NEAR` [px] on the same rim, the share `COMPANY` has an
 edge and their median offset differs by at most `LIKE` [px]. Chosen by hand."""
 INSIDE = 4.0
-"""Least distance of an edge from the silhouette's outline [px]; nearer, it may be the outline itself. Chosen by hand."""
+"""Least distance of an edge from the silhouette's outline, which a nearer edge may be itself [px]. Chosen by hand."""
 _ALONG = 2
 """Number of pixels along the edge, to each side, over which the image is averaged. Chosen by hand."""
 _WIDE = 2
