@@ -35,7 +35,7 @@ from marey.knee.motion.joint_surface import JointSurface
 from marey.knee.motion.proximity import LIMIT_MM
 from marey.knee.space.sides import is_left
 from marey.knee.space.structures import BONE_OF_CARTILAGE, BONES, LABELS
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 from marey.markers.data.trajectories import MarkerTrajectories
 from marey.markers.kinematics.joint_angles import JointKinematics
 from marey.pipelines.knee.animation_results import AnimationResults, write_animation
@@ -221,13 +221,13 @@ class _ScannedKnee:
     """Structures and markers of a knee in the scanner."""
 
     folder: Path
-    parts: Mapping[str, Surface]
+    parts: Mapping[str, TriangleSurface]
     markers: ScannerMarkers
     landmarks: Landmarks | None
     left: bool | None
 
     @property
-    def bones(self) -> dict[str, Surface]:
+    def bones(self) -> dict[str, TriangleSurface]:
         return {name: part for name, part in self.parts.items() if name in BONES}
 
 
