@@ -89,7 +89,7 @@ def segment(
 
     Marrow can be dark (fat suppressed) or bright; seeds are found automatically. The results, in `VOLUME_marey` or in
     DIR, are `labels.nii.gz` on the grid of the image with `labels.json`, `femur.ply`, `tibia.ply`, `patella.ply` (LPS,
-    mm), `report.html` and `run.json`; for cartilage its surfaces, `<bone>_thickness.npz`, coloured bones, flat pictures
+    mm), `report.html` and `run.json`; for cartilage its surfaces, `<bone>_thickness.npz`, coloured bones, flat images
     and `cartilage.csv`; and `markers.json` if there are gadolinium markers on the skin. The exit code is 3 if a bone,
     or a cartilage that the template has, was not found; the other results are written.
 

@@ -190,7 +190,7 @@ class Motion(Described):
 
     @property
     def report(self) -> Path | None:
-        """The page with pictures and curves, where there is one."""
+        """The page with images and curves, where there is one."""
         return None if self._files is None else self._files.path("report.html")
 
     @cached_property

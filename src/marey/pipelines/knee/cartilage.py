@@ -127,7 +127,7 @@ def cartilage_maps(
 
 
 def write_cartilage(folder: Path, cartilage: KneeCartilage, maps: CartilageMaps) -> dict[str, Image]:
-    """Write the surface, the thickness and the flat picture of each cartilage, and the table of their parts.
+    """Write the surface, the thickness and the flat image of each cartilage, and the table of their parts.
 
     Args:
         folder: The folder.
@@ -135,7 +135,7 @@ def write_cartilage(folder: Path, cartilage: KneeCartilage, maps: CartilageMaps)
         maps: Measures of its parts.
 
     Returns:
-        The flat pictures by the name of the cartilage; none if the side of the knee is not known.
+        The flat images by the name of the cartilage; none if the side of the knee is not known.
     """
     pictures: dict[str, Image] = {}
     for bone, sheet in cartilage.sheets.items():

@@ -26,7 +26,7 @@ class NonRigidSettings:
     points: tuple[Path, ...] = ()
     """NPZ files with the points to follow: one for the first video, or one per video."""
     mask: Path | None = None
-    """Picture that is white where points may be selected in the first video."""
+    """Image that is white where points may be selected in the first video."""
     matrix: str | None = None
     """Known intrinsics of a single camera: a file, or numbers."""
     scaled: bool = False

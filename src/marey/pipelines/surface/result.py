@@ -114,7 +114,7 @@ class Surface(Described):
 
     @property
     def report(self) -> Path | None:
-        """The page with pictures, where there is one."""
+        """The page with images, where there is one."""
         return None if self._files is None else self._files.path("surface.html")
 
     @cached_property
