@@ -253,7 +253,7 @@ def _compared(
         try:
             result = compare_motions(own, other, shift_s=options.shift_s, same_laboratory=options.same_laboratory)
         except MareyError as problem:
-            wrong, remedy = _nothing(own, other, str(problem)), "Name the quantities that are the same with --map."
+            wrong, remedy = _nothing(own, other, str(problem)), "Name the quantities that are the same in a TOML file: names (--map)."
             raise FileProblem(motions[1].given, wrong, remedy) from None
     for note in notes_of(result):
         progress.warn(note)
@@ -417,7 +417,7 @@ def notes_of(result: MotionComparison) -> list[str]:
     if np.isfinite(alignment.rival_s):
         notes.append(
             f"The motion repeats itself: a time shift of {alignment.rival_s:.3f} s fits nearly as well as the one of "
-            f"{alignment.shift_s:.3f} s that was estimated. If you know the shift, give it with --shift."
+            f"{alignment.shift_s:.3f} s that was estimated. If the shift is known, give it as shift (--shift)."
         )
     if alignment.shift_sd_s > _POOR_S:
         sd = f"{alignment.shift_sd_s:.2f} s"

@@ -48,7 +48,7 @@ class RetargetedCharacter(Described):
         notes = ["Joints: " + ", ".join(f"{segment} = {name}" for segment, name in self.joints.items())]
         if rig.guessed:
             listed = ", ".join(f"{segment} = {self.joints[segment]}" for segment in rig.guessed)
-            notes.append(f"Found by their places: {listed}. If this is wrong, name the joints with --map.")
+            notes.append(f"Found by their places: {listed}. If this is wrong, name the joints in a TOML file: names (--map).")
         if rig.twists:
             shared = ", ".join(f"{gltf.name(node)} {share:.2f}" for node, (_, share) in rig.twists.items())
             notes.append(f"Shares of the limbs' twist: {shared}.")

@@ -83,16 +83,16 @@ class AnimateSettings:
 
     def __post_init__(self) -> None:
         if self.side not in (None, "left", "right"):
-            raise SettingProblem(f"--side is '{self.side}'; it should be left or right.")
+            raise SettingProblem(f"side (--side) is '{self.side}'; it should be left or right.")
         if self.frame not in FRAMES:
-            raise SettingProblem(f"--frame is '{self.frame}'; it should be tibia or room.")
+            raise SettingProblem(f"frame (--frame) is '{self.frame}'; it should be tibia or room.")
         unknown = [view for view in self.views if view not in VIEWS]
         if unknown or not self.views:
-            raise SettingProblem(f"--view is '{','.join(unknown)}'; it should be some of {', '.join(VIEWS)}.")
+            raise SettingProblem(f"view (--view) is '{','.join(unknown)}'; it should be some of {', '.join(VIEWS)}.")
         if not self.limit_mm > 0:
-            raise SettingProblem(f"--limit is {self.limit_mm:g}; it should be a length above 0 mm.")
+            raise SettingProblem(f"limit (--limit) is {self.limit_mm:g}; it should be a length above 0 mm.")
         if not 0 < self.noise_mm < 100:
-            raise SettingProblem(f"--noise is {self.noise_mm:g}; it should be a length above 0 and below 100 mm.")
+            raise SettingProblem(f"noise (--noise) is {self.noise_mm:g}; it should be a length above 0 and below 100 mm.")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -387,7 +387,7 @@ def _side(own: bool | None, activity: Activity, motion_folder: Path, settings: A
         words = {True: "left", False: "right"}
         raise FileProblem(
             motion_folder, f"has the bones of the {words[not own]} leg, and the scanned knee is a {words[own]} one",
-            "Give the motion of that leg, or --side if the place of the patella is misleading.",
+            "Give the motion of that leg, or side (--side) if the place of the patella is misleading.",
         )  # fmt: skip
     if own is not None:
         return own
@@ -458,7 +458,7 @@ def _angles(joined: KneeCorrespondence, motion: JointMotion, progress: Progress)
     """Return the knee's angles if the bones' frames are anatomical; warn if they are not."""
     plain = [bone for bone, each in joined.bones.items() if each.frame_source.startswith("the markers")]
     if set(plain) & {"femur", "tibia"}:
-        text = f"No angles: the {' and the '.join(plain)} has the frame of its markers only. Add --landmarks."
+        text = f"No angles: the {' and the '.join(plain)} has the frame of its markers only. For angles, add landmarks (--landmarks)."
         if text not in progress.warnings:
             progress.warn(text)
         return None
@@ -471,7 +471,7 @@ def _warn_of_limits(
     """Warn of everything that limits the meaning of the numbers."""
     motion = found.motion
     if knee.left is None:
-        progress.warn("The side of the knee is not known: distances are those of the whole joint. Add --side.")
+        progress.warn("The side of the knee is not known: distances are those of the whole joint. Give side (--side).")
     for bone in motion.bones:
         lacking = int((~motion.answered(bone)).sum())
         if lacking:

@@ -112,7 +112,7 @@ def cartilage_maps(
     """
     left = known_side(surfaces, side)
     if left is None:
-        progress.warn("The side of the knee is not known: medial and lateral parts are not measured. Add --side.")
+        progress.warn("The side of the knee is not known: medial and lateral parts are not measured. Give side (--side).")
     elif side is None:
         progress.report(f"This is a {'left' if left else 'right'} knee, by the place of its patella.")
     for bone, sheet in cartilage.sheets.items():

@@ -52,7 +52,7 @@ class SegmentSettings:
 
     def __post_init__(self) -> None:
         if self.side not in (None, "left", "right"):
-            raise SettingProblem(f"--side is '{self.side}'; it should be left or right.")
+            raise SettingProblem(f"side (--side) is '{self.side}'; it should be left or right.")
         names = [name for name, *_ in (*self.seeds, *self.seed_voxels)]
         for name in names:
             if name not in BONES:

@@ -52,7 +52,7 @@ def from_static(
         place = settings.clusters or settings.static
         raise FileProblem(
             place, "names no landmarks; without them a static trial does not give the poses of the bones",
-            'Add [landmarks] left_LE = "LKNE", ... to the TOML given with --clusters.',
+            'Add [landmarks] left_LE = "LKNE", ... to the TOML file clusters (--clusters).',
         )  # fmt: skip
     static = read_markers(settings.static, unit=settings.unit)
     further, notes = functional_centres(static, setup, settings)

@@ -162,7 +162,7 @@ def _chosen(first: np.ndarray, given: NonRigidInput) -> Floats:
     if not len(strong):
         raise MareyError(
             f"{given.paths[0]}: frame {given.first} has no corners to follow. Begin with another frame "
-            "(--frames), or give points with --points."
+            "(--frames), or give points (--points)."
         )
     return np.concatenate([strong, weak])
 
