@@ -24,7 +24,7 @@ class Candidate:
 
     posed: PosedBody
     score: float
-    """Mean intersection over union, less the cost of an unlikely posture."""
+    """Mean intersection over union, minus the cost of an unlikely posture."""
 
 
 @dataclass(frozen=True, kw_only=True)

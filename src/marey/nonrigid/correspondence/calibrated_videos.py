@@ -89,7 +89,7 @@ def _in_camera(
     """Find and follow points in one more camera.
 
     Args:
-        images: First camera's image in which points were selected, and the other camera's video.
+        pictures: First camera's image in which points were selected, and the other camera's video.
         cameras: Both cameras.
         given: Points (P, 2) and their tracks (F, 2, P) in the first camera.
         frame: Frame in which points were selected.

@@ -120,7 +120,7 @@ def refine_tracks(
     """Solve for the tracks of all points in all frames together from the grey values ([Torresani2001]).
 
     Args:
-        images: Grey images of the video.
+        pictures: Grey images of the video.
         followed: Tracks of single points; those along edges are initialised by the others.
         settings: Rank, passes and tuned constants; the defaults if None.
         patches: Settings with which the points were followed.
@@ -171,7 +171,7 @@ def track_features(
     The default numbers are those of [Alexander2003] section 3.2.
 
     Args:
-        images: Grey images of the video.
+        pictures: Grey images of the video.
         frame: Frame in which points are selected.
         corners: Largest number of corners.
         edges: Largest number of points along edges.

@@ -126,7 +126,7 @@ def enough_for_tracking(
     Args:
         cameras: C cameras of the full images.
         models: The C backgrounds.
-        images: Images of some frames, C per frame.
+        pictures: Images of some frames, C per frame.
 
     Returns:
         The C cameras of the reduced images.

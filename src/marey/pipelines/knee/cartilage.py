@@ -112,9 +112,11 @@ def cartilage_maps(
     """
     left = known_side(surfaces, side)
     if left is None:
-        progress.warn("The side of the knee is not known: medial and lateral parts are not measured. Give side (--side).")
+        progress.warn(
+            "The side of the knee is not known: medial and lateral parts are not measured. Give side (--side)."
+        )
     elif side is None:
-        progress.report(f"This is a {'left' if left else 'right'} knee, by the place of its patella.")
+        progress.report(f"This is a {'left' if left else 'right'} knee, according to the position of its patella.")
     for bone, sheet in cartilage.sheets.items():
         name = CARTILAGE_OF_BONE[bone]
         progress.report(f"{name}: {sheet.outer.volume_mm3 / 1000:.1f} cm3, mean {whole(sheet).mean_mm:.2f} mm")

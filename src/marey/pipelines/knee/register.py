@@ -127,7 +127,8 @@ def _warn_of_misfit(
     if elastic.surface_distance_mm > _ALIKE_MM:
         progress.warn(
             f"After elastic registration, {template.name} is still {elastic.surface_distance_mm:.2f} mm from "
-            f"{subject.name} on average; usual are 0.2 to 0.5 mm. Check that it is the same part of the same bone."
+            f"{subject.name} on average; typical values are 0.2 to 0.5 mm. Check that it is the same part of "
+            "the same bone."
         )
 
 

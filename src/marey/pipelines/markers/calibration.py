@@ -62,7 +62,7 @@ def calibrated(
     seen = tuple(c for c in clusters if (used.select(c.labels).present.sum(1) >= MINIMUM_MARKERS).any())
     segments = tuple(cluster.segment for cluster in seen)
     if not segments:
-        wrong = "has no frame in which three markers of a segment are seen"
+        wrong = "has no frame in which three markers of a segment are visible"
         raise FileProblem(file.path, wrong, "Fill the gaps of the trial, or choose other frames.")
     if settings.static is not None:
         calibration, notes = from_static(used, seen, setup, settings)

@@ -94,7 +94,9 @@ def read_input(paths: Sequence[Path], settings: NonRigidSettings) -> NonRigidInp
     if any(videos):
         raise SettingProblem("Give either videos, or files of tracks or points.")
     if settings.points or settings.mask:
-        raise SettingProblem("points (--points) and mask (--mask) are for videos; the points of this input are followed already.")
+        raise SettingProblem(
+            "points (--points) and mask (--mask) are for videos; the points of this input are tracked already."
+        )
     if len(paths) == 1:
         return input_of_data(read_deforming(paths[0]), settings, paths[0])
     return _of_cameras(paths, settings)
@@ -174,19 +176,26 @@ def _view_names(title: str, count: int) -> tuple[str, ...]:
 def _require_points(labels: Sequence[str], settings: NonRigidSettings) -> None:
     if settings.distance is not None and max(settings.distance[:2]) >= len(labels):
         raise SettingProblem(
-            f"distance (--distance) has the point {max(settings.distance[:2])}; there are the points 0 to {len(labels) - 1}."
+            f"distance (--distance) has the point {max(settings.distance[:2])}; there are the points "
+            f"0 to {len(labels) - 1}."
         )
 
 
 def _require_suitable(count: int, settings: NonRigidSettings) -> None:
     """Raise an error for settings that do not suit the number of cameras."""
     if count > 1 and settings.matrix is not None:
-        raise SettingProblem(f"matrix (--matrix) is for a single camera, and there are {count}: give cameras (--cameras), or neither.")
+        raise SettingProblem(
+            f"matrix (--matrix) is for a single camera, and there are {count}: give cameras (--cameras), or neither."
+        )
     if count > 1 and settings.scaled:
-        raise SettingProblem(f"scaled (--scaled) is for a single camera; with {count} cameras the scale is always estimated.")
+        raise SettingProblem(
+            f"scaled (--scaled) is for a single camera; with {count} cameras the scale is always estimated."
+        )
     calibrated = count > 1 and settings.cameras is not None
     if settings.basis_shapes is not None and not calibrated:
-        raise SettingProblem("basis_shapes (--basis-shapes) is for points in space and calibrated cameras; otherwise it is estimated.")
+        raise SettingProblem(
+            "basis_shapes (--basis-shapes) is for points in space and calibrated cameras; otherwise it is estimated."
+        )
     if settings.distance is not None and calibrated:
         raise SettingProblem("distance (--distance) gives a scale, but calibrated cameras have one already.")
 
@@ -243,7 +252,8 @@ def _of_videos(paths: Sequence[Path], settings: NonRigidSettings) -> NonRigidInp
         raise SettingProblem("only (--only) is for points with labels, not for videos.")
     if len(settings.points) not in (0, 1, len(paths)):
         raise SettingProblem(
-            f"points (--points) is given {len(settings.points)} times for {len(paths)} videos: give it once, for the first one, "
+            f"points (--points) is given {len(settings.points)} times for {len(paths)} videos: give it once, "
+            "for the first one, "
             "or once per video, in the same order."
         )
     clips = tuple(open_clip(path) for path in paths)
@@ -264,7 +274,8 @@ def _of_videos(paths: Sequence[Path], settings: NonRigidSettings) -> NonRigidInp
         counts = [len(points) for points, _ in starts]
         if len(set(counts)) > 1:
             raise SettingProblem(
-                f"The files with points (--points) have {counts} points; they should have the same points for every camera."
+                f"The files with points (--points) have {counts} points; they should have the same "
+                "points for every camera."
             )
         _require_points(tuple(map(str, range(counts[0]))), settings)
     return NonRigidInput(

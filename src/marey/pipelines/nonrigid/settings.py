@@ -36,7 +36,7 @@ class NonRigidSettings:
     distance: tuple[int, int, float] | None = None
     """Two points, counted from 0, and their distance [m]."""
     frames: tuple[int, int] | None = None
-    """First frame, and the first frame that is not used any more; None for all."""
+    """First frame, and the frame after the last one; None for all."""
     only: tuple[str, ...] | None = None
     """Labels of the points to be used, or patterns of labels."""
     basis_shapes: int | None = None
@@ -50,7 +50,9 @@ class NonRigidSettings:
                 raise FileProblem(path, "does not exist", f"Correct {option}.")
         for path in self.points:
             if not path.is_file():
-                raise FileProblem(path, "is a folder" if path.is_dir() else "does not exist", "Correct points (--points).")
+                raise FileProblem(
+                    path, "is a folder" if path.is_dir() else "does not exist", "Correct points (--points)."
+                )
         if self.matrix is not None and self.cameras is not None:
             raise SettingProblem("matrix (--matrix) and cameras (--cameras) both define the camera: give one of them.")
         if self.scaled and (self.matrix is not None or self.cameras is not None):
@@ -59,14 +61,19 @@ class NonRigidSettings:
                 "and cameras (--cameras)."
             )
         if self.mask is not None and self.points:
-            raise SettingProblem("mask (--mask) limits the selection of points, and points (--points) replaces it: give one of them.")
+            raise SettingProblem(
+                "mask (--mask) limits the selection of points, and points (--points) replaces it: give one of them."
+            )
         if self.basis_shapes is not None and self.basis_shapes < 1:
-            raise SettingProblem(f"basis_shapes (--basis-shapes) is {self.basis_shapes}; it should be 1 (rigid) or more.")
+            raise SettingProblem(
+                f"basis_shapes (--basis-shapes) is {self.basis_shapes}; it should be 1 (rigid) or more."
+            )
         if self.distance is not None:
             first, second, metres = self.distance
             if not (np.isfinite(metres) and metres > 0) or first == second or min(first, second) < 0:
                 raise SettingProblem(
-                    f"distance (--distance) is {first} {second} {metres:g}; it should be two different points, counted from 0, "
+                    f"distance (--distance) is {first} {second} {metres:g}; it should be two "
+                    "different points, counted from 0, "
                     "and their distance in metres, for example 0 12 0.085."
                 )
 

@@ -1,4 +1,4 @@
-"""The fitted body over what a camera saw: surface, silhouette, joints, and how well they agree."""
+"""The fitted body over a camera image: surface, silhouette, joints, and their agreement."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -21,7 +21,7 @@ OPACITY = 0.5
 SURFACE_LINE = (255, 255, 255)
 SILHOUETTE_LINE = (60, 230, 255)
 """Blue, green, red: a yellow that skin and rooms seldom have."""
-_STATES = ("nobody", "measured", "filled", "lost")
+_STATES = ("no person", "measured", "filled", "lost")
 _FAR = 1e5
 """Farther off no line is drawn; NaN is farther than any number [px]."""
 _SHIFT = 4
@@ -52,7 +52,7 @@ class Looks:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Scene:
-    """What is known of one frame, for all cameras; None where there is no answer."""
+    """The result of one frame for all cameras; None where there is none."""
 
     frame: int
     vertices: Floats | None = None
@@ -60,7 +60,7 @@ class Scene:
     joints: Floats | None = None
     """(J, 3) joint centres [m, world]."""
     state: int = 0
-    """0 nobody, 1 measured, 2 filled, 3 lost."""
+    """0 no person, 1 measured, 2 filled, 3 lost."""
 
 
 class OverlayVideo:
@@ -68,9 +68,9 @@ class OverlayVideo:
 
     Args:
         path: The video to be written, see `marey.io.video.video_writer`.
-        camera: Whose images they are.
+        camera: The camera of the images.
         looks: Of the body.
-        rate: Images a second [Hz].
+        rate: Images per second [Hz].
     """
 
     def __init__(self, path: Path, camera: Camera, looks: Looks, *, rate: float):
@@ -78,7 +78,7 @@ class OverlayVideo:
         self._writer = VideoWriter(path, self._camera.size, rate=rate)
 
     def add(self, image: Image, scene: Scene, *, mask: Mask | None = None, agreement: float = float("nan")) -> Image:
-        """Draw one image, write it, and give it back for a still.
+        """Draw one image, write it, and return it for a still.
 
         Args:
             image: (height, width, 3) what the camera saw, in blue, green, red.
@@ -141,11 +141,11 @@ def draw_overlay(
 
 
 def shade_surface(drawn: Image, camera: Camera, looks: Looks, vertices: Floats) -> View:
-    """Lay the surface over an image, half transparent, lit from the camera, and draw its outline.
+    """Draw the surface over an image, half transparent, lit from the camera, with its outline.
 
     Args:
-        drawn: (height, width, 3) is drawn upon.
-        camera: Whose image it is.
+        drawn: (height, width, 3), changed in place.
+        camera: The camera of the image.
         looks: Of the body.
         vertices: (V, 3) [m, world].
 

@@ -112,7 +112,7 @@ class ShapeOverlay:
             cv2.circle(drawn, _fixed(place), (radius + 3) << _SHIFT, MEASURED, 1, cv2.LINE_AA, _SHIFT)
         count = int(np.isfinite(seen).all(1).sum())
         known = int(np.isfinite(places).all(1).sum())
-        words = f"{count} seen" + (f", {known} in the model" if known else ", no answer")
+        words = f"{count} visible" + (f", {known} in the model" if known else ", no result")
         _write_caption(drawn, f"{scene.name}   frame {frame}   {words}")
         return np.concatenate([drawn, self._from_side(frame, colours, radius)], axis=1)
 
