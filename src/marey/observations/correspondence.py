@@ -99,7 +99,7 @@ class OutlineMatchSettings:
 
 
 def view_of(posed: PosedBody, camera: Camera) -> View:
-    """Draw the posed surface in a camera's picture."""
+    """Draw the posed surface in a camera's image."""
     projected = np.empty_like(posed.vertices)
     lens.project_points(camera.packed, posed.vertices, projected)
     return see(projected, posed.body.faces, camera.size)
