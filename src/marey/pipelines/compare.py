@@ -22,6 +22,7 @@ from marey.pipelines.labelled import Curve, Described, Summary, count_of, find_n
 from marey.pipelines.progress import Progress, RecordingProgress
 from marey.pipelines.run_record import finished_together, write_record
 from marey.view.pages.comparison_report import write_comparison_report
+from marey.wording import listed
 
 _POOR_S = 0.05
 """Standard deviation of the time shift above which the user is warned [s].
@@ -426,9 +427,7 @@ def notes_of(result: MotionComparison) -> list[str]:
         notes.append(f"The standard deviation of the time shift is {sd}. Are both motions of the same trial?")
     for which, names in (("first", result.only_first), ("second", result.only_second)):
         if names:
-            left = len(names) - _SHOWN_LEFT_OVER
-            more = f" and {left} more" if left > 0 else ""
-            notes.append(f"Only in the {which} motion, not compared: {', '.join(names[:_SHOWN_LEFT_OVER])}{more}.")
+            notes.append(f"Only in the {which} motion, not compared: {listed(names, most=_SHOWN_LEFT_OVER)}.")
     return notes
 
 
