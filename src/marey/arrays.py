@@ -1,4 +1,4 @@
-"""One alias for each kind of array; the shape stands in the docstring of who uses it."""
+"""One alias for each kind of array; the shape is given in the docstring of each argument or field."""
 
 from typing import Any
 

@@ -13,7 +13,7 @@ from marey.knee.cartilage.prediction import predict_cartilage
 from marey.knee.registration.deformation import Deformation
 from marey.knee.space.mesh_graph import MeshGraph
 from marey.knee.space.structures import LABELS
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 from marey.knee.space.volume import Labels, Volume, VoxelGrid
 
 RADIUS, THICK, RIM = 15.0, 2.4, 0.3
@@ -21,9 +21,9 @@ RADIUS, THICK, RIM = 15.0, 2.4, 0.3
 MARROW, CARTILAGE, FLESH = 15.0, 110.0, 32.0
 
 
-def ball(radius: float = RADIUS, fine: int = 4) -> Surface:
+def ball(radius: float = RADIUS, fine: int = 4) -> TriangleSurface:
     mesh = trimesh.creation.icosphere(subdivisions=fine, radius=radius)
-    return Surface(vertices_mm=mesh.vertices, faces=mesh.faces)
+    return TriangleSurface(vertices_mm=mesh.vertices, faces=mesh.faces)
 
 
 @cache
@@ -64,7 +64,7 @@ def made_volume(
     return Volume(intensity=image + rng.normal(0, noise, shape), grid=grid), Labels(labels=labels, grid=grid)
 
 
-def predicted(bone: Surface, *, thick: float, rim: float):
+def predicted(bone: TriangleSurface, *, thick: float, rim: float):
     """Prediction by a template whose cartilage has another thickness and ends elsewhere."""
     height = bone.vertices_mm[:, 2] / np.linalg.norm(bone.vertices_mm, axis=1)
     return predict_cartilage(bone, bone, np.where(height > rim, thick, 0.0))
@@ -164,7 +164,7 @@ def test_where_two_cartilages_touch_the_space_is_shared(rng):
     # The other bone is a shell around, and all between the two is as bright as cartilage.
     volume, _ = made_volume(rng, (MARROW, CARTILAGE, CARTILAGE))
     bone, around = ball(), ball(RADIUS + 4.0)
-    shell = Surface(vertices_mm=around.vertices_mm, faces=around.faces[:, ::-1])
+    shell = TriangleSurface(vertices_mm=around.vertices_mm, faces=around.faces[:, ::-1])
     prediction = predicted(bone, thick=2.0, rim=0.0)
     sheet = find_cartilage([volume], bone, prediction, [(shell, np.full(len(around.vertices_mm), 2.0))])
     top = bone.vertices_mm[:, 2] > 0.5 * RADIUS
@@ -185,7 +185,7 @@ def test_thickness_is_carried_by_the_deformation():
     # The subject is a fifth longer along z: u - d(u) is the template's place.
     field = np.stack([0 * nodes[0], 0 * nodes[1], nodes[2] * (1 - 1 / 1.2)])
     deformation = Deformation(origin_mm=np.full(3, -26.0), step_mm=4.0, displacement_mm=field)
-    bone = Surface(vertices_mm=template.vertices_mm * (1, 1, 1.2), faces=template.faces)
+    bone = TriangleSurface(vertices_mm=template.vertices_mm * (1, 1, 1.2), faces=template.faces)
     prediction = predict_cartilage(bone, template, np.where(height > 0, 2.0 + 0.05 * height, 0.0), deformation)
     inner = height > 6
     np.testing.assert_allclose(prediction.thickness_mm[inner], (2.0 + 0.05 * height)[inner], atol=1e-2)

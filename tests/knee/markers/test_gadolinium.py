@@ -5,7 +5,7 @@ from tests.made_balls import limb_grid, limb_with_balls, on_skin
 from tests.made_knees import made_grid, made_volume
 
 from marey.knee.markers.gadolinium import Gadolinium, find_gadolinium, joined
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 from marey.knee.space.volume import Volume
 
 ANGLES = np.array([0.3, 1.8, 3.1, 4.5])
@@ -99,6 +99,9 @@ def test_a_ball_within_a_bone_is_none():
     true = np.array([on_skin(1.0, 0.0, 3.0)])
     volume = limb_with_balls(grid, true, [3.0], "dark")
     ball = trimesh.creation.icosphere(radius=10)
-    bone = Surface(vertices_mm=np.asarray(ball.vertices) + true[0], faces=np.asarray(ball.faces))
+    bone = TriangleSurface(vertices_mm=np.asarray(ball.vertices) + true[0], faces=np.asarray(ball.faces))
     assert len(find_gadolinium(volume, {"femur": bone})) == 0
-    assert len(find_gadolinium(volume, {"femur": Surface(vertices_mm=bone.vertices_mm + 20, faces=bone.faces)})) == 1
+    assert (
+        len(find_gadolinium(volume, {"femur": TriangleSurface(vertices_mm=bone.vertices_mm + 20, faces=bone.faces)}))
+        == 1
+    )

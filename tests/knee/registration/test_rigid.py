@@ -6,10 +6,10 @@ from marey.errors import MareyError
 from marey.geometry.rigid import RigidTransform
 from marey.knee.registration.rigid import register_rigidly
 from marey.knee.space.sides import mirrored
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 
 
-def far_motion(rng: np.random.Generator, bone: Surface) -> RigidTransform:
+def far_motion(rng: np.random.Generator, bone: TriangleSurface) -> RigidTransform:
     """30 degrees about the bone's middle and 30 mm, in any direction."""
     axis, shift = rng.normal(size=(2, 3))
     middle = bone.vertices_mm.mean(0)
@@ -17,11 +17,11 @@ def far_motion(rng: np.random.Generator, bone: Surface) -> RigidTransform:
     return RigidTransform(turn, middle - turn @ middle + 30 * shift / np.linalg.norm(shift))
 
 
-def moved(surface: Surface, motion: RigidTransform) -> Surface:
-    return Surface(vertices_mm=motion.apply(surface.vertices_mm), faces=surface.faces)
+def moved(surface: TriangleSurface, motion: RigidTransform) -> TriangleSurface:
+    return TriangleSurface(vertices_mm=motion.apply(surface.vertices_mm), faces=surface.faces)
 
 
-def apart(found: RigidTransform, true: RigidTransform, bone: Surface) -> tuple[float, float]:
+def apart(found: RigidTransform, true: RigidTransform, bone: TriangleSurface) -> tuple[float, float]:
     """Degrees, and millimetres of the middle."""
     middle = bone.vertices_mm.mean(0)
     turn = (found @ true.inverse()).rotation_vector
@@ -49,7 +49,7 @@ def test_the_stated_deviations_hold_what_noise_does(rng):
         # Noise as of a segmentation, smooth over some millimetres.
         waves, phases = rng.normal(0, 1 / length, (60, 3)), rng.uniform(0, 6.3, 60)
         bumps = 0.4 * np.sqrt(2 / 60) * np.cos(template.vertices_mm @ waves.T + phases).sum(1)
-        noisy = Surface(
+        noisy = TriangleSurface(
             vertices_mm=template.vertices_mm + bumps[:, None] * template.vertex_normals, faces=template.faces
         )
         found = register_rigidly(template, noisy, RigidTransform.identity())
@@ -71,4 +71,6 @@ def test_a_mirrored_bone_is_mirrored_back():
 def test_surfaces_that_have_nothing_to_do_with_each_other_are_told():
     bone = made_bone()
     with pytest.raises(MareyError, match="same bone"):
-        register_rigidly(bone, Surface(vertices_mm=5 * bone.vertices_mm, faces=bone.faces), RigidTransform.identity())
+        register_rigidly(
+            bone, TriangleSurface(vertices_mm=5 * bone.vertices_mm, faces=bone.faces), RigidTransform.identity()
+        )
