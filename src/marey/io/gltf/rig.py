@@ -14,7 +14,7 @@ from marey.geometry import rotations
 from marey.io.axes import GLTF_FROM_WORLD
 from marey.io.gltf.character import named_joints, posed_skin, skin_joints
 from marey.io.gltf.gltf import Gltf, GltfAdditions, local_matrix
-from marey.io.gltf.rig_shape import place_joints
+from marey.io.gltf.rig_shape import find_joints_by_position
 from marey.io.gltf.rig_twists import find_twists
 from marey.motion.motion import BodyMotion
 from marey.motion.retarget import REQUIRED_SEGMENTS, CharacterRig, RigMotion, retarget
@@ -86,7 +86,7 @@ def _with_guessed_joints(gltf: Gltf, known: Mapping[str, int], by_name: dict[str
     """Add joints found by position, if the guess agrees with all required joints that were found by name."""
     world = gltf.world_from_nodes()
     joints = sorted({node for _, skin in gltf.skinned() for node in gltf.document["skins"][skin]["joints"]})
-    guess = place_joints({node: world[node, :3, 3] for node in joints}, gltf.parents(), by_name)
+    guess = find_joints_by_position({node: world[node, :3, 3] for node in joints}, gltf.parents(), by_name)
     if not guess or any(
         guess.get(segment, node) != node for segment, node in by_name.items() if segment in REQUIRED_SEGMENTS
     ):
