@@ -34,4 +34,4 @@ def turned_rotations(file_from_world: Floats, rotations: Floats) -> Floats:
         (..., 3, 3) in the axes of the file.
     """
     m = np.asarray(file_from_world)
-    return m @ np.asarray(rotations, float) @ m.T
+    return np.asarray(m @ np.asarray(rotations, float) @ m.T)

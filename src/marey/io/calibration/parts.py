@@ -121,7 +121,7 @@ def rotation_matrix(value: object) -> Floats | None:
     # Files round their numbers; a matrix more than a thousandth off is no rotation but another mistake.
     if np.abs(u @ v - matrix).max() > 1e-3 or np.linalg.det(u @ v) < 0:
         return None
-    return u @ v
+    return np.asarray(u @ v)
 
 
 def make_rig(faults: Faults, cameras: Iterable[Camera | None]) -> Rig:

@@ -110,7 +110,7 @@ def _is_cut_off(path: Path) -> bool:
     if rotation.used():
         begin = low_level.parameters().group("ROTATION").parameter("DATA_START").valuesAsInt()[0]
         end = max(end, (begin - 1) * 512 + frames * rotation.used() * rotation.ratio() * _BYTES_OF_A_ROTATION)
-    return len(data) < end
+    return bool(len(data) < end)
 
 
 def open_c3d(path: Path | str) -> ezc3d.c3d:

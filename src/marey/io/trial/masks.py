@@ -147,7 +147,7 @@ def open_masks(path: Path, *, shape: tuple[int, int, int] | None = None) -> Mask
 def _picture_mask(path: Path) -> Mask:
     """Take what is brighter than half of the brightest as the person: masks of 0 and 1, and of 0 and 255."""
     grey = read_picture(path).max(axis=2)
-    return grey > grey.max() / 2
+    return np.asarray(grey > grey.max() / 2)
 
 
 def _stated_shape(path: Path) -> tuple[int, int, int]:
