@@ -245,7 +245,7 @@ def test_an_interrupted_run_leaves_no_results_and_goes_on(folder, monkeypatch, c
         (["nothing.c3d"], "nothing.c3d: does not exist"),
         (["walk.c3d", "--method", "magic"], "There is no method magic"),
         (["walk.c3d", "--method", "calibration"], "needs an anatomical calibration in 2 postures"),
-        (["walk.c3d", "--reference", "nothing.npz"], "nothing.npz: does not exist. Correct --reference."),
+        (["walk.c3d", "--reference", "nothing.npz"], "nothing.npz: does not exist. Correct reference (--reference)."),
         (["walk.c3d", "--side", "up"], "--side is 'up'"),
         (["walk.c3d", "--unit", "inch"], "The unit 'inch' is not known"),
         (["walk.c3d", "--unit", "m"], "but then its markers spread over"),
