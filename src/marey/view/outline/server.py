@@ -115,7 +115,7 @@ class _Handler(BaseHTTPRequestHandler):
         except MareyError as error:
             self._send(400, _JSON, json.dumps({"error": str(error)}).encode())
         except (KeyError, TypeError, ValueError, IndexError) as error:
-            text = f"This was not understood ({type(error).__name__}: {error})."
+            text = f"The request is not valid ({type(error).__name__}: {error})."
             self._send(400, _JSON, json.dumps({"error": text}).encode())
         else:
             if isinstance(found, bytes):

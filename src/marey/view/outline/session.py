@@ -230,15 +230,15 @@ class OutlineSession:
 
     def _numbered(self, version: int, number: int) -> Contour:
         if version != self._version or not 0 <= number < len(self.contours):
-            raise MareyError("The outlines have changed meanwhile, in another window perhaps: reload the page.")
+            raise MareyError("The outlines have been changed, perhaps in another window: reload the page.")
         return self.contours[number]
 
     def _one_axis(self, structure: str, axis: str) -> None:
         other = {each.axis for each in self.contours if each.structure == structure} - {axis}
         if other:
             raise MareyError(
-                f"The {structure.replace('_', ' ')} is outlined in slices across {other.pop()}: go on there, or remove"
-                " those outlines first."
+                f"The {structure.replace('_', ' ')} is outlined in slices across {other.pop()}: "
+                "continue there, or remove those outlines first."
             )
 
     def _check(self, axis: str, index: int) -> None:
@@ -249,7 +249,7 @@ class OutlineSession:
         """Return the wire of a slice, trained on the nearest outlines of the structure."""
         self._check(axis, index)
         if structure not in LABELS:
-            raise MareyError(f"'{structure}' is no structure of a knee: known are {', '.join(LABELS)}.")
+            raise MareyError(f"'{structure}' is not a structure of the knee; these are: {', '.join(LABELS)}.")
         current = (axis, index, structure, self._version)
         wire = self._wires.get((axis, index))
         if wire is not None and self._current == current:
