@@ -89,9 +89,11 @@ def markers(
     * `marey markers walk.c3d --clusters person.toml --static static.c3d --functional left_hip.c3d`
     * `marey markers walk.trc --model scaled.osim --weights tasks.xml`
     """
+    from marey.markers.methods.methods import choose_methods
     from marey.pipelines.markers.estimate import estimate_bones, open_markers
 
     methods = None if method is None else parse_names(method, option="--method", example="rigid,interval")
+    choose_methods(methods or ())
     folder = out or trial.with_name(f"{trial.stem}_marey")
     with working(quiet=quiet) as progress:
         opened = open_markers(

@@ -11,7 +11,7 @@ import numpy as np
 from marey.arrays import Floats
 from marey.errors import FileProblem, MareyError
 from marey.extras import import_optional
-from marey.io.markers.recordings import motion_in, read_recording, recording_of
+from marey.io.markers.recordings import find_motion_file, read_recording, recording_of
 from marey.io.results.comparison import SIGNED_KINDS, UNITS, write_comparison
 from marey.motion.comparison import Agreement, MotionComparison
 from marey.motion.comparison import compare as compare_motions
@@ -22,6 +22,7 @@ from marey.pipelines.labelled import Curve, Described, Summary, count_of, find_n
 from marey.pipelines.progress import Progress, RecordingProgress
 from marey.pipelines.run_record import finished_together, write_record
 from marey.view.pages.comparison_report import write_comparison_report
+from marey.wording import listed
 
 _POOR_S = 0.05
 """Standard deviation of the time shift above which the user is warned [s].
@@ -225,7 +226,7 @@ def compare_files(first: Path, second: Path, options: CompareOptions, progress: 
     Raises:
         FileProblem: A file cannot be read, or the two have nothing in common.
     """
-    motion_in(first), motion_in(second)
+    find_motion_file(first), find_motion_file(second)
     chosen = {} if options.named is None else read_name_map(options.named)
     with progress.stage("Reading"):
         motions = _opened(first), _opened(second)
@@ -240,7 +241,7 @@ def _opened(motion: Motion | Path | str) -> ComparedMotion:
         return ComparedMotion(
             given=label if file is None else str(file), file=file, label=label, recording=recording_of(motion.data)
         )
-    file = motion_in(Path(motion))
+    file = find_motion_file(Path(motion))
     return ComparedMotion(given=str(motion), file=file, label=_label(Path(motion)), recording=read_recording(file))
 
 
@@ -426,9 +427,7 @@ def notes_of(result: MotionComparison) -> list[str]:
         notes.append(f"The standard deviation of the time shift is {sd}. Are both motions of the same trial?")
     for which, names in (("first", result.only_first), ("second", result.only_second)):
         if names:
-            left = len(names) - _SHOWN_LEFT_OVER
-            more = f" and {left} more" if left > 0 else ""
-            notes.append(f"Only in the {which} motion, not compared: {', '.join(names[:_SHOWN_LEFT_OVER])}{more}.")
+            notes.append(f"Only in the {which} motion, not compared: {listed(names, most=_SHOWN_LEFT_OVER)}.")
     return notes
 
 

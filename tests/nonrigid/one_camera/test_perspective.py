@@ -52,6 +52,7 @@ def found(sheet):
     return tracks, factorise_perspective(tracks, MATRIX)
 
 
+@pytest.mark.slow
 def test_a_bent_sheet_is_found_with_noise_and_gaps(found, sheet):
     tracks, answer = found
     assert percent(answer, sheet) < 2
@@ -73,6 +74,7 @@ def test_the_result_is_consistent_and_in_its_gauge(found):
     assert (answer.shape_sd > 0).all()
 
 
+@pytest.mark.slow
 def test_a_rigid_body_has_one_basis_shape_and_a_note(rng):
     shape = rng.normal(size=(3, 16)) * np.array([[1.0], [0.8], [0.6]])
     turn = rotations.exp(np.outer(2.5 * TIME + np.sin(4 * TIME), [0.2, 0.9, 0.1]))

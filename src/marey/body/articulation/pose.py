@@ -1,6 +1,7 @@
 """Poses, and the body in a pose: positions with their derivatives by every parameter."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
@@ -44,6 +45,29 @@ class Pose:
     def between(self, other: "Pose", share: float) -> "Pose":
         """Interpolate to another pose; a share above 1 extrapolates."""
         return self.step(share * self.change_to(other))
+
+
+def packed_poses(poses: Iterable[Pose]) -> dict[str, Floats]:
+    """Stack poses of the same skeleton into arrays, for example for a file.
+
+    Args:
+        poses: N poses.
+
+    Returns:
+        `translation` (N, 3) [m], `rotation` (N, 3, 3), and `angles` (N, D - 6) [rad], for `unpacked_poses`.
+    """
+    stacked = tuple(poses)
+    return {
+        "translation": np.array([pose.translation for pose in stacked]),
+        "rotation": np.array([pose.rotation for pose in stacked]),
+        "angles": np.array([pose.angles for pose in stacked]),
+    }
+
+
+def unpacked_poses(arrays: Mapping[str, Floats]) -> list[Pose]:
+    """Return the poses that `packed_poses` has stacked; other arrays in the mapping are ignored."""
+    parts = zip(arrays["translation"], arrays["rotation"], arrays["angles"], strict=True)
+    return [Pose(*part) for part in parts]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

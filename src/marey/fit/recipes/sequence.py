@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from marey.arrays import Floats, Integers
-from marey.body.articulation.pose import Pose, PosedBody
+from marey.body.articulation.pose import Pose, PosedBody, packed_poses, unpacked_poses
 from marey.body.articulation.skeleton import Skeleton
 from marey.body.articulation.surface import Body, ShapeSpace
 from marey.body.metaballs.metaball_person import reshaped
@@ -233,17 +233,11 @@ def refine_in_pieces(
 
 
 def _packed(poses: Sequence[Pose], body: Body) -> Arrays:
-    return {
-        "translation": np.array([pose.translation for pose in poses]),
-        "rotation": np.array([pose.rotation for pose in poses]),
-        "angles": np.array([pose.angles for pose in poses]),
-        "numbers": np.array(body.numbers),
-    }
+    return {**packed_poses(poses), "numbers": np.array(body.numbers)}
 
 
 def _unpacked(arrays: Arrays, body: Body) -> tuple[list[Pose], Body]:
-    parts = zip(arrays["translation"], arrays["rotation"], arrays["angles"], strict=True)
-    return [Pose(*part) for part in parts], reshaped(body, arrays["numbers"])
+    return unpacked_poses(arrays), reshaped(body, arrays["numbers"])
 
 
 DISTINCT_FRAMES = 3.0

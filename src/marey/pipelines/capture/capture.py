@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from marey.arrays import Mask
-from marey.body.articulation.pose import Pose
+from marey.body.articulation.pose import Pose, packed_poses, unpacked_poses
 from marey.body.articulation.surface import Body
 from marey.body.metaballs.metaball_person import reshaped
 from marey.errors import FileProblem
@@ -321,9 +321,7 @@ def _packed(found: Mapping[int, Candidate], body: Body) -> Arrays:
 def _pack(poses: Mapping[int, Pose], body: Body, scores: Mapping[int, float]) -> Arrays:
     return {
         "frames": np.array(list(poses)),
-        "translation": np.array([pose.translation for pose in poses.values()]),
-        "rotation": np.array([pose.rotation for pose in poses.values()]),
-        "angles": np.array([pose.angles for pose in poses.values()]),
+        **packed_poses(poses.values()),
         "score": np.array([scores[frame] for frame in poses]),
         "numbers": np.array(body.numbers),
     }
@@ -331,10 +329,9 @@ def _pack(poses: Mapping[int, Pose], body: Body, scores: Mapping[int, float]) ->
 
 def _unpacked(arrays: Arrays, body: Body) -> Tracked:
     frames = [int(frame) for frame in arrays["frames"]]
-    poses = [Pose(*parts) for parts in zip(arrays["translation"], arrays["rotation"], arrays["angles"], strict=True)]
     return Tracked(
         reshaped(body, arrays["numbers"]),
-        dict(zip(frames, poses, strict=True)),
+        dict(zip(frames, unpacked_poses(arrays), strict=True)),
         dict(zip(frames, map(float, arrays["score"]), strict=True)),
     )
 

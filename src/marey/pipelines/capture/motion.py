@@ -26,6 +26,8 @@ UNDETERMINED = "not determined"
 """The flag of a coordinate that the views do not determine: its value comes from typical postures."""
 _FILE = "motion.npz"
 """The file from which a motion is read."""
+NOT_SELECTED = "not selected"
+"""Flag of a frame outside the range that the run used."""
 
 
 class Motion(Described):
@@ -75,8 +77,15 @@ class Motion(Described):
 
     @cached_property
     def flags(self) -> tuple[str, ...]:
-        """(F,) for each frame `no person`, `filled`, `lost`, or an empty text where it was measured."""
-        return tuple(STATE_FLAGS[int(state)] for state in self._data.state)
+        """(F,) for each frame `no person`, `filled`, `lost` or `not selected`; an empty text where it was measured."""
+        flags = [STATE_FLAGS[int(state)] for state in self._data.state]
+        settings = self.record.get("settings")
+        frames = settings.get("frames") if isinstance(settings, dict) else None
+        if isinstance(frames, list | tuple) and len(frames) == 2:
+            first, end = frames
+            flags[:first] = [NOT_SELECTED] * len(flags[:first])
+            flags[end:] = [NOT_SELECTED] * len(flags[end:])
+        return tuple(flags)
 
     @property
     def measured(self) -> Mask:
@@ -328,7 +337,7 @@ class Motion(Described):
     def summary(self) -> Summary:
         """Return the readable description."""
         data = self._data
-        counts = {flag or "measured": self.flags.count(flag) for flag in STATE_FLAGS.values()}
+        counts = {flag or "measured": self.flags.count(flag) for flag in (*STATE_FLAGS.values(), NOT_SELECTED)}
         states = ", ".join(f"{number} {name}" for name, number in counts.items() if number)
         lines = {"frames": f"{len(self)} at {self.rate:g} Hz ({states})"}
         seen = data.agreement[np.isfinite(data.agreement)]

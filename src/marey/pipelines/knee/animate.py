@@ -12,7 +12,7 @@ import numpy as np
 from marey.arrays import Floats
 from marey.errors import FileProblem, MareyError, SettingProblem
 from marey.extras import import_optional
-from marey.io.markers.activity import first_method, read_activity, room_is_y_up
+from marey.io.markers.activity import first_method, laboratory_is_y_up, read_activity
 from marey.io.markers.readers import read_markers
 from marey.io.mr.meshes import read_mesh
 from marey.io.mr.scanner_markers import read_landmarks, read_scanner_markers
@@ -35,7 +35,7 @@ from marey.knee.motion.joint_surface import JointSurface
 from marey.knee.motion.proximity import LIMIT_MM
 from marey.knee.space.sides import is_left
 from marey.knee.space.structures import BONE_OF_CARTILAGE, BONES, LABELS
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 from marey.markers.data.trajectories import MarkerTrajectories
 from marey.markers.kinematics.joint_angles import JointKinematics
 from marey.pipelines.knee.animation_results import AnimationResults, write_animation
@@ -223,13 +223,13 @@ class _ScannedKnee:
     """Structures and markers of a knee in the scanner."""
 
     folder: Path
-    parts: Mapping[str, Surface]
+    parts: Mapping[str, TriangleSurface]
     markers: ScannerMarkers
     landmarks: Landmarks | None
     left: bool | None
 
     @property
-    def bones(self) -> dict[str, Surface]:
+    def bones(self) -> dict[str, TriangleSurface]:
         return {name: part for name, part in self.parts.items() if name in BONES}
 
 
@@ -351,7 +351,7 @@ def _animated(
         moving = AnimatedKnee(
             title=f"{knee_folder.resolve().name} by {motion_folder.resolve().name}", parts=knee.parts, found=found,
             compared=compared, joined=joined, in_room=settings.frame == "room" or BASE not in found.motion.poses,
-            y_up=room_is_y_up(motion_folder), views=settings.views, limit_mm=settings.limit_mm,
+            y_up=laboratory_is_y_up(motion_folder), views=settings.views, limit_mm=settings.limit_mm,
             details=RunDetails.of(COMMAND, _about(settings, found, knee), files, knee_folder.parent, progress),
         )  # fmt: skip
         if out is not None:

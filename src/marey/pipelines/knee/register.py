@@ -13,7 +13,7 @@ from marey.knee.registration.elastic import ElasticRegistration, register_elasti
 from marey.knee.registration.sided import SidedRegistration, register_on_either_side
 from marey.knee.space.mesh_repair import joined
 from marey.knee.space.sides import MIRROR, mirrored
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 from marey.knee.space.triangle_tree import TriangleTree
 from marey.pipelines.knee.meshes import read_bone
 from marey.pipelines.labelled import Described, Summary
@@ -42,7 +42,7 @@ class RegisteredBone(Described):
     """Rigid registration, with the side of the template."""
     elastic: ElasticRegistration
     """Elastic registration."""
-    surface: Surface
+    surface: TriangleSurface
     """The deformed template on the subject, with the vertices of the template in their order, LPS [mm]."""
 
     @property
@@ -100,7 +100,7 @@ def register_bone(
             sided = register_on_either_side(joined(model), person, mirror=mirror, done=done)
         _report_side(sided, mirror, progress)
         side = mirrored(model) if sided.mirrored else model
-        moved = Surface(vertices_mm=sided.rigid.subject_from_template.apply(side.vertices_mm), faces=side.faces)
+        moved = TriangleSurface(vertices_mm=sided.rigid.subject_from_template.apply(side.vertices_mm), faces=side.faces)
         with progress.stage_of_shares("Elastic registration") as done:
             elastic = register_elastically(joined(moved), person, done=done)
     except MareyError as error:
@@ -112,7 +112,7 @@ def register_bone(
 
 
 def _warn_of_misfit(
-    elastic: ElasticRegistration, person: Surface, template: Path, subject: Path, progress: Progress
+    elastic: ElasticRegistration, person: TriangleSurface, template: Path, subject: Path, progress: Progress
 ) -> None:  # fmt: skip
     """Warn of parts of the template without a counterpart, and of two bones that remain different."""
     bent = elastic.registered

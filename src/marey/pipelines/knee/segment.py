@@ -13,7 +13,7 @@ from marey.io.mr.volumes import read_template, read_volume
 from marey.knee.bones.bones import BoneSegmentation, segment_bones
 from marey.knee.bones.template_fit import TemplateProblem
 from marey.knee.space.structures import BONES
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 from marey.knee.space.surfacing import surface_of_field
 from marey.knee.space.volume import Labels, Volume
 from marey.pipelines.knee.cartilage import CartilageMaps, cartilage_by_template, cartilage_maps
@@ -180,7 +180,7 @@ def _of_template(template: PathLike | Labels | None, problem: TemplateProblem) -
     return FileProblem(path, wrong.rstrip("."), remedy)
 
 
-def _surfaces(bones: BoneSegmentation, progress: Progress) -> dict[str, Surface]:
+def _surfaces(bones: BoneSegmentation, progress: Progress) -> dict[str, TriangleSurface]:
     surfaces = {}
     with progress.stage("Surfaces", len(bones.bones)) as step:
         for name, bone in bones.bones.items():

@@ -9,7 +9,7 @@ import numpy as np
 from marey.arrays import Floats, Image, Integers, Mask
 from marey.cameras.visibility import View, see
 from marey.kernels import kernel
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 from marey.view.pictures.knee_maps import BONE, proximity_colours
 
 VIEWS = ("anterior", "posterior", "medial", "lateral", "plateau")
@@ -33,7 +33,7 @@ class DrawnPart:
     """A structure that moves with a bone."""
 
     bone: str
-    surface: Surface
+    surface: TriangleSurface
     cartilage: bool
 
 
