@@ -82,7 +82,7 @@ class NearPose(Observation):
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ShapePrior(Observation):
-    """Prior of the shape numbers from the variation among people."""
+    """Prior of the shape parameters from the variation among people."""
 
     share: float = 1.0
     """Weight, as a number of observations."""

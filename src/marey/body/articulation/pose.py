@@ -182,7 +182,7 @@ class PosedBody(PosedSegments):
         Args:
             where: n points.
             rows: (n, r, 3).
-            shape: Whether the columns of the shape numbers are appended.
+            shape: Whether the columns of the shape parameters are appended.
 
         Returns:
             (n, r, D) or (n, r, D + M).
@@ -235,7 +235,7 @@ class PosedBody(PosedSegments):
         return np.ascontiguousarray(np.swapaxes(self._origin_modes[1], 1, 2))
 
     def shape_jacobian(self, where: SkinPoints) -> Floats:
-        """Return the derivatives of surface points by the shape numbers: (n, 3, M) [m by unit of the number]."""
+        """Return the derivatives of surface points by the shape parameters: (n, 3, M) [m by unit of the number]."""
         body = self.body
         jacobian = np.empty((len(where), 3, len(body.space)))
         kinematics.shape_jacobian(
@@ -245,7 +245,7 @@ class PosedBody(PosedSegments):
         return jacobian
 
     def origin_shape_jacobian(self) -> Floats:
-        """Return the derivatives of the segments' origins by the shape numbers: (S, 3, M)."""
+        """Return the derivatives of the segments' origins by the shape parameters: (S, 3, M)."""
         return np.swapaxes(self._origin_modes[0], 1, 2)
 
     def moved(self, change: Floats) -> "PosedBody":

@@ -73,7 +73,7 @@ def segment_measures(
 
     Args:
         space: Metaballs.
-        numbers: (N,) the person's shape numbers.
+        numbers: (N,) the person's shape parameters.
         covariance: (N, N) of the numbers; None if unknown.
         segments: (S,) true for segments that are measured.
         seed: Seed of the draws.

@@ -31,7 +31,7 @@ def scanned_body(
     joint_centres: Mapping[str, Floats],
     weights: Mapping[str, Floats] | None = None,
 ) -> Body:
-    """Make a body of a scanned or modelled person: no shape numbers, the template's skeleton.
+    """Make a body of a scanned or modelled person: no shape parameters, the template's skeleton.
 
     The person stands upright, in any heading, with arms and legs in any posture. It is turned to face -y, and its limbs
     are aligned with the template's at rest, by the rotation of least angle of each, so that all joint angles are
