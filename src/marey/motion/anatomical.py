@@ -15,6 +15,7 @@ from marey.arrays import Floats, freeze_fields
 from marey.body.articulation.skeleton import Skeleton
 from marey.errors import MareyError
 from marey.geometry import rotations
+from marey.geometry.vectors import unit
 
 FORWARD, UP, RIGHT = np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 1.0]), np.array([-1.0, 0.0, 0.0])
 """Directions of the body at rest, which faces -y with its left side at +x."""
@@ -193,8 +194,8 @@ def _frame(name: str, centre: Mapping[str, Floats], transverse: Mapping[str, Flo
         return _frame(f"{side}_forearm", centre, transverse)
     if kind == "clavicle" and f"{side}_upperarm" in centre:
         outwards = centre[f"{side}_upperarm"] - centre[name]
-        z = _unit(outwards if side == "right" else -outwards)
-        x = _unit(np.cross(UP, z))
+        z = unit(outwards if side == "right" else -outwards)
+        x = unit(np.cross(UP, z))
         return np.stack([x, np.cross(z, x), z], -1)
     if kind in ("foot", "toes") and f"{side}_toes" in centre and f"{side}_foot" in centre:
         along = centre[f"{side}_toes"] - centre[f"{side}_foot"]
@@ -202,13 +203,9 @@ def _frame(name: str, centre: Mapping[str, Floats], transverse: Mapping[str, Flo
     return np.stack([FORWARD, UP, RIGHT], -1)
 
 
-def _unit(vector: Floats) -> Floats:
-    return vector / np.linalg.norm(vector)
-
-
 def _from_y_and_z(y: Floats, z: Floats) -> Floats:
-    y = _unit(np.asarray(y, float))
-    x = _unit(np.cross(y, z))
+    y = unit(np.asarray(y, float))
+    x = unit(np.cross(y, z))
     return np.stack([x, y, np.cross(x, y)], -1)
 
 
@@ -245,10 +242,10 @@ def euler_axes(angles: Floats, sequence: str) -> Floats:
     Returns:
         (..., 3, 3), one axis per column: a small rotation exp(w) R changes the angles by d where axes @ d = w.
     """
-    unit = [np.eye(3)["XYZ".index(axis)] for axis in sequence]
-    first = rotations.about(unit[0], angles[..., 0])
-    second = first @ rotations.about(unit[1], angles[..., 1])
-    return np.stack([np.broadcast_to(unit[0], angles.shape), first @ unit[1], second @ unit[2]], -1)
+    own = [np.eye(3)["XYZ".index(axis)] for axis in sequence]
+    first = rotations.about(own[0], angles[..., 0])
+    second = first @ rotations.about(own[1], angles[..., 1])
+    return np.stack([np.broadcast_to(own[0], angles.shape), first @ own[1], second @ own[2]], -1)
 
 
 def anatomical_angles(body: Anatomy, segment_rotation: Floats) -> Floats:
