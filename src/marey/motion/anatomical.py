@@ -6,7 +6,7 @@ docs/explanation/angles.md lists them all. Unlike the papers, no landmark is pal
 centres and hinges of the body at rest.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -302,7 +302,7 @@ def angles_with_sd(
         body: The frames at rest.
         segment_rotation: (F, S, 3, 3) world from segment.
         turn_wrt_coordinates: (F, S, 3, D) derivative of a small rotation w of each segment in the world,
-            R <- exp(w) R, by each coordinate (see `turns_by_difference`).
+            R <- exp(w) R, by each coordinate (see `turns_of_steps`).
         covariance: (F, D, D) covariance of the coordinates.
 
     Returns:
@@ -377,31 +377,3 @@ def turns_of_steps(skeleton: Skeleton, world_axes: Floats) -> Floats:
     turns[..., 3:6] = np.eye(3)
     turns[..., 6:] = below[:, None, :] * np.swapaxes(world_axes, 1, 2)[:, None]
     return turns
-
-
-def turns_by_difference(rotations_of: Callable[[Floats], Floats], coordinates: Floats, *, step: float = 1e-5) -> Floats:
-    """Compute the derivative of each segment's small rotation by each coordinate, by central differences.
-
-    Args:
-        rotations_of: Computes segment rotations (S, 3, 3) from coordinates (D,).
-        coordinates: (F, D) [rad or m].
-        step: Step of the differences [rad or m].
-
-    Returns:
-        (F, S, 3, D); NaN in frames without coordinates.
-    """
-    frames = [_turns_of_one(rotations_of, q, step) if np.isfinite(q).all() else None for q in coordinates]
-    known = [f for f in frames if f is not None]
-    if not known:
-        raise MareyError("No frame has coordinates: the rotations of the segments cannot be computed.")
-    return np.stack([np.full_like(known[0], np.nan) if f is None else f for f in frames])
-
-
-def _turns_of_one(rotations_of: Callable[[Floats], Floats], q: Floats, step: float) -> Floats:
-    columns = []
-    for d in range(len(q)):
-        change = np.zeros_like(q)
-        change[d] = step
-        after, before = rotations_of(q + change), rotations_of(q - change)
-        columns.append(rotations.log(after @ np.swapaxes(before, -1, -2)) / (2 * step))
-    return np.stack(columns, -1)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from marey.arrays import Floats, Mask, freeze_fields, frozen
+from marey.arrays import Floats, freeze_fields, frozen
 from marey.errors import MareyError
 from marey.geometry import rotations
 from marey.motion.filters import known_runs
@@ -157,8 +157,3 @@ def _interpolated_rotations(time: Floats, rotation: Floats, at: Floats) -> Float
     result = np.full((*quaternions_at.shape[:2], 3, 3), np.nan)
     result[known] = rotations.from_quaternion(quaternions_at[known])
     return result
-
-
-def answered(values: Floats) -> Mask:
-    """Find the rows (F,) of values (F, ...) that are completely known."""
-    return np.asarray(np.isfinite(values).reshape(len(values), -1).all(1))
