@@ -1,4 +1,7 @@
-"""One alias for each kind of array (its shape is in the docstring of its user), read-only copies, and runs."""
+"""One alias for each kind of array; the shape is given in the docstring of each argument or field.
+
+Besides, read-only copies of arrays, and the runs of true elements in a mask.
+"""
 
 from typing import Any
 

@@ -132,9 +132,9 @@ def test_a_wrong_file_of_names_is_reported(folder, capsys, text, wrong):
     ("arguments", "wrong"),
     [
         (["nothing.mot", "ours.mot"], "nothing.mot: does not exist"),
-        (["ours.mot", "."], "holds neither motion.npz nor bones.npz"),
+        (["ours.mot", "."], "contains neither motion.npz nor bones.npz"),
         (["ours.mot", "theirs.mot", "--shift", "60"], "no time in common"),
-        (["ours.mot", "notes.txt"], "is no motion that is read here"),
+        (["ours.mot", "notes.txt"], "is not a file of a motion"),
     ],
 )
 def test_wrong_input_is_one_clear_line(folder, capsys, arguments, wrong):

@@ -1,4 +1,4 @@
-"""`marey markers` end to end: the files of a trial, what is passed over, and what is said of wrong input."""
+"""`marey markers` end to end: the files of a trial, what is skipped, and the errors for invalid input."""
 
 import csv
 import json
@@ -206,7 +206,7 @@ def test_a_segment_of_the_reference_without_markers_is_passed_over_and_said(fold
         arrays = dict(file)
     write_arrays(folder / "more.npz", {**arrays, "pelvis_rotation": np.eye(3), "pelvis_origin": np.zeros(3)})
     assert run(["markers", "walk.c3d", "--reference", "more.npz", "--method", "rigid"]) == 0
-    assert "pelvis, which has no markers in the trial; passed over" in capsys.readouterr().err
+    assert "pelvis, which has no markers in the trial and is skipped" in capsys.readouterr().err
     assert read_bones(folder / "walk_marey" / "bones.npz").motion.segments == ("thigh", "shank")
 
 
@@ -247,17 +247,17 @@ def test_an_interrupted_run_leaves_no_results_and_goes_on(folder, monkeypatch, c
         (["walk.c3d", "--method", "calibration"], "needs an anatomical calibration in 2 postures"),
         (["walk.c3d", "--reference", "nothing.npz"], "nothing.npz: does not exist. Correct --reference."),
         (["walk.c3d", "--side", "up"], "--side is 'up'"),
-        (["walk.c3d", "--unit", "inch"], "The unit 'inch' is not known"),
-        (["walk.c3d", "--unit", "m"], "but then its markers spread over"),
+        (["walk.c3d", "--unit", "inch"], "The unit 'inch' is unknown"),
+        (["walk.c3d", "--unit", "m"], "for which its markers would extend over"),
         (["walk.c3d", "--frames", "500:600"], "--frames begins at 500"),
         (["walk.c3d", "--clusters", "who.toml"], "has the unknown key 'segment'"),
         (["walk.c3d", "--clusters", "missing.toml"], "The segment foot has 0 markers"),
         (["loose.c3d"], "no three labels that differ only by a number"),
-        (["empty.c3d"], "holds no measured point"),
+        (["empty.c3d"], "has no measured point"),
         (["walk.c3d", "--reference", "walk.c3d"], "is not an NPZ"),
-        (["text.c3d"], "text.c3d: is no C3D"),
-        (["walk.c3d", "--reference", "feet.npz"], "has no segment that the trial's markers ride on"),
-        (["notes.txt"], "is no file of markers that is read here"),
+        (["text.c3d"], "text.c3d: is too short for a C3D file"),
+        (["walk.c3d", "--reference", "feet.npz"], "has no segment on which the trial has markers"),
+        (["notes.txt"], "is not a file of markers"),
     ],
 )
 def test_wrong_input_is_one_clear_line_and_leaves_nothing(folder, capsys, arguments, wrong):

@@ -13,7 +13,7 @@ from marey.cameras import lens
 from marey.cameras.camera import Camera
 from marey.cameras.rays import PluckerLines
 from marey.cameras.visibility import MARGIN, Scratch, View, draw_into, rim_pixels, see
-from marey.images.silhouettes.contours import Contour, trace_contour
+from marey.images.silhouettes.contours import SilhouetteContour, trace_contour
 from marey.images.silhouettes.interior import InteriorEdges
 from marey.images.silhouettes.nearest import nearest_other, nearest_within, sort_into_cells
 from marey.kernels import kernel
@@ -30,7 +30,7 @@ class ObservedOutline:
 
     camera: Camera
     """The camera."""
-    contour: Contour
+    contour: SilhouetteContour
     """Contour of the silhouette."""
     interior: InteriorEdges | None = None
     """Edges of limbs inside the silhouette, if they were extracted."""
@@ -99,7 +99,7 @@ class OutlineMatchSettings:
 
 
 def view_of(posed: PosedBody, camera: Camera) -> View:
-    """Draw the posed surface in a camera's picture."""
+    """Draw the posed surface in a camera's image."""
     projected = np.empty_like(posed.vertices)
     lens.project_points(camera.packed, posed.vertices, projected)
     return see(projected, posed.body.faces, camera.size)

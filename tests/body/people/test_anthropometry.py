@@ -99,6 +99,7 @@ def test_a_girth_mode_changes_the_girth_of_its_segment(family, known):
     assert after["head_girth"] == before["head_girth"]
 
 
+@pytest.mark.slow
 def test_a_known_stature_gives_bodies_of_that_stature(family, known, rng):
     space = condition(space_of(family), known, {"stature": (1.85, 0.005)})
     assert of(family, known, space.prior_mean)["stature"] == pytest.approx(1.85, abs=1e-3)

@@ -41,7 +41,7 @@ def c3d_with_a_plate(path: Path, kind: int = 2) -> Path:
     return path
 
 
-def test_a_plates_channels_become_the_ground_reaction_where_it_acts(tmp_path):
+def test_channels_of_a_plate_give_the_ground_reaction_at_its_centre_of_pressure(tmp_path):
     (plate,) = read_force_plates(c3d_with_a_plate(tmp_path / "a.c3d"))
     assert (plate.name, plate.rate, len(plate.force)) == ("force_plate_1", 1000, 100)
     np.testing.assert_allclose(plate.force[0], [-20, 0, 700], atol=1e-3)
@@ -52,7 +52,7 @@ def test_a_plates_channels_become_the_ground_reaction_where_it_acts(tmp_path):
     np.testing.assert_allclose(frame.rotation @ [0, 0, 1.0], [0, 0, -1], atol=1e-6)
 
 
-def test_events_come_in_the_order_of_time_without_those_that_are_no_steps(tmp_path):
+def test_events_are_ordered_by_time_and_other_events_are_skipped(tmp_path):
     events = read_events(c3d_with_a_plate(tmp_path / "a.c3d"))
     assert [(e.kind, e.side, round(e.time, 6)) for e in events] == [(STRIKE, "left", 0.02), (OFF, "right", 0.05)]
 

@@ -253,6 +253,7 @@ def test_a_body_whose_numbers_mean_something_else_is_its_own_twin():
     assert coarse_twin(moved, coarse) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("word", ["metaballs", "simple-metaballs"])
 def test_a_generic_body_of_metaballs_is_opened_by_its_name(word):
     bodies = open_bodies(*given(word, preset="right_leg"))
@@ -262,6 +263,7 @@ def test_a_generic_body_of_metaballs_is_opened_by_its_name(word):
     np.testing.assert_array_equal(bodies.fine.joint_centres, bodies.coarse.joint_centres)
 
 
+@pytest.mark.slow
 def test_a_body_of_metaballs_from_an_earlier_take_has_a_twin_with_few_vertices(tmp_path, rng):
     person = metaball_person("simple")
     person = reshaped(person, 0.5 * np.linalg.cholesky(person.space.prior_covariance) @ rng.normal(size=26))
@@ -273,6 +275,7 @@ def test_a_body_of_metaballs_from_an_earlier_take_has_a_twin_with_few_vertices(t
     assert np.quantile(np.abs(off), 0.99) < 1e-3
 
 
+@pytest.mark.slow
 def test_of_a_whole_body_the_preset_leaves_what_it_follows(tmp_path):
     write_body(tmp_path / "body.npz", metaball_person("simple"), preset="full")
     bodies = open_bodies(*given(tmp_path / "body.npz", preset="right_arm"))
@@ -289,6 +292,7 @@ def test_bodies_whose_sizes_are_held_have_no_numbers_to_learn():
         np.testing.assert_allclose(one.joint_centres, was.joint_centres, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_what_an_earlier_take_knows_of_a_body_is_expected_of_it(tmp_path, rng):
     for person in (person_body("coarse"), metaball_person("simple", "coarse")):
         numbers = 0.5 * np.sqrt(np.diag(person.space.prior_covariance))

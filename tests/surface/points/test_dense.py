@@ -29,6 +29,7 @@ def points(triplet):
     return measured(*triplet, TemplateSearch(1, (0, 2)))
 
 
+@pytest.mark.slow
 def test_points_lie_on_the_surface_and_cover_it(triplet, points):
     beside = np.abs(beside_ball(points.points))
     # Half a millimetre is a fifth of a pixel.
@@ -87,6 +88,7 @@ def test_a_mask_keeps_the_rest_out(triplet, points):
     assert points.pixels[:, 1, 0].max() < 125
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["flat", "blurred", "unrelated"])
 def test_no_surface_is_made_up(rng, kind):
     rig = scenes.rig(-10, 0, 10)

@@ -1,4 +1,4 @@
-"""Metaballs of a generic person, the numbers in which people differ, and their skin as a body that can be fitted."""
+"""Metaballs of a generic person, the shape parameters of people, and their skin as a body that can be fitted."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -37,7 +37,7 @@ class MetaballSpace:
     its balls and the joints beyond it move along it, and its width, or breadth and depth, which all its balls have in
     common. Unlike the paper, a ball beside the bone also moves outwards with the width.
 
-    A ball's weight w ([Plaenkers1999] eq. (5)) and its radii both enlarge it, so that points hardly distinguish them.
+    A ball's weight w ([Plaenkers1999] eq. (5)) and its radii both enlarge it, so that points barely distinguish them.
     Unlike the paper, the number that changes the weight is therefore the ball's sharpness t: the logarithm of its field
     decreases exp(t) times as much from its centre to its skin, and the radii shrink by exp(-t / 2), so that the skin
     stays in place, to first order and in the mean over the generic person. A sharper ball has a larger weight.

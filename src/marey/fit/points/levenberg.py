@@ -126,7 +126,7 @@ def fit_points(
                 break
             damping = 10.0 * max(damping, LEAST_DAMPING)
         else:
-            stopped = "no step lowers the cost any more"
+            stopped = "no further step lowers the cost"
             break
         damping = max(damping / 10.0, LEAST_DAMPING)
         fall = (system.cost - cost) / system.cost

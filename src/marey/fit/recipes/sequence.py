@@ -3,7 +3,7 @@
 A pose's observations involve that pose and the shape; smoothness involves three neighbours in time. The normal
 equations are therefore block-banded with a border, and are solved as such ([Plaenkers1999] section 4.1 for the
 weighting; the structure is ours). A long sequence is solved in windows that overlap: time grows linearly with the
-number of frames, and memory hardly grows.
+number of frames, and memory grows little.
 """
 
 from collections.abc import Callable, Container, Generator, Iterator, Mapping, MutableMapping, Sequence

@@ -1,4 +1,4 @@
-"""Silhouettes of a frame, reduced to one size of the pictures for speed."""
+"""Silhouettes of a frame, reduced to one size of the images for speed."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -20,7 +20,7 @@ _PIXEL_BYTES = 160
 
 @dataclass(frozen=True, eq=False)
 class SilhouetteLevel:
-    """One frame's silhouettes at one size of the pictures."""
+    """One frame's silhouettes at one size of the images."""
 
     cameras: tuple[Camera, ...]
     masks: tuple[Mask, ...]
@@ -87,10 +87,10 @@ class FrameLevels:
     the last few are kept.
 
     Args:
-        cameras: Cameras of the full pictures.
+        cameras: Cameras of the full images.
         masks_of: Returns the silhouettes (height, width) of a frame, one per camera.
         factor: New size over old size.
-        edges_of: Returns the edges inside a frame's silhouettes, one set per camera, in full pictures; None if they
+        edges_of: Returns the edges inside a frame's silhouettes, one set per camera, in full images; None if they
             were not extracted.
         room: Memory for levels that are kept [bytes].
     """

@@ -24,7 +24,7 @@ class Candidate:
 
     posed: PosedBody
     score: float
-    """Mean intersection over union, less the cost of an unlikely posture."""
+    """Mean intersection over union, minus the cost of an unlikely posture."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,9 +48,9 @@ class StartSettings:
     prior_cost: float = 3e-4
     """Decrease of the score per unit of the posture's prior cost."""
     coarse_height: float = 80.0
-    """Height of the person in the pictures of the search [px]."""
+    """Height of the person in the images of the search [px]."""
     fine_height: float = 160.0
-    """Height of the person in the pictures of the final fit [px]."""
+    """Height of the person in the images of the final fit [px]."""
 
 
 class Search:

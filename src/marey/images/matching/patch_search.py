@@ -13,13 +13,17 @@ from marey.images.matching.matching import Matches, MatchSettings, match
 from marey.images.matching.splines import spline_of
 
 _STRETCHES = (0.8, 1.0, 1.25)
+"""Horizontal scale factors of the patches that are compared. Chosen by hand."""
 _SHEARS = (-0.25, 0.0, 0.25)
+"""Horizontal shears of the patches that are compared. Chosen by hand."""
 _SMOOTH = 1.0
-"""Blur of the patches that are compared at first, so that corners need not lie on the very same pixel [px]."""
+"""Standard deviation of the blur before the first comparison, so that corners may lie a pixel apart [px]."""
 _REACH = 6.0
+"""Largest distance of a match from its start [px]. Chosen by hand."""
 _ROUNDS = 4
+"""Largest number of passes in which neighbours of known points are searched. Chosen by hand."""
 _AT_ONCE = 256
-"""Points that are compared at once, to bound the memory."""
+"""Number of points compared at once, which bounds the memory."""
 
 
 class Candidates(NamedTuple):

@@ -1,4 +1,4 @@
-"""The empty picture of a camera: its mean, its steepness and its noise, and how another picture exposes it."""
+"""Background model of a camera: mean image, gradient and noise, and the exposure of an image relative to it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,19 +10,24 @@ from marey.arrays import Mask, freeze_fields
 from marey.kernels import kernel
 
 LEAST_NOISE = 1.0
-"""Standard deviation in grey levels below which no recording of eight bits a channel is believed."""
+"""Lower limit of the noise's standard deviation in recordings of eight bits per channel [grey levels]. Chosen by
+hand."""
 
 BLACK = 24
-"""A bar is darker than this, grey levels."""
+"""Upper limit of the brightness of a black bar [grey levels]. Chosen by hand."""
 
 GHOST = 3.0
-"""A place is a ghost when the step across its outline is so many times higher in the plate than in the take."""
+"""Ratio of the step across an outline in the background image to that in the video, above which the region is a ghost:
+something that the background image shows and the video does not. Chosen by hand."""
 
-DOUBT = 3.0
-"""A background that differs by more standard deviations (over 5 x 5 pixels) does not explain a picture."""
+UNEXPLAINED_SD = 3.0
+"""Difference between image and background, in standard deviations averaged over 5 x 5 pixels, above which the
+background does not explain the image. Chosen by hand."""
 
 _MEDIAN_TO_DEVIATION = 1 / 0.6745
+"""Ratio of a normal distribution's standard deviation to its median absolute deviation."""
 _SAMPLES = 5000
+"""Approximate number of pixels from which the exposure of an image is estimated. Chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -100,9 +105,9 @@ def doubted(background: Background, pictures: Sequence[np.ndarray]) -> Backgroun
         misfit /= shown.noise**2 + np.float32(shown.jitter**2) * background.steepness[..., None]
         misfit = cv2.blur(misfit.mean(axis=2), (5, 5))
         least = np.minimum(least, misfit)
-        changed += (misfit > DOUBT**2) / np.float32(len(pictures))
+        changed += (misfit > UNEXPLAINED_SD**2) / np.float32(len(pictures))
         average += picture / np.float32(len(pictures))
-    wrong = cv2.morphologyEx((least > DOUBT**2).astype(np.uint8), cv2.MORPH_OPEN, np.ones((5, 5), np.uint8))
+    wrong = cv2.morphologyEx((least > UNEXPLAINED_SD**2).astype(np.uint8), cv2.MORPH_OPEN, np.ones((5, 5), np.uint8))
     trust, ghost = _outlines(wrong, changed, background.mean, average)
     mean = background.mean
     if ghost.any():

@@ -11,7 +11,7 @@ from marey.images.silhouettes.nearest import Cells, sort_into_cells
 
 
 @dataclass(frozen=True, eq=False)
-class Contour:
+class SilhouetteContour:
     """The innermost ring of a silhouette's pixels: those beside a pixel that is outside."""
 
     mask: Mask
@@ -27,7 +27,7 @@ class Contour:
         return sort_into_cells(self.pixels)
 
 
-def trace_contour(mask: Mask, *, border: int = 2, blur: float = 1.5) -> Contour:
+def trace_contour(mask: Mask, *, border: int = 2, blur: float = 1.5) -> SilhouetteContour:
     """Trace the outline of a silhouette.
 
     Args:
@@ -40,7 +40,7 @@ def trace_contour(mask: Mask, *, border: int = 2, blur: float = 1.5) -> Contour:
     picture = np.ascontiguousarray(mask).view(np.uint8)
     first_x, first_y, columns, rows = cv2.boundingRect(picture)
     if rows == 0:
-        return Contour(mask, np.zeros((0, 2)), np.zeros((0, 2)))
+        return SilhouetteContour(mask, np.zeros((0, 2)), np.zeros((0, 2)))
     margin = int(np.ceil(4 * blur)) + 1
     top, bottom = max(first_y - margin, 0), min(first_y + rows + margin, height)
     left, right = max(first_x - margin, 0), min(first_x + columns + margin, width)
@@ -55,12 +55,13 @@ def trace_contour(mask: Mask, *, border: int = 2, blur: float = 1.5) -> Contour:
     directed = np.linalg.norm(normals, axis=1) > 0.5
     x, y, normals = x[directed], y[directed], normals[directed]
     if len(x) == 0:
-        return Contour(mask, np.zeros((0, 2)), np.zeros((0, 2)))
+        return SilhouetteContour(mask, np.zeros((0, 2)), np.zeros((0, 2)))
     pixels = np.stack([x + left, y + top], 1).astype(float)
-    return Contour(mask, pixels, normals)
+    return SilhouetteContour(mask, pixels, normals)
 
 
 _CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+"""Structuring element of a pixel and its four neighbours."""
 
 
 def _normals(part: np.ndarray, x: Integers, y: Integers, blur: float) -> Floats:

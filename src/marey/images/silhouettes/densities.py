@@ -14,19 +14,20 @@ from marey.arrays import Mask, freeze_fields
 from marey.kernels import kernel
 
 COLOUR_SHIFT = 3
-"""Colours are counted in cubes of 8 grey levels a side, the kernel's standard deviation."""
+"""Binary logarithm of the side of a histogram cell: 8 grey levels, the standard deviation of the smoothing."""
 
 RATIO_BINS = 64
+"""Number of bins of the histogram of a shadow's darkening."""
 RATIO_RANGE = (0.2, 1.1)
-"""A cast shadow keeps at least a fifth of the light; a little more than all of it can come back from a person."""
-
+"""Range of the ratio of the light under a shadow to that without: a cast shadow keeps at least 20 % of the light, and
+light reflected by a person can slightly increase it. Chosen by hand."""
 
 SHADOW_DEPTH = 0.1
-"""Before any is seen, shadows are expected to take about this share of the light."""
-
+"""Expected share of the light removed by a shadow before any shadow was observed. Chosen by hand."""
 
 COMMON = {1: 1.0, 3: 16.0}
-"""Colours of things crowd about grey: one of which nothing is known is so much denser there than in the whole cube."""
+"""Density of an unknown colour relative to the uniform density, by number of channels: real colours concentrate about
+grey. Chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

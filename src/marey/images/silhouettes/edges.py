@@ -1,4 +1,4 @@
-"""The last pixel: a pixel on the border shows some of both sides, and belongs to the side it shows more of."""
+"""Placement of a silhouette's border to the pixel: a border pixel is assigned to the side whose colour it resembles."""
 
 import cv2
 import numpy as np
@@ -7,11 +7,13 @@ from marey.arrays import Mask
 from marey.images.silhouettes.evidence import LIMIT
 from marey.kernels import kernel
 
-NEAR = 4
-"""Pixels about a border pixel from which the colours of the two sides are taken, every second one."""
+NEAR_BORDER = 4
+"""Half-width of the window about a border pixel from which the colours of the two sides are taken, every second pixel
+[px]. Chosen by hand."""
 
 CONTRAST = 3.0
-"""Where the sides differ by fewer standard deviations than this the border stays where it is."""
+"""Least difference between the colours of the two sides for which the border is moved [standard deviations]. Chosen by
+hand."""
 
 
 def edge_evidence(
@@ -55,8 +57,8 @@ def _edge_evidence(picture, light, weight, votes, zone):
             count, above, below = 0, np.float32(0.0), np.float32(0.0)
             for c in range(channels):
                 inside[c] = 0
-            for row in range(max(y - NEAR, y % 2), min(y + NEAR + 1, height), 2):
-                for column in range(max(x - NEAR, x % 2), min(x + NEAR + 1, width), 2):
+            for row in range(max(y - NEAR_BORDER, y % 2), min(y + NEAR_BORDER + 1, height), 2):
+                for column in range(max(x - NEAR_BORDER, x % 2), min(x + NEAR_BORDER + 1, width), 2):
                     side = zone[row, column]
                     if side == 2:
                         count += 1

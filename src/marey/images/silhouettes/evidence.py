@@ -1,4 +1,4 @@
-"""Evidence of a pixel for the person: log p_person - log p_rest, the rest being background, perhaps in shadow."""
+"""Evidence of each pixel for the person: log p_person - log p_rest, where the rest is background or its shadow."""
 
 from math import exp, lgamma, log, pi
 
@@ -11,21 +11,27 @@ from marey.images.silhouettes.densities import COMMON, RATIO_BINS, RATIO_RANGE, 
 from marey.kernels import kernel
 
 FREEDOM = 5.0
-"""Degrees of freedom of the t distribution of what differs from the background: compression has heavy tails."""
+"""Degrees of freedom of the t distribution of differences from the background: compression has heavy tails. Chosen by
+hand."""
 
 SHADE_SLACK = 0.03
-"""Within a few pixels the darkening of a shadow changes by this share."""
+"""Standard deviation of a shadow's darkening within a few pixels, as a share of the light. Chosen by hand."""
 
 VEIL_SLACK = 0.3
+"""Standard deviation of a veil's strength within a few pixels, as a share of it. Chosen by hand."""
 VEIL = 8.0
-"""Reflections on floors and light thrown by the person change the background by about so many grey levels."""
+"""Mean strength of a veil: of reflections on floors and of light reflected by the person [grey levels]. Chosen by
+hand."""
 
 SHADOW_SHARE = 0.2
+"""Prior probability that a pixel outside the person is in shadow. Chosen by hand."""
 VEIL_SHARE = 0.3
+"""Prior probability that a pixel outside the person is veiled. Chosen by hand."""
 UNKNOWN_SHARE = 0.25
-"""Shares of shadowed and veiled pixels in the rest, and of colours in the person that were not seen on it before."""
+"""Prior probability that a pixel of the person has a colour not observed on the person before. Chosen by hand."""
 
 LIMIT = 10.0
+"""Largest absolute value of a pixel's evidence, a natural logarithm. Chosen by hand."""
 
 
 def evidence(

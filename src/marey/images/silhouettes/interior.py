@@ -1,4 +1,4 @@
-"""Edges inside of a silhouette: where the picture shows the border of a limb before another part of the person."""
+"""Edges inside a silhouette: the visible borders of a limb in front of another part of the person."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -10,26 +10,29 @@ from marey.arrays import Floats, Integers, Mask
 from marey.images.silhouettes.nearest import Cells, sort_into_cells
 from marey.kernels import kernel
 
-REACH = 0.025
-"""How far from its expected place an edge is looked for: share of the person's height."""
+EDGE_REACH = 0.025
+"""Half-width of the search about an edge's expected position, as a share of the silhouette's height. Chosen by
+hand."""
 CLEAR = 6.0
-"""An edge's contrast is at least so many standard deviations of the picture's noise."""
+"""Least contrast of an edge, in standard deviations of the image's noise. Chosen by hand."""
 PARTED = 4.0
-"""The colours of both sides differ by so many times their own spread: a step, no slope and no texture."""
-SIDE = 5
-"""Pixels to either side of an edge whose colours are compared."""
-RIVAL = 0.6
-"""No other edge within reach has this share of its strength."""
+"""Least difference between the mean colours of the two sides, in standard deviations of the colours about them, which
+excludes gradients and texture. Chosen by hand."""
+SIDE_WIDTH = 5
+"""Number of pixels on each side of an edge whose colours are compared. Chosen by hand."""
+RIVAL_STRENGTH = 0.6
+"""Largest strength of any other edge within reach, as a share of the strongest edge's. Chosen by hand."""
 APART = 3
-"""Edges nearer to each other than this are one [px]."""
+"""Edges nearer to each other than this are one [px]. Chosen by hand."""
 NEAR, COMPANY, LIKE = 8.0, 0.6, 1.5
-"""Of the places so near along a rim [px] such a share shows an edge, and their median lies within so many pixels."""
+"""An edge is accepted if, among the expected positions within `NEAR` [px] on the same rim, the share `COMPANY` has an
+edge and their median offset differs by at most `LIKE` [px]. Chosen by hand."""
 INSIDE = 4.0
-"""An edge nearer to the silhouette's outline than this may be the outline itself [px]."""
+"""Least distance of an edge from the silhouette's outline, which a nearer edge may be itself [px]. Chosen by hand."""
 _ALONG = 2
-"""Pixels along the edge, to either side, over which the picture is averaged."""
+"""Number of pixels along the edge, to each side, over which the image is averaged. Chosen by hand."""
 _WIDE = 2
-"""Pixels to either side of an edge that are compared."""
+"""Number of pixels on each side of an edge whose difference is its strength. Chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -82,7 +85,7 @@ def find_edges(image: np.ndarray, mask: Mask, expected: InteriorEdges, noise: np
     if len(expected) == 0 or not mask.any():
         return InteriorEdges.none()
     rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
-    reach = max(4.0, REACH * (rows[-1] - rows[0] + 1))
+    reach = max(4.0, EDGE_REACH * (rows[-1] - rows[0] + 1))
     top, left = max(rows[0] - 1, 0), max(columns[0] - 1, 0)
     part = np.ascontiguousarray(mask[top : rows[-1] + 2, left : columns[-1] + 2])
     depth = cv2.distanceTransform(part.view(np.uint8), cv2.DIST_L2, 5)
@@ -108,13 +111,13 @@ def strongest_steps(image, depth, left, top, pixels, inward, weight, reach):
         weight: (C,) one over the noise's standard deviation.
         reach: pixels to either side that are searched.
     """
-    count, length = pixels.shape[0], 2 * (reach + SIDE) + 1
+    count, length = pixels.shape[0], 2 * (reach + SIDE_WIDTH) + 1
     found = np.full(count, np.nan)
     profile = np.empty((length + 2 * _WIDE, image.shape[2]))
     strength, parts, across = np.empty(length), np.empty(length, np.bool_), np.empty(image.shape[2])
     for i in range(count):
-        first, last = _free_way(depth, pixels[i, 0] - left, pixels[i, 1] - top, inward[i], reach + SIDE)
-        if last - first < 2 * SIDE:
+        first, last = _free_way(depth, pixels[i, 0] - left, pixels[i, 1] - top, inward[i], reach + SIDE_WIDTH)
+        if last - first < 2 * SIDE_WIDTH:
             continue
         _take_profile(image, pixels[i], inward[i], first - _WIDE, last + _WIDE, profile)
         steps = strength[: last - first + 1]
@@ -209,7 +212,12 @@ def _one_clear_peak(strength, parts, first, last):
     if best < 0 or strength[best] < CLEAR:
         return -1
     for s in range(max(first, 1), min(last, len(strength) - 2) + 1):
-        if abs(s - best) >= APART and parts[s] and _is_peak(strength, s) and strength[s] > RIVAL * strength[best]:
+        if (
+            abs(s - best) >= APART
+            and parts[s]
+            and _is_peak(strength, s)
+            and strength[s] > RIVAL_STRENGTH * strength[best]
+        ):
             return -1
     return best
 
@@ -243,7 +251,10 @@ def _contrast(profile, weight, place, step):
 def _parts(profile, place, weight, across):
     """Tell whether the colours (n, C) of both sides of a place differ by far more than they spread."""
     # Next to the edge the optics mix both sides.
-    before, after = profile[max(place - 1 - SIDE, 0) : max(place - 1, 0)], profile[place + 2 : place + 2 + SIDE]
+    before, after = (
+        profile[max(place - 1 - SIDE_WIDTH, 0) : max(place - 1, 0)],
+        profile[place + 2 : place + 2 + SIDE_WIDTH],
+    )
     if len(before) < 3 or len(after) < 3:
         return False
     apart = _chroma_step(before, after, across)

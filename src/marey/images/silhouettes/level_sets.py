@@ -1,4 +1,4 @@
-"""Level sets: the border of a region, moved until evidence and length agree, on two lists of pixels.
+"""Level-set segmentation: the border of a region is moved until evidence and length are in balance.
 
 The level set function takes four values only: -3 inside, -1 on the inner border, +1 on the outer border, +3 outside.
 The two borders are the narrow band, kept as lists [Shi2008]; a sweep visits nothing else.
@@ -9,15 +9,24 @@ import numpy as np
 from marey.arrays import Mask
 from marey.kernels import kernel
 
-REACH = 2
+LENGTH_REACH = 2
+"""Half-width of the window over which the border's length is measured [px]. The kernels depend on this value."""
 _ROW = 20
+"""Number of bits by which the row is shifted in the number of a pixel on a list."""
 _COLUMN = (1 << _ROW) - 1
-"""A pixel on a list is its row, shifted by so many bits, and its column: nothing needs to be divided."""
+"""Bit mask of the column in the number of a pixel on a list."""
 
-_OFFSETS = np.arange(-REACH, REACH + 1)
-_WEIGHTS = np.exp(-(_OFFSETS[:, None] ** 2 + _OFFSETS[None, :] ** 2) / (2 * 1.6**2))
-_WEIGHTS[REACH, REACH] = 0.0
-WEIGHTS = np.ascontiguousarray((_WEIGHTS / _WEIGHTS.sum()).astype(np.float32))
+
+def _length_weights() -> np.ndarray:
+    """Return the Gaussian weights (5, 5) of the pixels about a pixel, which has weight zero; they sum to one."""
+    offsets = np.arange(-LENGTH_REACH, LENGTH_REACH + 1)
+    weights = np.exp(-(offsets[:, None] ** 2 + offsets[None, :] ** 2) / (2 * 1.6**2))
+    weights[LENGTH_REACH, LENGTH_REACH] = 0.0
+    return np.ascontiguousarray((weights / weights.sum()).astype(np.float32))
+
+
+WEIGHTS = _length_weights()
+"""Weights (5, 5) of a pixel's neighbours in the border's length: a Gaussian with standard deviation 1.6 px."""
 
 
 def evolve(evidence: np.ndarray, start: Mask, *, length: float, sweeps: int = 200) -> Mask:
@@ -48,11 +57,11 @@ def evolve(evidence: np.ndarray, start: Mask, *, length: float, sweeps: int = 20
 
 def votes(evidence: np.ndarray, inside: Mask, *, length: float) -> np.ndarray:
     """How much the energy falls when a pixel is inside rather than outside, (H, W); the plain meaning of the kernel."""
-    padded = np.pad(inside.astype(np.float64), REACH, mode="edge")
+    padded = np.pad(inside.astype(np.float64), LENGTH_REACH, mode="edge")
     height, width = inside.shape
     share = np.zeros(inside.shape)
-    for i in range(2 * REACH + 1):
-        for j in range(2 * REACH + 1):
+    for i in range(2 * LENGTH_REACH + 1):
+        for j in range(2 * LENGTH_REACH + 1):
             share += WEIGHTS[i, j] * padded[i : i + height, j : j + width]
     return evidence + length * (2 * share - 1)
 

@@ -1,4 +1,4 @@
-"""How noisy a picture is, told from the picture itself."""
+"""Estimation of an image's noise from the image itself."""
 
 import cv2
 import numpy as np
@@ -6,10 +6,11 @@ import numpy as np
 from marey.arrays import Floats
 
 _HIGH_PASS = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32) / 6
-"""Takes out what is linear in x or in y; white noise keeps its standard deviation [Immerkaer1996]."""
+"""Filter that removes what is linear in x or in y and keeps the standard deviation of white noise [Immerkaer1996]."""
 _BLOCK = 16
+"""Width and height of the blocks in which the noise is measured [px]. Chosen by hand."""
 _QUIET = 0.2
-"""Share of the blocks that show noise and no texture."""
+"""Share of the blocks that contain noise but no texture. Chosen by hand."""
 ROUNDING = 12**-0.5
 """Standard deviation of the rounding to whole grey levels."""
 

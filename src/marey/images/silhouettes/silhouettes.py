@@ -1,4 +1,4 @@
-"""Silhouettes: two regions of a picture, the person and the rest, found from coarse to fine."""
+"""Level-set segmentation of a person against a background model, from coarse to fine."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -15,38 +15,39 @@ from marey.images.silhouettes.level_sets import evolve
 from marey.kernels import kernel
 
 LENGTH = 4.0
-"""Weight of the border's length: so much evidence (a log-ratio) a single pixel needs against all its neighbours."""
+"""Weight of the border's length: the evidence (a log-ratio) that a single pixel needs to differ from all its
+neighbours. Chosen by hand."""
 
 EDGE_LENGTH = 2.0
-"""The same for the last step, which only finds the border's place between known sides."""
+"""Weight of the border's length in the last step, which only places the border between known sides. Chosen by hand."""
 
 COARSER = 2
-"""The coarsest pictures have a quarter of the width and height."""
+"""Number of halvings of the image for the coarsest evolution: it has 1/4 of the width and height."""
 
 ROUNDS = 4
-"""Densities and regions are estimated in turn so often where nothing is known of the person's colours."""
+"""Number of alternations between densities and regions if the person's colours are unknown. Chosen by hand."""
 
 REDUCED = 4
-"""Somebody is first sought in a picture reduced by this, where no start says where to look."""
+"""Factor by which the image is reduced for the first search of a person if no start is given."""
 
 LEAST_REDUCED = 60
-"""Rows and columns that a reduced picture must have to be worth a look."""
+"""Least number of rows and columns of a reduced image for this search. Chosen by hand."""
 
 LEARNING = 0.2
-"""Share of a new picture in the densities that are handed on."""
+"""Weight of a new image in the densities that are passed on to the next image. Chosen by hand."""
 
 SURE = 2.0
-"""Only pixels with this evidence for the person teach what the person looks like."""
+"""Least evidence for the person of the pixels from which the person's colours are estimated. Chosen by hand."""
 
 GAP = 0.025
-"""Regions no farther apart than this share of the picture's size count as one: before stripes of its own colour a limb
-falls into pieces."""
+"""Largest gap between regions that count as one, as a share of the square root of the image area: in front of
+background of its own colour a limb is split into pieces. Chosen by hand."""
 
-LEAST_SHARE = 0.0015
-"""A region smaller than this share of the picture is nobody."""
+LEAST_PERSON_SHARE = 0.0015
+"""Regions below this fraction of the image area are discarded. Chosen by hand."""
 
 FRAGMENT_SHARE = 0.02
-"""A region apart from the largest belongs to the person when it has at least this share of its pixels."""
+"""Least area of a separate region of the person, as a share of the largest region's. Chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -114,7 +115,7 @@ def segment(
         known = known + (1 - scene.background.trust) * shape_term(begin, 2 * LIMIT / far, far)
     if prior is not None:
         known = known + prior[roi].astype(np.float32)
-    least = LEAST_SHARE * image.shape[0] * image.shape[1]
+    least = LEAST_PERSON_SHARE * image.shape[0] * image.shape[1]
     found = _in_turn(scene, look, begin, known, near, length=length, least=least, rounds=rounds)
     region = found.region
     if region.any():
@@ -183,7 +184,7 @@ def _where_somebody_is(
     """Rows and columns about whoever the reduced picture shows, and the looks learned there; None for nobody."""
     scene = _reduced(image, background, shown_part, shown)
     # Somebody just large enough may be smaller here.
-    least = LEAST_SHARE * image.shape[0] * image.shape[1] / REDUCED**2 / 2
+    least = LEAST_PERSON_SHARE * image.shape[0] * image.shape[1] / REDUCED**2 / 2
     size = length / REDUCED
     found = _in_turn(scene, look, None, np.float32(0), None, length=size, least=least, rounds=rounds)
     if not found.region.any():

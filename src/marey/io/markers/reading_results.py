@@ -1,4 +1,4 @@
-"""Reading the tables that `marey markers` leaves: joint angles, the motion of the markers, gait events."""
+"""Reading the tables that `marey markers` writes: joint angles, marker motion, and gait events."""
 
 import csv
 from pathlib import Path
@@ -12,12 +12,13 @@ from marey.markers.kinematics.joint_angles import JointKinematics
 from marey.motion.gait import GaitEvent
 
 _MM = 1e3
-"""Millimetres in a metre."""
+"""Number of millimetres per metre."""
 _RUN_AGAIN = "Run `marey markers` again."
+"""Remedy for a damaged result file."""
 
 
 def read_joint_csv(path: Path | str) -> JointKinematics:
-    """Read `angles.csv` as `write_joint_csv` leaves it.
+    """Read `angles.csv` as written by `write_joint_csv`.
 
     Args:
         path: The file.
@@ -26,7 +27,7 @@ def read_joint_csv(path: Path | str) -> JointKinematics:
         Angles [rad] and translations [m]; NaN where a cell is empty.
 
     Raises:
-        FileProblem: It is missing, or no table of numbers.
+        FileProblem: The file does not exist, or is not a table of numbers.
     """
     head, values = _read_rows(path)
     columns = dict(zip(head, values.T, strict=True))
@@ -49,13 +50,13 @@ def read_joint_csv(path: Path | str) -> JointKinematics:
 
 
 def read_marker_motion(path: Path | str) -> MarkerMotion:
-    """Read `marker_motion.csv` as `write_marker_motion` leaves it.
+    """Read `marker_motion.csv` as written by `write_marker_motion`.
 
     Args:
         path: The file.
 
     Raises:
-        FileProblem: It is missing, or no table of numbers.
+        FileProblem: The file does not exist, or is not a table of numbers.
     """
     head, values = _read_rows(path)
     named = [name.removesuffix("_x_mm").partition(":") for name in head if name.endswith("_x_mm")]
@@ -66,13 +67,13 @@ def read_marker_motion(path: Path | str) -> MarkerMotion:
 
 
 def read_event_csv(path: Path | str) -> tuple[GaitEvent, ...]:
-    """Read `events.csv` as `write_events` leaves it.
+    """Read `events.csv` as written by `write_events`.
 
     Args:
         path: The file.
 
     Raises:
-        FileProblem: It is missing or damaged.
+        FileProblem: The file does not exist or is damaged.
     """
     try:
         with Path(path).open(newline="", encoding="utf-8") as file:
@@ -85,7 +86,7 @@ def read_event_csv(path: Path | str) -> tuple[GaitEvent, ...]:
 
 
 def _read_rows(path: Path | str) -> tuple[list[str], Floats]:
-    """Read a head and rows of numbers (F, N); an empty cell is NaN."""
+    """Read a header line and rows of numbers (F, N); an empty cell is NaN."""
     try:
         with Path(path).open(newline="", encoding="utf-8") as file:
             rows = list(csv.reader(file))

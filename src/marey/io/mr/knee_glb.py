@@ -13,7 +13,7 @@ from marey.io.atomic import replacing
 from marey.io.axes import GLTF_FROM_WORLD
 from marey.io.gltf.glb import GlbBuffer
 from marey.io.gltf.gltf import binary_chunk, pack_glb
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 from marey.markers.kinematics.transform_chain import NamedTransform
 
 _VERTICES, _INDICES = 34962, 34963
@@ -29,7 +29,7 @@ class ColouredPart:
 
     bone: str
     """The bone with which it moves."""
-    surface: Surface
+    surface: TriangleSurface
     colours: Image
     """(V, 3) red, green, blue."""
     see_through: bool = False
@@ -147,7 +147,7 @@ def _linear(colours: np.ndarray) -> Floats:
     return share
 
 
-def _normals(surface: Surface) -> Floats:
+def _normals(surface: TriangleSurface) -> Floats:
     """Give unit normals also where no face is: glTF asks for their length."""
     normals = surface.vertex_normals
     return np.where(np.linalg.norm(normals, axis=1, keepdims=True) > 0, normals, [0.0, 0.0, 1.0])
@@ -158,7 +158,7 @@ def _material(opacity: float, colour: tuple[float, float, float] = (1.0, 1.0, 1.
     return {"pbrMetallicRoughness": shine} | ({"alphaMode": "BLEND"} if opacity < 1 else {})
 
 
-def _ball(radius_mm: float) -> Surface:
+def _ball(radius_mm: float) -> TriangleSurface:
     """Make a ball of rings."""
     down, round_ = np.meshgrid(np.linspace(0, np.pi, _RINGS), np.linspace(0, 2 * np.pi, _SECTORS + 1), indexing="ij")
     places = np.stack([np.sin(down) * np.cos(round_), np.sin(down) * np.sin(round_), np.cos(down)], -1).reshape(-1, 3)
@@ -167,7 +167,7 @@ def _ball(radius_mm: float) -> Surface:
         each.ravel() for each in (corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:])
     )
     faces = np.concatenate([np.stack([one, two, three], 1), np.stack([one, three, four], 1)])
-    return Surface(vertices_mm=radius_mm * places, faces=faces)
+    return TriangleSurface(vertices_mm=radius_mm * places, faces=faces)
 
 
 def _document(

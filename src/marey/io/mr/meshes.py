@@ -12,7 +12,7 @@ from marey.arrays import Floats, Image
 from marey.errors import FileProblem, MareyError
 from marey.io.atomic import replacing
 from marey.io.npz import read_arrays
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 
 ENDINGS = (".ply", ".stl", ".vtk", ".glb")
 """What is written; OBJ, OFF and NPZ are read, too."""
@@ -21,7 +21,7 @@ GLTF_FROM_LPS = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]) /
 """glTF's metres, x to the left, y up and z to the front, from the scanner's millimetres, x left, y back, z head."""
 
 
-def read_mesh(path: Path | str) -> Surface:
+def read_mesh(path: Path | str) -> TriangleSurface:
     """Read a surface in LPS millimetres; faces that turn inward all together are turned, corners at one place joined.
 
     Args:
@@ -55,7 +55,11 @@ def read_mesh(path: Path | str) -> Surface:
 
 
 def write_mesh(
-    path: Path | str, surface: Surface, *, colours: Image | None = None, values: Mapping[str, Floats] | None = None
+    path: Path | str,
+    surface: TriangleSurface,
+    *,
+    colours: Image | None = None,
+    values: Mapping[str, Floats] | None = None,
 ) -> None:
     """Write a surface; the ending says how.
 
@@ -77,22 +81,22 @@ def write_mesh(
         beside.write_bytes(data)
 
 
-def _checked(path: Path, vertices: np.ndarray, faces: np.ndarray) -> Surface:
+def _checked(path: Path, vertices: np.ndarray, faces: np.ndarray) -> TriangleSurface:
     if not len(faces) or not len(vertices) or np.shape(faces)[1:] != (3,) or np.shape(vertices)[1:] != (3,):
         raise FileProblem(path, "holds no triangles", "Give a surface, not points or lines.")
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise FileProblem(path, "has faces that name vertices it does not have", "Write it again.")
     if not np.isfinite(vertices[np.unique(faces)]).all():
         raise FileProblem(path, "has vertices that are no numbers", "Write it again.")
-    return Surface(vertices_mm=vertices, faces=faces)
+    return TriangleSurface(vertices_mm=vertices, faces=faces)
 
 
-def _outward(surface: Surface) -> Surface:
+def _outward(surface: TriangleSurface) -> TriangleSurface:
     """Turn the faces where the surface encloses less than nothing; about its own middle, for it may be open."""
     middle = surface.vertices_mm.mean(0)
-    if Surface(vertices_mm=surface.vertices_mm - middle, faces=surface.faces).volume_mm3 >= 0:
+    if TriangleSurface(vertices_mm=surface.vertices_mm - middle, faces=surface.faces).volume_mm3 >= 0:
         return surface
-    return Surface(vertices_mm=surface.vertices_mm, faces=surface.faces[:, ::-1])
+    return TriangleSurface(vertices_mm=surface.vertices_mm, faces=surface.faces[:, ::-1])
 
 
 def _read_with_trimesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -110,7 +114,7 @@ def _read_with_trimesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
         raise FileProblem(path, f"cannot be read as {kind} ({type(error).__name__}: {error})", "") from error
 
 
-def _ply(surface: Surface, colours: Image | None, values: Mapping[str, Floats]) -> bytes:
+def _ply(surface: TriangleSurface, colours: Image | None, values: Mapping[str, Floats]) -> bytes:
     fields = [(axis, "<f8") for axis in "xyz"] + [(name, "<f4") for name in values]
     fields += [(name, "u1") for name in ("red", "green", "blue")] if colours is not None else []
     table = np.zeros(len(surface.vertices_mm), dtype=fields)
@@ -130,7 +134,7 @@ def _ply(surface: Surface, colours: Image | None, values: Mapping[str, Floats]) 
     return "\n".join(head).encode("ascii") + table.tobytes() + triangles.tobytes()
 
 
-def _stl(surface: Surface, colours: Image | None, values: Mapping[str, Floats]) -> bytes:
+def _stl(surface: TriangleSurface, colours: Image | None, values: Mapping[str, Floats]) -> bytes:
     table = np.zeros(len(surface.faces), dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")])
     first, second, third = np.moveaxis(surface.corners_mm, 1, 0)
     across = np.cross(second - first, third - first)
@@ -140,7 +144,7 @@ def _stl(surface: Surface, colours: Image | None, values: Mapping[str, Floats]) 
     return b"LPS, millimetres".ljust(80) + struct.pack("<I", len(table)) + table.tobytes()
 
 
-def _vtk(surface: Surface, colours: Image | None, values: Mapping[str, Floats]) -> bytes:
+def _vtk(surface: TriangleSurface, colours: Image | None, values: Mapping[str, Floats]) -> bytes:
     count, faces = len(surface.vertices_mm), len(surface.faces)
     polygons = np.column_stack([np.full(faces, 3), surface.faces])
     parts = [
@@ -159,7 +163,7 @@ def _vtk(surface: Surface, colours: Image | None, values: Mapping[str, Floats]) 
     return b"".join(parts)
 
 
-def _glb(surface: Surface, colours: Image | None, values: Mapping[str, Floats]) -> bytes:
+def _glb(surface: TriangleSurface, colours: Image | None, values: Mapping[str, Floats]) -> bytes:
     import trimesh
 
     mesh = trimesh.Trimesh(

@@ -9,7 +9,7 @@ from marey.arrays import Floats, Integers, freeze_fields
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Surface:
+class TriangleSurface:
     """Triangle mesh whose faces are counter-clockwise as seen from outside."""
 
     vertices_mm: Floats

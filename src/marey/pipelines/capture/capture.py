@@ -247,7 +247,7 @@ def begin(
         found = start_person(take, bodies.coarse, bodies.fine, run.person, progress=done, checkpoint=kept)
     if found is None:
         remedy = "Check that all cameras are calibrated in one world, and that the silhouettes show the person."
-        raise FileProblem(trial.folder, "has silhouettes that have no point of space in common", remedy)
+        raise FileProblem(trial.folder, "has silhouettes that no point in space projects into in all cameras", remedy)
     stages.require_upright(trial, found[1].posed)
     return found
 

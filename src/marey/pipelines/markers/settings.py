@@ -41,7 +41,7 @@ class MarkerSettings:
     weights: Path | None = None
     """OpenSim tasks with the weights of markers and coordinates."""
     frames: tuple[int, int] | None = None
-    """First frame, and the first frame that is not used any more; None for all."""
+    """First frame, and the frame after the last one; None for all."""
     fill: str = "none"
     """How gaps are filled before the bones are estimated; a name of `FILLS`."""
     unit: str | None = None
@@ -52,21 +52,29 @@ class MarkerSettings:
     def __post_init__(self) -> None:
         self._require_files()
         if self.fill not in FILLS:
-            raise SettingProblem(f"--fill is '{self.fill}'; it should be one of {', '.join(FILLS)}.")
+            raise SettingProblem(f"fill (--fill) is '{self.fill}'; it should be one of {', '.join(FILLS)}.")
         if self.side is not None and self.side not in SIDES:
-            raise SettingProblem(f"--side is '{self.side}'; it should be left or right.")
+            raise SettingProblem(f"side (--side) is '{self.side}'; it should be left or right.")
         if self.weights is not None and self.model is None:
-            raise SettingProblem("--weights requires an OpenSim model: add --model.")
+            raise SettingProblem("weights (--weights) requires an OpenSim model: add model (--model).")
         if self.model is not None and (self.reference or self.static or self.clusters):
             raise SettingProblem(
-                "--model defines its own segments: leave out --reference, --clusters and --static, or --model."
+                "An OpenSim model (--model) defines its own segments: leave out the reference (--reference), "
+                "clusters (--clusters) and static trial (--static), or the model."
             )
         if self.exercise_reference is not None and self.exercise is None:
-            raise SettingProblem("--exercise-reference requires the trial it belongs to: add --exercise.")
+            raise SettingProblem(
+                "exercise_reference (--exercise-reference) requires the trial that it belongs to: add "
+                "exercise (--exercise)."
+            )
         if self.functional and self.static is None:
-            raise SettingProblem("--functional gives joint centres in a static trial: add --static.")
+            raise SettingProblem(
+                "functional (--functional) gives joint centres in a static trial: add static (--static)."
+            )
         if self.reference is not None and self.static is not None:
-            raise SettingProblem("--reference and --static both define the poses of the bones: give one of them.")
+            raise SettingProblem(
+                "reference (--reference) and static (--static) both define the poses of the bones: give one of them."
+            )
 
     def _require_files(self) -> None:
         for option, path in self._files():

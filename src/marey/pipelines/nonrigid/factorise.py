@@ -99,7 +99,7 @@ def factorise(
         rate: Sampling rate of an array [Hz].
         points: NPZ with the points (P, 2) to follow in a video and their `frame`; one for the first video, or one per
             video.
-        mask: Picture that is white where points may be selected in the first video.
+        mask: Image that is white where points may be selected in the first video.
         matrix: Known camera matrix (3, 3) of a single camera, or a file with it.
         scaled: Whether the scale of a single camera may change from frame to frame.
         cameras: Calibration of the cameras, such as cameras.toml.

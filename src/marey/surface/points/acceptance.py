@@ -7,7 +7,7 @@ import numpy as np
 from marey.arrays import Floats, Mask
 from marey.cameras.epipolar import epipolar_lines
 from marey.images.matching.matching import Matches
-from marey.surface.points.views import View
+from marey.surface.points.views import SurfaceView
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,7 +22,7 @@ class Limits:
     """From the line, at most [px]."""
 
 
-def good(template: View, search: View, pixels: Floats, found: Matches, limits: Limits) -> Mask:
+def good(template: SurfaceView, search: SurfaceView, pixels: Floats, found: Matches, limits: Limits) -> Mask:
     """Tell which matches (n,) are good in themselves.
 
     Args:
@@ -49,7 +49,7 @@ def weakest_sd(covariance: Floats) -> Floats:
     return np.sqrt(0.5 * (across + down + np.sqrt((across - down) ** 2 + 4 * both**2)))
 
 
-def beside_lines(template: View, search: View, pixels: Floats, there: Floats) -> Floats:
+def beside_lines(template: SurfaceView, search: SurfaceView, pixels: Floats, there: Floats) -> Floats:
     """Measure how far matches lie beside their epipolar lines (n,), to the right of growing depth [px].
 
     NaN where the rays meet behind a camera.

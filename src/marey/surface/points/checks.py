@@ -1,4 +1,4 @@
-"""Gross errors: matches that the patches around them, or the way back, contradict."""
+"""Detection of gross errors: matches that contradict neighbouring patches or the reverse match."""
 
 import cv2
 import numpy as np
@@ -6,20 +6,23 @@ import numpy as np
 from marey.arrays import Floats, Integers, Mask
 from marey.images.matching.matching import MatchSettings, match
 from marey.surface.points.field import Field, Grid
-from marey.surface.points.views import View
+from marey.surface.points.views import SurfaceView
 
 _TOLERANCE = 0.3
-"""How far a match may lie beside where its neighbour's affine map predicts it, for a spacing of 2 px [px]."""
+"""Largest distance of a match from the prediction by its neighbour's affine map, without spacing and noise [px]. Chosen
+by hand."""
 _BENT = 0.05
-"""By how much more for each pixel of the spacing: maps change from patch to patch."""
+"""Increase of this distance per pixel of the spacing, because the maps vary between patches. Chosen by hand."""
 _SDS = 3.0
+"""Increase of this distance per standard deviation of the two matches. Chosen by hand."""
 _AGREEING = 3
-"""Least number of neighbours that agree."""
+"""Least number of neighbours that agree. Chosen by hand."""
 _MAJORITY = 0.5
+"""Least share of the neighbours that agree. Chosen by hand."""
 _ISLAND = 16
-"""Smallest width and height of a piece of surface, in pixels of the template: about a patch."""
+"""Least width and height of a piece of surface, in pixels of the template: about one patch. Chosen by hand."""
 _BACK = 1.0
-"""How far beside its beginning the way back may end [px]."""
+"""Largest distance between the start and the end of a match forward and backward [px]. Chosen by hand."""
 
 
 def agreeing(field: Field, grid: Grid, spread: Floats) -> tuple[Integers, Integers]:
@@ -78,7 +81,9 @@ def in_large_pieces(found: Mask, grid: Grid) -> Mask:
     return np.asarray(large[label].ravel())
 
 
-def leading_back(template: View, search: View, pixels: Floats, there: Floats, maps: Floats, sizes: Integers) -> Mask:
+def leading_back(
+    template: SurfaceView, search: SurfaceView, pixels: Floats, there: Floats, maps: Floats, sizes: Integers
+) -> Mask:
     """Tell which matches (n,) are found again when what was found is looked for in the template.
 
     Args:

@@ -1,4 +1,4 @@
-"""Seeds that a person clicked, brought to where the pictures confirm them."""
+"""Refinement of seeds that a user clicked, by matching the images about them."""
 
 from collections.abc import Sequence
 
@@ -9,18 +9,20 @@ from marey.cameras.triangulate import triangulate
 from marey.surface.points.seeds import Seeds, exact
 from marey.surface.points.settings import SurfaceSettings
 from marey.surface.points.sweep import Hypotheses, correlations, facing_maps
-from marey.surface.points.views import TemplateSearch, View
+from marey.surface.points.views import SurfaceView, TemplateSearch
 
 _CLICK_SD = 3.0
-"""How well a person clicks [px]."""
+"""Standard deviation of a clicked position [px]. Chosen by hand."""
 _REACH = 12
-"""How far about a click the surroundings are compared [px]."""
+"""Half-width of the search about a click [px]. Chosen by hand."""
 _STEP = 1.5
+"""Distance between the positions that are tried [px]. Chosen by hand."""
 _HALF = 10
+"""Half-size of the patches that are compared [px]. Chosen by hand."""
 
 
 def clicked_seeds(
-    views: Sequence[View], compared: Sequence[TemplateSearch], clicks: Floats, settings: SurfaceSettings
+    views: Sequence[SurfaceView], compared: Sequence[TemplateSearch], clicks: Floats, settings: SurfaceSettings
 ) -> tuple[dict[tuple[int, int], Seeds], Mask]:
     """Match clicked seeds exactly.
 
@@ -58,7 +60,7 @@ def clicked_seeds(
 
 
 def _sought(
-    template: View, search: View, pixels: Floats, there: Floats, points: Floats, settings: SurfaceSettings
+    template: SurfaceView, search: SurfaceView, pixels: Floats, there: Floats, points: Floats, settings: SurfaceSettings
 ) -> Seeds:
     """Compare the surroundings of seeds about where they were clicked, and match the best place exactly."""
     _, maps = facing_maps(template.camera, search.camera, pixels, points)

@@ -14,7 +14,7 @@ from marey.surface.points.field import Field, Grid
 from marey.surface.points.growth import grow
 from marey.surface.points.seeds import Seeds, find_seeds
 from marey.surface.points.settings import SurfaceSettings
-from marey.surface.points.views import TemplateSearch, View
+from marey.surface.points.views import SurfaceView, TemplateSearch
 
 _LEAST_EPIPOLAR = 0.5
 """Limits on epipolar distances are no tighter [px]."""
@@ -60,7 +60,7 @@ class Tuples:
 
 
 def match_tuples(
-    views: Sequence[View],
+    views: Sequence[SurfaceView],
     compared: TemplateSearch,
     settings: SurfaceSettings,
     *,
@@ -86,7 +86,7 @@ def match_tuples(
         known = (given or {}).get((compared.template, other))
         seeds[k] = seeds[k] if known is None else seeds[k].and_also(known)
 
-    def work(search: View, start: Seeds) -> Field:
+    def work(search: SurfaceView, start: Seeds) -> Field:
         limit = _epipolar_limit(template, search, start, settings)
         return grow(template, search, grid, start, settings, epipolar_px=limit)
 
@@ -95,7 +95,7 @@ def match_tuples(
     return merged(views, compared, grid, fields)
 
 
-def _epipolar_limit(template: View, search: View, seeds: Seeds, settings: SurfaceSettings) -> float:
+def _epipolar_limit(template: SurfaceView, search: SurfaceView, seeds: Seeds, settings: SurfaceSettings) -> float:
     """Say how far matches may lie beside their lines, from how far the seeds lie [px]."""
     if not len(seeds):
         return settings.epipolar_px
@@ -103,7 +103,7 @@ def _epipolar_limit(template: View, search: View, seeds: Seeds, settings: Surfac
     return min(settings.epipolar_px, max(_LEAST_EPIPOLAR, 2 * _USUAL * float(np.nanmedian(beside))))
 
 
-def merged(views: Sequence[View], compared: TemplateSearch, grid: Grid, fields: Sequence[Field]) -> Tuples:
+def merged(views: Sequence[SurfaceView], compared: TemplateSearch, grid: Grid, fields: Sequence[Field]) -> Tuples:
     """Put what was found of the same patch in several pictures into one tuple.
 
     Args:
@@ -136,7 +136,7 @@ def merged(views: Sequence[View], compared: TemplateSearch, grid: Grid, fields: 
     )  # fmt: skip
 
 
-def _along_lines(template: View, search: View, pixels: Floats, field: Field, nodes: Integers) -> Floats:
+def _along_lines(template: SurfaceView, search: SurfaceView, pixels: Floats, field: Field, nodes: Integers) -> Floats:
     """Give the matches' standard deviations (n,) along their epipolar lines, which is what depth depends on [px]."""
     _, along = epipolar_lines(template.camera, search.camera, pixels, field.there[nodes])
     return np.sqrt(np.einsum("ni,nij,nj->n", along, field.covariance[nodes], along))

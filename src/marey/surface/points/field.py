@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from marey.arrays import Floats, Integers, Mask, freeze_fields
-from marey.surface.points.views import View
+from marey.surface.points.views import SurfaceView
 
 _AROUND = np.array([[0, -1], [0, 1], [-1, 0], [1, 0], [-1, -1], [-1, 1], [1, -1], [1, 1]])
 """Row and column of the neighbours."""
@@ -26,7 +26,7 @@ class Grid:
     columns: int
 
     @staticmethod
-    def over(view: View, *, spacing: int, half: int) -> "Grid":
+    def over(view: SurfaceView, *, spacing: int, half: int) -> "Grid":
         """Cover a picture as far as patches fit into it."""
         edge = half + 2
         width, height = view.camera.size

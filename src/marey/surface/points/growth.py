@@ -10,7 +10,7 @@ from marey.surface.points.checks import continuous
 from marey.surface.points.field import Field, Grid
 from marey.surface.points.seeds import Seeds
 from marey.surface.points.settings import Pass, SurfaceSettings
-from marey.surface.points.views import View
+from marey.surface.points.views import SurfaceView
 
 _ATTEMPTS = 1
 """How often a patch of one size is tried."""
@@ -27,7 +27,13 @@ _WIDE = 4
 
 
 def grow(
-    template: View, search: View, grid: Grid, seeds: Seeds, settings: SurfaceSettings, *, epipolar_px: float
+    template: SurfaceView,
+    search: SurfaceView,
+    grid: Grid,
+    seeds: Seeds,
+    settings: SurfaceSettings,
+    *,
+    epipolar_px: float,
 ) -> Field:
     """Spread matches over the template ([Plaenkers1999] section 2.1).
 
@@ -64,7 +70,7 @@ def grow(
 class _Wave:
     """A match that is spreading."""
 
-    def __init__(self, template: View, search: View, grid: Grid):
+    def __init__(self, template: SurfaceView, search: SurfaceView, grid: Grid):
         self._views, self._grid = (template, search), grid
         count = len(grid)
         self._there, self._maps = np.full((count, 2), np.nan), np.full((count, 2, 2), np.nan)

@@ -1,4 +1,4 @@
-"""Forward intersection: the points where the rays of matched patches meet, without those that do not."""
+"""Forward intersection of the rays of matched patches, and rejection of points whose rays do not intersect."""
 
 from collections.abc import Sequence
 
@@ -12,23 +12,27 @@ from marey.surface.points.checks import in_large_pieces, leading_back
 from marey.surface.points.dense import Tuples
 from marey.surface.points.measured import MeasuredPoints
 from marey.surface.points.settings import SurfaceSettings
-from marey.surface.points.views import View
+from marey.surface.points.views import SurfaceView
 
 FLOOR_PX = 0.06
-"""What a match does not know of its own error: interpolation, and light and compression that differ by view [px]."""
+"""Standard deviation of a match's errors beyond its covariance: interpolation, and differences in lighting and
+compression between the views [px]. Chosen by hand."""
 UNSURE_BEND = 0.5
-"""By what share of it the bend's effect differs from patch to patch: it depends on where in the patch texture lies."""
+"""Standard deviation of the bend's effect, as a share of it: it depends on the distribution of texture in the patch.
+Chosen by hand."""
 _USUAL = 4.0
-"""A residual is usual up to so many times the median, and ..."""
+"""Residuals above this multiple of the median are gross errors. Chosen by hand."""
 _LEAST = 0.15
-"""... always up to here [px]."""
+"""Lower limit of that threshold [px]. Chosen by hand."""
 _UNMET = 0.75
-"""Where the median residual is more than this share of the greatest one, rays do not meet at all: these are outlines of
-bodies without texture, which every camera sees elsewhere, or cameras that are not calibrated."""
+"""Above this ratio of the median residual to the largest accepted one the rays do not intersect at all: the matches lie
+on outlines of untextured bodies, which differ between the cameras, or the cameras are not calibrated. Chosen by
+hand."""
 _MEDIAN_OF_CHI2 = {1: 0.4549, 3: 2.3660, 5: 4.3515, 7: 6.3458}
+"""Median of the chi-squared distribution, by degrees of freedom."""
 
 
-def intersect(views: Sequence[View], tuples: Tuples, settings: SurfaceSettings, *, frame: int) -> MeasuredPoints:
+def intersect(views: Sequence[SurfaceView], tuples: Tuples, settings: SurfaceSettings, *, frame: int) -> MeasuredPoints:
     """Intersect the rays of tuples, and keep the points that three rays, or two and the way back, bear out.
 
     Args:
@@ -105,7 +109,7 @@ def _limit(residual: Floats, most: float) -> float:
     return min(most, max(_LEAST, _USUAL * float(np.median(residual)))) if len(residual) else most
 
 
-def _off_their_lines(views: Sequence[View], tuples: Tuples, settings: SurfaceSettings) -> Mask:
+def _off_their_lines(views: Sequence[SurfaceView], tuples: Tuples, settings: SurfaceSettings) -> Mask:
     """Tell which matches (n, C) lie too far from their epipolar lines, against what is usual in their picture."""
     off = np.zeros(tuples.correlation.shape, bool)
     for other in range(len(views)):
@@ -117,7 +121,7 @@ def _off_their_lines(views: Sequence[View], tuples: Tuples, settings: SurfaceSet
     return off
 
 
-def _borne_out(views: Sequence[View], tuples: Tuples, pixels: Floats, some: Integers) -> Mask:
+def _borne_out(views: Sequence[SurfaceView], tuples: Tuples, pixels: Floats, some: Integers) -> Mask:
     """Tell which of some tuples (m,) of two views the way back bears out."""
     good = np.zeros(len(some), bool)
     for other in range(len(views)):

@@ -1,4 +1,4 @@
-"""Serves the page of `marey knee outline` to the browser of the same computer, and nobody else."""
+"""Server of the page of `marey knee outline`, for a browser on the same computer only."""
 
 import json
 from collections.abc import Callable
@@ -18,7 +18,7 @@ _JSON = "application/json"
 
 
 class OutlineServer(ThreadingHTTPServer):
-    """A server bound to this computer's own address; it answers only what is asked by that name.
+    """A server bound to this computer's own address; it accepts only requests to that name.
 
     Args:
         session: What it serves.
@@ -64,7 +64,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._send(404, _JSON, b'{"error": "There is no such page."}')
 
     def do_POST(self) -> None:
-        """Do what the page asks."""
+        """Process one request of the page."""
         if not self._is_ours():
             return
         length = int(self.headers.get("Content-Length") or 0)

@@ -1,4 +1,4 @@
-"""What the page of `marey knee outline` asks for: slices, wires, outlines kept, changed and interpolated."""
+"""Data for the page of `marey knee outline`: slices, wires, and saved, changed and interpolated outlines."""
 
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
@@ -169,7 +169,7 @@ class OutlineSession:
         return self._change(version, number, changed, keep)
 
     def insert(self, version: int, number: int, point: Sequence[float]) -> Reply:
-        """Set another anchor on an outline; its number is told as `anchor`."""
+        """Set another anchor on an outline; its number is returned as `anchor`."""
         with self._lock:
             found: list[int] = []
 
@@ -246,7 +246,7 @@ class OutlineSession:
             raise MareyError(f"There is no slice {index} across {axis}.")
 
     def _wire(self, axis: str, index: int, structure: str) -> LiveWire:
-        """Give the wire of a slice, taught by the nearest outlines of the structure."""
+        """Return the wire of a slice, trained on the nearest outlines of the structure."""
         self._check(axis, index)
         if structure not in LABELS:
             raise MareyError(f"'{structure}' is no structure of a knee: known are {', '.join(LABELS)}.")

@@ -1,4 +1,4 @@
-"""A flat picture of a cartilage's thickness, the femur's unrolled."""
+"""A flat image of a cartilage's thickness, the femur's unrolled."""
 
 import cv2
 import numpy as np

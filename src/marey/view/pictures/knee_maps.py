@@ -1,4 +1,4 @@
-"""Colours on a knee: outlines of structures; thickness, blue thin to red thick; nearness, red near to blue far."""
+"""Colours on a knee: outlines of structures; thickness, blue thin to red thick; distance, red near to blue far."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Pictures of a knee from chosen sides: bones one sees through, cartilage in the colours of its nearness."""
+"""Images of a knee from chosen sides: transparent bones, and cartilage coloured by proximity."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ import numpy as np
 from marey.arrays import Floats, Image, Integers, Mask
 from marey.cameras.visibility import View, see
 from marey.kernels import kernel
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 from marey.view.pictures.knee_maps import BONE, proximity_colours
 
 VIEWS = ("anterior", "posterior", "medial", "lateral", "plateau")
@@ -33,7 +33,7 @@ class DrawnPart:
     """A structure that moves with a bone."""
 
     bone: str
-    surface: Surface
+    surface: TriangleSurface
     cartilage: bool
 
 
@@ -45,9 +45,9 @@ class KneeInstant:
     poses: Mapping[str, Floats]
     """Bone to (4, 4) of its place [mm]; a bone without one is not drawn."""
     distance_mm: Mapping[str, Floats]
-    """Cartilage to (V,) from each vertex to the other cartilage; NaN where nobody knows."""
+    """Cartilage to (V,) from each vertex to the other cartilage; NaN where it is unknown."""
     paths_mm: Sequence[Floats] = ()
-    """Each (n, 3): where centres of proximity came along, the last one now; in the picture's frame."""
+    """Each (n, 3): path of each centre of proximity up to the present frame, in the frame of the image."""
 
 
 def axes_of_view(view: str, *, left: bool | None) -> Floats:
@@ -64,11 +64,11 @@ def axes_of_view(view: str, *, left: bool | None) -> Floats:
 
 
 class KneeCamera:
-    """A view that stands still while the knee moves.
+    """A fixed view of a moving knee.
 
     Args:
         axes: (3, 3) right, down and ahead.
-        corners_mm: (N, 3) what must be in the picture, in all frames.
+        corners_mm: (N, 3) points that must be inside the image in all frames.
     """
 
     def __init__(self, axes: Floats, corners_mm: Floats):
@@ -83,7 +83,7 @@ class KneeCamera:
         self._scale = 0.46 * nearest / reach
 
     def project(self, points_mm: Floats, size: int) -> Floats:
-        """Give x, y [px] and inverse depth (N, 3) in a square picture."""
+        """Return x, y [px] and inverse depth (N, 3) in a square image."""
         seen = points_mm @ self._axes.T - self._middle
         inverse = 1 / (seen[:, 2] + self._depth)
         place = 0.5 * (size - 1) + self._scale * size * seen[:, :2] * inverse[:, None]
@@ -91,7 +91,7 @@ class KneeCamera:
 
     @property
     def ahead(self) -> Floats:
-        """(3,) into the picture."""
+        """(3,) into the image."""
         return np.asarray(self._axes[2])
 
 
@@ -102,7 +102,7 @@ class KneePicture:
         parts: Structures by name.
         cameras: View to camera.
         limit_mm: Of nearness, where the colours end.
-        note: Stands below the pictures.
+        note: Text below the images.
     """
 
     def __init__(
@@ -142,7 +142,7 @@ class KneePicture:
                     _outline(picture, seen)
         small = np.asarray(cv2.resize(picture, (PANEL, PANEL), interpolation=cv2.INTER_AREA), np.uint8)
         if not shown:
-            _write(small, "no answer", (PANEL // 2 - 36, PANEL // 2), _SOFT)
+            _write(small, "no result", (PANEL // 2 - 36, PANEL // 2), _SOFT)
         if view == "plateau":
             for path in instant.paths_mm:
                 _draw_path(small, camera, path)
@@ -180,7 +180,7 @@ def _draw(
     parts: Mapping[str, _Ready], camera: KneeCamera, instant: KneeInstant, tints: Mapping[str, Floats],
     opacity: float, picture: Image, depth: Floats,
 ) -> View:  # fmt: skip
-    """Draw structures as one solid over a picture, where they are nearer than what it holds.
+    """Draw structures as one solid over an image, where they are nearer than what was drawn before.
 
     Args:
         parts: At least one.
@@ -188,7 +188,7 @@ def _draw(
         instant: Where the bones are.
         tints: Red, green and blue of each face, by structure.
         opacity: Of the solid.
-        picture: (h, w, 3) is drawn upon.
+        picture: (h, w, 3), changed in place.
         depth: (h, w) inverse depth of what is opaque in it; is kept up.
     """
     size = len(picture)
@@ -209,7 +209,7 @@ def _draw(
 
 @kernel
 def _lay_over(picture, depth, face, inverse, left, top, tint, opacity):  # pragma: no cover - compiled
-    """Blend faces over a picture where they are nearer; what is opaque hides what comes later."""
+    """Blend faces over an image where they are nearer; opaque faces hide those drawn later."""
     for y in range(face.shape[0]):
         for x in range(face.shape[1]):
             f = face[y, x]

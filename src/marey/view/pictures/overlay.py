@@ -1,4 +1,4 @@
-"""The fitted body over what a camera saw: surface, silhouette, joints, and how well they agree."""
+"""The fitted body over a camera image: surface, silhouette, joints, and their agreement."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,12 +16,12 @@ from marey.io.video.video_writer import VideoWriter
 from marey.view.pictures.palette import bone_pairs, segment_colours, side_colour
 
 LONGEST_SIDE = 1280
-"""Overlays of larger pictures are halved until they fit [px]."""
+"""Overlays of larger images are halved until they fit [px]."""
 OPACITY = 0.5
 SURFACE_LINE = (255, 255, 255)
 SILHOUETTE_LINE = (60, 230, 255)
 """Blue, green, red: a yellow that skin and rooms seldom have."""
-_STATES = ("nobody", "measured", "filled", "lost")
+_STATES = ("no person", "measured", "filled", "lost")
 _FAR = 1e5
 """Farther off no line is drawn; NaN is farther than any number [px]."""
 _SHIFT = 4
@@ -52,7 +52,7 @@ class Looks:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Scene:
-    """What is known of one frame, for all cameras; None where there is no answer."""
+    """The result of one frame for all cameras; None where there is none."""
 
     frame: int
     vertices: Floats | None = None
@@ -60,17 +60,17 @@ class Scene:
     joints: Floats | None = None
     """(J, 3) joint centres [m, world]."""
     state: int = 0
-    """0 nobody, 1 measured, 2 filled, 3 lost."""
+    """0 no person, 1 measured, 2 filled, 3 lost."""
 
 
 class OverlayVideo:
-    """Writes the overlay of one camera picture by picture; used as a context.
+    """Writes the overlay of one camera image by image; used as a context.
 
     Args:
         path: The video to be written, see `marey.io.video.video_writer`.
-        camera: Whose pictures they are.
+        camera: The camera of the images.
         looks: Of the body.
-        rate: Pictures a second [Hz].
+        rate: Images per second [Hz].
     """
 
     def __init__(self, path: Path, camera: Camera, looks: Looks, *, rate: float):
@@ -78,7 +78,7 @@ class OverlayVideo:
         self._writer = VideoWriter(path, self._camera.size, rate=rate)
 
     def add(self, image: Image, scene: Scene, *, mask: Mask | None = None, agreement: float = float("nan")) -> Image:
-        """Draw one picture, write it, and give it back for a still.
+        """Draw one image, write it, and return it for a still.
 
         Args:
             image: (height, width, 3) what the camera saw, in blue, green, red.
@@ -100,7 +100,7 @@ class OverlayVideo:
 
 
 def fitting_camera(camera: Camera) -> Camera:
-    """Halve a camera's picture until its longest side is at most `LONGEST_SIDE`."""
+    """Halve a camera's image until its longest side is at most `LONGEST_SIDE`."""
     factor = 1.0
     while max(camera.size) * factor > LONGEST_SIDE:
         factor /= 2
@@ -116,10 +116,10 @@ def draw_overlay(
     mask: Mask | None = None,
     agreement: float = float("nan"),
 ) -> Image:
-    """Draw surface, outlines, joints and a line of text over a picture.
+    """Draw surface, outlines, joints and a line of text over an image.
 
     Args:
-        image: (height, width, 3) blue, green, red; resized to the camera's picture where it differs.
+        image: (height, width, 3) blue, green, red; resized to the camera's image where it differs.
         camera: The camera of the drawing.
         looks: Of the body.
         scene: What was found in the frame.
@@ -127,7 +127,7 @@ def draw_overlay(
         agreement: Intersection over union of surface and silhouette.
 
     Returns:
-        A new picture of the camera's size.
+        A new image of the camera's size.
     """
     drawn = _resized(image, camera.size, cv2.INTER_AREA)
     if scene.vertices is not None:
@@ -141,11 +141,11 @@ def draw_overlay(
 
 
 def shade_surface(drawn: Image, camera: Camera, looks: Looks, vertices: Floats) -> View:
-    """Lay the surface over a picture, half transparent, lit from the camera, and draw its outline.
+    """Draw the surface over an image, half transparent, lit from the camera, with its outline.
 
     Args:
-        drawn: (height, width, 3) is drawn upon.
-        camera: Whose picture it is.
+        drawn: (height, width, 3), changed in place.
+        camera: The camera of the image.
         looks: Of the body.
         vertices: (V, 3) [m, world].
 

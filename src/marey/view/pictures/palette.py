@@ -1,4 +1,4 @@
-"""Colours and lines by which a body is recognised in every picture: left cool, right warm, trunk violet."""
+"""Colours and lines of the body in all images: left in cool colours, right in warm ones, trunk violet."""
 
 from collections.abc import Sequence
 

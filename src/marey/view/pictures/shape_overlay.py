@@ -33,7 +33,7 @@ def near_lines(shape: Floats) -> Integers:
 
 
 LONGEST_SIDE = 1280
-"""Larger pictures are halved until they fit [px]."""
+"""Larger images are halved until they fit [px]."""
 MEASURED, OUTLINE, LINE = (255, 255, 255), (40, 40, 40), (200, 200, 200)
 _PREDICTED = (74, 111, 220)
 _SHIFT = 4
@@ -43,7 +43,7 @@ _FAR = 1e5
 _FROM_SIDE = np.radians(75)
 _FROM_ABOVE = np.radians(15)
 _PANEL = 0.7
-"""Width of the side view as a share of the picture's height."""
+"""Width of the side view as a share of the image's height."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -73,7 +73,7 @@ class ShapeOverlay:
 
     Args:
         scene: What is known.
-        size: Width and height of the video's pictures [px].
+        size: Width and height of the video's images [px].
     """
 
     def __init__(self, scene: ShapeScene, size: tuple[int, int]):
@@ -92,10 +92,10 @@ class ShapeOverlay:
         return self.picture[0] + self._panel, self.picture[1]
 
     def draw(self, image: Image, frame: int) -> Image:
-        """Draw a frame: the picture with the points over it, and beside it the shape turned to the side.
+        """Draw a frame: the image with the points over it, and beside it the shape turned to the side.
 
         Args:
-            image: The video's picture, blue, green, red.
+            image: The video's image, blue, green, red.
             frame: Which it is.
         """
         scene = self._scene
@@ -112,7 +112,7 @@ class ShapeOverlay:
             cv2.circle(drawn, _fixed(place), (radius + 3) << _SHIFT, MEASURED, 1, cv2.LINE_AA, _SHIFT)
         count = int(np.isfinite(seen).all(1).sum())
         known = int(np.isfinite(places).all(1).sum())
-        words = f"{count} seen" + (f", {known} in the model" if known else ", no answer")
+        words = f"{count} visible" + (f", {known} in the model" if known else ", no result")
         _write_caption(drawn, f"{scene.name}   frame {frame}   {words}")
         return np.concatenate([drawn, self._from_side(frame, colours, radius)], axis=1)
 

@@ -1,4 +1,4 @@
-"""How slices of a volume are laid on the screen: the head up, or the front, and the patient's left on the right."""
+"""Orientation of slices on the screen: head or front up, and the patient's left on the right."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from marey.knee.space.volume import VoxelGrid
 _NAMES = (("right", "left"), ("front", "back"), ("feet", "head"))
 """Towards smaller and greater LPS."""
 _DOWN_FIRST = (2, 1, 0)
-"""Which direction is rather laid down the screen: along the body, then from front to back."""
+"""Order of preference of the vertical direction of the screen: along the body, then from front to back."""
 
 
 def displayed(grid: VoxelGrid, axis: str) -> dict[str, object]:

@@ -1,4 +1,4 @@
-"""A measured surface as pictures: its points over what a camera saw, coloured by depth, and the surface lit."""
+"""Images of a measured surface: its points over a camera image, coloured by depth, and the shaded surface."""
 
 import cv2
 import numpy as np
@@ -10,7 +10,7 @@ from marey.surface.points.measured import MeasuredPoints
 _LAMP = np.array([-0.7, -0.6, -0.5])
 """Where the lamp stands, seen from the surface, in the camera's axes: above, to the left, and near the camera."""
 _DIM = 0.45
-"""How much of the picture's brightness is left under the points."""
+"""Factor by which the image is darkened under the points."""
 _OUTER = 2.0
 """Share of the points that lie beyond either end of the colours [%]."""
 _JUMP = 8.0
@@ -18,13 +18,13 @@ _JUMP = 8.0
 
 
 def depth_picture(points: MeasuredPoints, camera: Camera, number: int, image: Image) -> Image:
-    """Draw a template's points over its picture, near ones red and far ones blue.
+    """Draw a template's points over its image, near ones red and far ones blue.
 
     Args:
         points: Of one frame.
-        camera: A camera whose picture was a template.
+        camera: A camera whose image was a template.
         number: Which one it is.
-        image: (H, W, 3) its picture.
+        image: (H, W, 3) its image.
 
     Returns:
         (H, W, 3) blue, green, red.
@@ -48,7 +48,7 @@ def lit_picture(points: MeasuredPoints, camera: Camera, number: int) -> Image:
 
     Args:
         points: Of one frame.
-        camera: A camera whose picture was a template.
+        camera: A camera whose image was a template.
         number: Which one it is.
 
     Returns:

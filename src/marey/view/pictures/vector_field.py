@@ -1,4 +1,4 @@
-"""A moving surface drawn over the picture that shows it: where each followed point goes, coloured by its speed."""
+"""A moving surface over its image: the velocity of each tracked point, coloured by its speed."""
 
 import cv2
 import numpy as np
@@ -9,7 +9,7 @@ from marey.cameras.camera import Camera
 _SHIFT = 4
 """Bits behind the point in the coordinates that OpenCV draws."""
 _FADED = 0.55
-"""How much of the picture's own brightness is left under the lines."""
+"""Factor by which the image is darkened under the lines."""
 _BAR = (16, 12, 180)
 """Left edge, height and width of the legend [px]."""
 
@@ -18,14 +18,14 @@ def vector_field(image: Image, camera: Camera, position: Floats, velocity: Float
     """Draw where points go.
 
     Args:
-        image: (H, W, 3) the camera's picture, in blue, green, red.
+        image: (H, W, 3) the camera's image, in blue, green, red.
         camera: That took it.
         position: (n, 3) in the world [m]; NaN is left out.
         velocity: (n, 3) [m/s]; points of unknown velocity are left out.
         seconds: The lines' length in time: each ends where its point would be then.
 
     Returns:
-        (H, W, 3) the picture, faded, with the lines; yellow ones move as fast as any, violet ones hardly at all.
+        (H, W, 3) the darkened image with the lines; yellow for the fastest points, violet for the slowest.
     """
     drawn = np.asarray(image * _FADED, np.uint8)
     speed = np.linalg.norm(velocity, axis=1)
