@@ -70,7 +70,7 @@ class ResultFiles:
         with finished_together(out) as staging:
             for name in (name for name in names if name != Path(RECORD)):
                 if not (self.folder / name).is_file():
-                    raise FileProblem(self.folder / name, "does not exist any more", "Run the command again.")
+                    raise FileProblem(self.folder / name, "no longer exists", "Run the command again.")
                 (staging / name).parent.mkdir(parents=True, exist_ok=True)
                 shutil.copyfile(self.folder / name, staging / name)
             if record:

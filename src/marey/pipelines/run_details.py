@@ -1,4 +1,4 @@
-"""What a result knows about the run that made it, and the checkpoints of a run that can be resumed."""
+"""Details of the run that produced a result, and the checkpoints of a run that can be resumed."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager

@@ -244,4 +244,4 @@ def _make_folder(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as problem:
         wrong = f"cannot be created ({problem.strerror})"
-        raise FileProblem(folder, wrong, "Give a folder that can be written to with --out.") from problem
+        raise FileProblem(folder, wrong, "Give another folder for the results (--out).") from problem

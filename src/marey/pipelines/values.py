@@ -1,4 +1,4 @@
-"""What all functions of the public interface share: forms of their arguments, and Python warnings."""
+"""Types of arguments that the public functions share, and Python warnings."""
 
 import warnings
 from collections.abc import Iterable

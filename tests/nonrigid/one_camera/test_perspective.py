@@ -91,7 +91,7 @@ def test_a_flat_picture_is_an_error(rng, noise):
     angle, scale = np.sin(3 * TIME), 50 + 10 * TIME
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]).transpose(2, 0, 1)
     tracks = 300 + scale[:, None, None] * (turn @ flat) + noise * rng.normal(size=(FRAMES, 2, 20))
-    with pytest.raises(MareyError, match="flat picture"):
+    with pytest.raises(MareyError, match="flat image"):
         factorise_perspective(tracks, MATRIX)
 
 

@@ -106,7 +106,7 @@ def test_who_stands_or_bows_is_upright(posture):
 
 def test_the_surface_is_drawn_where_a_pose_is_known_and_compared_with_what_was_seen(tmp_path):
     cameras, body = worlds.ring(2), worlds.person()
-    poses = {3: worlds.pose(body), 4: worlds.pose(body, yaw=1.0)}
+    poses = {3: worlds.pose(body), 4: worlds.pose(body, yaw=1.0), 5: worlds.pose(body, at=(0, 0, 50))}
     drawn = stages.surface_masks(stages.PosedSkin.of(body, poses), poses, cameras)
     assert drawn(2) is None
     with FrameLog(tmp_path / "masks.log") as log:
@@ -114,12 +114,15 @@ def test_the_surface_is_drawn_where_a_pose_is_known_and_compared_with_what_was_s
         store.append(drawn(3))
         half = [mask & (np.arange(mask.shape[1]) < mask.shape[1] // 2) for mask in drawn(4)]
         store.append(half)
+        store.append([np.zeros_like(mask) for mask in half])
         told = []
         agreement = stages.agreements(drawn, poses, store, done=lambda: told.append(1))
     np.testing.assert_array_equal(agreement[3], 1.0)
     shares = [h.sum() / d.sum() for h, d in zip(half, drawn(4), strict=True)]
     np.testing.assert_allclose(agreement[4], shares)
-    assert len(told) == 2
+    # Neither the surface nor a silhouette is in the picture.
+    assert np.isnan(agreement[5]).all()
+    assert len(told) == 3
 
 
 def test_skins_and_what_is_seen_of_them_have_a_row_for_each_frame():

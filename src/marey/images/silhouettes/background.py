@@ -188,7 +188,7 @@ def updated_from_frame(
 
 def exposed(background: Background, shown: Exposure) -> np.ndarray:
     """Return the background's mean with the exposure of an image, (H, W, C) float32, at least one grey level."""
-    return _exposed(background.mean, shown.gain, shown.offset)
+    return np.asarray(_exposed(background.mean, shown.gain, shown.offset))
 
 
 @kernel(fastmath=True)
@@ -260,7 +260,9 @@ def background_frames(count: int, *, ends: int = 10, between: int = 20) -> np.nd
 
 
 def _differs(one: np.ndarray, other: np.ndarray, tolerance: float) -> Mask:
-    return np.abs(cv2.blur(one, (5, 5)) - cv2.blur(other, (5, 5))).reshape(one.shape).max(axis=2) > tolerance
+    return np.asarray(
+        np.abs(cv2.blur(one, (5, 5)) - cv2.blur(other, (5, 5))).reshape(one.shape).max(axis=2) > tolerance
+    )
 
 
 def _without_outlines(mean: np.ndarray, picture: np.ndarray, beside: np.ndarray, tolerance: float) -> np.ndarray:
@@ -312,7 +314,7 @@ def _steepness(picture: np.ndarray) -> np.ndarray:
     smooth = cv2.GaussianBlur(picture, (0, 0), 0.7).reshape(picture.shape)
     across = cv2.Scharr(smooth, cv2.CV_32F, 1, 0).reshape(picture.shape) / 32
     down = cv2.Scharr(smooth, cv2.CV_32F, 0, 1).reshape(picture.shape) / 32
-    return np.mean(across**2 + down**2, axis=2)
+    return np.asarray(np.mean(across**2 + down**2, axis=2))
 
 
 @kernel

@@ -54,7 +54,8 @@ class InteriorEdges:
     @cached_property
     def cells(self) -> Cells:
         """The points, sorted into cells for a fast search of the nearest one."""
-        return sort_into_cells(self.pixels)
+        cells: Cells = sort_into_cells(self.pixels)
+        return cells
 
     def __len__(self) -> int:
         """Count the points."""

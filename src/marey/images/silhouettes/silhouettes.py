@@ -251,7 +251,10 @@ def _too_far(start: Mask, margin: int) -> tuple[np.ndarray, Mask]:
     """Return evidence against pixels farther from the start than half the margin, and the pixels within the margin."""
     # Half the resolution suffices for a slope of this width.
     distance = cv2.distanceTransform((~start[::2, ::2]).view(np.uint8), cv2.DIST_L2, 3)
-    return _against(distance, *start.shape, np.float32(margin), np.float32(4 * LIMIT / margin))
+    found: tuple[np.ndarray, Mask] = _against(
+        distance, *start.shape, np.float32(margin), np.float32(4 * LIMIT / margin)
+    )
+    return found
 
 
 @kernel
@@ -306,7 +309,7 @@ def _fragments(region: Mask, least: float) -> Mask:
     reach = 2 * round(float(np.sqrt(region.size)) * GAP / 2) + 1
     joined = cv2.morphologyEx(region.view(np.uint8), cv2.MORPH_CLOSE, np.ones((reach, reach), np.uint8))
     count, labels = cv2.connectedComponents(joined, connectivity=8)
-    return region & _large(labels, count, FRAGMENT_SHARE, least)
+    return np.asarray(region & _large(labels, count, FRAGMENT_SHARE, least))
 
 
 @kernel

@@ -1,44 +1,46 @@
-"""Shapes of rigs: which joint of an upright character is which segment, by where it stands, when no name tells."""
+"""Identification of the joints of an upright character by their positions, if their names are unknown."""
 
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from marey.arrays import Floats
-from marey.io.gltf.rig_names import path_up
+from marey.io.gltf.rig_names import common_ancestor, path_up
 
 _LOW = 0.2
-"""Share of the height below which a leg ends."""
+"""Fraction of the height below which legs end; chosen by hand."""
 _SIDES = ("left", "right")
+"""Names of the sides, in the order of the limbs."""
 _PARTED = 5
-"""Least number of joints of a limb whose long bones are parted."""
+"""Smallest number of joints of a limb whose long bones are divided; chosen by hand."""
 _WHOLE = 0.55
-"""Share of a limb's length that its two long bones have where they are whole."""
+"""Fraction of a limb's length above which its two longest bones are taken as undivided; chosen by hand."""
 _TURNED = 40.0
-"""A bone that runs another way by more belongs to another segment [degrees]."""
+"""Angle between bones above which they belong to different segments [degrees]; chosen by hand."""
 _FORKS = 1
-"""Joints with more children than this hold fingers."""
+"""Joints of an arm with more children than this are hands, because fingers branch off; chosen by hand."""
 _USUAL_ARM, _USUAL_LEG = 1.15, 1.05
-"""Length of an upper arm by its forearm, of a thigh by its shank, ..."""
+"""Usual ratio of the lengths of upper arm and forearm, and of thigh and shank; chosen by hand."""
 _ODD = 0.45
-"""... from which nobody's differs by more than this, in the logarithm."""
+"""Largest plausible deviation from the usual ratio, as a difference of natural logarithms; chosen by hand."""
 
 
 def place_joints(places: Mapping[int, Floats], parents: Mapping[int, int], known: Mapping[str, int]) -> dict[str, int]:
-    """Guess segments from the places of joints, Y up.
+    """Guess the joints of the segments from the positions of joints, Y up.
 
-    Legs end near the floor on both sides of one joint, the pelvis; arms reach out farthest from a joint above it. Of
-    each, the two longest bones that follow each other are thigh and shank, upper arm and forearm; where long bones are
-    parted, what lies between the limb's beginning, its half and its end. Left is where joints
-    that are known to be left are; else it follows from where the toes point, or else the character looks along Z.
+    Legs end near the floor on both sides of one joint, the pelvis; arms extend farthest to the sides from a joint above
+    it. In each limb, the two longest consecutive bones are thigh and shank, or upper arm and forearm; if the long bones
+    are divided, the joints are chosen so that the ratio of the two lengths is nearest to the usual one. The left side
+    is that of joints that are known to be left; otherwise it follows from the direction of the toes, or, without toes,
+    from the assumption that the character faces along Z.
 
     Args:
-        places: By node: (3,) in the scene, at rest.
-        parents: By node: its parent.
-        known: By segment: the node, for those that are known.
+        places: Maps a node to its position (3,) in the scene, at rest.
+        parents: Maps a node to its parent.
+        known: Maps a segment to its node, for known segments.
 
     Returns:
-        By segment: the node; empty where the joints are not those of an upright person.
+        The node of each segment; empty if the joints are not those of an upright person.
     """
     children = _children(places, parents)
     ends = [node for node in places if not children[node]]
@@ -56,10 +58,10 @@ def place_joints(places: Mapping[int, Floats], parents: Mapping[int, int], known
     if not reach or max(reach.values()) < 0.1 * tall or min(reach.values()) > -0.1 * tall:
         return {}
     arm_ends = [max(reach, key=lambda end: reach[end]), min(reach, key=lambda end: reach[end])]
-    chest, top = _parting(arm_ends, parents), pelvis
+    chest, top = common_ancestor(arm_ends, parents, proper=True), pelvis
     if chest is None:
         return {}
-    # Where the legs hang from a joint beside the spine, the one above both is the pelvis.
+    # If the legs are attached to a joint beside the spine, the pelvis is the joint above it and the chest.
     pelvis = next((node for node in path_up(top, parents) if node in path_up(chest, parents)), -1)
     if pelvis not in places or chest not in places:
         return {}
@@ -75,6 +77,7 @@ def place_joints(places: Mapping[int, Floats], parents: Mapping[int, int], known
 
 
 def _children(places: Mapping[int, Floats], parents: Mapping[int, int]) -> dict[int, list[int]]:
+    """Return the children of each node."""
     children: dict[int, list[int]] = {node: [] for node in places}
     for node in places:
         if parents.get(node) in children:
@@ -82,24 +85,18 @@ def _children(places: Mapping[int, Floats], parents: Mapping[int, int]) -> dict[
     return children
 
 
-def _parting(nodes: Sequence[int], parents: Mapping[int, int]) -> int | None:
-    """Find the lowest node above all of some nodes."""
-    common = [set(path_up(node, parents)[1:]) for node in nodes]
-    return next((node for node in path_up(nodes[0], parents)[1:] if all(node in c for c in common)), None)
-
-
 def _pair(
     ends: list[int], places: Mapping[int, Floats], parents: Mapping[int, int]
 ) -> tuple[int, tuple[int, int]] | None:
-    """Find the joint from which legs go to the floor, and the end of each: those farthest apart on different ways."""
+    """Return the joint from which the legs branch, and the ends of the legs: the pair that is deepest and widest."""
     best, found = 0.0, None
     for k, first in enumerate(ends):
         for second in ends[k + 1 :]:
-            top = _parting((first, second), parents)
+            top = common_ancestor((first, second), parents, proper=True)
             apart = float(np.linalg.norm((places[first] - places[second]) * [1, 0, 1]))
             if top is None or top not in places:
                 continue
-            # Toes of one foot part below the knee; both legs part above.
+            # The product prefers two legs, which branch high, to two toes of one foot, which branch low.
             deep = min(places[top][1] - places[end][1] for end in (first, second))
             if deep * apart > best:
                 best, found = deep * apart, (top, (first, second))
@@ -109,7 +106,7 @@ def _pair(
 def _limbs(
     leg_end: int, arm_end: int, tops: tuple[int, int], places: Mapping[int, Floats], parents: Mapping[int, int]
 ) -> dict[str, int]:
-    """Find the joints of one leg and one arm, or nothing."""
+    """Return the joints of one leg and one arm, or nothing if a limb has too few joints."""
     found: dict[str, int] = {}
     plan = (
         (leg_end, tops[0], ("thigh", "shank", "foot"), "toes", None),
@@ -133,11 +130,12 @@ def _limbs(
 def _two_bones(
     path: Sequence[int], places: Mapping[int, Floats], children: Mapping[int, Sequence[int]], *, leg: bool
 ) -> tuple[int, int, int]:
-    """Find where the two long bones of a limb begin and end, as three numbers of its path.
+    """Return the ends of the two long bones of a limb, as three indices into its path.
 
-    Usually they are the two longest bones that follow each other. Where those are hardly half of the limb, or unlike
-    each other, long bones are parted: the limb then ends at the ankle, where it turns forward, or at the wrist, where
-    fingers part or nothing else follows; its other joints are those that part it as people's knees and elbows do.
+    Usually these are the two longest consecutive bones. If they make up little more than half of the limb, or differ
+    too much in length, the long bones are divided into several joints. Then the limb ends at the ankle, where the path
+    turns forward, or at the wrist, where fingers branch off or the path ends; the other two joints are those for which
+    the ratio of the lengths is nearest to the usual one.
     """
     at = np.array([places[node] for node in path])
     bones = np.linalg.norm(np.diff(at, axis=0), axis=1)
@@ -159,14 +157,14 @@ def _two_bones(
     else:
         fingers = [k for k, node in enumerate(path) if len(children[node]) > _FORKS and k > 1]
         last = fingers[0] if fingers else len(path) - 1
-    # Before a limb lies a piece from the trunk: a hip's or a shoulder's.
+    # The path may begin with a bone of the trunk, at the hip or the shoulder, which has another direction.
     along = directions[:last] @ directions[last - 1]
     begins = [k for k in range(last - 1) if along[k] > np.cos(np.radians(_TURNED))][:2]
     return min(((k, m, last) for k in begins or [0] for m in range(k + 1, last)), key=lambda ends: unusual(*ends))
 
 
 def _first_is_right(limbs: list[dict[str, int]], places: Mapping[int, Floats], known: Mapping[str, int]) -> bool:
-    """Tell whether the first of two sides is the right one."""
+    """Return whether the first of the two sides is the right one."""
     across = places[limbs[0]["thigh"]] - places[limbs[1]["thigh"]]
     pairs = [(known[n], known.get(n.replace("left_", "right_"))) for n in known if n.startswith("left_")]
     left = [places[a] - places[b] for a, b in pairs if b is not None and a in places and b in places]
@@ -180,7 +178,7 @@ def _first_is_right(limbs: list[dict[str, int]], places: Mapping[int, Floats], k
 def _head(
     chest: int, arms: list[int], ends: list[int], places: Mapping[int, Floats], parents: Mapping[int, int]
 ) -> dict[str, int]:
-    """Find neck and head: on the way from the chest to the highest end that belongs to no arm."""
+    """Return neck and head: the first joints from the chest toward the highest end that belongs to no arm."""
     of_arms = {node for end in arms for node in path_up(end, parents)[: path_up(end, parents).index(chest)]}
     free = [end for end in ends if chest in path_up(end, parents)[1:] and not of_arms & set(path_up(end, parents))]
     if not free:

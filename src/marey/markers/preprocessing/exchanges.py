@@ -20,7 +20,7 @@ _WHOLE_TRIAL_SHARE = 0.9
 _MAXIMUM_DISTANCES = 10_000_000
 """Distances held in memory at once (80 MB)."""
 _MAXIMUM_CROSSING_RATIO = 0.3
-"""A pair has jumped when its steps to the other marker's position are below this ratio of its own steps. Chosen by
+"""A pair is exchanged if its steps to the other marker's position are below this ratio of its own steps. Chosen by
 hand."""
 _MAXIMUM_SPREAD_RATIO = 0.7
 """A pair belongs to each other's clusters when distances vary there by less than this ratio. Chosen by hand."""

@@ -6,7 +6,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from marey.arrays import Floats
-from marey.body.articulation.pose import Pose, PosedBody
+from marey.body.articulation.pose import PosedBody, packed_poses, unpacked_poses
 from marey.body.articulation.surface import Body
 from marey.fit.search.search import Candidate
 from marey.io.stages import Arrays, FrameLog
@@ -28,7 +28,7 @@ class KeptCandidates(MutableMapping[Key, Candidate], Generic[Key]):
 
     def __getitem__(self, key: Key) -> Candidate:
         record = self._log[self._place[key]]
-        pose = Pose(record["translation"], record["rotation"], record["angles"])
+        (pose,) = unpacked_poses({name: values[None] for name, values in record.items()})
         return Candidate(PosedBody(self._with_numbers(record["numbers"]), pose), float(record["score"]))
 
     def _with_numbers(self, numbers: Floats) -> Body:
@@ -41,14 +41,12 @@ class KeptCandidates(MutableMapping[Key, Candidate], Generic[Key]):
         return key in self._place
 
     def __setitem__(self, key: Key, candidate: Candidate) -> None:
-        pose = candidate.posed.pose
+        pose = {name: values[0] for name, values in packed_poses([candidate.posed.pose]).items()}
         self._place[key] = len(self._log)
         self._log.append(
             {
                 "frame": np.array(key),
-                "translation": pose.translation,
-                "rotation": pose.rotation,
-                "angles": pose.angles,
+                **pose,
                 "numbers": candidate.posed.body.numbers,
                 "score": np.array(candidate.score),
             }

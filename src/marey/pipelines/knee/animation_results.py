@@ -163,7 +163,7 @@ def _write_video(path: Path, results: AnimationResults, progress: Progress) -> l
 
 
 class _Film:
-    """The pictures of an activity."""
+    """The images of an activity."""
 
     def __init__(self, results: AnimationResults):
         self._results, self._poses = results, results.poses

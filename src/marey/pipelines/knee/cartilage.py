@@ -112,9 +112,11 @@ def cartilage_maps(
     """
     left = known_side(surfaces, side)
     if left is None:
-        progress.warn("The side of the knee is not known: medial and lateral parts are not measured. Add --side.")
+        progress.warn(
+            "The side of the knee is not known: medial and lateral parts are not measured. Give side (--side)."
+        )
     elif side is None:
-        progress.report(f"This is a {'left' if left else 'right'} knee, by the place of its patella.")
+        progress.report(f"This is a {'left' if left else 'right'} knee, according to the position of its patella.")
     for bone, sheet in cartilage.sheets.items():
         name = CARTILAGE_OF_BONE[bone]
         progress.report(f"{name}: {sheet.outer.volume_mm3 / 1000:.1f} cm3, mean {whole(sheet).mean_mm:.2f} mm")
@@ -127,7 +129,7 @@ def cartilage_maps(
 
 
 def write_cartilage(folder: Path, cartilage: KneeCartilage, maps: CartilageMaps) -> dict[str, Image]:
-    """Write the surface, the thickness and the flat picture of each cartilage, and the table of their parts.
+    """Write the surface, the thickness and the flat image of each cartilage, and the table of their parts.
 
     Args:
         folder: The folder.
@@ -135,7 +137,7 @@ def write_cartilage(folder: Path, cartilage: KneeCartilage, maps: CartilageMaps)
         maps: Measures of its parts.
 
     Returns:
-        The flat pictures by the name of the cartilage; none if the side of the knee is not known.
+        The flat images by the name of the cartilage; none if the side of the knee is not known.
     """
     pictures: dict[str, Image] = {}
     for bone, sheet in cartilage.sheets.items():

@@ -29,7 +29,7 @@ from marey.pipelines.result_files import ResultFiles
 from marey.pipelines.run_details import RunDetails
 
 COMMAND = "knee segment"
-"""The command that leaves the same files."""
+"""The command that writes the same files."""
 _FILE = "labels.nii.gz"
 """The file by which a folder of results is recognised."""
 
@@ -129,7 +129,7 @@ class Knee(Described):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Everything that the user should check, one sentence each."""
+        """Warnings of the run, one sentence each."""
         return self.details.warnings
 
     def summary(self) -> Summary:
@@ -162,7 +162,7 @@ class Knee(Described):
         return pandas.DataFrame(rows)
 
     def to_xarray(self) -> Any:
-        """Return the labels as an `xarray.DataArray` (k, j, i); the place of the voxels and the names are attributes.
+        """Return the labels as an `xarray.DataArray` (k, j, i); grid position and label names are attributes.
 
         Raises:
             MissingPackage: xarray is not installed.
@@ -201,7 +201,7 @@ class Knee(Described):
         A knee that was read from a folder is copied from there.
 
         Args:
-            folder: Where the files are written; it is made if it does not exist.
+            folder: Folder for the files; it is created if it does not exist.
             progress: Progress reporter.
 
         Returns:

@@ -56,7 +56,7 @@ def read_bone(path: Path, progress: Progress) -> TriangleSurface:
         raise FileProblem(path, wrong, "Give the closed surface of a bone.")
     alike, turned = consistently_oriented(surface)
     if turned.any():
-        progress.warn(f"{path.name}: {turned.sum()} of {len(turned)} faces were inward; they were reversed.")
+        progress.warn(f"{path.name}: {turned.sum()} of {len(turned)} faces pointed inward and were reversed.")
     return alike
 
 
@@ -124,7 +124,7 @@ def read_cartilage(path: Path, progress: Progress) -> TriangleSurface:
     """
     alike, turned = consistently_oriented(read_mesh(path))
     if turned.any():
-        progress.warn(f"{path.name}: {turned.sum()} of {len(turned)} faces were inward; they were reversed.")
+        progress.warn(f"{path.name}: {turned.sum()} of {len(turned)} faces pointed inward and were reversed.")
     whole, closed, left = with_holes_closed(alike, SMALL_HOLE)
     if closed:
         progress.warn(f"{path.name}: {closed} small {'holes were' if closed > 1 else 'hole was'} closed.")

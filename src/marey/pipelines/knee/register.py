@@ -105,7 +105,7 @@ def register_bone(
             elastic = register_elastically(joined(moved), person, done=done)
     except MareyError as error:
         text = str(error).rstrip(".")
-        remedy = "" if mirror is None else "Without --mirror and --no-mirror both sides are tried."
+        remedy = "" if mirror is None else "Without mirror (--mirror or --no-mirror), both sides are tried."
         raise FileProblem(template, f"does not fit {subject.name}: {text[0].lower() + text[1:]}", remedy) from error
     _warn_of_misfit(elastic, person, template, subject, progress)
     return RegisteredBone(sided=sided, elastic=elastic, surface=elastic.deformation.subject_surface(moved))
@@ -127,7 +127,8 @@ def _warn_of_misfit(
     if elastic.surface_distance_mm > _ALIKE_MM:
         progress.warn(
             f"After elastic registration, {template.name} is still {elastic.surface_distance_mm:.2f} mm from "
-            f"{subject.name} on average; usual are 0.2 to 0.5 mm. Check that it is the same part of the same bone."
+            f"{subject.name} on average; typical values are 0.2 to 0.5 mm. Check that it is the same part of "
+            "the same bone."
         )
 
 
@@ -142,7 +143,7 @@ def _report_side(sided: SidedRegistration, mirror: bool | None, progress: Progre
     if sided.clear:
         progress.report(text)
     else:
-        force = "--no-mirror" if sided.mirrored else "--mirror"
+        force = "mirror=False (--no-mirror)" if sided.mirrored else "mirror=True (--mirror)"
         progress.warn(f"{text} The difference is small; if the side is wrong, add {force}.")
 
 

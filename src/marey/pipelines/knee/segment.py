@@ -1,4 +1,4 @@
-"""From MR images of a knee to its bones, and by a template to their cartilage."""
+"""Segmentation of the bones of a knee in MR images, and of their cartilage by a template."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -52,7 +52,7 @@ class SegmentSettings:
 
     def __post_init__(self) -> None:
         if self.side not in (None, "left", "right"):
-            raise SettingProblem(f"--side is '{self.side}'; it should be left or right.")
+            raise SettingProblem(f"side (--side) is '{self.side}'; it should be left or right.")
         names = [name for name, *_ in (*self.seeds, *self.seed_voxels)]
         for name in names:
             if name not in BONES:
@@ -81,15 +81,15 @@ def segment_knee(
     out: PathLike | None = None,
     progress: Progress | None = None,
 ) -> Knee:
-    """Segment femur, tibia and patella in an MR volume, and with a template the cartilage on them.
+    """Segment femur, tibia and patella in an MR volume, and their cartilage if a template is given.
 
     Args:
         volumes: One volume, or two of the same knee in the same place, with and without fat suppression; each is a
             file, a folder with a DICOM series, or a `Volume`.
         template: Labels of another knee, of either side: a folder, or `Labels`.
-        seeds: A place in the marrow of a bone, LPS [mm], by the bone's name; seeds that are not given are found.
-        seed_voxels: The same as the indices (i, j, k) of a voxel of the first volume.
-        side: `left` or `right`, for medial and lateral parts; by default the place of the patella decides.
+        seeds: A point in the marrow of each bone by the bone's name, LPS [mm]; missing seeds are found automatically.
+        seed_voxels: The same points as voxel indices (i, j, k) of the first volume.
+        side: `left` or `right`, for medial and lateral parts; by default the position of the patella decides.
         out: Folder for the results. If it is given, the files of `marey knee segment` are written there; otherwise
             nothing is written.
         progress: Progress reporter; by default nothing is shown, and the warnings of the run are issued as Python

@@ -41,7 +41,7 @@ def run_methods(
     lacking = {entry.name: entry.missing_requirement(trial.problem) for entry in entries}
     for name, what in lacking.items():
         if what and not every:
-            raise SettingProblem(f"--method {name} {what}. {_remedy(what)}")
+            raise SettingProblem(f"The method {name} {what}. {_remedy(what)}")
     runs = []
     for entry in sorted(entries, key=lambda e: every and e.name != DEFAULT_METHOD):
         if lacking[entry.name]:
@@ -60,10 +60,10 @@ def run_methods(
 
 def _remedy(lacking: str) -> str:
     if "posture" in lacking:
-        return "Add a --reference with several postures."
+        return "Add reference (--reference) with several postures."
     if "exercise" in lacking:
-        return "Add --exercise."
-    return "Name the joint in [joints] of the TOML given with --clusters."
+        return "Add exercise (--exercise)."
+    return "Name the joint in [joints] of the TOML file clusters (--clusters)."
 
 
 def _run(entry: MethodEntry, trial: ClusterTrial, progress: Progress, cache: StageCache) -> MethodRun:

@@ -47,7 +47,9 @@ def selected_trajectories(
     if settings.frames is not None:
         first, end = settings.frames
         if first >= len(measured):
-            raise SettingProblem(f"--frames begins at {first}; the trial has the frames 0 to {len(measured) - 1}.")
+            raise SettingProblem(
+                f"The range of frames (--frames) begins at {first}; the trial has the frames 0 to {len(measured) - 1}."
+            )
         wanted[:first] = False
         wanted[end:] = False
     used, filling = measured.only_in(wanted), None

@@ -103,7 +103,9 @@ def _joined(views: Sequence[Floats], given: NonRigidInput, cache: StageCache, pr
         kept = found.shared()
         if len(kept) < FEWEST_POINTS:
             words = " ".join(found.notes)
-            raise MareyError(f"Fewer than {FEWEST_POINTS} points match between two cameras beyond chance. {words}")
+            raise MareyError(
+                f"Fewer than {FEWEST_POINTS} points match between two cameras more often than by chance. {words}"
+            )
         return {
             "tracks": found.tracks[..., kept], "points": found.points[:, kept],
             "probability": found.probability[:, kept], "notes": np.array(found.notes, np.str_),

@@ -162,7 +162,7 @@ def _chosen(first: np.ndarray, given: NonRigidInput) -> Floats:
     if not len(strong):
         raise MareyError(
             f"{given.paths[0]}: frame {given.first} has no corners to follow. Begin with another frame "
-            "(--frames), or give points with --points."
+            "(--frames), or give points (--points)."
         )
     return np.concatenate([strong, weak])
 
@@ -182,7 +182,7 @@ def _without_background(found: FeatureTracks, arrays: Arrays, given: NonRigidInp
     notes: tuple[str, ...] = ()
     moves = np.ones(found.tracks.shape[2], bool) if given.starts else _moving(found)
     if 4 <= moves.sum() < len(moves):
-        notes = (f"{int((~moves).sum())} points never move by more than {STILL_PX:g} px: left out as background.",)
+        notes = (f"{int((~moves).sum())} points never move by more than {STILL_PX:g} px: excluded as background.",)
         found = FeatureTracks(
             tracks=found.tracks[:, :, moves], tracks_sd=found.tracks_sd[:, :, moves], visible=found.visible[:, moves],
             predicted=found.predicted[:, moves],

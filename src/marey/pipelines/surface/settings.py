@@ -41,7 +41,7 @@ class SurfaceOptions:
 
     def __post_init__(self) -> None:
         if self.seeds is not None and not self.seeds.exists():
-            raise FileProblem(self.seeds, "does not exist", "Correct --seeds.")
+            raise FileProblem(self.seeds, "does not exist", "Correct seeds (--seeds).")
         self.settings()
         self.filters()
 

@@ -1,4 +1,4 @@
-"""`marey surface`: from the pictures of a trial to the points of the visible surface."""
+"""`marey surface`: from the images of a trial to the points of the visible surface."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -1,1 +1,1 @@
-"""Single pictures: overlays, surfaces, slices."""
+"""Single images: overlays, surfaces, slices."""

@@ -1,4 +1,4 @@
-"""Pictures of a knee from chosen sides: bones one sees through, cartilage in the colours of its nearness."""
+"""Images of a knee from chosen sides: transparent bones, and cartilage coloured by proximity."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,13 +13,13 @@ from marey.knee.space.surface import TriangleSurface
 from marey.view.pictures.knee_maps import BONE, proximity_colours
 
 VIEWS = ("anterior", "posterior", "medial", "lateral", "plateau")
-"""`plateau` is the tibia from above, with the femur and the patella taken off."""
+"""`plateau` is the tibia from above, with femur and patella removed."""
 DEFAULT_VIEWS = ("anterior", "medial", "plateau")
 PANEL = 400
 """Width and height of one view [px]."""
 _FINER = 2
 _FROM = 4.0
-"""The eye stands so many times as far away as the knee is large."""
+"""Distance of the eye from the knee, relative to the size of the knee."""
 _OPACITY = 0.42
 _DARKEST = 0.42
 _PAPER = 247
@@ -43,15 +43,15 @@ class KneeInstant:
 
     caption: str
     poses: Mapping[str, Floats]
-    """Bone to (4, 4) of its place [mm]; a bone without one is not drawn."""
+    """Pose (4, 4) of each bone [mm]; a bone without a pose is not drawn."""
     distance_mm: Mapping[str, Floats]
-    """Cartilage to (V,) from each vertex to the other cartilage; NaN where nobody knows."""
+    """Distance (V,) of each vertex of a cartilage from the other cartilage [mm]; NaN where it is unknown."""
     paths_mm: Sequence[Floats] = ()
-    """Each (n, 3): where centres of proximity came along, the last one now; in the picture's frame."""
+    """Each (n, 3): path of each centre of proximity up to the present frame, in the frame of the image."""
 
 
 def axes_of_view(view: str, *, left: bool | None) -> Floats:
-    """Give right, down and ahead (3, 3) of a view in the scanner's axes; without a side as of a right knee.
+    """Return right, down and ahead (3, 3) of a view in the scanner's axes; without a side as of a right knee.
 
     Args:
         view: One of `VIEWS`.
@@ -64,11 +64,11 @@ def axes_of_view(view: str, *, left: bool | None) -> Floats:
 
 
 class KneeCamera:
-    """A view that stands still while the knee moves.
+    """A fixed view of a moving knee.
 
     Args:
-        axes: (3, 3) right, down and ahead.
-        corners_mm: (N, 3) what must be in the picture, in all frames.
+        axes: (3, 3) directions right, down and ahead.
+        corners_mm: (N, 3) points that must be inside the image in all frames.
     """
 
     def __init__(self, axes: Floats, corners_mm: Floats):
@@ -83,7 +83,7 @@ class KneeCamera:
         self._scale = 0.46 * nearest / reach
 
     def project(self, points_mm: Floats, size: int) -> Floats:
-        """Give x, y [px] and inverse depth (N, 3) in a square picture."""
+        """Return x, y [px] and inverse depth (N, 3) in a square image."""
         seen = points_mm @ self._axes.T - self._middle
         inverse = 1 / (seen[:, 2] + self._depth)
         place = 0.5 * (size - 1) + self._scale * size * seen[:, :2] * inverse[:, None]
@@ -91,18 +91,18 @@ class KneeCamera:
 
     @property
     def ahead(self) -> Floats:
-        """(3,) into the picture."""
+        """(3,) direction into the image."""
         return np.asarray(self._axes[2])
 
 
 class KneePicture:
-    """Draws a knee frame by frame.
+    """Draw a knee frame by frame.
 
     Args:
         parts: Structures by name.
-        cameras: View to camera.
-        limit_mm: Of nearness, where the colours end.
-        note: Stands below the pictures.
+        cameras: Camera of each view.
+        limit_mm: Distance at the end of the colour scale [mm].
+        note: Text below the images.
     """
 
     def __init__(
@@ -113,7 +113,7 @@ class KneePicture:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of what is drawn [px]."""
+        """Width and height of the drawing [px]."""
         return PANEL * len(self._cameras), PANEL + 2 * _BAR
 
     def draw(self, instant: KneeInstant) -> Image:
@@ -142,7 +142,7 @@ class KneePicture:
                     _outline(picture, seen)
         small = np.asarray(cv2.resize(picture, (PANEL, PANEL), interpolation=cv2.INTER_AREA), np.uint8)
         if not shown:
-            _write(small, "no answer", (PANEL // 2 - 36, PANEL // 2), _SOFT)
+            _write(small, "no result", (PANEL // 2 - 36, PANEL // 2), _SOFT)
         if view == "plateau":
             for path in instant.paths_mm:
                 _draw_path(small, camera, path)
@@ -160,13 +160,13 @@ class KneePicture:
 
 @dataclass(frozen=True, eq=False)
 class _Ready:
-    """A structure with what does not change from frame to frame."""
+    """A structure with the data that are constant over the frames."""
 
     bone: str
     vertices: Floats
     faces: Integers
     normals: Floats
-    """(T, 3) of the faces, smoothed over their corners."""
+    """(T, 3) normals of the faces, smoothed over their corners."""
     cartilage: bool
 
     @staticmethod
@@ -180,16 +180,16 @@ def _draw(
     parts: Mapping[str, _Ready], camera: KneeCamera, instant: KneeInstant, tints: Mapping[str, Floats],
     opacity: float, picture: Image, depth: Floats,
 ) -> View:  # fmt: skip
-    """Draw structures as one solid over a picture, where they are nearer than what it holds.
+    """Draw structures as one solid over an image, where they are nearer than what was drawn before.
 
     Args:
         parts: At least one.
         camera: The view.
-        instant: Where the bones are.
+        instant: Poses of the bones.
         tints: Red, green and blue of each face, by structure.
-        opacity: Of the solid.
-        picture: (h, w, 3) is drawn upon.
-        depth: (h, w) inverse depth of what is opaque in it; is kept up.
+        opacity: Opacity of the solid, from 0 to 1.
+        picture: (h, w, 3), changed in place.
+        depth: (h, w) inverse depth of the opaque parts; updated.
     """
     size = len(picture)
     places, faces, colours, count = [], [], [], 0
@@ -209,7 +209,7 @@ def _draw(
 
 @kernel
 def _lay_over(picture, depth, face, inverse, left, top, tint, opacity):  # pragma: no cover - compiled
-    """Blend faces over a picture where they are nearer; what is opaque hides what comes later."""
+    """Blend faces over an image where they are nearer; opaque faces hide those drawn later."""
     for y in range(face.shape[0]):
         for x in range(face.shape[1]):
             f = face[y, x]
@@ -223,7 +223,7 @@ def _lay_over(picture, depth, face, inverse, left, top, tint, opacity):  # pragm
 
 
 def _tint(name: str, part: _Ready, instant: KneeInstant, limit_mm: float) -> Floats:
-    """Give red, green and blue of each face, (T, 3) or (1, 3)."""
+    """Return red, green and blue of each face, (T, 3) or (1, 3)."""
     if not part.cartilage:
         return np.array([BONE], float)
     distance = instant.distance_mm.get(name, np.full(len(part.vertices), np.nan))
@@ -239,7 +239,7 @@ def _outline(picture: Image, seen: View) -> None:
 
 
 def _draw_path(picture: Image, camera: KneeCamera, path_mm: Floats) -> None:
-    """Draw where a centre came along; gaps stay open."""
+    """Draw the path of a centre; gaps stay open."""
     places = camera.project(path_mm, PANEL)[:, :2]
     known: Mask = np.asarray(np.isfinite(places).all(1))
     joined = known[:-1] & known[1:]

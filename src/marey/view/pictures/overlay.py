@@ -1,4 +1,4 @@
-"""The fitted body over what a camera saw: surface, silhouette, joints, and how well they agree."""
+"""The fitted body over a camera image: surface, silhouette, joints, and their agreement."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,24 +16,24 @@ from marey.io.video.video_writer import VideoWriter
 from marey.view.pictures.palette import bone_pairs, segment_colours, side_colour
 
 LONGEST_SIDE = 1280
-"""Overlays of larger pictures are halved until they fit [px]."""
+"""Overlays of larger images are halved until they fit [px]."""
 OPACITY = 0.5
 SURFACE_LINE = (255, 255, 255)
 SILHOUETTE_LINE = (60, 230, 255)
-"""Blue, green, red: a yellow that skin and rooms seldom have."""
-_STATES = ("nobody", "measured", "filled", "lost")
+"""Blue, green, red: a yellow that is rare in skin and rooms."""
+_STATES = ("no person", "measured", "filled", "lost")
 _FAR = 1e5
-"""Farther off no line is drawn; NaN is farther than any number [px]."""
+"""Lines to points farther away than this are not drawn [px]."""
 _SHIFT = 4
-"""Bits behind the point in the coordinates that OpenCV draws."""
+"""Fractional bits of the coordinates for OpenCV's drawing functions."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Looks:
-    """What does not change while a body moves: its faces, and the names that give them their colours."""
+    """The constant part of a moving body: its faces, and the segments that determine their colours."""
 
     faces: Integers
-    """(T, 3)."""
+    """(T, 3) indices of the corners of each face."""
     face_segment: Integers
     """(T,) index of the segment that carries each face."""
     segment_names: tuple[str, ...]
@@ -46,13 +46,13 @@ class Looks:
 
     @cached_property
     def bones(self) -> Integers:
-        """(n, 2) joints joined by a line."""
+        """(n, 2) joints that are connected by a line."""
         return bone_pairs(self.joint_names)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Scene:
-    """What is known of one frame, for all cameras; None where there is no answer."""
+    """The result of one frame for all cameras; None where there is none."""
 
     frame: int
     vertices: Floats | None = None
@@ -60,17 +60,17 @@ class Scene:
     joints: Floats | None = None
     """(J, 3) joint centres [m, world]."""
     state: int = 0
-    """0 nobody, 1 measured, 2 filled, 3 lost."""
+    """0 no person, 1 measured, 2 filled, 3 lost."""
 
 
 class OverlayVideo:
-    """Writes the overlay of one camera picture by picture; used as a context.
+    """Overlay video of one camera, written image by image; used as a context manager.
 
     Args:
         path: The video to be written, see `marey.io.video.video_writer`.
-        camera: Whose pictures they are.
-        looks: Of the body.
-        rate: Pictures a second [Hz].
+        camera: The camera of the images.
+        looks: Faces and colours of the body.
+        rate: Images per second [Hz].
     """
 
     def __init__(self, path: Path, camera: Camera, looks: Looks, *, rate: float):
@@ -78,11 +78,11 @@ class OverlayVideo:
         self._writer = VideoWriter(path, self._camera.size, rate=rate)
 
     def add(self, image: Image, scene: Scene, *, mask: Mask | None = None, agreement: float = float("nan")) -> Image:
-        """Draw one picture, write it, and give it back for a still.
+        """Draw one image, write it, and return it for a still.
 
         Args:
-            image: (height, width, 3) what the camera saw, in blue, green, red.
-            scene: What was found.
+            image: (height, width, 3) the camera's image, in blue, green, red.
+            scene: The result of the frame.
             mask: (height, width) the silhouette.
             agreement: Intersection over union of surface and silhouette.
         """
@@ -100,7 +100,7 @@ class OverlayVideo:
 
 
 def fitting_camera(camera: Camera) -> Camera:
-    """Halve a camera's picture until its longest side is at most `LONGEST_SIDE`."""
+    """Halve a camera's image until its longest side is at most `LONGEST_SIDE`."""
     factor = 1.0
     while max(camera.size) * factor > LONGEST_SIDE:
         factor /= 2
@@ -116,18 +116,18 @@ def draw_overlay(
     mask: Mask | None = None,
     agreement: float = float("nan"),
 ) -> Image:
-    """Draw surface, outlines, joints and a line of text over a picture.
+    """Draw surface, outlines, joints and a line of text over an image.
 
     Args:
-        image: (height, width, 3) blue, green, red; resized to the camera's picture where it differs.
-        camera: The camera of the drawing.
-        looks: Of the body.
-        scene: What was found in the frame.
+        image: (height, width, 3) blue, green, red; resized to the camera's image where it differs.
+        camera: The camera for which the scene is drawn.
+        looks: Faces and colours of the body.
+        scene: The result of the frame.
         mask: (height, width) the silhouette, of the image's size.
         agreement: Intersection over union of surface and silhouette.
 
     Returns:
-        A new picture of the camera's size.
+        A new image of the camera's size.
     """
     drawn = _resized(image, camera.size, cv2.INTER_AREA)
     if scene.vertices is not None:
@@ -141,16 +141,16 @@ def draw_overlay(
 
 
 def shade_surface(drawn: Image, camera: Camera, looks: Looks, vertices: Floats) -> View:
-    """Lay the surface over a picture, half transparent, lit from the camera, and draw its outline.
+    """Draw the surface over an image, half transparent, lit from the camera, with its outline.
 
     Args:
-        drawn: (height, width, 3) is drawn upon.
-        camera: Whose picture it is.
-        looks: Of the body.
+        drawn: (height, width, 3), changed in place.
+        camera: The camera of the image.
+        looks: Faces and colours of the body.
         vertices: (V, 3) [m, world].
 
     Returns:
-        What the camera sees of the surface.
+        The visible part of the surface.
     """
     vertices = np.ascontiguousarray(vertices, float)
     projected = np.empty_like(vertices)
@@ -167,7 +167,7 @@ def shade_surface(drawn: Image, camera: Camera, looks: Looks, vertices: Floats) 
 
 
 def _light(vertices: Floats, faces: Integers, centre: Floats) -> Floats:
-    """Light each face (T,) by its turn to the camera, smoothed over its neighbours."""
+    """Shade each face (T,) by its angle to the camera, smoothed over its neighbours."""
     corners = vertices[faces]
     area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals = np.zeros_like(vertices)
@@ -177,7 +177,7 @@ def _light(vertices: Floats, faces: Integers, centre: Floats) -> Floats:
     towards = centre - corners.mean(1)
     scale = np.linalg.norm(smooth, axis=1) * np.linalg.norm(towards, axis=1)
     cosine = np.einsum("ta,ta->t", smooth, towards) / np.maximum(scale, 1e-12)
-    return 0.45 + 0.6 * np.clip(cosine, 0, 1)
+    return np.asarray(0.45 + 0.6 * np.clip(cosine, 0, 1))
 
 
 def _resized(image: np.ndarray, size: tuple[int, int], how: int) -> np.ndarray:

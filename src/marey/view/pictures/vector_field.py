@@ -1,4 +1,4 @@
-"""A moving surface drawn over the picture that shows it: where each followed point goes, coloured by its speed."""
+"""A moving surface over its image: the velocity of each tracked point, coloured by its speed."""
 
 import cv2
 import numpy as np
@@ -7,25 +7,25 @@ from marey.arrays import Floats, Image
 from marey.cameras.camera import Camera
 
 _SHIFT = 4
-"""Bits behind the point in the coordinates that OpenCV draws."""
+"""Fractional bits of the coordinates for OpenCV's drawing functions."""
 _FADED = 0.55
-"""How much of the picture's own brightness is left under the lines."""
+"""Factor by which the image is darkened under the lines."""
 _BAR = (16, 12, 180)
 """Left edge, height and width of the legend [px]."""
 
 
 def vector_field(image: Image, camera: Camera, position: Floats, velocity: Floats, *, seconds: float) -> Image:
-    """Draw where points go.
+    """Draw the velocities of points as lines.
 
     Args:
-        image: (H, W, 3) the camera's picture, in blue, green, red.
-        camera: That took it.
+        image: (H, W, 3) the camera's image, in blue, green, red.
+        camera: The camera of the image.
         position: (n, 3) in the world [m]; NaN is left out.
         velocity: (n, 3) [m/s]; points of unknown velocity are left out.
-        seconds: The lines' length in time: each ends where its point would be then.
+        seconds: Time that the lines span: each ends at the position of its point after this time [s].
 
     Returns:
-        (H, W, 3) the picture, faded, with the lines; yellow ones move as fast as any, violet ones hardly at all.
+        (H, W, 3) the darkened image with the lines; yellow for the fastest points, violet for the slowest.
     """
     drawn = np.asarray(image * _FADED, np.uint8)
     speed = np.linalg.norm(velocity, axis=1)
@@ -46,7 +46,7 @@ def vector_field(image: Image, camera: Camera, position: Floats, velocity: Float
 
 
 def speed_colours(share: Floats) -> Image:
-    """Give the colours (n, 3) in blue, green, red of speeds (n,) between 0 and 1."""
+    """Return the colours (n, 3) in blue, green, red of speeds (n,) between 0 and 1."""
     grey = np.asarray(np.round(255 * np.asarray(share)), np.uint8)[:, None]
     return np.asarray(cv2.applyColorMap(grey, cv2.COLORMAP_PLASMA), np.uint8).reshape(-1, 3)
 
