@@ -11,11 +11,11 @@ Mask = NDArray[np.bool_]
 Image = NDArray[np.uint8]
 
 
-def frozen(values: object, dtype: type = np.float64) -> NDArray:
+def frozen(values: object, dtype: type = np.float64) -> NDArray[Any]:
     """Copy values into a read-only, contiguous array; one that is so already, and its own, is given as it is."""
     if isinstance(values, np.ndarray) and values.dtype == dtype and values.base is None and _finished(values):
         return values
-    array: NDArray = np.array(values, dtype=dtype, order="C")
+    array: NDArray[Any] = np.array(values, dtype=dtype, order="C")
     array.setflags(write=False)
     return array
 
@@ -34,5 +34,5 @@ def freeze_fields(record: object, *names: str, dtype: type = np.float64) -> None
             object.__setattr__(record, name, frozen(values, dtype))
 
 
-def _finished(array: NDArray) -> bool:
+def _finished(array: NDArray[Any]) -> bool:
     return array.flags.c_contiguous and not array.flags.writeable

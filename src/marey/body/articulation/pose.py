@@ -110,10 +110,11 @@ class PosedSegments(ABC):
     @cached_property
     def _segments(self) -> tuple[Floats, Floats, Floats]:
         packed, pose = self.carrier.packed, self.pose
-        return kinematics.pose_segments(
+        posed: tuple[Floats, Floats, Floats] = kinematics.pose_segments(
             packed.parents, packed.coordinate_segment, packed.axes, self.carrier.joint_centres,
             pose.rotation, pose.translation, pose.angles,
         )  # fmt: skip
+        return posed
 
     @property
     def segment_rotation(self) -> Floats:
@@ -147,14 +148,14 @@ class PosedBody(PosedSegments):
     def vertices(self) -> Floats:
         """(V, 3) the skin [m, world]."""
         body = self.body
-        return kinematics.blend_skin(
+        return np.asarray(kinematics.blend_skin(
             body.vertices, body.vertex_segments, body.vertex_weights, body.joint_centres,
             self.segment_rotation, self.segment_origin,
-        )  # fmt: skip
+        ))  # fmt: skip
 
     def points(self, where: SkinPoints) -> Floats:
         """Return the positions (n, 3) of surface points in the world."""
-        return kinematics.points_on_faces(self.vertices, self.body.faces, where.face, where.barycentric)
+        return np.asarray(kinematics.points_on_faces(self.vertices, self.body.faces, where.face, where.barycentric))
 
     def parts(self, where: SkinPoints) -> tuple[Integers, Floats]:
         """Decompose surface points into the parts carried by their segments, see `kinematics.gather_parts`."""
@@ -225,7 +226,8 @@ class PosedBody(PosedSegments):
     @cached_property
     def _origin_modes(self) -> tuple[Floats, Floats]:
         modes = self.body.space.joint_modes
-        return kinematics.origin_modes(self.body.packed.parents, self.segment_rotation, modes)
+        found: tuple[Floats, Floats] = kinematics.origin_modes(self.body.packed.parents, self.segment_rotation, modes)
+        return found
 
     @cached_property
     def _anchored_by_number_last(self) -> Floats:

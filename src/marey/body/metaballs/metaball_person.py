@@ -218,7 +218,7 @@ def _family_covariance(space: MetaballSpace) -> Floats:
         for s in (metaball_body(space).space, family.space)
     )
     by_family = np.linalg.lstsq(own.T, theirs.T, rcond=None)[0]
-    return by_family @ by_family.T
+    return np.asarray(by_family @ by_family.T)
 
 
 def single_radii(
@@ -394,7 +394,7 @@ def _skin_modes(space: MetaballSpace, posed: PosedMetaballs, vertices: Floats, l
     of = posed.distances(vertices, limb)
     off = space.by_numbers(posed, of).T + np.einsum("va,iva->iv", of.by_point, modes)
     square = np.sum(of.by_point**2, axis=1)
-    return modes - (off / square)[:, :, None] * of.by_point
+    return np.asarray(modes - (off / square)[:, :, None] * of.by_point)
 
 
 def _strongest(posed: PosedMetaballs, vertices: Floats, limb: Integers) -> tuple[Integers, Floats]:

@@ -170,7 +170,7 @@ def _borrowed_shares(template: Body, joints: Floats, turns: Floats, skin: Floats
     for c in range(template.vertex_segments.shape[1]):
         np.add.at(dense, (np.arange(len(aligned)), template.vertex_segments[:, c]), template.vertex_weights[:, c])
     closeness = 1.0 / (distance + 1e-3)
-    return np.einsum("vn,vns->vs", closeness, dense[nearest]) / closeness.sum(1, keepdims=True)
+    return np.asarray(np.einsum("vn,vns->vs", closeness, dense[nearest]) / closeness.sum(1, keepdims=True))
 
 
 def _strongest(shares: Floats) -> tuple[Integers, Floats]:

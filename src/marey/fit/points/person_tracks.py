@@ -130,7 +130,7 @@ def _origins(posed: Sequence[PosedBody], k: int) -> Floats:
 def _local_positions(posed: Sequence[PosedBody], position: Floats, k: int) -> Floats:
     """Return the positions (F, n, 3) of points (F, n, 3) relative to a segment [m]."""
     turn = np.stack([there.segment_rotation[k] for there in posed])
-    return np.einsum("fba,fnb->fna", turn, position - _origins(posed, k)[:, None])
+    return np.asarray(np.einsum("fba,fnb->fna", turn, position - _origins(posed, k)[:, None]))
 
 
 def _robust_mean(places: Floats, scale: float, rounds: int = 3) -> tuple[Floats, Floats]:

@@ -68,11 +68,11 @@ class Search:
 
     def score(self, body: Body, poses: Sequence[Pose]) -> Floats:
         """Return the mean intersection over union of poses (n,)."""
-        return cover.score_poses(
+        return np.asarray(cover.score_poses(
             *_rest(body), body.faces,
             np.array([pose.rotation for pose in poses]), np.array([pose.translation for pose in poses]),
             np.array([pose.angles for pose in poses]), *self.packed,
-        )  # fmt: skip
+        ))  # fmt: skip
 
     def judge(self, posed: PosedBody) -> Candidate:
         """Return a posed body with its score."""

@@ -86,7 +86,7 @@ def bounded_step(information: Floats, gradient: Floats, least: Floats, greatest:
     target = -scipy.linalg.solve_triangular(upper, gradient, trans="T")
     # The solver requires a gap between the bounds.
     found = scipy.optimize.lsq_linear(upper, target, (least - 1e-9, greatest + 1e-9), method="bvls").x
-    return np.clip(found, least, greatest)
+    return np.asarray(np.clip(found, least, greatest))
 
 
 def bounded_body_step(hessian: Floats, gradient: Floats, degrees: int, reach: tuple[Floats, Floats]) -> Floats:

@@ -177,7 +177,7 @@ def _light(vertices: Floats, faces: Integers, centre: Floats) -> Floats:
     towards = centre - corners.mean(1)
     scale = np.linalg.norm(smooth, axis=1) * np.linalg.norm(towards, axis=1)
     cosine = np.einsum("ta,ta->t", smooth, towards) / np.maximum(scale, 1e-12)
-    return 0.45 + 0.6 * np.clip(cosine, 0, 1)
+    return np.asarray(0.45 + 0.6 * np.clip(cosine, 0, 1))
 
 
 def _resized(image: np.ndarray, size: tuple[int, int], how: int) -> np.ndarray:
