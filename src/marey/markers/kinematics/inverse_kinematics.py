@@ -94,7 +94,7 @@ def inverse_kinematics(
     the model and the tasks are used.
 
     Unlike the paper and OpenSim, the result has standard deviations, derived from the size of each marker's residuals
-    over the trial, whatever its weight. They do not include errors that the residuals do not show, such as skin motion
+    over the trial, for any weight. They do not include errors that the residuals do not show, such as skin motion
     common to a whole segment.
 
     Args:
