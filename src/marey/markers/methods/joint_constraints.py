@@ -272,7 +272,7 @@ def is_anatomical(relative: Floats) -> bool:
         relative: (F, 3, 3) parent from child; NaN where unknown.
 
     Returns:
-        True if it does, or if it hardly rotates, so that the axis cannot be evaluated.
+        True if it does, or if it rotates too little, so that the axis cannot be evaluated.
     """
     known = relative[np.isfinite(relative).all((1, 2))]
     if len(known) < 2:
