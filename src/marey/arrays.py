@@ -14,11 +14,11 @@ Mask = NDArray[np.bool_]
 Image = NDArray[np.uint8]
 
 
-def frozen(values: object, dtype: type = np.float64) -> NDArray:
+def frozen(values: object, dtype: type = np.float64) -> NDArray[Any]:
     """Copy values into a read-only, contiguous array; one that is so already, and its own, is given as it is."""
     if isinstance(values, np.ndarray) and values.dtype == dtype and values.base is None and _finished(values):
         return values
-    array: NDArray = np.array(values, dtype=dtype, order="C")
+    array: NDArray[Any] = np.array(values, dtype=dtype, order="C")
     array.setflags(write=False)
     return array
 
@@ -44,5 +44,5 @@ def true_runs(mask: Mask) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in zip(starts, ends, strict=True)]
 
 
-def _finished(array: NDArray) -> bool:
+def _finished(array: NDArray[Any]) -> bool:
     return array.flags.c_contiguous and not array.flags.writeable

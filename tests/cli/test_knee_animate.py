@@ -148,7 +148,7 @@ def failing(made: MadeActivity, capsys: pytest.CaptureFixture[str]) -> Callable[
 
 def test_impossible_settings_are_named(failing):
     assert "should be tibia or room" in failing("--frame", "femur")
-    assert "--view is 'above'; it should be some of" in failing("--view", "above")
+    assert "view (--view) is 'above'; it should be some of" in failing("--view", "above")
     assert "--limit" in failing("--limit", "0")
     assert "--noise" in failing("--noise", "-1")
     assert "--side" in failing("--side", "middle")

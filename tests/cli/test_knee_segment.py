@@ -68,7 +68,7 @@ def test_an_image_of_no_knee_leaves_nothing_behind(tmp_path, capsys, rng):
     assert "No femur above a tibia" in capsys.readouterr().err
     assert [file.name for file in tmp_path.iterdir()] == ["noise.nii.gz"]
     assert run(["knee", "segment", str(tmp_path / "missing.nii.gz"), "-q"]) == 2
-    assert "is not there" in capsys.readouterr().err
+    assert "does not exist" in capsys.readouterr().err
 
 
 def boxed_bone(distance_mm: np.ndarray, grid: VoxelGrid) -> Bone:

@@ -5,7 +5,14 @@ import pytest
 
 from marey.errors import FileProblem
 from marey.io.atomic import replacing
-from marey.io.opensim.mot_sto import Orientations, Table, read_orientations, read_table, write_orientations, write_table
+from marey.io.opensim.mot_sto import (
+    Orientations,
+    TimeSeriesTable,
+    read_orientations,
+    read_table,
+    write_orientations,
+    write_table,
+)
 from marey.io.opensim.trc import PointPaths, read_trc, write_trc
 from marey.motion.motion import BodyMotion
 
@@ -39,7 +46,7 @@ def test_a_trc_in_millimetres_with_empty_cells_is_read(tmp_path):
 def test_a_table_is_read_as_written_with_gaps(motion: BodyMotion, tmp_path):
     path = tmp_path / "angles.mot"
     values = np.degrees(motion.coordinates)
-    write_table(path, Table(name="angles", columns=motion.coordinate_names, time=motion.time, values=values))
+    write_table(path, TimeSeriesTable(name="angles", columns=motion.coordinate_names, time=motion.time, values=values))
     back = read_table(path)
     assert (back.columns, back.in_degrees, back.name) == (motion.coordinate_names, True, "angles")
     np.testing.assert_allclose(back.values, values, atol=0.5e-8)

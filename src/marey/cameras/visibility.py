@@ -148,7 +148,8 @@ class Scratch(NamedTuple):
                 known.clear()
             pixels = size[0] * size[1] + LANES
             known[vertices, size] = Scratch(np.empty((vertices, 3)), np.empty(pixels), np.empty(pixels, np.int32))
-        return known[vertices, size]
+        scratch: Scratch = known[vertices, size]
+        return scratch
 
 
 _BUFFERS = threading.local()

@@ -10,7 +10,7 @@ GLTF_FROM_WORLD = frozen([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
 """Rotation into the axes of glTF and BVH, Y up: file (x, y, z) = world (X, Z, -Y); Blender's importers undo it."""
 
 
-def turned_points(file_from_world: Floats, points: Floats) -> Floats:
+def change_point_axes(file_from_world: Floats, points: Floats) -> Floats:
     """Express points or vectors in the axes of a file.
 
     Args:
@@ -23,7 +23,7 @@ def turned_points(file_from_world: Floats, points: Floats) -> Floats:
     return np.asarray(points, float) @ np.asarray(file_from_world).T
 
 
-def turned_rotations(file_from_world: Floats, rotations: Floats) -> Floats:
+def change_rotation_axes(file_from_world: Floats, rotations: Floats) -> Floats:
     """Express rotations in the axes of a file, so that the identity remains the identity.
 
     Args:
@@ -34,4 +34,4 @@ def turned_rotations(file_from_world: Floats, rotations: Floats) -> Floats:
         (..., 3, 3) in the axes of the file.
     """
     m = np.asarray(file_from_world)
-    return m @ np.asarray(rotations, float) @ m.T
+    return np.asarray(m @ np.asarray(rotations, float) @ m.T)

@@ -29,7 +29,7 @@ def write_arrays(path: Path | str, arrays: Mapping[str, object]) -> None:
     if bad:
         raise TypeError(f"These arrays hold neither numbers, Boolean values nor strings: {', '.join(bad)}.")
     with replacing(path) as beside, beside.open("wb") as file:
-        np.savez_compressed(file, allow_pickle=False, **plain)  # type: ignore[arg-type]
+        np.savez_compressed(file, allow_pickle=False, **plain)
 
 
 def read_arrays(path: Path | str, wanted: tuple[str, ...] = ()) -> dict[str, np.ndarray]:

@@ -205,7 +205,7 @@ class _RestAlignment:
             raise MareyError("the character does not stand upright in its rest posture")
         left = left - (left @ up) * up
         if np.linalg.norm(left) < 1e-6 * np.linalg.norm(spine):
-            raise MareyError("its left and right joints lie in the same place")
+            raise MareyError("its left and right joints have the same position")
         left = left / np.linalg.norm(left)
         return np.stack([left, np.cross(up, left), up])
 

@@ -30,7 +30,7 @@ IN_SPACE = "points in space"
 """Kind of result of `factorise_points`."""
 
 _MOTION = (
-    "Motion and deformation: the motion is the one from which the points depart least; displacements common to all "
+    "Motion and deformation: the motion is the one from which the points deviate least; displacements common to all "
     "points count as motion."
 )
 """Gauge of results with a pose in space."""
@@ -44,7 +44,7 @@ _ONE_VIEW_GAUGE = (
 )
 """Gauge of results of one orthographic camera."""
 _IN_SPACE_GAUGE = (
-    "Global rotation: the object's axes are the laboratory's in the first frame with an estimate; its origin is the "
+    "Global rotation: the object's axes are the laboratory's in the first frame with a result; its origin is the "
     "centre of the mean shape.",
     _MOTION,
 )

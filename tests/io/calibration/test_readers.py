@@ -61,7 +61,7 @@ def test_all_faults_of_a_file_are_told_at_once(tmp_path):
     [
         ("[cam\n", "is not TOML"),
         ("", "has no camera"),
-        (CAMERA + CAMERA.replace("cam_0", "cam_1"), "two cameras are called 'left'"),
+        (CAMERA + CAMERA.replace("cam_0", "cam_1"), "has several cameras named 'left'"),
         (CAMERA.replace("-0.001]", "nan]"), "a distortion coefficient that is not finite"),
         (CAMERA.replace("[ -0.1,", "[ -5.0,"), "not invertible"),
         (CAMERA.replace("640.0", "0.0"), "has the size 0 x 480"),
@@ -77,7 +77,7 @@ def test_a_wrong_file_is_an_error_that_names_it(tmp_path, text, message):
 
 
 def test_a_folder_without_a_calibration_is_told_what_to_put_there(tmp_path):
-    with pytest.raises(FileProblem, match=r"holds no calibration.*Put cameras\.toml"):
+    with pytest.raises(FileProblem, match=r"has no calibration.*Add cameras\.toml"):
         read_rig(tmp_path)
     with pytest.raises(FileProblem, match="does not exist"):
         read_rig(tmp_path / "nowhere")
@@ -180,10 +180,10 @@ def test_a_size_that_the_yaml_leaves_out_is_the_videos(tmp_path):
 
 def test_what_is_missing_in_the_yaml_pair_is_named(tmp_path):
     write_opencv_pair(tmp_path, skip="dist_02")
-    with pytest.raises(FileProblem, match=r"intri.yml: camera '02' has no dist_02\. intri.yml holds names"):
+    with pytest.raises(FileProblem, match=r"intri.yml: camera '02' has no dist_02\. intri.yml should have names"):
         read_rig(tmp_path)
     (tmp_path / "extri.yml").unlink()
-    with pytest.raises(FileProblem, match=r"extri.yml: does not exist. intri.yml and extri.yml belong together"):
+    with pytest.raises(FileProblem, match=r"extri.yml: does not exist. Both intri.yml and extri.yml are needed"):
         read_rig(tmp_path)
     (tmp_path / "intri.yml").write_text("names: [oh")
     (tmp_path / "extri.yml").write_text("")
@@ -237,9 +237,9 @@ def test_a_qualisys_camera_sees_what_lies_before_it(tmp_path):
     [
         ("<calibration>", "<calibration", "is not XML"),
         ('active="1"', 'active="0"', "has no active camera"),
-        ('focalLengthU="107520"', "", "camera '21001' has no number focalLengthU in <intrinsic>"),
+        ('focalLengthU="107520"', "", "camera '21001' has no number for focalLengthU in <intrinsic>"),
         ("fov_video_max", "fov_other", "has no <fov_video_max>"),
-        ('sensorMaxU="126975"', 'sensorMaxU="5000"', "units a pixel, where 64 or 1"),
+        ('sensorMaxU="126975"', 'sensorMaxU="5000"', "units per pixel; 64 or 1"),
         ('r11="1.', 'r11="2.', "needs a rotation"),
     ],
 )
@@ -253,7 +253,7 @@ def test_a_wrong_qualisys_file_is_told(tmp_path, old, new, message):
 
 def test_an_unknown_kind_of_file_is_answered_with_the_known_ones(tmp_path):
     (tmp_path / "cameras.pickle").write_bytes(b"")
-    with pytest.raises(FileProblem, match=r"no calibration that is known. Known are cameras.toml"):
+    with pytest.raises(FileProblem, match=r"not a calibration of a known format. Known are cameras.toml"):
         read_rig(tmp_path / "cameras.pickle")
 
 

@@ -13,7 +13,7 @@ from marey.io.gltf.character import read_character
 
 
 def write_mixamo_like(path: Path) -> None:
-    """A triangle on three bones below a scaled armature; the finger's weight belongs to the hand."""
+    """Write a triangle on three bones below a scaled armature; the weight of the finger belongs to the hand."""
     positions = np.array([[100.0, 0, 0], [200, 0, 0], [300, 0, 0]], "<f4")
     joints = np.array([[0, 0, 0, 0], [1, 2, 0, 0], [2, 0, 0, 0]], "u1")
     weights = np.array([[255, 0, 0, 0], [51, 204, 0, 0], [255, 0, 0, 0]], "u1")

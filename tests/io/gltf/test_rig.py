@@ -1,4 +1,4 @@
-"""A motion on other characters: what a viewer of the written file would see."""
+"""Motions on other characters, as a viewer shows the written files."""
 
 import json
 
@@ -24,14 +24,14 @@ POSTURES = {
 
 
 def segments(text: str) -> dict[str, str]:
-    """Give the segment by name."""
+    """Return the segment by the name of its joint."""
     names, parents = rigs.tree(text)
     found = name_joints(dict(enumerate(names)), {n: p for n, p in enumerate(parents) if p >= 0}, {})
     return {names[n]: segment for segment, n in found.items()}
 
 
 def written(tmp_path, rig: str, motion, *, floor=None, grounded=True, **changes):
-    """Write a character and its copy that moves, and play the copy."""
+    """Write a character and its animated copy, and evaluate the copy."""
     text, (arms, unit) = rigs.RIGS[rig], POSTURES[rig]
     source, path = tmp_path / "character.glb", tmp_path / "moved.glb"
     rigs.write_rig(source, text, segments(text), **({"arms": arms, "unit": unit} | changes))
@@ -64,14 +64,14 @@ def test_the_trunk_rotates_as_the_person_s(tmp_path, motion):
     known = np.flatnonzero(motion.answered)
     back = np.asarray(GLTF_FROM_WORLD).T
     for name, segment in (("mixamorig:Hips", "pelvis"), ("mixamorig:Spine2", "thorax"), ("mixamorig:Head", "head")):
-        # At rest the character looks along Z of the scene, that is -Y of the world, as the person does.
+        # At rest the character faces along Z of the scene, which is -Y of the world, as the person does.
         np.testing.assert_allclose(
             back @ world[name][:, :3, :3] @ back.T, motion.segment(segment)[known], atol=2e-6, err_msg=name
         )
 
 
 def twist_of(world, upper, lower):
-    """Measure how far a joint is twisted against another one, frame after frame, from the first one on."""
+    """Return the twist of a joint relative to another one in each frame, relative to the first frame."""
     turn = [m[:, :3, :3] / np.linalg.norm(m[:, :3, :3], axis=1, keepdims=True) for m in (world[upper], world[lower])]
     relative = np.swapaxes(turn[0], 1, 2) @ turn[1]
     return relative @ np.swapaxes(relative[:1], 1, 2)
@@ -94,11 +94,11 @@ def test_twist_joints_share_the_rotation_about_the_limb(tmp_path, motion, rig):
     twist = twist_angles(np.swapaxes(upper, 1, 2) @ lower, axis)
     assert np.ptp(twist) > 0.5
     first, others, _ = TWISTING[rig]
-    # The boxes that carry skin stand at the joints: where they lie is the share.
+    # The boxes of skin are at the joints, so that their position along the limb is the share.
     for name, share in others:
         turn = twist_of(world, first, name)
         angle = np.linalg.norm(rotations.log(turn), axis=1)
-        start = 0.01  # The box at the elbow reaches a little way along the forearm.
+        start = 0.01  # The box at the elbow extends a little along the forearm.
         np.testing.assert_allclose(angle, np.abs((share - start) * (twist - twist[0])), atol=0.06 * np.ptp(twist))
 
 
@@ -173,7 +173,7 @@ def test_a_motion_on_its_own_body_is_unchanged(tmp_path, motion, person):
 
 
 def test_mirrored_joints_move_right(tmp_path, motion):
-    """Some makers mirror the right side by a negative scale."""
+    """Some programs mirror the right side by a negative scale."""
 
     def mirror(document):
         for node in document["nodes"]:

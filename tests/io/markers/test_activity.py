@@ -17,7 +17,7 @@ from marey.markers.data.marker_motion import marker_motion
 
 @pytest.fixture
 def folder(rng, tmp_path):
-    """What `marey markers` leaves of a made activity, by two methods."""
+    """Result folder of `marey markers` for a synthetic activity, by two methods."""
     activity = made_scan(rng).activity
     markers, motion = activity.markers, activity.motion
     paths = PointPaths(names=markers.labels, time=markers.time, rate=markers.rate, points=markers.points)
@@ -46,7 +46,7 @@ def test_bones_markers_and_the_reference_posture_are_read_from_a_result_folder(r
     assert dict(read.segment_of_label) == dict(made.segment_of_label)
     assert read.motion.rotation == pytest.approx(made.motion.rotation)
     assert read.cluster is not None
-    # C3D holds single precision.
+    # A C3D has single precision.
     places = read.places("thigh", ("thigh_0", "thigh_3"))
     assert places == pytest.approx(made.places("thigh", ("thigh_0", "thigh_3")), abs=1e-6)
 

@@ -14,13 +14,13 @@ CORNERS_MM = np.array([[400.0, 600, 0], [400, 0, 0], [0, 0, 0], [0, 600, 0]])  #
 
 
 def c3d_with_a_plate(path: Path, kind: int = 2) -> Path:
-    """700 N up, 100 mm along the laboratory's x from the middle of the plate, sensors 40 mm below its surface."""
+    """700 N up, 100 mm along the laboratory's x from the centre of the plate, sensors 40 mm below its surface."""
     c3d = ezc3d.c3d()
     c3d["parameters"]["POINT"]["RATE"]["value"] = [100.0]
     c3d["parameters"]["POINT"]["UNITS"]["value"] = ["mm"]
     c3d["parameters"]["POINT"]["LABELS"]["value"] = ["a"]
     c3d["data"]["points"] = np.ones((4, 1, 10))
-    on_plate = np.array([0.0, 20.0, 700.0])  # the person's push, in the plate's axes (Z down)
+    on_plate = np.array([0.0, 20.0, 700.0])  # force of the person on the plate, in the plate's axes (Z down)
     at = np.array([0.0, 100.0, -40.0])  # from the sensors [mm]
     channels = np.concatenate([on_plate, np.cross(at, on_plate)])
     c3d["parameters"]["ANALOG"]["RATE"]["value"] = [1000.0]

@@ -12,7 +12,7 @@ from marey.io.opensim.trc import PointPaths, write_trc
 
 
 def c3d_of(path: Path, labels: list[str], points_mm, unit: str = "mm", rate: float = 100.0, residuals=None) -> Path:
-    """A C3D with points (F, M, 3) and residuals (F, M), in the numbers that are given."""
+    """Write a C3D with points (F, M, 3) and residuals (F, M) in the given unit."""
     points = np.asarray(points_mm, float)
     c3d = ezc3d.c3d()
     c3d["parameters"]["POINT"]["RATE"]["value"] = [rate]
@@ -51,7 +51,7 @@ def test_a_trc_keeps_its_own_axes(tmp_path):
     points = np.array([[[1.0, 2.0, 3.0], [1.5, 2.0, 3.0]]] * 3)
     write_trc(path, PointPaths(names=("a", "b"), time=[0.5, 0.51, 0.52], rate=100, points=points))
     markers = read_markers(path)
-    np.testing.assert_allclose(markers.points, points[..., [1, 2, 0]])  # as write_trc puts them for OpenSim
+    np.testing.assert_allclose(markers.points, points[..., [1, 2, 0]])  # write_trc uses the axes of OpenSim
     assert (markers.rate, markers.start_s) == (100, 0.5)
 
 

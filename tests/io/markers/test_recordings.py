@@ -8,7 +8,7 @@ from marey.errors import FileProblem
 from marey.io.markers.c3d import write_c3d
 from marey.io.markers.recordings import read_recording
 from marey.io.npz import write_motion
-from marey.io.opensim.mot_sto import Orientations, Table, write_orientations, write_table
+from marey.io.opensim.mot_sto import Orientations, TimeSeriesTable, write_orientations, write_table
 from marey.io.opensim.trc import PointPaths, write_trc
 from marey.motion.motion import BodyMotion
 
@@ -26,7 +26,7 @@ def test_a_folder_of_a_capture_gives_angles_joints_and_segments(motion: BodyMoti
 def test_a_table_gives_angles_and_standard_deviations_but_no_translations(tmp_path):
     columns = ("knee", "knee_sd", "pelvis_tx", "knee_lateral_mm", "knee_lateral_sd_mm")
     values = np.array([[10.0, 1.0, 0.5, 3.0, 0.1], [20.0, 2.0, 0.6, 4.0, 0.2]])
-    write_table(tmp_path / "a.mot", Table(name="a", columns=columns, time=[0.0, 0.1], values=values))
+    write_table(tmp_path / "a.mot", TimeSeriesTable(name="a", columns=columns, time=[0.0, 0.1], values=values))
     read = read_recording(tmp_path / "a.mot")
     assert read.angle_names == ("knee",)
     np.testing.assert_allclose(np.degrees(read.angles[:, 0]), [10, 20])
@@ -70,12 +70,16 @@ def test_angles_of_plug_in_gait_are_angles_and_not_points(tmp_path):
 
 
 def test_a_file_without_a_measured_frame_or_a_motion_is_refused(tmp_path):
-    write_table(tmp_path / "empty.mot", Table(name="a", columns=("a",), time=[0.0, 0.1], values=[[np.nan], [np.nan]]))
+    write_table(
+        tmp_path / "empty.mot", TimeSeriesTable(name="a", columns=("a",), time=[0.0, 0.1], values=[[np.nan], [np.nan]])
+    )
     with pytest.raises(FileProblem, match="has no measured frame"):
         read_recording(tmp_path / "empty.mot")
     (tmp_path / "a.xlsx").write_text("x")
     with pytest.raises(FileProblem, match="is not a file of a motion"):
         read_recording(tmp_path / "a.xlsx")
-    write_table(tmp_path / "back.mot", Table(name="a", columns=("a",), time=[0.1, 0.0], values=[[1.0], [2.0]]))
-    with pytest.raises(FileProblem, match="not increasing"):
+    write_table(
+        tmp_path / "back.mot", TimeSeriesTable(name="a", columns=("a",), time=[0.1, 0.0], values=[[1.0], [2.0]])
+    )
+    with pytest.raises(FileProblem, match="are not increasing"):
         read_recording(tmp_path / "back.mot")

@@ -42,22 +42,22 @@ def test_a_file_without_outlines_is_a_beginning(tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    ("key", "value", "said"),
+    ("key", "value", "message"),
     [
         ("structure", "fibula", "unknown"),
-        ("axis", "x", "does not have"),
-        ("slice", 6, "does not have"),
+        ("axis", "x", "does not exist in the volume"),
+        ("slice", 6, "does not exist in the volume"),
         ("slice", "five", "number 2"),
         ("outline", [[1, 2]], "1 points"),
         ("outline", [[1, 2], [3, None], [4, 5]], "number 2"),
         ("anchors", [1, 2, 3], "number 2"),
     ],
 )
-def test_an_outline_that_cannot_be_is_named(tmp_path: Path, key: str, value: object, said: str):
+def test_an_outline_that_cannot_be_is_named(tmp_path: Path, key: str, value: object, message: str):
     path, table = written(tmp_path)
     table["contours"][1][key] = value
     path.write_text(json.dumps(table), encoding="utf-8")
-    with pytest.raises(FileProblem, match=said):
+    with pytest.raises(FileProblem, match=message):
         read_contours(path)
 
 
@@ -66,10 +66,10 @@ def test_an_outline_that_cannot_be_is_named(tmp_path: Path, key: str, value: obj
 )
 def test_what_is_no_such_file_is_an_error(tmp_path: Path, text: str):
     path = tmp_path / "contours.json"
-    with pytest.raises(FileProblem, match="is not there"):
+    with pytest.raises(FileProblem, match="does not exist"):
         read_contours(path)
     path.write_text(text, encoding="utf-8")
-    with pytest.raises(FileProblem, match="holds no outlines"):
+    with pytest.raises(FileProblem, match="cannot be read as outlines"):
         read_contours(path)
 
 

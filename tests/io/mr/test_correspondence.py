@@ -52,17 +52,17 @@ def test_what_a_user_wrote_beside_the_markers_is_read(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
-        ({"marker_centres_lps_mm": [], "marker_centres_sd_mm": []}, "holds no marker"),
+        ({"marker_centres_lps_mm": [], "marker_centres_sd_mm": []}, "contains no marker"),
         ({"marker_names": ["A", "A"]}, "have the name A"),
         ({"marker_segment": ["hip", "femur"]}, "hip"),
     ],
 )
-def test_markers_that_cannot_be_used_are_told(tmp_path, change, said):
+def test_markers_that_cannot_be_used_are_reported(tmp_path, change, message):
     table = {"marker_centres_lps_mm": [[1, 2, 3], [4, 5, 6]], "marker_centres_sd_mm": [[0.1, 0.1, 0.1]] * 2, **change}
     (tmp_path / "markers.json").write_text(json.dumps(table), encoding="utf-8")
-    with pytest.raises(FileProblem, match=said):
+    with pytest.raises(FileProblem, match=message):
         read_scanner_markers(tmp_path / "markers.json")
 
 
@@ -71,7 +71,7 @@ def test_landmarks_are_read_and_what_is_no_place_is_named(tmp_path):
     path.write_text('{"landmarks_lps_mm": {"LE": [1, 2, 3]}}', encoding="utf-8")
     assert read_landmarks(path).places_mm["LE"].tolist() == [1, 2, 3]
     path.write_text('{"landmarks_lps_mm": {"LE": [1, 2]}}', encoding="utf-8")
-    with pytest.raises(FileProblem, match="no three numbers for LE"):
+    with pytest.raises(FileProblem, match="does not have three numbers for LE"):
         read_landmarks(path)
     path.write_text("{}", encoding="utf-8")
     with pytest.raises(FileProblem, match="landmarks_lps_mm"):

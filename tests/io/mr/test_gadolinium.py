@@ -45,11 +45,11 @@ def test_names_stay_with_markers_that_are_found_again():
 @pytest.mark.parametrize(
     ("change", "wrong"),
     [
-        ({"marker_centres_sd_mm": [[1, 1, 1]]}, "three deviations"),
-        ({"marker_centres_lps_mm": "many"}, "holds no marker_centres_lps_mm"),
-        ({"marker_names": ["A"]}, "as many marker_names as markers, 3"),
-        ({"marker_names": [1, 2, 3]}, "no texts"),
-        ({"marker_segment": ["fibula", None, None]}, "on fibula"),
+        ({"marker_centres_sd_mm": [[1, 1, 1]]}, "three standard deviations"),
+        ({"marker_centres_lps_mm": "many"}, "has no marker_centres_lps_mm"),
+        ({"marker_names": ["A"]}, "one entry of marker_names for each of the 3 markers"),
+        ({"marker_names": [1, 2, 3]}, "not texts"),
+        ({"marker_segment": ["fibula", None, None]}, "unknown bone .fibula"),
     ],
 )
 def test_a_damaged_file_is_named(tmp_path, change, wrong):

@@ -82,7 +82,7 @@ def test_slices_of_a_series_stand_in_the_order_of_their_places(tmp_path):
 
 def test_a_series_with_a_missing_slice_says_between_which(tmp_path):
     write_series(tmp_path / "series", [0, 1, 2, 4, 5, 6])
-    with pytest.raises(FileProblem, match=r"lacks slices: slices 3 and 4 lie 4\.00 mm apart, the others 2\.00"):
+    with pytest.raises(FileProblem, match=r"has missing slices: slices 3 and 4 are 4\.00 mm apart, the others 2\.00"):
         read_volume(tmp_path / "series")
 
 
@@ -96,7 +96,7 @@ def test_several_series_in_a_folder_are_an_error(tmp_path):
 def test_two_echoes_in_one_series_are_an_error(tmp_path):
     write_series(tmp_path / "series", list(range(5)))
     write_series(tmp_path / "series", list(range(5)), echo="2")
-    with pytest.raises(FileProblem, match=r"several images of one slice, \S+dcm and \S+dcm for one"):
+    with pytest.raises(FileProblem, match=r"several images of one slice, for example \S+dcm and \S+dcm"):
         read_volume(tmp_path / "series")
 
 
@@ -110,7 +110,7 @@ def test_a_slice_of_another_size_is_named(tmp_path):
 def test_a_slice_that_cannot_be_read_is_named_with_the_gap_it_leaves(tmp_path):
     write_series(tmp_path / "series", [0, 1, 2, 3, 4])
     (tmp_path / "series" / "1.2.3_1_97.dcm").write_bytes(b"cut off")
-    with pytest.raises(FileProblem, match=r"lacks slices: .* 1\.2\.3_1_97\.dcm there cannot be read"):
+    with pytest.raises(FileProblem, match=r"has missing slices: .* 1\.2\.3_1_97\.dcm there cannot be read"):
         read_volume(tmp_path / "series")
 
 
@@ -122,7 +122,7 @@ def test_an_empty_file_and_one_that_was_cut_off_are_named(tmp_path, rng):
     write_volume(tmp_path / "cut.nii.gz", Volume(intensity=rng.uniform(0, 400, grid.shape), grid=grid))
     content = (tmp_path / "cut.nii.gz").read_bytes()
     (tmp_path / "cut.nii.gz").write_bytes(content[: len(content) // 2])
-    with pytest.raises(FileProblem, match=r"cut off or damaged|cannot be read"):
+    with pytest.raises(FileProblem, match=r"truncated or damaged|cannot be read"):
         read_volume(tmp_path / "cut.nii.gz")
 
 
@@ -159,12 +159,12 @@ def test_colours_and_four_dimensions_are_errors(tmp_path):
 
 def test_unknown_missing_and_damaged_files_are_named(tmp_path):
     (tmp_path / "image.stl").write_bytes(b"")
-    with pytest.raises(FileProblem, match="no known format"):
+    with pytest.raises(FileProblem, match="unknown format"):
         read_volume(tmp_path / "image.stl")
-    with pytest.raises(FileProblem, match="is not there"):
+    with pytest.raises(FileProblem, match="does not exist"):
         read_volume(tmp_path / "image.nii.gz")
     (tmp_path / "image.nii.gz").write_bytes(b"no NIfTI")
-    with pytest.raises(FileProblem, match="not hold what its ending says"):
+    with pytest.raises(FileProblem, match="not have the format of its file name extension"):
         read_volume(tmp_path / "image.nii.gz")
     with pytest.raises(FileProblem, match="no DICOM series"):
         read_volume(tmp_path)
@@ -190,7 +190,7 @@ def test_a_template_is_read_by_names_and_both_tibial_cartilages_are_one(tmp_path
     numbered.CopyInformation(image)
     sitk.WriteImage(numbered, str(tmp_path / "labels.nii.gz"))
     (tmp_path / "labels.json").unlink()
-    with pytest.raises(FileProblem, match="no names"):
+    with pytest.raises(FileProblem, match="no file with the names"):
         read_template(tmp_path)
     (tmp_path / "names.json").write_text(json.dumps(names))
     read = read_template(tmp_path)
@@ -202,12 +202,12 @@ def test_a_template_is_read_by_names_and_both_tibial_cartilages_are_one(tmp_path
 def test_a_table_of_foreign_or_broken_names_is_an_error(tmp_path, rng):
     write_labels(tmp_path, Labels(labels=rng.integers(0, 7, (5, 6, 7)), grid=volume(rng).grid))
     (tmp_path / "labels.json").write_text('{"1": "liver"}')
-    with pytest.raises(FileProblem, match="no voxel of any bone"):
+    with pytest.raises(FileProblem, match="no voxel of a bone"):
         read_template(tmp_path)
     (tmp_path / "labels.json").write_text('{"femur": "1"}')
-    with pytest.raises(FileProblem, match="no table"):
+    with pytest.raises(FileProblem, match="not a table"):
         read_template(tmp_path)
-    with pytest.raises(FileProblem, match="is no folder"):
+    with pytest.raises(FileProblem, match="is not a folder"):
         read_template(tmp_path / "labels.nii.gz")
 
 
@@ -247,14 +247,14 @@ def test_the_locale_stays_what_it_was_when_a_series_is_read(tmp_path):
 def test_one_value_throughout_is_no_image(tmp_path, level):
     grid = VoxelGrid(shape=(5, 6, 7), lps_from_voxel=np.eye(4))
     write_volume(tmp_path / "even.nii.gz", Volume(intensity=np.full(grid.shape, level), grid=grid))
-    with pytest.raises(FileProblem, match=f"one value throughout, {level:g}"):
+    with pytest.raises(FileProblem, match=f"the same value {level:g} in all voxels"):
         read_volume(tmp_path / "even.nii.gz")
 
 
 def test_values_far_below_zero_are_no_mr_image(tmp_path, rng):
     grid = VoxelGrid(shape=(6, 7, 8), lps_from_voxel=np.eye(4))
     write_volume(tmp_path / "ct.nii.gz", Volume(intensity=rng.uniform(-1000, 1200, grid.shape), grid=grid))
-    with pytest.raises(FileProblem, match="as CT does"):
+    with pytest.raises(FileProblem, match="as in CT"):
         read_volume(tmp_path / "ct.nii.gz")
     write_volume(tmp_path / "mr.nii.gz", Volume(intensity=rng.uniform(-2, 1200, grid.shape), grid=grid))
     assert read_volume(tmp_path / "mr.nii.gz").intensity.min() < 0
@@ -267,5 +267,5 @@ def test_values_that_are_no_numbers_are_counted(tmp_path, rng, lost, ending):
     intensity = rng.uniform(0, 100, grid.shape)
     intensity[3, 4, 3:6] = lost
     write_volume(tmp_path / f"holes.{ending}", Volume(intensity=intensity, grid=grid))
-    with pytest.raises(FileProblem, match=rf"3 voxels of {intensity.size} .* no numbers"):
+    with pytest.raises(FileProblem, match=rf"3 of {intensity.size} voxels .* not finite"):
         read_volume(tmp_path / f"holes.{ending}")

@@ -7,7 +7,7 @@ from marey.body.articulation.coordinate_functions import simm_spline
 from marey.body.articulation.jointed_kinematics import place
 from marey.errors import FileProblem
 from marey.geometry.rotations import about
-from marey.io.opensim.mot_sto import Table, write_table
+from marey.io.opensim.mot_sto import TimeSeriesTable, write_table
 from marey.io.opensim.osim_model import read_osim_model
 from marey.io.opensim.osim_tasks import read_task_values, read_tasks
 from marey.markers.kinematics.tasks import CoordinateTask, MarkerTask
@@ -26,7 +26,7 @@ def axis(name, coordinate, direction, function):
 
 
 def spatial(*functions):
-    """Write six axes from (coordinate, direction, function) of each."""
+    """Return six axes, each from coordinate, direction and function."""
     names = [f"{kind}{i}" for kind in ("rotation", "translation") for i in (1, 2, 3)]
     return "<SpatialTransform>" + "".join(map(axis, names, *zip(*functions, strict=True))) + "</SpatialTransform>"
 
@@ -285,14 +285,16 @@ def test_values_from_a_file_are_read_at_the_times_of_the_trial(tmp_path):
     time = np.array([0.0, 0.05, 0.1])
     weights.write_text(tasks.format("goal.mot"))
     known = read_tasks(weights)
-    table = Table(name="goal", columns=("b", "c"), time=np.array([0.0, 0.1]), values=np.array([[0, 90.0], [0, 180.0]]))
+    table = TimeSeriesTable(
+        name="goal", columns=("b", "c"), time=np.array([0.0, 0.1]), values=np.array([[0, 90.0], [0, 180.0]])
+    )
     write_table(tmp_path / "goal.mot", table)
     found = read_task_values(weights, known, model, time)
     assert list(found) == ["c"]
     assert np.allclose(found["c"], np.radians([90, 135, 180]))
     with pytest.raises(FileProblem, match="but the trial 0 to"):
         read_task_values(weights, known, model, np.linspace(0, 0.4, 5))
-    write_table(tmp_path / "goal.mot", Table(name="goal", columns=("b",), time=time, values=np.zeros((3, 1))))
+    write_table(tmp_path / "goal.mot", TimeSeriesTable(name="goal", columns=("b",), time=time, values=np.zeros((3, 1))))
     with pytest.raises(FileProblem, match="has no column c"):
         read_task_values(weights, known, model, time)
     weights.write_text(tasks.format(""))

@@ -16,7 +16,7 @@ def test_tracks_of_one_view_become_those_of_several_with_one(tmp_path, rng):
     assert np.isnan(read.tracks[0, 3, :, 1]).all()
     assert read.rate == 25
     assert read.labels == ("0", "1", "2", "3", "4")
-    assert read.notes == ("1 places lack one coordinate and count as missing.",)
+    assert read.notes == ("1 positions have an incomplete set of coordinates and are treated as missing.",)
 
 
 def test_places_that_were_predicted_count_as_not_seen(tmp_path, rng):
@@ -36,7 +36,7 @@ def test_points_in_space_come_point_by_point(tmp_path, rng):
     np.testing.assert_array_equal(read.points, np.moveaxis(points, 1, 2))
     assert read.labels == tuple("abcde")
     assert read.edges.tolist() == [[0, 4]]
-    assert read.notes == ("Passed over in a.npz: note.",)
+    assert read.notes == ("Ignored arrays of a.npz: note.",)
 
 
 def test_points_are_kept_by_their_labels(tmp_path, rng):
@@ -47,7 +47,7 @@ def test_points_are_kept_by_their_labels(tmp_path, rng):
     assert kept.labels == ("thigh_1", "thigh_2", "heel")
     np.testing.assert_array_equal(kept.points, read.points[:, [0, 2, 3]])
     assert kept.edges.tolist() == [[0, 1], [1, 2]]
-    with pytest.raises(SettingProblem, match=r"names foot\*, which no point is called\. The points are thigh_1"):
+    with pytest.raises(SettingProblem, match=r"--only has foot\*, which matches no point\. The points are thigh_1"):
         only(read, ["heel", "foot*"])
 
 

@@ -36,10 +36,10 @@ def test_a_surface_without_points_comes_back(tmp_path, parts):
     assert len(read_surface(tmp_path / "surface.npz")) == 0
 
 
-def test_what_is_no_surface_is_said_to_be_none(tmp_path, rng):
+def test_a_file_without_a_surface_is_refused(tmp_path, rng):
     arrays = some_points(rng, [0, 0]).arrays()
     np.savez(tmp_path / "short.npz", **{**arrays, "residual_px": arrays["residual_px"][:1]})
-    with pytest.raises(FileProblem, match=r"short\.npz: holds no surface .*residual_px"):
+    with pytest.raises(FileProblem, match=r"short\.npz: cannot be read as a surface .*residual_px"):
         read_surface(tmp_path / "short.npz")
     np.savez(tmp_path / "other.npz", points=arrays["points"])
     with pytest.raises(FileProblem, match="lacks frame"):

@@ -40,5 +40,5 @@ def test_what_is_no_trajectories_file_is_named(tmp_path, rng):
     with pytest.raises(FileProblem, match="lacks rate"):
         read_trajectories(path)
     write_arrays(path, made(rng).arrays() | {"frames": np.arange(3)})
-    with pytest.raises(FileProblem, match="holds no trajectories"):
+    with pytest.raises(FileProblem, match="cannot be read as trajectories"):
         read_trajectories(path)

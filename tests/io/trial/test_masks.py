@@ -61,14 +61,14 @@ def test_a_picture_is_the_silhouette_of_an_only_frame(tmp_path, bright):
     cv2.imwrite(str(tmp_path / "cam01.png"), picture)
     found = open_masks(tmp_path / "cam01.png", shape=(1, 5, 7))
     assert np.array_equal(next(found.masks()), picture > 0)
-    with pytest.raises(FileProblem, match="has 1 frames of 7 x 5, the video 10 of 7 x 5"):
+    with pytest.raises(FileProblem, match="has 1 frames of 7 x 5, but the video has 10 of 7 x 5"):
         open_masks(tmp_path / "cam01.png", shape=(10, 5, 7))
 
 
 def test_wrong_files_are_told(tmp_path, rng):
     path = tmp_path / "cam01.npz"
     np.savez(path, shape=[2, 5, 7])
-    with pytest.raises(FileProblem, match=r"cam01.npz: has no bits. It holds shape"):
+    with pytest.raises(FileProblem, match=r"cam01.npz: has no bits. It should contain shape"):
         open_masks(path)
     np.savez(path, shape=[5, 7], bits=np.zeros(5, np.uint8))
     with pytest.raises(FileProblem, match="is not \\(frames, height, width\\)"):

@@ -15,15 +15,15 @@ def rig(tmp_path):
     return read_rig(tmp_path)
 
 
-def write(path, said):
+def write(path, content):
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(said if isinstance(said, str) else json.dumps(said))
+    path.write_text(content if isinstance(content, str) else json.dumps(content))
     return path
 
 
 def test_clicks_are_read_by_camera_and_joint(tmp_path, rig):
-    said = {"frame": 7, "cam02": {"left_hip": [10, 20.5], "head": [1, 2]}, "cam09": {"head": [5000, 0]}}
-    for form in (said, {"frame": 7, "cameras": {k: v for k, v in said.items() if k != "frame"}}):
+    content = {"frame": 7, "cam02": {"left_hip": [10, 20.5], "head": [1, 2]}, "cam09": {"head": [5000, 0]}}
+    for form in (content, {"frame": 7, "cameras": {k: v for k, v in content.items() if k != "frame"}}):
         joints = read_start_joints(write(tmp_path / "start.json", form), rig, count=9)
         assert (joints.frame, joints.camera_names, joints.layout) == (7, ("cam01", "cam02"), "clicked")
         assert np.array_equal(joints.pixels[1, JOINTS.index("left_hip")], [10, 20.5])
@@ -31,12 +31,12 @@ def test_clicks_are_read_by_camera_and_joint(tmp_path, rig):
 
 
 @pytest.mark.parametrize(
-    ("said", "message"),
+    ("content", "message"),
     [
         ("{", "is not JSON"),
-        ([1], "does not hold the joints"),
+        ([1], "does not contain the joints"),
         ({"people": []}, "Give a folder with"),
-        ({"cam01": {"head": [1, 2]}}, "has frame = None, which is no whole number from 0 to 8"),
+        ({"cam01": {"head": [1, 2]}}, "has frame = None, which is not a whole number from 0 to 8"),
         ({"frame": 9, "cam01": {"head": [1, 2]}}, "has frame = 9"),
         ({"frame": 1}, "has none of the cameras cam01, cam02"),
         ({"frame": 1, "cam03": {"head": [1, 2]}}, "has none of the cameras cam01, cam02"),
@@ -44,12 +44,12 @@ def test_clicks_are_read_by_camera_and_joint(tmp_path, rig):
         ({"frame": 1, "cam01": {"head": [1]}}, r"head = \[1\], which is not \[x, y\]"),
         ({"frame": 1, "cam01": {"head": [1, "2"]}}, r"which is not \[x, y\]"),
         ({"frame": 1, "cam01": {"head": [100, 2]}}, "outside its picture of 64 x 48"),
-        ({"frame": 1, "cam01": [1]}, "'cam01' holds no joints by name"),
+        ({"frame": 1, "cam01": [1]}, "'cam01' has no table of joints by name"),
     ],
 )
-def test_wrong_clicks_are_told_with_what_would_be_right(tmp_path, rig, said, message):
+def test_wrong_clicks_are_reported_with_the_expected_content(tmp_path, rig, content, message):
     with pytest.raises(FileProblem, match=message) as caught:
-        read_start_joints(write(tmp_path / "start.json", said), rig, count=9)
+        read_start_joints(write(tmp_path / "start.json", content), rig, count=9)
     assert "start.json" in str(caught.value)
 
 
@@ -111,25 +111,25 @@ def test_among_several_people_the_one_that_both_views_show_is_taken(tmp_path, ri
 
 
 @pytest.mark.parametrize(
-    ("said", "message"),
+    ("content", "message"),
     [
         (
             {"people": [{"pose_keypoints_2d": [1, 2, 3]}]},
-            r"of 1 points in pose_keypoints_2d. Known are 17 \(COCO-17\)",
+            r"of 1 points in pose_keypoints_2d. The known numbers of points are 17 \(COCO-17\)",
         ),
         ({"people": [{"pose_keypoints_2d": [1, 2]}]}, "of 0.666667 points"),
         ({"people": [{"pose_keypoints_2d": "x"}]}, "has a person without numbers"),
         ({"persons": []}, "has no list called people"),
-        ({"people": []}, "shows nobody in any frame"),
+        ({"people": []}, "has no person in any frame"),
     ],
 )
-def test_wrong_key_points_are_told(tmp_path, rig, said, message):
-    write(tmp_path / "pose" / "cam01" / "0001.json", said)
+def test_wrong_keypoints_are_reported(tmp_path, rig, content, message):
+    write(tmp_path / "pose" / "cam01" / "0001.json", content)
     with pytest.raises(FileProblem, match=message):
         read_start_joints(tmp_path / "pose", rig, count=9)
 
 
 def test_a_folder_without_key_points_is_told(tmp_path, rig):
     (tmp_path / "pose").mkdir()
-    with pytest.raises(FileProblem, match="has no key points of cam01, cam02"):
+    with pytest.raises(FileProblem, match="has no keypoints of cam01, cam02"):
         read_start_joints(tmp_path / "pose", rig, count=9)

@@ -87,16 +87,16 @@ def test_an_unknown_key_is_answered_with_the_known_ones(tmp_path):
 @pytest.mark.parametrize(
     ("toml", "message"),
     [
-        ("stature_m = 180", r"has stature_m = 180, which cannot be used \(input should be less than 2.8\)"),
-        ("preset = 'whole'", "has preset = 'whole', which cannot be used"),
-        ("world.up = 'up'", "has world.up = 'up', which cannot be used"),
+        ("stature_m = 180", r"has stature_m = 180, which is invalid \(input should be less than 2.8\)"),
+        ("preset = 'whole'", "has preset = 'whole', which is invalid"),
+        ("world.up = 'up'", "has world.up = 'up', which is invalid"),
         ("frames = [3]", "has frames"),
         ("rate = 0", "has rate = 0, which"),
-        ("start = 'a.json'", r"has start = 'a.json', where a table \[start\] belongs"),
+        ("start = 'a.json'", r"has start = 'a.json', which should be a table \[start\]"),
         ("stature_m = ", "is not TOML"),
         ("cameras = ['cam09']", "has no camera 'cam09'"),
-        ("start.file = 'none.json'", r"none.json: does not exist. Mend \[start\] file"),
-        ("background.folder = 'none'", r"none: does not exist. Mend \[background\] folder"),
+        ("start.file = 'none.json'", r"none.json: does not exist. Correct \[start\] file"),
+        ("background.folder = 'none'", r"none: does not exist. Correct \[background\] folder"),
     ],
 )
 def test_a_wrong_value_is_told_with_its_key(tmp_path, toml, message):
@@ -104,11 +104,11 @@ def test_a_wrong_value_is_told_with_its_key(tmp_path, toml, message):
         read_trial(make_trial(tmp_path, toml=toml))
 
 
-def test_what_is_said_at_the_command_replaces_the_file(tmp_path):
+def test_arguments_replace_settings_of_the_file(tmp_path):
     folder = make_trial(tmp_path, toml="stature_m = 1.8\nrate = 30\n")
     settings = read_settings(folder, stature_m=1.7, preset=None, frames=(1, None))
     assert (settings.stature_m, settings.rate, settings.frames, settings.preset) == (1.7, 30, (1, None), None)
-    with pytest.raises(SettingProblem, match="asked for has stature_m = 180"):
+    with pytest.raises(SettingProblem, match="given setting has stature_m = 180"):
         read_settings(folder, stature_m=180)
     assert read_trial(folder, cameras=["cam01"]).rig.names == ("cam01",)
 
@@ -131,7 +131,7 @@ def test_the_background_must_fit_the_camera(tmp_path):
 def test_an_empty_background_folder_is_told(tmp_path):
     folder = make_trial(tmp_path)
     (folder / "background").mkdir()
-    with pytest.raises(FileProblem, match=r"holds no picture of cam01, cam02. Call them cam01.png"):
+    with pytest.raises(FileProblem, match=r"has no picture of cam01, cam02. Name them cam01.png"):
         read_trial(folder)
 
 
@@ -143,7 +143,7 @@ def test_known_silhouettes_are_of_all_cameras_or_none(tmp_path):
     with pytest.raises(FileProblem, match="has no silhouettes of cam02"):
         read_trial(folder)
     write_masks(folder / "masks" / "cam02.npz", masks[:5], shape=(5, 48, 64))
-    with pytest.raises(FileProblem, match="has 5 frames of 64 x 48, the video 12 of 64 x 48"):
+    with pytest.raises(FileProblem, match="has 5 frames of 64 x 48, but the video has 12 of 64 x 48"):
         read_trial(folder)
     write_masks(folder / "masks" / "cam02.npz", masks, shape=masks.shape)
     trial = read_trial(folder)

@@ -65,14 +65,14 @@ def test_pictures_of_one_instant_lie_in_images(tmp_path):
 def test_a_missing_video_is_named_and_a_stray_one_hinted_at(tmp_path):
     folder = make_trial(tmp_path)
     (folder / "cam02.mp4").rename(folder / "kitchen.mp4")
-    with pytest.raises(FileProblem, match=r"has no video of 'cam02'.*without a camera are kitchen.mp4"):
+    with pytest.raises(FileProblem, match=r"has no video of 'cam02'.*without a camera, kitchen.mp4"):
         open_take(folder, read_rig(folder))
 
 
 def test_a_video_without_a_camera_is_an_error_unless_cameras_were_chosen(tmp_path):
     folder = make_trial(tmp_path)
     rig = read_rig(folder).subset(["cam01"])
-    with pytest.raises(FileProblem, match=r"does not know: cam02.mp4"):
+    with pytest.raises(FileProblem, match=r"not in the calibration: cam02.mp4"):
         open_take(folder, rig)
     assert open_take(folder, rig, others=True).names == ("cam01",)
 
@@ -109,7 +109,7 @@ def test_another_size_than_the_calibrations_is_an_error(tmp_path):
     with pytest.raises(FileProblem, match=r"cam02.mp4: is 80 x 48, but camera 'cam02' was calibrated at 64 x 48"):
         open_take(folder, read_rig(folder))
     write_video(folder / "cam02.mp4", 12, size=(48, 64))
-    with pytest.raises(FileProblem, match="turned on its side"):
+    with pytest.raises(FileProblem, match="rotated by 90 degrees"):
         open_take(folder, read_rig(folder))
 
 
@@ -121,7 +121,7 @@ def test_rates_must_agree_unless_the_right_one_is_given(tmp_path):
         open_take(folder, rig)
     take = open_take(folder, rig, rate=25.0)
     assert take.rate == 25.0
-    assert "containers say 50" in take.notes[0]
+    assert "containers have 50" in take.notes[0]
 
 
 def test_two_videos_of_one_camera_are_refused(tmp_path):
@@ -139,5 +139,5 @@ def test_a_missing_still_is_noticed(tmp_path):
     for name, numbers in (("left", (1, 2, 3)), ("right", (1, 3))):
         for number in numbers:
             cv2.imwrite(str(folder / f"{name}_{number}.jpg"), numbered_picture(number))
-    with pytest.raises(FileProblem, match=r"right_1.jpg: belongs to 2 stills, left_1.jpg to 3"):
+    with pytest.raises(FileProblem, match=r"right_1.jpg: is one of 2 stills of its camera, but left_1.jpg one of 3"):
         open_take(folder, read_rig(folder))

@@ -41,7 +41,7 @@ def test_a_clip_that_breaks_off_is_an_error_before_the_work_begins(tmp_path):
     path = write_video(tmp_path / "clip.avi", 60)
     content = path.read_bytes()
     path.write_bytes(content[: len(content) // 2])
-    with pytest.raises(FileProblem, match=r"clip.avi: is not whole: its header promises 60 frames, \d+ can be read"):
+    with pytest.raises(FileProblem, match=r"clip.avi: is incomplete: its header states 60 frames, but \d+ can be read"):
         open_clip(path)
 
 
@@ -104,7 +104,7 @@ def test_a_file_that_promises_seconds_is_not_whole_without_them(tmp_path):
     path = encode(tmp_path / "a.mkv", "libx264", times=range(0, 600, 4), options=REORDERED)
     content = path.read_bytes()
     path.write_bytes(content[: len(content) // 2])
-    with pytest.raises(FileProblem, match=r"is not whole: its header promises 6.0\d s, the last picture is of"):
+    with pytest.raises(FileProblem, match=r"is incomplete: its header states 6.0\d s, but the last picture is at"):
         open_clip(path)
 
 
@@ -164,5 +164,5 @@ def test_stills_are_one_clip_of_one_size(tmp_path):
     with pytest.raises(FileProblem, match=r"left_2.png: has the size 32 x 24"):
         clip.image(2)
     paths[1].write_bytes(b"\xff\xd8\xff broken")
-    with pytest.raises(FileProblem, match=r"left_1.png: is no picture"):
+    with pytest.raises(FileProblem, match=r"left_1.png: is not a readable picture"):
         clip.image(1)

@@ -140,7 +140,7 @@ def _spanned(rim: Floats, s: int) -> Floats:
     ruled = (1 - across) * first[:, None] + across * second[:, None] + (1 - up) * bottom + up * top
     corners = (1 - up) * ((1 - across) * bottom[0] + across * bottom[-1])
     corners = corners + up * ((1 - across) * top[0] + across * top[-1])
-    return ruled - corners
+    return np.asarray(ruled - corners)
 
 
 def sample_trunk(sections: TrunkSections) -> tuple[Floats, tuple[int, int]]:

@@ -68,7 +68,7 @@ class Measure:
         along = np.diff(self.points(everything)[self.pieces], axis=1)[:, 0]
         unit = np.sign(along) * [0, 0, 1] if self.upright else along / np.linalg.norm(along, axis=1, keepdims=True)
         change = np.diff(self.points(modes)[:, self.pieces], axis=2)[:, :, 0]
-        return np.einsum("mpa,pa->m", change, unit) / self.sides
+        return np.asarray(np.einsum("mpa,pa->m", change, unit) / self.sides)
 
 
 def sides(family: BodyFamily, plain: str) -> list[int]:

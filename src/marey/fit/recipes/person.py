@@ -412,5 +412,5 @@ def refine_person(
 
 
 def with_shape(body: Body, other: Body) -> Body:
-    """Return the other body, of another level of detail, with the shape numbers of the first one."""
+    """Return the other body, of another level of detail, with the shape parameters of the first one."""
     return replace(reshaped(other, body.numbers), numbers_covariance=body.numbers_covariance)

@@ -108,7 +108,7 @@ def _scaled(pixels: Floats, take: SilhouetteTake, level: SilhouetteLevel) -> Flo
     """Convert pixels (C, J, 2) to the scaled images, whose pixel centres have integer coordinates too."""
     factors = [small.width / large.width for small, large in zip(level.cameras, take.cameras, strict=True)]
     factor = np.array(factors)[:, None, None]
-    return (pixels + 0.5) * factor - 0.5
+    return np.asarray((pixels + 0.5) * factor - 0.5)
 
 
 def _known_centre(take: SilhouetteTake, pixels: Floats) -> Floats:

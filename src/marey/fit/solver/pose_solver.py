@@ -78,7 +78,7 @@ def solve_step(hessian: Floats, gradient: Floats, *, degrees: int | None = None)
         raise np.linalg.LinAlgError(UNDETERMINED)
     step = -scipy.linalg.lapack.dpotrs(factor, gradient)[0]
     longest = np.abs(step[3:degrees]).max()
-    return step if longest <= LONGEST_STEP_RAD else step * (LONGEST_STEP_RAD / longest)
+    return np.asarray(step if longest <= LONGEST_STEP_RAD else step * (LONGEST_STEP_RAD / longest))
 
 
 def add_dense(

@@ -129,7 +129,7 @@ class Matches:
     @property
     def converged(self) -> Mask:
         """(n,) whether the patch was found."""
-        return self.outcome == Outcome.CONVERGED
+        return np.asarray(self.outcome == Outcome.CONVERGED)
 
 
 DEFAULT = MatchSettings()

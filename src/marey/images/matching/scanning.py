@@ -143,11 +143,11 @@ def patches_at(picture: Floats, pixels: Floats, *, size: int) -> Floats:
 
 
 def _at_level(pixels: Floats, level: int) -> Floats:
-    return (pixels + 0.5) / 2**level - 0.5
+    return np.asarray((pixels + 0.5) / 2**level - 0.5)
 
 
 def _from_level(pixels: Floats, level: int) -> Floats:
-    return (pixels + 0.5) * 2**level - 0.5
+    return np.asarray((pixels + 0.5) * 2**level - 0.5)
 
 
 @kernel

@@ -181,7 +181,7 @@ def taught(
 
 def exposed(background: Background, shown: Exposure) -> np.ndarray:
     """Mean of the background as a picture exposes it, at least one grey level: (H, W, C) float32."""
-    return _exposed(background.mean, shown.gain, shown.offset)
+    return np.asarray(_exposed(background.mean, shown.gain, shown.offset))
 
 
 @kernel(fastmath=True)
@@ -246,7 +246,9 @@ def worth_seeing(count: int, *, ends: int = 10, between: int = 20) -> np.ndarray
 
 
 def _differs(one: np.ndarray, other: np.ndarray, tolerance: float) -> Mask:
-    return np.abs(cv2.blur(one, (5, 5)) - cv2.blur(other, (5, 5))).reshape(one.shape).max(axis=2) > tolerance
+    return np.asarray(
+        np.abs(cv2.blur(one, (5, 5)) - cv2.blur(other, (5, 5))).reshape(one.shape).max(axis=2) > tolerance
+    )
 
 
 def _without_outlines(mean: np.ndarray, picture: np.ndarray, beside: np.ndarray, tolerance: float) -> np.ndarray:
@@ -298,7 +300,7 @@ def _steepness(picture: np.ndarray) -> np.ndarray:
     smooth = cv2.GaussianBlur(picture, (0, 0), 0.7).reshape(picture.shape)
     across = cv2.Scharr(smooth, cv2.CV_32F, 1, 0).reshape(picture.shape) / 32
     down = cv2.Scharr(smooth, cv2.CV_32F, 0, 1).reshape(picture.shape) / 32
-    return np.mean(across**2 + down**2, axis=2)
+    return np.asarray(np.mean(across**2 + down**2, axis=2))
 
 
 @kernel

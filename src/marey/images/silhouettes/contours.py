@@ -24,7 +24,8 @@ class SilhouetteContour:
     @cached_property
     def cells(self) -> Cells:
         """The ring's pixels, sorted so that the nearest one is found quickly."""
-        return sort_into_cells(self.pixels)
+        cells: Cells = sort_into_cells(self.pixels)
+        return cells
 
 
 def trace_contour(mask: Mask, *, border: int = 2, blur: float = 1.5) -> SilhouetteContour:

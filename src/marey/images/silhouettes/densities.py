@@ -59,7 +59,7 @@ def _shadow_prior() -> np.ndarray:
     low, high = RATIO_RANGE
     ratios = low + (np.arange(RATIO_BINS) + 0.5) * (high - low) / RATIO_BINS
     density = np.exp(-np.abs(ratios - 1) / np.where(ratios < 1, SHADOW_DEPTH, 0.03))
-    return density / density.sum() * RATIO_BINS / (high - low)
+    return np.asarray(density / density.sum() * RATIO_BINS / (high - low))
 
 
 def colour_density(image: np.ndarray, region: Mask) -> np.ndarray:
@@ -81,14 +81,14 @@ def colour_density(image: np.ndarray, region: Mask) -> np.ndarray:
     total = float(counts.sum())
     if total == 0:
         return np.full(counts.shape, COMMON[image.shape[2]] * 256.0 ** -image.shape[2], np.float32)
-    return (smooth / (total * volume)).astype(np.float32)
+    return np.asarray((smooth / (total * volume)).astype(np.float32))
 
 
 @cache
 def _kernel(deviation: float) -> np.ndarray:
     reach = int(np.ceil(2.5 * deviation))
     weights = np.exp(-(np.arange(-reach, reach + 1) ** 2) / (2 * deviation**2))
-    return (weights / weights.sum()).astype(np.float32)
+    return np.asarray((weights / weights.sum()).astype(np.float32))
 
 
 @kernel
@@ -152,13 +152,13 @@ def shadow_density(ratios: np.ndarray, *, strength: float = 500.0) -> np.ndarray
     smooth = np.convolve(mirrored, _kernel(3.0), "same")[8:-8]
     prior = _shadow_prior()
     scale = RATIO_BINS / (high - low)
-    return ((smooth * scale + strength * prior) / (counts.sum() + strength)).astype(np.float32)
+    return np.asarray(((smooth * scale + strength * prior) / (counts.sum() + strength)).astype(np.float32))
 
 
 def blended(old: Appearance, new: Appearance, share: float) -> Appearance:
     """An appearance that moves by a share from an old one towards a new one."""
 
     def mix(name: str) -> np.ndarray:
-        return (1 - share) * getattr(old, name) + share * getattr(new, name)
+        return np.asarray((1 - share) * getattr(old, name) + share * getattr(new, name))
 
     return Appearance(person=mix("person"), surroundings=mix("surroundings"), shadow=mix("shadow"))

@@ -41,7 +41,7 @@ def edge_evidence(
     mask = region.view(np.uint8)
     core = cv2.erode(mask, square, borderType=cv2.BORDER_REPLICATE)
     near = cv2.dilate(mask, square, borderType=cv2.BORDER_REPLICATE)
-    return _edge_evidence(picture, light, tuple(1 / noise**2), votes, cv2.add(core, near))
+    return np.asarray(_edge_evidence(picture, light, tuple(1 / noise**2), votes, cv2.add(core, near)))
 
 
 @kernel(fastmath=True, error_model="numpy")

@@ -77,12 +77,13 @@ def evidence(
     veil = VEIL_SHARE * np.exp(-changes / VEIL) / (8 * pi * VEIL**3 if channels == 3 else 2 * VEIL)
     uniform = UNKNOWN_SHARE * COMMON[channels] * 256.0**-channels
     person = ((1 - UNKNOWN_SHARE) * appearance.person + uniform).ravel().astype(np.float32)
-    return _evidence(
+    found: tuple[np.ndarray, np.ndarray] = _evidence(
         levels, near, rests, background.steepness, background.trust, _wider(shade, reach),
         np.stack([_wider(_mean_around(plane, reach), reach) for plane in change]), reach, exposure.noise**2,
         np.float32(exposure.jitter**2), person, appearance.surroundings.ravel(), appearance.shadow,
         veil.astype(np.float32), np.float32(np.exp(peak)),
     )  # fmt: skip
+    return found
 
 
 def _planes(picture: np.ndarray) -> np.ndarray:

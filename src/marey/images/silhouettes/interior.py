@@ -54,7 +54,8 @@ class InteriorEdges:
     @cached_property
     def cells(self) -> Cells:
         """The points, sorted so that the nearest one is found quickly."""
-        return sort_into_cells(self.pixels)
+        cells: Cells = sort_into_cells(self.pixels)
+        return cells
 
     def __len__(self) -> int:
         """Count the points."""

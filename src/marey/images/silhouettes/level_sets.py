@@ -52,7 +52,9 @@ def evolve(evidence: np.ndarray, start: Mask, *, length: float, sweeps: int = 20
     inside = np.ascontiguousarray(start, dtype=np.bool_)
     if not inside.any():
         return inside.copy()
-    return _evolve(np.ascontiguousarray(evidence, dtype=np.float32), inside, np.float32(length), WEIGHTS, sweeps)
+    return np.asarray(
+        _evolve(np.ascontiguousarray(evidence, dtype=np.float32), inside, np.float32(length), WEIGHTS, sweeps)
+    )
 
 
 def votes(evidence: np.ndarray, inside: Mask, *, length: float) -> np.ndarray:

@@ -246,7 +246,10 @@ def _too_far(start: Mask, margin: int) -> tuple[np.ndarray, Mask]:
     """Evidence against what is far from the start, from half the margin on; the pixels within the margin."""
     # Half the resolution is enough for a slope that is so wide.
     distance = cv2.distanceTransform((~start[::2, ::2]).view(np.uint8), cv2.DIST_L2, 3)
-    return _against(distance, *start.shape, np.float32(margin), np.float32(4 * LIMIT / margin))
+    found: tuple[np.ndarray, Mask] = _against(
+        distance, *start.shape, np.float32(margin), np.float32(4 * LIMIT / margin)
+    )
+    return found
 
 
 @kernel
@@ -301,7 +304,7 @@ def _fragments(region: Mask, least: float) -> Mask:
     reach = 2 * round(float(np.sqrt(region.size)) * GAP / 2) + 1
     joined = cv2.morphologyEx(region.view(np.uint8), cv2.MORPH_CLOSE, np.ones((reach, reach), np.uint8))
     count, labels = cv2.connectedComponents(joined, connectivity=8)
-    return region & _large(labels, count, FRAGMENT_SHARE, least)
+    return np.asarray(region & _large(labels, count, FRAGMENT_SHARE, least))
 
 
 @kernel

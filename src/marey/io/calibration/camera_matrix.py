@@ -1,4 +1,4 @@
-"""The intrinsic matrix of one camera, alone in a file."""
+"""Reading of the intrinsic matrix of a single camera."""
 
 from pathlib import Path
 
@@ -10,6 +10,7 @@ from marey.errors import FileProblem
 from marey.io.npz import read_arrays
 
 _LAYOUT = "It should hold a 3 x 3 matrix: fx 0 cx / 0 fy cy / 0 0 1, in pixels."
+"""Remedy in the error messages: the expected content."""
 
 
 def read_matrix(path: Path) -> Floats:
@@ -19,14 +20,14 @@ def read_matrix(path: Path) -> Floats:
         path: An NPZ with `matrix` (or one array alone), an NPY, or text with nine numbers.
 
     Raises:
-        FileProblem: It holds none.
+        FileProblem: The file cannot be read, or does not contain an intrinsic matrix.
     """
     try:
         if path.suffix.lower() == ".npz":
             arrays = read_arrays(path)
             matrix = arrays["matrix"] if "matrix" in arrays else next(iter(arrays.values()))
             if "matrix" not in arrays and len(arrays) != 1:
-                raise FileProblem(path, f"lacks matrix; it has {', '.join(arrays)}", _LAYOUT)
+                raise FileProblem(path, f"has no array called matrix, but {', '.join(arrays)}", _LAYOUT)
         elif path.suffix.lower() == ".npy":
             matrix = np.load(path, allow_pickle=False)
         else:
@@ -36,7 +37,7 @@ def read_matrix(path: Path) -> Floats:
     except (OSError, ValueError, StopIteration, UnicodeDecodeError) as error:
         raise FileProblem(path, f"cannot be read as a matrix ({error})", _LAYOUT) from error
     if matrix.size != 9:
-        raise FileProblem(path, f"holds an array of shape {matrix.shape}", _LAYOUT)
+        raise FileProblem(path, f"has an array of shape {matrix.shape}", _LAYOUT)
     matrix = matrix.reshape(3, 3)
     faults = matrix_faults(matrix)
     if faults:

@@ -1,4 +1,4 @@
-"""Calibrations as OpenCV's YAML pair, with the names that EasyMocap gives: intri.yml and extri.yml."""
+"""Reading of calibrations in two YAML files of OpenCV, named as by EasyMocap: intri.yml and extri.yml."""
 
 from pathlib import Path
 
@@ -14,15 +14,16 @@ from marey.io.video.take import pictures_of
 from marey.io.video.video import open_clip
 
 _REMEDY = (
-    "intri.yml holds names, K_NAME (3 x 3, px), dist_NAME, and W_NAME and H_NAME (px); "
-    "extri.yml holds R_NAME (axis times angle) or Rot_NAME (3 x 3), and T_NAME (m), world to camera."
+    "intri.yml should have names, K_NAME (3 x 3, px), dist_NAME, and W_NAME and H_NAME (px); "
+    "extri.yml should have R_NAME (axis times angle) or Rot_NAME (3 x 3), and T_NAME (m), world to camera."
 )
+"""Remedy in the error messages: the expected keys of both files."""
 
 
 def read_opencv_pair(path: Path) -> Rig:
-    """Read intri.yml and the extri.yml beside it.
+    """Read intri.yml and extri.yml from one folder.
 
-    A size that the files leave out (older ones do) is that of the camera's video or picture beside them.
+    If the files have no picture size (older ones do not), it is read from the camera's video or picture in the folder.
 
     Args:
         path: One of the two files.
@@ -36,7 +37,7 @@ def read_opencv_pair(path: Path) -> Rig:
     inner_path = path.with_name(path.name.replace("extri", "intri"))
     outer_path = path.with_name(path.name.replace("intri", "extri"))
     if inner_path == outer_path:
-        raise FileProblem(path, "is neither intri.yml nor extri.yml", "Name the two files so.")
+        raise FileProblem(path, "is neither intri.yml nor extri.yml", "Give the two files these names.")
     inner, outer = _open(inner_path), _open(outer_path)
     faults = Faults(inner_path, _REMEDY)
     names = _names(inner) or _names(outer)
@@ -47,13 +48,13 @@ def read_opencv_pair(path: Path) -> Rig:
 
 def _open(path: Path) -> cv2.FileStorage:
     if not path.is_file():
-        raise FileProblem(path, "does not exist", "intri.yml and extri.yml belong together: put both there.")
+        raise FileProblem(path, "does not exist", "Both intri.yml and extri.yml are needed in the folder.")
     try:
         storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
     except (cv2.error, SystemError) as error:
-        raise FileProblem(path, "is not YAML as OpenCV writes it", "Its first line is %YAML:1.0.") from error
+        raise FileProblem(path, "is not a YAML file of OpenCV", "Its first line should be %YAML:1.0.") from error
     if not storage.isOpened():
-        raise FileProblem(path, "cannot be opened", "Its first line is %YAML:1.0.")
+        raise FileProblem(path, "cannot be opened as a YAML file of OpenCV", "Its first line should be %YAML:1.0.")
     return storage
 
 

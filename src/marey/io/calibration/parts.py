@@ -1,4 +1,4 @@
-"""What the readers of calibrations share: cameras made from raw values, with every fault collected."""
+"""Functions shared by the readers of calibrations: checked cameras from raw values, with all faults collected."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -15,11 +15,11 @@ from marey.geometry.rigid import RigidTransform
 
 
 class Faults:
-    """Collects what is wrong in a file, so that the user learns all of it at once.
+    """Collects the faults of a file, so that they are reported in one error.
 
     Args:
         path: The file.
-        remedy: What a right file looks like.
+        remedy: Description of a correct file, as a sentence.
     """
 
     def __init__(self, path: Path, remedy: str):
@@ -27,36 +27,36 @@ class Faults:
         self.clauses: list[str] = []
 
     def add(self, camera: str, clauses: Iterable[str]) -> None:
-        """Note what is wrong with a camera; each clause goes on from "camera 'NAME' ..."."""
+        """Add the faults of a camera; each clause continues "camera 'NAME' ..."."""
         joined = ", and ".join(clauses)
         if joined:
             self.clauses.append(f"camera '{camera}' {joined}")
 
     def raise_if_any(self) -> None:
-        """Raise one FileProblem that tells everything that was noted."""
+        """Raise one FileProblem with all faults, if there are any."""
         if self.clauses:
             raise FileProblem(self.path, "; ".join(self.clauses), self.remedy)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RawCamera:
-    """A camera as a file gives it: lists and numbers, nothing checked."""
+    """A camera with the unchecked lists and numbers of a file."""
 
     name: str
     size: object
     """Width and height [px]."""
     matrix: object
-    """3 x 3 [px]."""
+    """3 x 3 intrinsic matrix [px]."""
     distortion: object
-    """The lens, in OpenCV's order."""
+    """Distortion coefficients in the order of OpenCV."""
     rotation: object
-    """World to camera: axis times angle [rad], or a matrix."""
+    """Rotation from world to camera: axis times angle [rad], or a matrix."""
     translation: object
-    """World to camera [m]."""
+    """Translation from world to camera [m]."""
     fisheye: bool = False
 
     def checked(self, faults: Faults) -> Camera | None:
-        """Make the camera, or note what is wrong with it and give None."""
+        """Return the checked camera, or add its faults and return None."""
         size, matrix = finite(self.size, (2,)), numbers(self.matrix, (3, 3))
         distortion, rotation = numbers(self.distortion, None), rotation_matrix(self.rotation)
         translation = finite(self.translation, (3,))
@@ -86,11 +86,11 @@ class RawCamera:
 
 
 def numbers(value: object, shape: tuple[int, ...] | None) -> Floats | None:
-    """Turn lists of a file into an array, or give None where they are not numbers of that shape.
+    """Convert lists of a file to an array, or return None if they are not numbers of the given shape.
 
     Args:
-        value: What the file says.
-        shape: The shape it must have; None for a vector of any length.
+        value: The value in the file.
+        shape: The required shape; None for a vector of any length.
 
     Returns:
         The array, or None.
@@ -104,13 +104,13 @@ def numbers(value: object, shape: tuple[int, ...] | None) -> Floats | None:
 
 
 def finite(value: object, shape: tuple[int, ...] | None) -> Floats | None:
-    """Do as `numbers`, and also give None where a number is not finite."""
+    """Convert lists to an array as `numbers` does, but also return None if a number is not finite."""
     array = numbers(value, shape)
     return array if array is not None and np.isfinite(array).all() else None
 
 
 def rotation_matrix(value: object) -> Floats | None:
-    """Turn a rotation vector or matrix into an exact rotation matrix (3, 3), or give None where it is neither."""
+    """Convert a rotation vector or matrix to an exact rotation matrix (3, 3), or return None if it is neither."""
     vector = finite(value, (3,))
     if vector is not None:
         return rotations.exp(vector)
@@ -118,16 +118,16 @@ def rotation_matrix(value: object) -> Floats | None:
     if matrix is None:
         return None
     u, _, v = np.linalg.svd(matrix)
-    # Files round their numbers; a matrix more than a thousandth off is no rotation but another mistake.
+    # Files contain rounded numbers; a matrix with an entry off by more than 0.001 is not a rotation.
     if np.abs(u @ v - matrix).max() > 1e-3 or np.linalg.det(u @ v) < 0:
         return None
-    return u @ v
+    return np.asarray(u @ v)
 
 
 def make_rig(faults: Faults, cameras: Iterable[Camera | None]) -> Rig:
-    """Join cameras to a rig, or raise everything that was noted."""
+    """Return a rig of the cameras, or raise an error with all faults."""
     made = [camera for camera in cameras if camera is not None]
     names = [camera.name for camera in made]
-    faults.clauses += [f"two cameras are called '{name}'" for name in sorted(set(names)) if names.count(name) > 1]
+    faults.clauses += [f"has several cameras named '{name}'" for name in sorted(set(names)) if names.count(name) > 1]
     faults.raise_if_any()
     return Rig(tuple(made))

@@ -1,4 +1,4 @@
-"""Calibrations of Qualisys Track Manager: .qca.txt, an XML file."""
+"""Reading of calibrations of Qualisys Track Manager: .qca.txt, an XML file."""
 
 from pathlib import Path
 from xml.etree import ElementTree
@@ -13,29 +13,33 @@ from marey.errors import FileProblem
 from marey.io.calibration.parts import Faults, RawCamera, make_rig
 
 _REMEDY = "Export the calibration from Qualisys Track Manager again."
+"""Remedy in the error messages."""
 _FOV = ("left", "top", "right", "bottom")
+"""Attributes of a field of view [px]."""
 _TRANSFORM = ("x", "y", "z", "r11", "r12", "r13", "r21", "r22", "r23", "r31", "r32", "r33")
+"""Attributes of the pose: centre [mm] and rotation matrix."""
 _INTRINSIC = (
     *("sensorMinU", "sensorMaxU", "focalLengthU", "focalLengthV", "centerPointU", "centerPointV", "skew"),
     *("radialDistortion1", "radialDistortion2", "radialDistortion3", "tangentalDistortion1", "tangentalDistortion2"),
 )
+"""Attributes of the intrinsic parameters, as spelled by Qualisys."""
 _CAMERA_FROM_QUALISYS = np.diag([1.0, -1.0, -1.0])
-"""Qualisys' cameras look along their own -z with y up."""
+"""(3, 3) Rotation from the camera axes of Qualisys, which look along -z with y up."""
 
 
 def read_qualisys(path: Path) -> Rig:
-    """Read the cameras of a Qualisys calibration, called by their serial numbers.
+    """Read the cameras of a Qualisys calibration, named by their serial numbers.
 
-    The calibration belongs to the picture as the sensor sees it: a video that was turned for viewing has another size.
+    The calibration refers to the unrotated picture of the sensor; a video rotated for viewing has another size.
 
     Args:
         path: The file.
 
     Returns:
-        The cameras that are active.
+        The active cameras.
 
     Raises:
-        FileProblem: It is not such a file, or a value is missing or wrong; the message lists everything.
+        FileProblem: The file is not a Qualisys calibration, or values are missing or wrong; the message lists all.
     """
     try:
         root = ElementTree.fromstring(path.read_bytes())
@@ -58,7 +62,7 @@ def _camera(faults: Faults, camera: Element) -> Camera | None:
     if unit is None:
         faults.add(name, clauses)
         return None
-    # By rows the camera's axes in the world; x, y, z is the camera's centre [mm].
+    # The rows are the camera's axes in the world; x, y, z is the camera's centre [mm].
     rotation = _CAMERA_FROM_QUALISYS @ np.array([transform[key] for key in _TRANSFORM[3:]]).reshape(3, 3)
     centre = np.array([transform[key] for key in "xyz"]) / 1000
     radial = [inner[f"radialDistortion{i}"] for i in (1, 2, 3)]
@@ -67,7 +71,7 @@ def _camera(faults: Faults, camera: Element) -> Camera | None:
         name=name,
         size=(shown["right"] - shown["left"] + 1, shown["bottom"] - shown["top"] + 1),
         matrix=_matrix(inner, unit, shown),
-        # Without a unit: dividing these as well as the pixels takes the lens away (measured on boards).
+        # Dimensionless: dividing these like the pixel values removes the distortion (checked on calibration boards).
         distortion=[*radial[:2], *tangential, radial[2]],
         rotation=rotation,
         translation=-rotation @ centre,
@@ -87,7 +91,7 @@ def _matrix(inner: dict[str, float], unit: float, shown: dict[str, float]) -> Fl
 
 
 def _unit(camera: Element, inner: dict[str, float], clauses: list[str]) -> float | None:
-    """Find the unit of the intrinsic numbers: 64 to a pixel in files, 1 in what the program sends over the network."""
+    """Return the intrinsic units per pixel: 64 in files, 1 in data that the program sends over the network."""
     full = _values(camera, "fov_video_max", _FOV, clauses)
     if clauses:
         return None
@@ -95,12 +99,12 @@ def _unit(camera: Element, inner: dict[str, float], clauses: list[str]) -> float
     for unit in (64.0, 1.0):
         if abs(ratio / unit - 1) < 0.02:
             return unit
-    clauses.append(f"has a sensor of {ratio:.3g} units a pixel, where 64 or 1 are known")
+    clauses.append(f"has a sensor with {ratio:.3g} units per pixel; 64 or 1 are expected")
     return None
 
 
 def _values(camera: Element, tag: str, keys: tuple[str, ...], clauses: list[str]) -> dict[str, float]:
-    """Read the numbers of one element, or note what is missing."""
+    """Return the numbers of one element, and add missing ones to the clauses."""
     element = camera.find(tag)
     if element is None:
         clauses.append(f"has no <{tag}>")
@@ -110,5 +114,5 @@ def _values(camera: Element, tag: str, keys: tuple[str, ...], clauses: list[str]
         try:
             values[key] = float(element.get(key, ""))
         except ValueError:
-            clauses.append(f"has no number {key} in <{tag}>")
+            clauses.append(f"has no number for {key} in <{tag}>")
     return values

@@ -1,4 +1,4 @@
-"""One door to camera calibrations: Pose2Sim, Anipose, Caliscope, OpenCV's YAML pair and Qualisys."""
+"""Reading of camera calibrations in any known format: Pose2Sim, Anipose, Caliscope, OpenCV (YAML) and Qualisys."""
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -13,6 +13,7 @@ from marey.io.calibration.qualisys import read_qualisys
 from marey.io.calibration.toml import read_toml
 
 _KNOWN = "cameras.toml (Pose2Sim, Anipose or Caliscope), intri.yml with extri.yml (OpenCV), or *.qca.txt (Qualisys)"
+"""Description of the known formats, for the error messages."""
 _PATTERNS = (
     "cameras.toml",
     "Calib*.toml",
@@ -23,33 +24,34 @@ _PATTERNS = (
     "*.qca.txt",
     "*.qca",
 )
+"""File names of calibrations, in the order in which a folder is searched."""
 _GREATEST_SPREAD = 200.0
-"""Cameras further apart than this [m] were written in millimetres or in squares of a board."""
+"""Largest distance of a camera from the mean of all [m]; beyond it, the unit is not the metre. Chosen by hand."""
 
 
 def read_rig(path: Path | str) -> Rig:
-    """Read a calibration in any layout that is known.
+    """Read a calibration in any known format.
 
     Args:
-        path: The file, or a folder that holds one.
+        path: The file, or a folder that contains one.
 
     Returns:
-        The cameras, in metres.
+        The cameras, with positions in metres.
 
     Raises:
-        FileProblem: There is no calibration, or it cannot be used; the message lists everything that is wrong in it.
+        FileProblem: There is no calibration, or it cannot be used; the message lists all faults.
     """
     path = calibration_file(Path(path))
     rig = _reader(path)(path)
     spread = float(np.linalg.norm(rig.centres - rig.centres.mean(axis=0), axis=1).max())
     if spread > _GREATEST_SPREAD:
-        wrong = f"puts cameras {spread:.0f} m from their middle; the translations are not in metres"
+        wrong = f"has cameras {spread:.0f} m from their mean position, so the translations are not in metres"
         raise FileProblem(path, wrong, "Divide them by 1000 if they are in millimetres.")
     return rig
 
 
 def calibration_file(path: Path) -> Path:
-    """Find the calibration in a folder; a file is its own answer.
+    """Find the calibration in a folder; the path of a file is returned as it is.
 
     Args:
         path: A file or folder.
@@ -58,7 +60,7 @@ def calibration_file(path: Path) -> Path:
         The file to read.
 
     Raises:
-        FileProblem: The path does not exist, or the folder holds no calibration.
+        FileProblem: The path does not exist, or the folder does not contain exactly one calibration.
     """
     if path.is_file():
         return path
@@ -68,10 +70,10 @@ def calibration_file(path: Path) -> Path:
         found = sorted(path.glob(pattern))
         if len(found) > 1:
             names = ", ".join(file.name for file in found)
-            raise FileProblem(path, f"holds several calibrations ({names})", "Keep one, called cameras.toml.")
+            raise FileProblem(path, f"has several calibrations ({names})", "Keep one of them.")
         if found:
             return found[0]
-    raise FileProblem(path, "holds no calibration of the cameras", f"Put {_KNOWN} there.")
+    raise FileProblem(path, "has no calibration of the cameras", f"Add {_KNOWN}.")
 
 
 def _reader(path: Path) -> Callable[[Path], Rig]:
@@ -83,11 +85,11 @@ def _reader(path: Path) -> Callable[[Path], Rig]:
         return read_opencv_pair
     if name.endswith((".qca.txt", ".qca", ".xml")):
         return read_qualisys
-    raise FileProblem(path, "is no calibration that is known", f"Known are {_KNOWN}.")
+    raise FileProblem(path, "is not a calibration of a known format", f"Known are {_KNOWN}.")
 
 
 def write_cameras_toml(rig: Rig, path: Path) -> None:
-    """Write a calibration in the layout of Pose2Sim and Anipose.
+    """Write a calibration in the format of Pose2Sim and Anipose.
 
     Args:
         rig: The cameras.
@@ -101,7 +103,7 @@ def _table(camera: Camera) -> str:
     key = "".join(letter if letter.isalnum() or letter in "_-" else "_" for letter in camera.name)
     name = camera.name.replace("\\", "\\\\").replace('"', '\\"')
     pose = camera.camera_from_world
-    # Four numbers at least: that is what the programs that share this layout expect of a lens without distortion.
+    # The other programs of this format expect at least four numbers, also for a lens without distortion.
     distortion = camera.distortion if len(camera.distortion) else np.zeros(4)
     return "\n".join(
         [
@@ -119,5 +121,5 @@ def _table(camera: Camera) -> str:
 
 
 def _listed(values: Iterable[float]) -> str:
-    """Write numbers so that reading gives back the same bits, and as TOML floats."""
+    """Return numbers as TOML floats that are read back without rounding."""
     return "[" + ", ".join(repr(float(value)) for value in values) + "]"

@@ -1,4 +1,4 @@
-"""Calibrations in TOML: the layout of Pose2Sim and Anipose, and Caliscope's."""
+"""Reading of calibrations in TOML: the format of Pose2Sim and Anipose, and that of Caliscope."""
 
 import tomllib
 from pathlib import Path
@@ -10,10 +10,12 @@ from marey.errors import FileProblem
 from marey.io.calibration.parts import Faults, RawCamera, make_rig
 
 _KEYS = ("size", "matrix", "distortions", "rotation", "translation")
+"""Keys that each camera must have."""
 _REMEDY = (
     "Each camera is a table with size = [width, height], matrix (3 x 3, px), distortions (k1 k2 p1 p2 [k3 ...]), "
     "rotation (axis times angle) and translation (m), both from world to camera."
 )
+"""Remedy in the error messages: the expected keys of a camera."""
 
 
 def read_tables(path: Path) -> dict[str, Any]:
@@ -26,19 +28,19 @@ def read_tables(path: Path) -> dict[str, Any]:
         Its tables.
 
     Raises:
-        FileProblem: It cannot be read, or is not TOML.
+        FileProblem: The file cannot be read, or is not TOML.
     """
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
-        remedy = "Check its name and that you may read it."
+        remedy = "Check its name and its permissions."
         raise FileProblem(path, f"cannot be read ({error.strerror})", remedy) from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise FileProblem(path, f"is not TOML: {error}", "Mend that line.") from error
+        raise FileProblem(path, f"is not TOML: {error}", "Correct that line.") from error
 
 
 def read_toml(path: Path) -> Rig:
-    """Read a calibration in the layout of Pose2Sim and Anipose, or in Caliscope's.
+    """Read a calibration in the format of Pose2Sim and Anipose, or in that of Caliscope.
 
     Args:
         path: The file.
@@ -47,13 +49,13 @@ def read_toml(path: Path) -> Rig:
         The cameras.
 
     Raises:
-        FileProblem: A key is missing or wrong; the message lists everything.
+        FileProblem: A key is missing or wrong; the message lists all faults.
     """
     tables = read_tables(path)
     nested = tables.get("cameras")
     if isinstance(nested, dict) and all(isinstance(table, dict) for table in nested.values()):
         return _read_caliscope(path, nested)
-    # Other programs keep other tables beside the cameras: metadata, boards, ground planes.
+    # Other programs store further tables beside the cameras: metadata, boards, ground planes.
     cameras = {key: table for key, table in tables.items() if isinstance(table, dict) and set(_KEYS) & set(table)}
     if not cameras:
         raise FileProblem(path, "has no camera", _REMEDY)
@@ -83,10 +85,10 @@ def _camera(faults: Faults, name: str, table: dict[str, Any]) -> Camera | None:
 
 
 def _read_caliscope(path: Path, cameras: dict[str, dict[str, Any]]) -> Rig:
-    """Read Caliscope's cameras, called cam_N as its videos are.
+    """Read the cameras of Caliscope, named cam_N like its videos.
 
-    Its numbers belong to the pictures as they are stored, so `rotation_count`, which only tells how Caliscope turns
-    them to show them upright, changes nothing here.
+    The calibration refers to the stored pictures, so `rotation_count`, by which Caliscope rotates them for display, is
+    not needed.
     """
     faults = Faults(path, _REMEDY)
     made = []

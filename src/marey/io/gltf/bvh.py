@@ -9,7 +9,7 @@ from marey.body.articulation.surface import Body
 from marey.errors import MareyError
 from marey.geometry import rotations
 from marey.io.atomic import replacing
-from marey.io.axes import GLTF_FROM_WORLD, turned_points, turned_rotations
+from marey.io.axes import GLTF_FROM_WORLD, change_point_axes, change_rotation_axes
 from marey.motion.anatomical import euler_angles
 from marey.motion.motion import BodyMotion
 
@@ -34,9 +34,9 @@ def write_bvh(path: Path | str, body: Body, motion: BodyMotion) -> None:
         MareyError: No frame has a pose.
     """
     turn, origin = _without_gaps(motion)
-    local = _local(body, turned_rotations(GLTF_FROM_WORLD, turn))
+    local = _local(body, change_rotation_axes(GLTF_FROM_WORLD, turn))
     angles = np.degrees(np.unwrap(_nearest_branch(euler_angles(local, _ORDER)), axis=0))
-    place = turned_points(GLTF_FROM_WORLD, origin) * _CENTIMETRES
+    place = change_point_axes(GLTF_FROM_WORLD, origin) * _CENTIMETRES
     order = _depth_first(body)
     lines = ["HIERARCHY", *_hierarchy(body, order), "MOTION"]
     lines += [f"Frames: {len(motion)}", f"Frame Time: {1 / motion.rate:.9f}"]
@@ -122,4 +122,4 @@ def _end(body: Body, segment: int) -> Floats:
 
 def _offset(vector: Floats) -> str:
     """Format an offset in centimetres and the axes of the file."""
-    return " ".join(f"{v + 0.0:.6f}" for v in turned_points(GLTF_FROM_WORLD, vector) * _CENTIMETRES)
+    return " ".join(f"{v + 0.0:.6f}" for v in change_point_axes(GLTF_FROM_WORLD, vector) * _CENTIMETRES)

@@ -12,12 +12,11 @@ import trimesh
 from marey.arrays import Floats, Integers, freeze_fields
 from marey.body.articulation.skeleton import JOINT_OF_SEGMENT, PARENTS
 from marey.errors import FileProblem
-from marey.io.axes import GLTF_FROM_WORLD, turned_points
+from marey.io.axes import GLTF_FROM_WORLD, change_point_axes
 from marey.io.gltf.gltf import Gltf
 from marey.io.gltf.rig_names import VRM_BONES, name_joints, path_up
+from marey.io.units import METRES
 
-_METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
-"""Units of length that the TOML may name, in metres."""
 _WORLD_FROM_UP = {"z": np.eye(3), "y": np.asarray(GLTF_FROM_WORLD).T}
 """Rotation (3, 3) into the world's axes by the axis of the mesh that points up."""
 
@@ -70,13 +69,13 @@ def _read_described(path: Path) -> Character:
         remedy = "The known keys are mesh, unit, up and joints."
         raise FileProblem(path, f"has the unknown key {sorted(unknown)[0]!r}", remedy)
     unit, up, centres = described.get("unit", "m"), described.get("up", "z"), described.get("joints")
-    if unit not in _METRES or up not in _WORLD_FROM_UP:
+    if unit not in METRES or up not in _WORLD_FROM_UP:
         remedy = 'The unit should be "m", "cm" or "mm", and up "z" or "y".'
         raise FileProblem(path, f"has unit = {unit!r} and up = {up!r}", remedy)
     if not isinstance(centres, dict) or "mesh" not in described:
         raise FileProblem(path, "lacks `mesh` or `[joints]`", "Name the mesh, and give each joint as name = [x, y, z].")
     vertices, faces = read_mesh(path.parent / str(described["mesh"]))
-    change = _METRES[unit] * _WORLD_FROM_UP[up]
+    change = METRES[unit] * _WORLD_FROM_UP[up]
     segment_of = {joint: segment for segment, joint in JOINT_OF_SEGMENT.items()}
     placed = {}
     for name, centre in centres.items():
@@ -238,9 +237,9 @@ def _assemble(
     """Combine the nodes of each segment and rotate the character so that Z is up."""
     back = np.asarray(GLTF_FROM_WORLD).T
     return Character(
-        vertices=turned_points(back, vertices),
+        vertices=change_point_axes(back, vertices),
         faces=faces,
-        joint_centres={s: turned_points(back, world[n, :3, 3]) for s, n in named.items()},
+        joint_centres={s: change_point_axes(back, world[n, :3, 3]) for s, n in named.items()},
         weights={s: shares[:, [n for n, o in owner.items() if o == s]].sum(1) for s in named},
         node_names={s: gltf.name(n) for s, n in named.items()},
     )

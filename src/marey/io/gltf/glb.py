@@ -10,7 +10,7 @@ from marey.body.articulation.surface import Body
 from marey.errors import MareyError
 from marey.geometry import rotations
 from marey.io.atomic import replacing
-from marey.io.axes import GLTF_FROM_WORLD, turned_points, turned_rotations
+from marey.io.axes import GLTF_FROM_WORLD, change_point_axes, change_rotation_axes
 from marey.io.gltf.gltf import COMPONENT, binary_chunk, pack_glb
 from marey.motion.motion import BodyMotion
 
@@ -98,7 +98,7 @@ def _nodes(body: Body) -> list[dict[str, Any]]:
     skeleton, nodes = body.skeleton, []
     for k, (name, parent) in enumerate(zip(skeleton.segment_names, skeleton.parents, strict=True)):
         offset = body.joint_centres[k] - (body.joint_centres[parent] if parent >= 0 else 0)
-        node: dict[str, Any] = {"name": name, "translation": turned_points(GLTF_FROM_WORLD, offset).tolist()}
+        node: dict[str, Any] = {"name": name, "translation": change_point_axes(GLTF_FROM_WORLD, offset).tolist()}
         children = np.flatnonzero(skeleton.parents == k).tolist()
         nodes.append(node | ({"children": children} if children else {}))
     return nodes
@@ -106,7 +106,7 @@ def _nodes(body: Body) -> list[dict[str, Any]]:
 
 def _primitive(buffer: GlbBuffer, body: Body) -> dict[str, Any]:
     """Add the skin of a body to the buffer and return its primitive."""
-    vertices = turned_points(GLTF_FROM_WORLD, body.vertices)
+    vertices = change_point_axes(GLTF_FROM_WORLD, body.vertices)
     joints, weights = _carriers(body)
     attributes = {
         "POSITION": buffer.add(vertices, "<f4", "VEC3", target=_VERTEX_BUFFER, bounds=True),
@@ -143,7 +143,7 @@ def _normals(vertices: Floats, faces: np.ndarray) -> Floats:
 def _bind(buffer: GlbBuffer, body: Body) -> int:
     """Add the inverse bind matrices to the buffer and return the index of their accessor."""
     matrices = np.tile(np.eye(4), (len(body.joint_centres), 1, 1))
-    matrices[:, :3, 3] = -turned_points(GLTF_FROM_WORLD, body.joint_centres)
+    matrices[:, :3, 3] = -change_point_axes(GLTF_FROM_WORLD, body.joint_centres)
     return buffer.add(np.swapaxes(matrices, 1, 2).reshape(-1, 16), "<f4", "MAT4")  # column by column
 
 
@@ -151,7 +151,7 @@ def _animation(buffer: GlbBuffer, body: Body, motion: BodyMotion, root: int) -> 
     """Add the poses of a motion to the buffer and return the animation."""
     known = np.flatnonzero(motion.answered)
     time = buffer.add(motion.time[known, None], "<f4", "SCALAR", bounds=True)
-    turn = turned_rotations(GLTF_FROM_WORLD, motion.segment_rotation[known])
+    turn = change_rotation_axes(GLTF_FROM_WORLD, motion.segment_rotation[known])
     samplers: list[dict[str, Any]] = []
     channels: list[dict[str, Any]] = []
 
@@ -159,7 +159,7 @@ def _animation(buffer: GlbBuffer, body: Body, motion: BodyMotion, root: int) -> 
         channels.append({"sampler": len(samplers), "target": {"node": node, "path": path}})
         samplers.append({"input": time, "output": buffer.add(values, "<f4", shape), "interpolation": "LINEAR"})
 
-    track(root, "translation", turned_points(GLTF_FROM_WORLD, motion.segment_origin[known, root]), "VEC3")
+    track(root, "translation", change_point_axes(GLTF_FROM_WORLD, motion.segment_origin[known, root]), "VEC3")
     for k, parent in enumerate(body.skeleton.parents):
         local = turn[:, k] if parent < 0 else np.swapaxes(turn[:, parent], -1, -2) @ turn[:, k]
         track(k, "rotation", rotations.continuous(rotations.to_quaternion(local))[:, [1, 2, 3, 0]], "VEC4")

@@ -114,10 +114,19 @@ def path_up(node: int, parents: Mapping[int, int]) -> list[int]:
     return path
 
 
-def _common_ancestor(nodes: Sequence[int], parents: Mapping[int, int]) -> int | None:
-    """Return the lowest node above all given nodes, or the one of them that is above the others."""
-    common = [set(path_up(node, parents)) for node in nodes]
-    return next((node for node in path_up(nodes[0], parents) if all(node in c for c in common)), None)
+def common_ancestor(nodes: Sequence[int], parents: Mapping[int, int], *, proper: bool = False) -> int | None:
+    """Return the lowest common ancestor of nodes.
+
+    Args:
+        nodes: One or more nodes.
+        parents: Maps a node to its parent.
+        proper: Whether the ancestor must differ from all the nodes.
+
+    Returns:
+        The node; None if the nodes have different roots.
+    """
+    paths = [path_up(node, parents)[int(proper) :] for node in nodes]
+    return next((node for node in paths[0] if all(node in path for path in paths)), None)
 
 
 def _fill_trunk(
@@ -126,7 +135,7 @@ def _fill_trunk(
     """Find pelvis, abdomen, thorax, neck and head by the tree if they are unknown or their names contradict it."""
     thighs, arms = ([found.get(f"{side}_{limb}") for side in ("left", "right")] for limb in ("thigh", "upperarm"))
     arms = [found.get(f"{side}_clavicle", arm) for side, arm in zip(("left", "right"), arms, strict=True)]
-    chest = _common_ancestor([n for n in arms if n is not None], parents) if None not in arms else None
+    chest = common_ancestor([n for n in arms if n is not None], parents) if None not in arms else None
     if "thorax" not in found and chest is not None:
         # If the arms are children of the neck, the thorax is the parent of the neck.
         chest = parents.get(chest) if chest == found.get("neck") else chest
@@ -134,7 +143,7 @@ def _fill_trunk(
             found["thorax"] = chest
     if "pelvis" not in given and None not in thighs:
         above = [found.get("pelvis"), *thighs, found.get("thorax")]
-        pelvis = _common_ancestor([n for n in above if n is not None], parents)
+        pelvis = common_ancestor([n for n in above if n is not None], parents)
         if pelvis is not None:
             found["pelvis"] = pelvis
     if "thorax" in found and "head" not in found:

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from marey.arrays import Floats
-from marey.io.gltf.rig_names import path_up
+from marey.io.gltf.rig_names import common_ancestor, path_up
 
 _LOW = 0.2
 """Fraction of the height below which legs end; chosen by hand."""
@@ -58,7 +58,7 @@ def place_joints(places: Mapping[int, Floats], parents: Mapping[int, int], known
     if not reach or max(reach.values()) < 0.1 * tall or min(reach.values()) > -0.1 * tall:
         return {}
     arm_ends = [max(reach, key=lambda end: reach[end]), min(reach, key=lambda end: reach[end])]
-    chest, top = _lowest_common_parent(arm_ends, parents), pelvis
+    chest, top = common_ancestor(arm_ends, parents, proper=True), pelvis
     if chest is None:
         return {}
     # If the legs are attached to a joint beside the spine, the pelvis is the joint above it and the chest.
@@ -85,12 +85,6 @@ def _children(places: Mapping[int, Floats], parents: Mapping[int, int]) -> dict[
     return children
 
 
-def _lowest_common_parent(nodes: Sequence[int], parents: Mapping[int, int]) -> int | None:
-    """Return the lowest node that is above all given nodes and none of them."""
-    common = [set(path_up(node, parents)[1:]) for node in nodes]
-    return next((node for node in path_up(nodes[0], parents)[1:] if all(node in c for c in common)), None)
-
-
 def _pair(
     ends: list[int], places: Mapping[int, Floats], parents: Mapping[int, int]
 ) -> tuple[int, tuple[int, int]] | None:
@@ -98,7 +92,7 @@ def _pair(
     best, found = 0.0, None
     for k, first in enumerate(ends):
         for second in ends[k + 1 :]:
-            top = _lowest_common_parent((first, second), parents)
+            top = common_ancestor((first, second), parents, proper=True)
             apart = float(np.linalg.norm((places[first] - places[second]) * [1, 0, 1]))
             if top is None or top not in places:
                 continue

@@ -5,13 +5,10 @@ import json
 from pathlib import Path
 
 from marey.errors import FileProblem
-from marey.io.markers.bones import BoneFile, read_bones
+from marey.io.markers.bones import RUN_AGAIN, BoneFile, read_bones
 from marey.io.markers.readers import read_markers
 from marey.io.markers.results import is_y_up
 from marey.knee.markers.reference_posture import Activity
-
-_RUN_AGAIN = "Run `marey markers` again."
-"""Remedy for a file that is missing or inconsistent with the others."""
 
 
 def read_activity(folder: Path | str, *, method: str | None = None) -> Activity:
@@ -40,7 +37,7 @@ def read_activity(folder: Path | str, *, method: str | None = None) -> Activity:
     markers = read_markers(folder / "motion.c3d")
     if len(markers) != len(bones.motion):
         wrong = f"has {len(markers)} frames of markers but {len(bones.motion)} of bones"
-        raise FileProblem(folder, wrong, _RUN_AGAIN)
+        raise FileProblem(folder, wrong, RUN_AGAIN)
     rigid = _cluster(folder, methods, bones)
     return Activity(
         motion=bones.motion, cluster=None if rigid is None else rigid.motion, markers=markers,
@@ -96,6 +93,6 @@ def _segments(path: Path) -> dict[str, str]:
         with path.open(newline="", encoding="utf-8") as file:
             head = next(csv.reader(file), [])
     except OSError as error:
-        raise FileProblem(path, f"cannot be read ({error.strerror})", _RUN_AGAIN) from error
+        raise FileProblem(path, f"cannot be read ({error.strerror})", RUN_AGAIN) from error
     columns = [column.removesuffix("_x_mm").partition(":") for column in head if column.endswith("_x_mm")]
     return {label: segment for segment, _, label in columns}

@@ -5,14 +5,15 @@ from pathlib import Path
 
 import numpy as np
 
-from marey.arrays import Floats, Integers
+from marey.arrays import Floats, Integers, freeze_fields
 from marey.errors import FileProblem
 from marey.io.npz import read_arrays, write_arrays
+from marey.io.units import MM_PER_M
 from marey.markers.data.bone_motion import BoneMotion
 
-_MM = 1e3
-"""Number of millimetres per metre."""
-_IN_MM, _IN_M = (np.diag([1.0] * 3 + [unit] * 3) for unit in (_MM, 1 / _MM))
+RUN_AGAIN = "Run `marey markers` again."
+"""Remedy for a result file that is missing, damaged or inconsistent."""
+_IN_MM, _IN_M = (np.diag([1.0] * 3 + [unit] * 3) for unit in (MM_PER_M, 1 / MM_PER_M))
 """Scale of a pose error (rotation [rad], translation), from metres to millimetres and back."""
 
 
@@ -27,6 +28,10 @@ class BoneFile:
     """`left` or `right`, if the file states it and the names of the segments do not."""
     reference_frames: Integers | None = None
     """(K,) frames of the reference postures, in which the bones were known; None if the file does not state them."""
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, "time")
+        freeze_fields(self, "reference_frames", dtype=np.int64)
 
 
 def write_bones(path: Path | str, bones: BoneFile) -> None:
@@ -48,9 +53,9 @@ def write_bones(path: Path | str, bones: BoneFile) -> None:
         arrays["reference_frames"] = bones.reference_frames
     for s, name in enumerate(motion.segments):
         arrays[f"{name}_rotation"] = motion.rotation[:, s]
-        arrays[f"{name}_origin"] = motion.origin[:, s] * _MM
+        arrays[f"{name}_origin"] = motion.origin[:, s] * MM_PER_M
         arrays[f"{name}_rotation_sd"] = motion.rotation_sd[:, s]
-        arrays[f"{name}_origin_sd"] = motion.origin_sd[:, s] * _MM
+        arrays[f"{name}_origin_sd"] = motion.origin_sd[:, s] * MM_PER_M
         # The covariance of rotation and translation matters far from the origin, for example at the knee of a thigh.
         arrays[f"{name}_covariance"] = _IN_MM @ motion.covariance[:, s] @ _IN_MM
     write_arrays(path, arrays)
@@ -84,7 +89,7 @@ def read_bones(path: Path | str) -> BoneFile:
     covariance = np.stack([_covariance(arrays, name, frames) for name in names], 1)
     motion = BoneMotion(
         segments=tuple(names), rotation=np.stack([arrays[f"{n}_rotation"] for n in names], 1),
-        origin=np.stack([arrays[f"{n}_origin"] for n in names], 1) / _MM, covariance=covariance,
+        origin=np.stack([arrays[f"{n}_origin"] for n in names], 1) / MM_PER_M, covariance=covariance,
     )  # fmt: skip
     return BoneFile(
         motion=motion, time=_time(path, arrays, frames), side=_side(arrays),
@@ -97,7 +102,7 @@ def _covariance(arrays: dict[str, np.ndarray], name: str, frames: int) -> Floats
     if whole is not None and whole.shape == (frames, 6, 6):
         return np.asarray(_IN_M @ whole @ _IN_M)
     unknown = np.full((frames, 3), np.nan)
-    turn, place = arrays.get(f"{name}_rotation_sd", unknown), arrays.get(f"{name}_origin_sd", unknown) / _MM
+    turn, place = arrays.get(f"{name}_rotation_sd", unknown), arrays.get(f"{name}_origin_sd", unknown) / MM_PER_M
     return np.concatenate([turn, place], 1)[:, :, None] ** 2 * np.eye(6)
 
 
@@ -121,7 +126,7 @@ def _reference_frames(path: Path | str, arrays: dict[str, np.ndarray], frames: i
     known = np.atleast_1d(np.asarray(arrays["reference_frames"], np.int64))
     if not len(known) or known.min() < 0 or known.max() >= frames:
         wrong = f"has no `reference_frames`, or some outside of its {frames} frames"
-        raise FileProblem(path, wrong, "Run `marey markers` again.")
+        raise FileProblem(path, wrong, RUN_AGAIN)
     return known
 
 

@@ -11,6 +11,7 @@ from marey.arrays import Floats
 from marey.errors import FileProblem
 from marey.io.atomic import replacing
 from marey.io.opensim.trc import PointPaths
+from marey.io.units import METRES, MM_PER_M
 
 _KEY = 0x50
 """Second byte of every C3D file, by the definition of the format."""
@@ -20,8 +21,6 @@ _MOST_FRAMES = 65535
 """Largest frame number that the header of a C3D can hold, an unsigned 16-bit integer."""
 _BYTES_OF_A_ROTATION = 17 * 4
 """Size of one pose in the rotation data [bytes]: 16 elements and a residual, each a 32-bit float."""
-METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
-"""Units of length that a file may use, in metres."""
 
 
 def write_c3d(
@@ -46,7 +45,7 @@ def write_c3d(
     """
     frames = len(paths.time)
     points = np.ones((4, len(paths.names), frames))
-    points[:3] = np.transpose(paths.points, (2, 1, 0)) * 1e3
+    points[:3] = np.transpose(paths.points, (2, 1, 0)) * MM_PER_M
     missing = np.isnan(points).any(0)
     points[:3, missing] = 0
     c3d = ezc3d.c3d()
@@ -63,7 +62,7 @@ def write_c3d(
         c3d.add_parameter("TRIAL", "ACTUAL_START_FIELD", [1, 0])
         c3d.add_parameter("TRIAL", "ACTUAL_END_FIELD", [low - 65536 if low > 32767 else low, high])
     if segment_rotation is not None and segment_origin is not None:
-        add_rotations(c3d, segment_names, segment_rotation, segment_origin * 1e3)
+        add_rotations(c3d, segment_names, segment_rotation, segment_origin * MM_PER_M)
     with replacing(path) as temporary:
         c3d.write(str(temporary))
 
@@ -110,7 +109,7 @@ def _is_cut_off(path: Path) -> bool:
     if rotation.used():
         begin = low_level.parameters().group("ROTATION").parameter("DATA_START").valuesAsInt()[0]
         end = max(end, (begin - 1) * 512 + frames * rotation.used() * rotation.ratio() * _BYTES_OF_A_ROTATION)
-    return len(data) < end
+    return bool(len(data) < end)
 
 
 def open_c3d(path: Path | str) -> ezc3d.c3d:

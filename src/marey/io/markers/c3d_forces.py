@@ -8,7 +8,8 @@ import numpy as np
 
 from marey.arrays import Floats
 from marey.errors import FileProblem
-from marey.io.markers.c3d import METRES, open_c3d, point_unit
+from marey.io.markers.c3d import open_c3d, point_unit
+from marey.io.units import METRES
 from marey.markers.data.force_plates import ForcePlate
 from marey.markers.kinematics.transform_chain import CAPTURE_GLOBAL, NamedTransform
 from marey.motion.gait import OFF, STRIKE, GaitEvent

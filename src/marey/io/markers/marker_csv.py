@@ -2,13 +2,14 @@
 
 import csv
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from marey.arrays import Floats
 from marey.errors import FileProblem
-from marey.io.markers.c3d import METRES
+from marey.io.units import METRES
 
 _COLUMN = re.compile(r"(?P<label>.+?)[ _.:]*[_ .:]\(?(?P<axis>[xyzXYZ])\)?(?:[ _]*[\[(]?(?P<unit>mm|cm|m)[\])]?)?")
 """Name of the column of a coordinate: label, axis and, optionally, unit (`LKNE_x_mm`, `LKNE.X`, `LKNE X (mm)`)."""
@@ -24,11 +25,11 @@ _REMEDY = (
 )
 """Remedy for a file without the expected columns."""
 
-Raw = tuple[list[str], Floats, Floats, float, float, str, list[str]]
+RawMarkers = tuple[Sequence[str], Floats, Floats, float, float, str, list[str]]
 """Labels, points (F, M, 3) [m], residuals (F, M) [m], rate [Hz], time of the first frame [s], unit, notes."""
 
 
-def read_marker_csv(path: Path, unit: str | None) -> Raw:
+def read_marker_csv(path: Path, unit: str | None) -> RawMarkers:
     """Read a table of markers with commas, semicolons or tabs between its cells.
 
     Args:
@@ -73,7 +74,7 @@ def _numbers(path: Path, rows: list[list[str]], columns: list[int]) -> Floats:
         raise FileProblem(path, f"has a cell that is not a number ({error})", "Correct or export it again.") from error
 
 
-def _from_columns(path: Path, rows: list[list[str]], unit: str | None) -> Raw:
+def _from_columns(path: Path, rows: list[list[str]], unit: str | None) -> RawMarkers:
     """Read a table with one header line."""
     head = rows[0]
     found: dict[str, dict[str, int]] = {}
@@ -133,7 +134,7 @@ def _infer_unit(path: Path, points: Floats) -> tuple[str, list[str]]:
     return unit, [f"The file does not state its unit; the markers extend over {extent:.4g}, so {unit} is assumed."]
 
 
-def _from_blocks(path: Path, rows: list[list[str]], axes: int, unit: str | None) -> Raw:
+def _from_blocks(path: Path, rows: list[list[str]], axes: int, unit: str | None) -> RawMarkers:
     """Read a Vicon Nexus export: labels, X Y Z, units, then one row per frame."""
     names, first = rows[axes - 1], axes + 1
     stated = next((cell for cell in rows[first] if cell in METRES), None) if first < len(rows) else None

@@ -9,9 +9,10 @@ import numpy as np
 
 from marey.arrays import Floats
 from marey.errors import FileProblem, MareyError
-from marey.io.markers.c3d import METRES, open_c3d, point_labels, point_unit
-from marey.io.markers.marker_csv import even_rate, read_marker_csv
+from marey.io.markers.c3d import open_c3d, point_labels, point_unit
+from marey.io.markers.marker_csv import RawMarkers, even_rate, read_marker_csv
 from marey.io.opensim.trc import read_trc
+from marey.io.units import METRES
 from marey.markers.data.trajectories import MarkerTrajectories
 
 _COMPUTED = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS")
@@ -39,7 +40,7 @@ def read_markers(path: Path | str, *, unit: str | None = None) -> MarkerTrajecto
         FileProblem: The file cannot be read, has no markers or no frames, or states an impossible unit.
     """
     path = Path(path)
-    readers: dict[str, Callable[[Path, str | None], Raw]] = {
+    readers: dict[str, Callable[[Path, str | None], RawMarkers]] = {
         ".c3d": _from_c3d, ".trc": _from_trc, ".csv": read_marker_csv, ".tsv": read_marker_csv,
     }  # fmt: skip
     if path.suffix.lower() not in readers:
@@ -71,7 +72,7 @@ def _require_unit(unit: str | None) -> None:
         raise MareyError(f"The unit {unit!r} is unknown. It should be one of {', '.join(METRES)}.")
 
 
-def _checked(path: Path, raw: "Raw") -> MarkerTrajectories:
+def _checked(path: Path, raw: RawMarkers) -> MarkerTrajectories:
     """Check the content of a file and remove ambiguous trajectories."""
     labels, points, residuals, rate, start_s, unit, reading_notes = raw
     points = np.where((points == 0).all(-1, keepdims=True), np.nan, points)
@@ -91,17 +92,12 @@ def _checked(path: Path, raw: "Raw") -> MarkerTrajectories:
     )  # fmt: skip
 
 
-Raw = tuple[Sequence[str], Floats, Floats, float, float, str, list[str]]
-"""Content of a file: labels, points (F, M, 3) [m], residuals (F, M) [m], rate [Hz], time of the first frame [s], unit,
-notes."""
-
-
-def _from_c3d(path: Path, unit: str | None) -> Raw:
+def _from_c3d(path: Path, unit: str | None) -> RawMarkers:
     c3d = open_c3d(path)
     return _positions_in(c3d, unit or point_unit(path, c3d))
 
 
-def _positions_in(c3d: ezc3d.c3d, unit: str) -> Raw:
+def _positions_in(c3d: ezc3d.c3d, unit: str) -> RawMarkers:
     """Return the points of a C3D that are positions."""
     point = c3d["parameters"]["POINT"]
     computed = {label for key in _COMPUTED if key in point for label in (point[key]["value"] or [])}
@@ -125,7 +121,7 @@ def _first_frame(c3d: ezc3d.c3d) -> int:
     return int(c3d["header"]["points"]["first_frame"])
 
 
-def _from_trc(path: Path, unit: str | None) -> Raw:
+def _from_trc(path: Path, unit: str | None) -> RawMarkers:
     """Read a TRC in its own axes."""
     paths, own = read_trc(path, file_from_world=np.eye(3)), _trc_unit(path)
     points = paths.points * (METRES[unit] / METRES[own] if unit else 1.0)

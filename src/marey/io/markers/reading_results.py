@@ -7,14 +7,11 @@ import numpy as np
 
 from marey.arrays import Floats
 from marey.errors import FileProblem
+from marey.io.markers.bones import RUN_AGAIN
+from marey.io.units import MM_PER_M
 from marey.markers.data.marker_motion import MarkerMotion
 from marey.markers.kinematics.joint_angles import JointKinematics
 from marey.motion.gait import GaitEvent
-
-_MM = 1e3
-"""Number of millimetres per metre."""
-_RUN_AGAIN = "Run `marey markers` again."
-"""Remedy for a damaged result file."""
 
 
 def read_joint_csv(path: Path | str) -> JointKinematics:
@@ -44,8 +41,8 @@ def read_joint_csv(path: Path | str) -> JointKinematics:
         angles=np.radians(stacked(angles, "_deg")) if angles else none,
         angles_sd=np.radians(stacked(angles, "_sd_deg")) if angles else none,
         translation_names=tuple(lengths),
-        translations=stacked(lengths, "_mm") / _MM if lengths else none,
-        translations_sd=stacked(lengths, "_sd_mm") / _MM if lengths else none,
+        translations=stacked(lengths, "_mm") / MM_PER_M if lengths else none,
+        translations_sd=stacked(lengths, "_sd_mm") / MM_PER_M if lengths else none,
     )
 
 
@@ -60,7 +57,7 @@ def read_marker_motion(path: Path | str) -> MarkerMotion:
     """
     head, values = _read_rows(path)
     named = [name.removesuffix("_x_mm").partition(":") for name in head if name.endswith("_x_mm")]
-    places = values[:, 1:].reshape(len(values), -1, 3) / _MM
+    places = values[:, 1:].reshape(len(values), -1, 3) / MM_PER_M
     return MarkerMotion(
         labels=tuple(label for _, _, label in named), segments=tuple(segment for segment, _, _ in named), places=places
     )  # fmt: skip
@@ -82,7 +79,7 @@ def read_event_csv(path: Path | str) -> tuple[GaitEvent, ...]:
                 for row in csv.DictReader(file)
             )
     except (OSError, KeyError, TypeError, ValueError) as error:
-        raise FileProblem(path, f"cannot be read ({error})", _RUN_AGAIN) from error
+        raise FileProblem(path, f"cannot be read ({error})", RUN_AGAIN) from error
 
 
 def _read_rows(path: Path | str) -> tuple[list[str], Floats]:
@@ -93,4 +90,4 @@ def _read_rows(path: Path | str) -> tuple[list[str], Floats]:
         values = [[float(cell) if cell else np.nan for cell in row] for row in rows[1:]]
         return rows[0], np.array(values, float).reshape(len(values), len(rows[0]))
     except (OSError, ValueError, IndexError) as error:
-        raise FileProblem(path, f"cannot be read ({error})", _RUN_AGAIN) from error
+        raise FileProblem(path, f"cannot be read ({error})", RUN_AGAIN) from error

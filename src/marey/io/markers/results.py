@@ -12,18 +12,16 @@ from marey.arrays import Floats
 from marey.geometry.rigid import RigidTransform
 from marey.io.atomic import replacing
 from marey.io.axes import OPENSIM_FROM_WORLD
-from marey.io.markers.c3d import METRES, add_rotations, open_c3d, point_labels, point_unit, write_c3d, y_points_up
-from marey.io.opensim.mot_sto import Orientations, Table, write_orientations, write_table
+from marey.io.markers.c3d import add_rotations, open_c3d, point_labels, point_unit, write_c3d, y_points_up
+from marey.io.opensim.mot_sto import Orientations, TimeSeriesTable, write_orientations, write_table
 from marey.io.opensim.trc import PointPaths
+from marey.io.units import METRES, MM_PER_M
 from marey.markers.data.bone_motion import BoneMotion
 from marey.markers.data.marker_motion import MarkerMotion
 from marey.markers.data.trajectories import MarkerTrajectories
 from marey.markers.kinematics.joint_angles import JointKinematics
 from marey.markers.preprocessing.gaps import FROM_CLUSTER, SPLINE, STILL_MISSING, FilledGaps
 from marey.motion.gait import GaitEvent
-
-_MM = 1e3
-"""Number of millimetres per metre."""
 
 
 def write_joint_table(path: Path | str, time: Floats, joints: JointKinematics) -> None:
@@ -39,7 +37,7 @@ def write_joint_table(path: Path | str, time: Floats, joints: JointKinematics) -
         columns += [name, sd[0]]
         values += [value, sd[1]]
     table = np.stack(values, -1) if values else np.zeros((len(time), 0))
-    write_table(path, Table(name="angles", columns=tuple(columns), time=time, values=table))
+    write_table(path, TimeSeriesTable(name="angles", columns=tuple(columns), time=time, values=table))
 
 
 def write_joint_csv(path: Path | str, time: Floats, joints: JointKinematics) -> None:
@@ -72,7 +70,7 @@ def joint_columns(
     """
     kinds = (
         (joints.angle_names, np.degrees(joints.angles), np.degrees(joints.angles_sd), units[0]),
-        (joints.translation_names, joints.translations * _MM, joints.translations_sd * _MM, units[1]),
+        (joints.translation_names, joints.translations * MM_PER_M, joints.translations_sd * MM_PER_M, units[1]),
     )
     return [
         (f"{name}{unit}", values[:, k], (f"{name}{spread}{unit}", sd[:, k]))
@@ -94,7 +92,7 @@ def write_marker_motion(path: Path | str, time: Floats, motion: MarkerMotion) ->
         for segment, label in zip(motion.segments, motion.labels, strict=True)
         for axis in "xyz"
     ]
-    _write_rows(path, head, time, motion.places.reshape(len(time), -1) * _MM)
+    _write_rows(path, head, time, motion.places.reshape(len(time), -1) * MM_PER_M)
 
 
 def write_filled(path: Path | str, filling: FilledGaps) -> None:
@@ -114,7 +112,7 @@ def write_filled(path: Path | str, filling: FilledGaps) -> None:
             for start, end in pairwise([0, *map(int, edges), len(way)]):
                 if int(way[start]) in words:
                     sd = filling.sd[start:end, m]
-                    spread = f"{_MM * float(np.nanmax(sd)):.3f}" if np.isfinite(sd).any() else ""
+                    spread = f"{MM_PER_M * float(np.nanmax(sd)):.3f}" if np.isfinite(sd).any() else ""
                     rows.writerow([label, start, end - 1, words[int(way[start])], spread])
 
 
@@ -153,7 +151,7 @@ def write_frames(path: Path | str, frames: Mapping[str, RigidTransform]) -> None
         path: The file.
         frames: Maps the name of a plate to its frame [m].
     """
-    rows = {name: RigidTransform(f.rotation, f.translation * _MM).matrix.tolist() for name, f in frames.items()}
+    rows = {name: RigidTransform(f.rotation, f.translation * MM_PER_M).matrix.tolist() for name, f in frames.items()}
     with replacing(path) as temporary:
         temporary.write_text(json.dumps({"unit": "mm", "laboratory_from": rows}, indent=2) + "\n", encoding="utf-8")
 

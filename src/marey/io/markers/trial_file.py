@@ -4,9 +4,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from marey.errors import FileProblem
-from marey.io.markers.c3d import METRES, open_c3d, point_unit, y_points_up
+from marey.io.markers.c3d import open_c3d, point_unit, y_points_up
 from marey.io.markers.c3d_forces import events_in, force_plates_in
 from marey.io.markers.readers import markers_in, read_markers
+from marey.io.units import METRES
 from marey.markers.data.force_plates import ForcePlate
 from marey.markers.data.trajectories import MarkerTrajectories
 from marey.motion.gait import GaitEvent

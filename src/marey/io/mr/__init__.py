@@ -1,1 +1,1 @@
-"""MR volumes, meshes, and the files of a knee."""
+"""Reading and writing of MR volumes, meshes and the files of a knee."""

@@ -1,4 +1,4 @@
-"""`contours.json`: outlines of a knee's structures in the slices of a volume, as `marey knee outline` keeps them."""
+"""`contours.json`: outlines of a knee's structures in the slices of a volume, written by `marey knee outline`."""
 
 import json
 from collections.abc import Sequence
@@ -16,22 +16,25 @@ from marey.knee.space.structures import LABELS
 from marey.knee.space.volume import VoxelGrid
 
 _SAME_MM = 0.01
+"""Two grids are the same if their corners differ by less than this distance [mm]; chosen by hand, far below a voxel."""
 _DECIMALS = 3
+"""Decimal places of the coordinates in the file [0.001 voxel]; chosen by hand."""
 _FEWEST = 3
+"""Smallest number of points of an outline, a triangle."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class OutlinedVolume:
-    """Outlines, and the volume in which they lie."""
+    """Outlines with the grid of their volume."""
 
     contours: tuple[Contour, ...]
     grid: VoxelGrid
     volume: str
-    """The volume's file or folder as it was named."""
+    """The volume's file or folder, as given by the user."""
 
 
 def write_contours(path: Path | str, contours: Sequence[Contour], grid: VoxelGrid, volume: str) -> None:
-    """Write outlines with the grid of the volume they belong to; whole or not at all.
+    """Write outlines with the grid of their volume; an interrupted write leaves no partial file.
 
     Raises:
         FileProblem: The folder cannot be written to.
@@ -50,8 +53,8 @@ def read_contours(path: Path | str) -> OutlinedVolume:
     """Read outlines.
 
     Raises:
-        FileProblem: The file is missing or damaged, or an outline is of an unknown structure, outside the volume or
-            is none.
+        FileProblem: The file is missing or damaged, or an outline has an unknown structure, a slice outside the
+            volume, or fewer than three points.
     """
     path = Path(path)
     try:
@@ -59,16 +62,18 @@ def read_contours(path: Path | str) -> OutlinedVolume:
         grid = VoxelGrid(shape=_shape(table["shape"]), lps_from_voxel=_numbers(table["lps_from_voxel"], (4, 4)))
         entries, volume = list(table["contours"]), str(table.get("volume", ""))
     except FileNotFoundError as error:
-        raise FileProblem(path, "is not there") from error
+        raise FileProblem(path, "does not exist", "`marey knee outline` writes such files.") from error
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        said = f"{type(error).__name__}: {error}"
-        raise FileProblem(path, f"holds no outlines ({said})", "`marey knee outline` writes such files.") from error
+        reason = f"{type(error).__name__}: {error}"
+        raise FileProblem(
+            path, f"cannot be read as outlines ({reason})", "`marey knee outline` writes such files."
+        ) from error
     contours = tuple(_contour(path, number, entry, grid) for number, entry in enumerate(entries, 1))
     return OutlinedVolume(contours=contours, grid=grid, volume=volume)
 
 
 def same_grid(first: VoxelGrid, second: VoxelGrid) -> bool:
-    """Tell whether two volumes have the same voxels in the same places."""
+    """Return whether two grids have the same voxels at the same positions."""
     if first.shape != second.shape:
         return False
     k, j, i = first.shape
@@ -91,15 +96,22 @@ def _contour(path: Path, number: int, entry: Any, grid: VoxelGrid) -> Contour:
         structure, axis, index = entry["structure"], entry["axis"], int(entry["slice"])
         anchors, outline = _numbers(entry["anchors"], (-1, 2)), _numbers(entry["outline"], (-1, 2))
     except (ValueError, KeyError, TypeError) as error:
-        said = f"{type(error).__name__}: {error}"
-        raise FileProblem(path, f"has an outline, number {number}, that cannot be read ({said})") from error
+        reason = f"{type(error).__name__}: {error}"
+        raise FileProblem(
+            path, f"has an outline, number {number}, that cannot be read ({reason})", "Remove it from the file."
+        ) from error
     if structure not in LABELS:
-        raise FileProblem(path, f"outlines a '{structure}', which is unknown", f"Known are {', '.join(LABELS)}.")
+        raise FileProblem(
+            path, f"has an outline of the unknown structure '{structure}'", f"Known structures: {', '.join(LABELS)}."
+        )
     if axis not in AXES or not 0 <= index < slice_count(grid, axis):
-        raise FileProblem(path, f"has an outline in slice {index} across {axis}, which the volume does not have")
+        raise FileProblem(
+            path, f"has an outline in slice {index} across {axis}, which does not exist in the volume",
+            "Remove it from the file.",
+        )  # fmt: skip
     if len(outline) < _FEWEST:
         raise FileProblem(
-            path, f"has an outline, number {number}, of {len(outline)} points", "Take it out of the file."
+            path, f"has an outline, number {number}, of only {len(outline)} points", "Remove it from the file."
         )
     return Contour(structure=structure, axis=axis, index=index, anchors=anchors, outline=outline)
 
@@ -107,12 +119,12 @@ def _contour(path: Path, number: int, entry: Any, grid: VoxelGrid) -> Contour:
 def _shape(values: Any) -> tuple[int, int, int]:
     k, j, i = (int(value) for value in values)
     if min(k, j, i) < 1:
-        raise ValueError("a shape without voxels")
+        raise ValueError("the shape has no voxels")
     return k, j, i
 
 
 def _numbers(values: Any, shape: tuple[int, int]) -> Floats:
     array = np.array(values, dtype=float).reshape(shape)
     if not np.isfinite(array).all():
-        raise ValueError("values that are no numbers")
+        raise ValueError("some values are not finite")
     return array

@@ -1,4 +1,4 @@
-"""`correspondence.json`: where each bone of the scanner lies in its frame in the laboratory, and how well."""
+"""`correspondence.json`: transform of each bone from the scanner to its laboratory frame, with its accuracy."""
 
 import json
 import re
@@ -14,7 +14,7 @@ from marey.knee.markers.correspondence import BoneCorrespondence, KneeCorrespond
 from marey.markers.kinematics.transform_chain import CAPTURE_ANATOMIC, MR_ANATOMIC, MR_GLOBAL, NamedTransform
 
 _ROWS = re.compile(r"\[\s+([-+.\deE,\s]+?)\s+\]")
-"""A list of numbers, which is read more easily in one line."""
+"""Matches a list of numbers over several lines of JSON, to be written in one line."""
 
 
 def write_correspondence(path: Path | str, found: KneeCorrespondence) -> None:
@@ -22,7 +22,7 @@ def write_correspondence(path: Path | str, found: KneeCorrespondence) -> None:
 
     Args:
         path: The file.
-        found: What joins the scanned knee to the activity.
+        found: The correspondence between the scanned knee and the captured activity.
     """
     naming = found.naming
     table = {
@@ -65,24 +65,26 @@ def _bone(found: BoneCorrespondence) -> dict[str, object]:
 
 
 def read_correspondence(path: Path | str) -> dict[str, NamedTransform]:
-    """Read where each bone of the scanner lies in its frame in the laboratory.
+    """Read the transform of each bone from the scanner to its laboratory frame.
 
     Args:
         path: The file.
 
     Returns:
-        Bone to the transform to `capture anatomic` from `MR global` [mm], with its covariance.
+        For each bone, the transform to `capture anatomic` from `MR global` [mm], with its covariance.
 
     Raises:
-        FileProblem: The file is missing or damaged, or a matrix is none.
+        FileProblem: The file is missing or damaged, or a matrix has another shape or values that are not finite.
     """
     try:
         bones = json.loads(Path(path).read_text(encoding="utf-8"))["bones"]
         return {bone: _transform(each) for bone, each in bones.items()}
     except FileNotFoundError as error:
-        raise FileProblem(path, "is not there", "`marey knee animate` writes it.") from error
+        raise FileProblem(path, "does not exist", "`marey knee animate` writes it.") from error
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise FileProblem(path, "is no correspondence of bones", "`marey knee animate` writes it.") from error
+        raise FileProblem(
+            path, "cannot be read as a correspondence of bones", "`marey knee animate` writes it."
+        ) from error
 
 
 def _transform(table: Mapping[str, object]) -> NamedTransform:
@@ -101,5 +103,5 @@ def _transform(table: Mapping[str, object]) -> NamedTransform:
 def _array(values: object, shape: tuple[int, int]) -> Floats:
     array = np.array(values, float)
     if array.shape != shape or not np.isfinite(array).all():
-        raise ValueError("no such matrix")
+        raise ValueError(f"the matrix should be finite and of shape {shape}")
     return array

@@ -1,4 +1,4 @@
-"""`markers.json`: where the scanner saw the gadolinium markers, and what a person adds by hand, names and bones."""
+"""`markers.json`: positions of the gadolinium markers in the scanner, with names and bones added by hand."""
 
 import json
 from dataclasses import dataclass, replace
@@ -14,8 +14,11 @@ from marey.knee.markers.gadolinium import Gadolinium
 from marey.knee.space.structures import BONES
 
 FILE = "markers.json"
+"""Name of the file in the folder of a segmented knee."""
 _SAME_MM = 2.0
+"""Names are kept for a marker that moved less than this distance between two runs [mm]. Chosen by hand."""
 _ADDED = {"marker_names": "names", "marker_segment": "bones"}
+"""Keys that a user adds by hand, with the fields of `MarkersInScanner`."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -23,28 +26,28 @@ class MarkersInScanner:
     """The M markers of `markers.json`."""
 
     centres_mm: Floats
-    """(M, 3) LPS."""
+    """(M, 3) centres in LPS [mm]."""
     sd_mm: Floats
-    """(M, 3)."""
+    """(M, 3) standard deviations of the centres [mm]."""
     diameter_mm: Floats | None = None
-    """(M,) None in a file that does not say."""
+    """(M,) diameters [mm]; None where the file has none."""
     names: tuple[str | None, ...] = ()
-    """(M,) the laboratory's label of each, None where it is not said; empty where none is."""
+    """(M,) label of each marker in the laboratory, None where unknown; empty where all are unknown."""
     bones: tuple[str | None, ...] = ()
-    """(M,) femur, tibia or patella, on which each rides, None where it is not said; empty where none is."""
+    """(M,) bone that carries each marker (femur, tibia or patella), None where unknown; empty where all are unknown."""
 
     def __post_init__(self) -> None:
         freeze_fields(self, "centres_mm", "sd_mm")
 
     @staticmethod
     def of(found: Gadolinium) -> "MarkersInScanner":
-        """Take over what was found in a volume."""
+        """Return the markers detected in a volume, without names."""
         return MarkersInScanner(
             centres_mm=found.centres_mm, sd_mm=found.centres_sd_mm, diameter_mm=found.diameter_mm
         )  # fmt: skip
 
     def named_as(self, earlier: "MarkersInScanner") -> "MarkersInScanner":
-        """Take over names and bones that were added by hand to markers in the same places, to 2 mm."""
+        """Return these markers with the names and bones of earlier markers within 2 mm."""
         apart = np.linalg.norm(self.centres_mm[:, None] - earlier.centres_mm[None], axis=2)
         nearest = [int(row.argmin()) if row.size and row.min() < _SAME_MM else None for row in apart]
 
@@ -55,7 +58,7 @@ class MarkersInScanner:
 
 
 def write_markers(path: Path | str, markers: MarkersInScanner) -> None:
-    """Write the markers; names and bones only where there are some."""
+    """Write the markers; names and bones only if there are any."""
     table: dict[str, object] = {
         "unit": "mm",
         "marker_centres_lps_mm": np.round(markers.centres_mm, 4).tolist(),
@@ -69,7 +72,7 @@ def write_markers(path: Path | str, markers: MarkersInScanner) -> None:
 
 
 def read_markers(path: Path | str) -> MarkersInScanner:
-    """Read the markers with what was added by hand.
+    """Read the markers with the names and bones added by hand.
 
     Raises:
         FileProblem: The file is missing or damaged, or its lists are not of one length.
@@ -82,10 +85,13 @@ def read_markers(path: Path | str) -> MarkersInScanner:
     except FileNotFoundError as error:
         raise FileProblem(path, "is not there", "`marey knee segment` writes it where it finds markers.") from error
     except (OSError, ValueError, KeyError, TypeError) as error:
-        wrong = f"holds no marker_centres_lps_mm and marker_centres_sd_mm, lists of three numbers ({error})"
-        raise FileProblem(path, wrong, "Mend it, or let `marey knee segment` write it again.") from error
+        wrong = f"has no marker_centres_lps_mm and marker_centres_sd_mm, lists of three numbers ({error})"
+        raise FileProblem(path, wrong, "Correct it, or run `marey knee segment` again.") from error
     if sds.shape != centres.shape or not np.isfinite(centres).all() or not (sds > 0).all():
-        raise FileProblem(path, "needs three numbers, and three deviations above 0, for each marker", "Mend it.")
+        raise FileProblem(
+            path, "has a marker without three coordinates and three standard deviations above 0",
+            "Correct marker_centres_lps_mm and marker_centres_sd_mm.",
+        )  # fmt: skip
     return MarkersInScanner(
         centres_mm=centres,
         sd_mm=sds,
@@ -98,10 +104,15 @@ def read_markers(path: Path | str) -> MarkersInScanner:
 def _added(path: Path | str, table: dict[str, Any], key: str, count: int) -> tuple[str | None, ...]:
     values = table.get(key) or []
     if not isinstance(values, list) or len(values) not in (0, count):
-        raise FileProblem(path, f"needs as many {key} as markers, {count}", "Write null for one that has none.")
+        raise FileProblem(
+            path, f"does not have one entry of {key} for each of the {count} markers",
+            "Write null for a marker that has none.",
+        )  # fmt: skip
     if not all(value is None or isinstance(value, str) for value in values):
-        raise FileProblem(path, f"has {key} that are no texts", 'Write them as "name", or null.')
+        raise FileProblem(path, f"has entries of {key} that are not texts", 'Write them as "name", or null.')
     strange = sorted({value for value in values if value is not None} - set(BONES))
     if key == "marker_segment" and strange:
-        raise FileProblem(path, f"has a marker on {', '.join(strange)}", f"The bones are {', '.join(BONES)}.")
+        raise FileProblem(
+            path, f"has a marker on an unknown bone ({', '.join(strange)})", f"The bones are {', '.join(BONES)}."
+        )
     return tuple(values)

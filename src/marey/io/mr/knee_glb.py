@@ -1,4 +1,4 @@
-"""GLB: a knee's bones and cartilages in motion, for Blender and the web."""
+"""GLB export of a knee's bones and cartilages in motion, for Blender and the web."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -17,21 +17,24 @@ from marey.knee.space.surface import TriangleSurface
 from marey.markers.kinematics.transform_chain import NamedTransform
 
 _VERTICES, _INDICES = 34962, 34963
+"""Buffer targets ARRAY_BUFFER and ELEMENT_ARRAY_BUFFER of the glTF 2.0 specification."""
 _MM = 1e3
+"""Millimetres per metre; glTF's unit is the metre."""
 SEE_THROUGH = 0.35
-"""Opacity of bones."""
+"""Opacity of bones that are drawn transparent, from 0 to 1. Chosen by eye."""
 _BALL_MM, _RINGS, _SECTORS = 1.5, 7, 12
+"""Radius of the ball at a centre of proximity [mm], and the numbers of its rings and sectors. Chosen by eye."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ColouredPart:
-    """A structure as it is drawn."""
+    """A structure with the colours of its vertices."""
 
     bone: str
     """The bone with which it moves."""
     surface: TriangleSurface
     colours: Image
-    """(V, 3) red, green, blue."""
+    """(V, 3) red, green and blue from 0 to 255."""
     see_through: bool = False
 
 
@@ -39,17 +42,17 @@ def write_knee_glb(
     path: Path | str, parts: Mapping[str, ColouredPart], poses: Mapping[str, NamedTransform], time: Floats, *,
     balls: Mapping[str, tuple[str, Floats]], y_up: bool = False,
 ) -> None:  # fmt: skip
-    """Write meshes that move with their bones; metres, Y up.
+    """Write meshes that move with their bones, in metres with Y up.
 
-    A frame in which a bone has no pose shows nothing of it: the bone shrinks to a point until it is known again.
+    In a frame without a pose, the bone is hidden: it is scaled to a point.
 
     Args:
         path: The file.
-        parts: By the structure's name.
-        poses: Bone to its place in every frame [mm]; a constant one stands.
+        parts: Structures by name.
+        poses: Pose of each bone in every frame [mm]; a constant pose is not animated.
         time: (F,) [s].
-        balls: Name to the bone in whose frame it moves and its places (F, 3) [mm]: centres of proximity.
-        y_up: Whether the poses' frame has Y up already; otherwise it has Z up.
+        balls: Centres of proximity by name: the bone in whose frame they are given, and their positions (F, 3) [mm].
+        y_up: Whether Y points up in the frame of the poses; otherwise Z does.
     """
     buffer = GlbBuffer()
     builder = _Builder(buffer, np.asarray(time) - float(time[0]))
@@ -79,7 +82,7 @@ def write_knee_glb(
 
 
 class _Builder:
-    """The tracks of the animation."""
+    """Collects the samplers and channels of the animation."""
 
     def __init__(self, buffer: GlbBuffer, time: Floats):
         self._buffer, self._time = buffer, time
@@ -87,7 +90,7 @@ class _Builder:
         self.channels: list[dict[str, Any]] = []
 
     def moved(self, node: int, pose: NamedTransform) -> dict[str, Any]:
-        """Move a node as a bone; give where it begins."""
+        """Animate a node with the pose of a bone, and return its initial transform."""
         if not pose.moves:
             return _placed(pose.rotation, pose.translation)
         known: Mask = np.asarray(np.isfinite(pose.matrix()).all((1, 2)))
@@ -101,7 +104,7 @@ class _Builder:
         return _placed(pose.rotation[first], pose.translation[first])
 
     def carried(self, node: int, places: Floats) -> dict[str, Any]:
-        """Carry a node from place to place."""
+        """Animate the translation of a node, and return its initial transform."""
         known: Mask = np.asarray(np.isfinite(places).all(1))
         if not known.any():
             return {"scale": [0.0] * 3}
@@ -141,14 +144,14 @@ def _primitive(buffer: GlbBuffer, part: ColouredPart, material: int) -> dict[str
 
 
 def _linear(colours: np.ndarray) -> Floats:
-    """Turn screen colours into the linear ones that glTF has at vertices."""
+    """Convert sRGB colours to the linear colours that glTF uses at vertices."""
     share = np.asarray(colours, float) / 255
     share[:, :3] = np.where(share[:, :3] <= 0.04045, share[:, :3] / 12.92, ((share[:, :3] + 0.055) / 1.055) ** 2.4)
     return share
 
 
 def _normals(surface: TriangleSurface) -> Floats:
-    """Give unit normals also where no face is: glTF asks for their length."""
+    """Return unit normals (V, 3), also at vertices without a face, as glTF requires."""
     normals = surface.vertex_normals
     return np.where(np.linalg.norm(normals, axis=1, keepdims=True) > 0, normals, [0.0, 0.0, 1.0])
 
@@ -159,7 +162,7 @@ def _material(opacity: float, colour: tuple[float, float, float] = (1.0, 1.0, 1.
 
 
 def _ball(radius_mm: float) -> TriangleSurface:
-    """Make a ball of rings."""
+    """Return a sphere of rings and sectors."""
     down, round_ = np.meshgrid(np.linspace(0, np.pi, _RINGS), np.linspace(0, 2 * np.pi, _SECTORS + 1), indexing="ij")
     places = np.stack([np.sin(down) * np.cos(round_), np.sin(down) * np.sin(round_), np.cos(down)], -1).reshape(-1, 3)
     corner = np.arange(_RINGS * (_SECTORS + 1)).reshape(_RINGS, -1)

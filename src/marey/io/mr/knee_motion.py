@@ -1,4 +1,4 @@
-"""`knee_motion.npz` and `proximity.csv`: how a knee's bones moved, and how near their cartilages came."""
+"""`knee_motion.npz` and `proximity.csv`: motion of a knee's bones, and distances between its cartilages."""
 
 import csv
 from pathlib import Path
@@ -12,21 +12,22 @@ from marey.knee.motion.proximity import NEAR_MM, Proximity
 from marey.markers.kinematics.joint_angles import JointKinematics
 
 _BESIDE = "compared_"
+"""Prefix of the keys of the second correction of the soft-tissue motion."""
 
 
 def write_knee_motion(path: Path | str, found: KneeMotion, compared: KneeMotion | None = None) -> None:
-    """Write all numbers under plain names; those of a second correction begin with `compared_`.
+    """Write all results as named arrays; the names of a second correction begin with `compared_`.
 
     `time` s, `rate` Hz, `side`, `method`; `bones` (B,), `laboratory_from_scanner` and `tibia_from_bone` (F, B, 4, 4)
-    mm, with `..._covariance` (F, B, 6, 6) of the turn to the right of the rotation [rad] and of the translation [mm];
+    mm, with `..._covariance` (F, B, 6, 6) of the rotation error from the right [rad] and of the translation [mm];
     `angle_names`, `angles_deg`, `angles_deg_sd`, `translation_names`, `translations_mm`, `translations_mm_sd`; of each
-    joint, `tibiofemoral_gap_mm` for one, what `marey.knee.motion.proximity.Proximity` holds; `..._vertices` say which
-    vertices of the structure's mesh the maps are of.
+    joint, the fields of `marey.knee.motion.proximity.Proximity`, for example `tibiofemoral_gap_mm`; `..._vertices` are
+    the indices of the mesh vertices to which the distance maps belong.
 
     Args:
         path: The file.
-        found: What was found.
-        compared: The same by another correction of the skin's motion.
+        found: The motion to write.
+        compared: The same motion by another correction of the soft-tissue motion.
     """
     arrays = _arrays(found)
     if compared is not None:
@@ -52,7 +53,7 @@ def _arrays(found: KneeMotion) -> dict[str, object]:
 
 
 def _poses(motion: JointMotion) -> dict[str, object]:
-    """Give the bones' poses in the room, and in the tibia's frame where that moves."""
+    """Return the poses of the bones in the laboratory and, where the tibia is tracked, in the tibia's frame."""
     kinds = {"laboratory_from_scanner": dict(motion.poses)}
     if BASE in motion.poses:
         kinds["tibia_from_bone"] = {bone: motion.held(bone) for bone in motion.bones}
@@ -86,19 +87,19 @@ def _joint(joint: Proximity) -> dict[str, object]:
     )
     for side, distance, centre, spread in sides:
         arrays[f"{side.name}_vertices"] = side.sources
-        # To a micrometre: what lies behind that is chance, and does not pack.
+        # Rounded to a micrometre: further digits are noise and compress badly.
         arrays[f"{side.name}_distance_mm"] = np.round(distance, 3)
         arrays[f"{side.name}_centre_mm"], arrays[f"{side.name}_centre_sd_mm"] = centre, spread
     return {f"{joint.name}_{name}": value for name, value in arrays.items()}
 
 
 def write_proximity(path: Path | str, found: KneeMotion, compared: KneeMotion | None = None) -> None:
-    """Write `proximity.csv`: a row a frame, joint, compartment and correction; what is not known is an empty cell.
+    """Write `proximity.csv`, one row per frame, joint, compartment and correction; unknown values are empty cells.
 
     Args:
         path: The file.
-        found: What was found.
-        compared: The same by another correction.
+        found: The motion to write.
+        compared: The same motion by another correction of the soft-tissue motion.
     """
     limits = {joint.limit_mm for joint in found.joints}
     near = f"area_below_{next(iter(limits)):g}mm_mm2" if limits else "area_near_mm2"

@@ -1,4 +1,4 @@
-"""Triangle meshes of bones and cartilage: PLY, STL, VTK and GLB, and the shared NPZ of vertices and faces."""
+"""Reading and writing of triangle meshes of bones and cartilage: PLY, STL, VTK, GLB, and NPZ."""
 
 import struct
 import warnings
@@ -15,28 +15,29 @@ from marey.io.npz import read_arrays
 from marey.knee.space.surface import TriangleSurface
 
 ENDINGS = (".ply", ".stl", ".vtk", ".glb")
-"""What is written; OBJ, OFF and NPZ are read, too."""
+"""File name extensions of the formats that are written; OBJ, OFF and NPZ can also be read."""
 _READ = (*ENDINGS, ".obj", ".off", ".npz")
+"""File name extensions of the formats that are read."""
 GLTF_FROM_LPS = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]) / 1000
-"""glTF's metres, x to the left, y up and z to the front, from the scanner's millimetres, x left, y back, z head."""
+"""(3, 3) Transform to glTF (metres; x left, y up, z front) from LPS (millimetres; x left, y back, z head)."""
 
 
 def read_mesh(path: Path | str) -> TriangleSurface:
-    """Read a surface in LPS millimetres; faces that turn inward all together are turned, corners at one place joined.
+    """Read a surface in LPS [mm]; faces are flipped if all point inward, and coincident corners of STL are merged.
 
     Args:
-        path: PLY, STL, VTK (legacy polygons), GLB (its metres and axes are turned back), OBJ, OFF, or NPZ with
-            `vertices` and `faces`. The order of the vertices stays, but in STL, which has none.
+        path: PLY, STL, VTK (legacy polygons), GLB (converted back to LPS millimetres), OBJ, OFF, or NPZ with
+            `vertices` and `faces`. The order of the vertices is kept, except for STL, which has none.
 
     Raises:
-        FileProblem: It is missing, of another kind, damaged, or holds no triangles.
+        FileProblem: The file is missing or damaged, has another format, or contains no triangles.
     """
     path = Path(path)
     ending = path.suffix.lower()
     if ending not in _READ:
-        raise FileProblem(path, "is not a mesh that is read here", f"Give one of {', '.join(_READ)}.")
+        raise FileProblem(path, "has an unknown mesh format", f"The known formats are {', '.join(_READ)}.")
     if not path.is_file():
-        raise FileProblem(path, "is not there")
+        raise FileProblem(path, "does not exist", "Check its name.")
     if not path.stat().st_size:
         raise FileProblem(path, "is empty", "Copy or write it again.")
     if ending == ".npz":
@@ -61,21 +62,21 @@ def write_mesh(
     colours: Image | None = None,
     values: Mapping[str, Floats] | None = None,
 ) -> None:
-    """Write a surface; the ending says how.
+    """Write a surface in the format given by the file name extension.
 
     Args:
         path: `.ply`, `.stl`, `.vtk` (legacy, binary) or `.glb` (metres, Y up).
         surface: The mesh.
-        colours: (V, 3) red, green and blue of each vertex; STL has no place for them.
-        values: Names to (V,) numbers of each vertex, such as `thickness_mm`; PLY and VTK have a place for them.
+        colours: (V, 3) red, green and blue of each vertex, from 0 to 255; not stored in STL.
+        values: Named values (V,) at the vertices, such as `thickness_mm`; stored in PLY and VTK only.
 
     Raises:
-        FileProblem: The ending is another, or the folder cannot be written to.
+        FileProblem: The extension is unknown, or the folder cannot be written to.
     """
     path = Path(path)
     writers = {".ply": _ply, ".stl": _stl, ".vtk": _vtk, ".glb": _glb}
     if path.suffix.lower() not in writers:
-        raise FileProblem(path, "is not a mesh that is written here", f"Give one of {', '.join(ENDINGS)}.")
+        raise FileProblem(path, "has an unknown mesh format", f"The formats for writing are {', '.join(ENDINGS)}.")
     data = writers[path.suffix.lower()](surface, colours, values or {})
     with replacing(path) as beside:
         beside.write_bytes(data)
@@ -83,16 +84,16 @@ def write_mesh(
 
 def _checked(path: Path, vertices: np.ndarray, faces: np.ndarray) -> TriangleSurface:
     if not len(faces) or not len(vertices) or np.shape(faces)[1:] != (3,) or np.shape(vertices)[1:] != (3,):
-        raise FileProblem(path, "holds no triangles", "Give a surface, not points or lines.")
+        raise FileProblem(path, "contains no triangles", "Give a surface, not points or lines.")
     if faces.min() < 0 or faces.max() >= len(vertices):
-        raise FileProblem(path, "has faces that name vertices it does not have", "Write it again.")
+        raise FileProblem(path, "has faces with vertices that do not exist", "Write it again.")
     if not np.isfinite(vertices[np.unique(faces)]).all():
-        raise FileProblem(path, "has vertices that are no numbers", "Write it again.")
+        raise FileProblem(path, "has vertices that are not finite", "Write it again.")
     return TriangleSurface(vertices_mm=vertices, faces=faces)
 
 
 def _outward(surface: TriangleSurface) -> TriangleSurface:
-    """Turn the faces where the surface encloses less than nothing; about its own middle, for it may be open."""
+    """Flip the faces if the enclosed volume is negative; computed about the centroid, as the surface may be open."""
     middle = surface.vertices_mm.mean(0)
     if TriangleSurface(vertices_mm=surface.vertices_mm - middle, faces=surface.faces).volume_mm3 >= 0:
         return surface
@@ -109,9 +110,11 @@ def _read_with_trimesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
         return np.array(mesh.vertices, float), np.array(mesh.faces, np.int64)
     except MemoryError:
         raise
-    except Exception as error:  # damaged files end in whatever the reader stumbled over
+    except Exception as error:  # the readers raise errors of many types on damaged files
         kind = path.suffix[1:].upper()
-        raise FileProblem(path, f"cannot be read as {kind} ({type(error).__name__}: {error})", "") from error
+        raise FileProblem(
+            path, f"cannot be read as {kind} ({type(error).__name__}: {error})", "Copy or write it again."
+        ) from error
 
 
 def _ply(surface: TriangleSurface, colours: Image | None, values: Mapping[str, Floats]) -> bytes:
@@ -173,7 +176,7 @@ def _glb(surface: TriangleSurface, colours: Image | None, values: Mapping[str, F
 
 
 class _VtkText:
-    """Words and numbers of a legacy VTK file, in text or binary."""
+    """Reader of the words and numbers of a legacy VTK file, ASCII or binary."""
 
     def __init__(self, data: bytes, start: int, binary: bool) -> None:
         self.data, self.at, self.binary = data, start, binary
@@ -196,12 +199,12 @@ class _VtkText:
 
 
 def _read_vtk(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Read the points and polygons of a legacy file, versions 1 to 5."""
+    """Read the points and polygons of a legacy VTK file, versions 1 to 5."""
     data = path.read_bytes()
     try:
         head = data.split(b"\n", 4)
         if not head[0].startswith(b"# vtk DataFile") or head[3].split() != [b"DATASET", b"POLYDATA"]:
-            raise MareyError("it is no legacy file of POLYDATA")
+            raise MareyError("it is not a legacy POLYDATA file")
         text = _VtkText(data, len(b"\n".join(head[:4])), head[2].strip() == b"BINARY")
         points, faces = np.zeros((0, 3)), np.zeros((0, 3), np.int64)
         while (word := text.word()) and word not in ("POINT_DATA", "CELL_DATA"):
@@ -223,7 +226,7 @@ def _read_vtk(path: Path) -> tuple[np.ndarray, np.ndarray]:
 def _vtk_polygons(text: _VtkText) -> np.ndarray:
     first, second = int(text.word()), int(text.word())
     place = text.at
-    if text.word() == "OFFSETS":  # version 5: where each polygon begins, and then all corners
+    if text.word() == "OFFSETS":  # version 5: offsets of the polygons, followed by all corners
         offsets = text.numbers(text.word(), first).astype(np.int64)
         text.word()
         corners = text.numbers(text.word(), second).astype(np.int64)

@@ -1,4 +1,4 @@
-"""The scanner's markers as the correspondence takes them, and landmarks picked by hand in its images."""
+"""Reading of the scanner's markers for the correspondence, and of landmarks picked by hand in MR images."""
 
 import json
 from pathlib import Path
@@ -12,22 +12,23 @@ from marey.knee.markers.anatomical_frames import Landmarks
 from marey.knee.markers.marker_naming import ScannerMarkers
 
 _LANDMARKS_RIGHT = 'It holds {"landmarks_lps_mm": {"LE": [x, y, z], ...}}; docs/how-to/knee-markers.md names them.'
+"""Remedy in the error messages on `landmarks.json`: the expected content."""
 
 
 def read_scanner_markers(path: Path | str) -> ScannerMarkers:
-    """Read `markers.json` with what a user wrote into it.
+    """Read `markers.json` with the names and bones added by hand.
 
     Args:
-        path: The file, as `marey knee segment` leaves it, or as a user completed it.
+        path: The file, as written by `marey knee segment` or completed by hand.
 
     Raises:
-        FileProblem: It is missing or damaged, holds no markers, or what is said of them cannot be.
+        FileProblem: The file is missing or damaged, contains no markers, or has inconsistent names or bones.
     """
     read = read_markers(path)
     if not len(read.centres_mm):
-        raise FileProblem(path, "holds no marker", "No balls were found in the volume; add them by hand to the file.")
-    # An empty text is how one leaves a name out by hand.
-    names, bones = (tuple(value or None for value in said) for said in (read.names, read.bones))
+        raise FileProblem(path, "contains no marker", "None were detected in the volume: add them to the file by hand.")
+    # An empty text is a name left out by hand.
+    names, bones = (tuple(value or None for value in values) for values in (read.names, read.bones))
     try:
         return ScannerMarkers(centres_mm=read.centres_mm, sd_mm=read.sd_mm, names=names, bones=bones)
     except MareyError as problem:
@@ -42,26 +43,26 @@ def read_landmarks(path: Path | str) -> Landmarks:
         path: The file: `landmarks_lps_mm`, name to [x, y, z].
 
     Raises:
-        FileProblem: It is missing or damaged, or a place is none.
+        FileProblem: The file is missing or damaged, or a landmark does not have three finite coordinates.
     """
     path = Path(path)
     try:
         named = json.loads(path.read_text(encoding="utf-8")).get("landmarks_lps_mm")
     except FileNotFoundError as error:
-        raise FileProblem(path, "is not there", _LANDMARKS_RIGHT) from error
+        raise FileProblem(path, "does not exist", _LANDMARKS_RIGHT) from error
     except (OSError, ValueError, AttributeError) as error:
-        raise FileProblem(path, "is no table of JSON", _LANDMARKS_RIGHT) from error
+        raise FileProblem(path, "is not a JSON object", _LANDMARKS_RIGHT) from error
     if not isinstance(named, dict) or not named:
-        raise FileProblem(path, "holds no landmarks_lps_mm", _LANDMARKS_RIGHT)
+        raise FileProblem(path, "has no landmarks_lps_mm", _LANDMARKS_RIGHT)
     places = {str(name): _numbers(at) for name, at in named.items()}
     wrong = [name for name, at in places.items() if at.shape != (3,)]
     if wrong:
-        raise FileProblem(path, f"has no three numbers for {', '.join(wrong)}", _LANDMARKS_RIGHT)
+        raise FileProblem(path, f"does not have three numbers for {', '.join(wrong)}", _LANDMARKS_RIGHT)
     return Landmarks(places_mm=places)
 
 
 def _numbers(values: object) -> Floats:
-    """Give an array of finite numbers; an empty one of no shape that fits where they are none."""
+    """Return an array of finite numbers, or an empty array of three dimensions where the values are not."""
     try:
         array = np.array(values, float)
     except (TypeError, ValueError):

@@ -14,7 +14,7 @@ from marey.knee.cartilage.subregions import Subregion
 
 
 def write_rigid(path: Path | str, subject_from_template: Floats, about: Mapping[str, object]) -> None:
-    """Write a homogeneous matrix (4, 4) [mm] and what else is known of it, under plain names."""
+    """Write a homogeneous matrix (4, 4) [mm] with further named values."""
     table = {"subject_from_template": np.asarray(subject_from_template).tolist(), **about}
     with replacing(path) as beside:
         beside.write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
@@ -29,23 +29,26 @@ def read_rigid(path: Path | str) -> Floats:
     try:
         matrix = np.array(json.loads(Path(path).read_text(encoding="utf-8"))["subject_from_template"], float)
     except FileNotFoundError as error:
-        raise FileProblem(path, "is not there") from error
+        raise FileProblem(path, "does not exist", "`marey knee register` writes it.") from error
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise FileProblem(path, "holds no subject_from_template", "`marey knee register` writes it.") from error
+        raise FileProblem(path, "has no subject_from_template", "`marey knee register` writes it.") from error
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
-        raise FileProblem(path, "has a subject_from_template that is no matrix of 4 x 4", "")
+        raise FileProblem(
+            path, "has a subject_from_template that is not a finite 4 x 4 matrix", "`marey knee register` writes it."
+        )
     return matrix
 
 
 _HEAD = ("cartilage", "part", "area_mm2", "volume_mm3", "mean_mm", "thickest_mm", "covered_percent")
+"""Columns of `cartilage.csv`, in their order."""
 
 
 def write_parts(path: Path | str, parts: Mapping[str, Sequence[Subregion]]) -> None:
-    """Write a row for each part of each cartilage.
+    """Write `cartilage.csv`, one row per region of each cartilage.
 
     Args:
         path: The file.
-        parts: By the cartilage's name.
+        parts: Regions by the name of the cartilage.
     """
     with replacing(path) as beside, beside.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
@@ -57,16 +60,16 @@ def write_parts(path: Path | str, parts: Mapping[str, Sequence[Subregion]]) -> N
 
 
 def read_parts(path: Path | str) -> dict[str, list[Subregion]]:
-    """Read `cartilage.csv` as `write_parts` leaves it.
+    """Read `cartilage.csv` as written by `write_parts`.
 
     Args:
         path: The file.
 
     Returns:
-        The parts by the cartilage's name.
+        The regions by the name of the cartilage.
 
     Raises:
-        FileProblem: It is missing or damaged.
+        FileProblem: The file is missing or damaged.
     """
     parts: dict[str, list[Subregion]] = {}
     try:

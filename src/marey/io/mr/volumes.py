@@ -1,4 +1,4 @@
-"""MR volumes and volumes of labels: DICOM series, NIfTI, NRRD and MetaImage, with their place in the scanner."""
+"""Reading and writing of MR volumes and label volumes: DICOM series, NIfTI, NRRD and MetaImage."""
 
 import gzip
 import json
@@ -24,21 +24,30 @@ from marey.knee.space.structures import LABELS, structure_named
 from marey.knee.space.volume import Labels, Volume, VoxelGrid
 
 _KEPT: list[ModuleType] = []
-"""Tables of types that SimpleITK uses on; they go when nobody holds them."""
+"""SWIG type tables that SimpleITK still uses; kept here so that they are not freed."""
 
 FORMATS = (".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd", ".dcm")
+"""File name extensions of the formats that are read."""
 _NAME_FILES = ("labels.json", "names.json")
+"""Files that name the values of a label volume, besides one of the volume's own name."""
 _UNEVEN = 0.05
-"""Share of a slice distance by which it may differ from the usual one; a missing slice differs by 1."""
+"""Largest difference of a slice distance from the median, as a fraction of it; a missing slice differs by 1.
+
+Chosen by hand."""
 _FEWEST = 4
+"""Smallest number of voxels along each axis of a volume; chosen by hand."""
 _MOST_OTHERS = 200
-"""So many values of other structures a volume of labels may hold, and no more."""
+"""Largest number of unnamed values in a label volume; with more it is taken for an image. Chosen by hand."""
 _GZIP = b"\x1f\x8b"
+"""First two bytes of a gzip file (RFC 1952)."""
 _NIFTI_2 = 540
-"""Length of its header; 348 in the first version."""
+"""Length of the header of a NIfTI-2 file [bytes]; NIfTI-1 has 348."""
 _NIFTI_FLOATS = {16: "f4", 64: "f8"}
+"""Data types of NIfTI that can hold NaN, with their NumPy codes."""
 _BELOW_ZERO = 0.05
-"""Share of the image's upper end by which resampling leaves an MR image's air below zero at most."""
+"""An image whose 1st percentile is below this negative fraction of its 99th is not accepted as MR.
+
+The margin allows for negative air values after resampling. Chosen by hand."""
 
 
 def read_volume(path: Path | str) -> Volume:
@@ -48,8 +57,8 @@ def read_volume(path: Path | str) -> Volume:
         path: A file of `FORMATS`, or a folder with one DICOM series.
 
     Raises:
-        FileProblem: It is missing or of an unknown format, has colours or four dimensions, is another modality than
-            MR, holds one value throughout or values far below zero, or its slices lie at uneven distances.
+        FileProblem: It is missing or has an unknown format, colours, four dimensions or a modality other than MR, or is
+            constant or far below zero, or its slices are unevenly spaced.
         MareyError: SimpleITK is not installed.
 
     Example:
@@ -62,18 +71,20 @@ def read_volume(path: Path | str) -> Volume:
     image = _read_series(path) if path.is_dir() else _read_file(path)
     intensity = simple_itk().GetArrayFromImage(image).astype(np.float32)
     if lost := max(int((~np.isfinite(intensity)).sum()), _no_numbers_in_nifti(path)):
-        share = f"holds {lost} voxels of {intensity.size} whose values are no numbers, NaN or infinite"
-        raise FileProblem(path, share, "Replace them, by 0 for instance.")
+        wrong = f"has {lost} of {intensity.size} voxels whose values are not finite (NaN or infinite)"
+        raise FileProblem(path, wrong, "Replace them, for example by 0.")
     if not np.ptp(intensity):
-        raise FileProblem(path, f"holds one value throughout, {intensity.flat[0]:g}", "Is it the image itself?")
+        raise FileProblem(
+            path, f"has the same value {intensity.flat[0]:g} in all voxels", "Check that it is the MR image itself."
+        )
     low, high = np.percentile(intensity, [1, 99])
     if low < -_BELOW_ZERO * abs(high):
-        raise FileProblem(path, f"holds values down to {intensity.min():g}, as CT does", "Give an MR image.")
+        raise FileProblem(path, f"has values down to {intensity.min():g}, as in CT", "Give an MR image.")
     return Volume(intensity=intensity, grid=_grid(image))
 
 
 def _no_numbers_in_nifti(path: Path) -> int:
-    """Count the values of a NIfTI file that are no numbers: ITK puts 0 in their place without a word."""
+    """Count the values of a NIfTI file that are not finite: ITK silently replaces them by 0."""
     if path.is_dir() or not path.name.lower().endswith((".nii", ".nii.gz")):
         return 0
     content = _unpacked(path)
@@ -90,22 +101,24 @@ def _no_numbers_in_nifti(path: Path) -> int:
 
 
 def _unpacked(path: Path) -> bytes:
-    """Give a file's content; one that was cut off is an error, which ITK fills up with 0 without a word."""
+    """Return the uncompressed content of a file; raise an error if it is truncated, which ITK silently pads with 0."""
     content = path.read_bytes()
     if content[:2] != _GZIP:
         return content
     try:
         return gzip.decompress(content)
     except (EOFError, OSError, zlib.error) as error:
-        raise FileProblem(path, "is cut off or damaged: it cannot be unpacked to its end", "Copy it again.") from error
+        raise FileProblem(
+            path, "is truncated or damaged: it cannot be decompressed to its end", "Copy it again."
+        ) from error
 
 
 def read_labels(path: Path | str) -> Labels:
-    """Read a volume of labels with the names of its values; structures are found by name, medial and lateral are one.
+    """Read a label volume with the names of its values; the medial and lateral parts of a structure are merged.
 
     Args:
         path: A file with `<its name>.json`, `labels.json` or `names.json` beside it, or a folder in which such a file
-            is named `labels.nii.gz`: a template, or what `marey knee segment` leaves.
+            is named `labels.nii.gz`: a template, or the results of `marey knee segment`.
 
     Raises:
         FileProblem: The volume or the names are missing or damaged, or none of the names is a structure of the knee.
@@ -117,13 +130,13 @@ def read_labels(path: Path | str) -> Labels:
     number_of = _numbers_by_value(_names_beside(path))
     if (other := len(set(np.unique(values).tolist()) - {0, *number_of})) > _MOST_OTHERS:
         raise FileProblem(
-            path, f"holds {other} values without a name: it seems to be an image", "Give labels, whole numbers."
+            path, f"has {other} values without a name: it seems to be an image", "Give a volume of integer labels."
         )
     labels = np.zeros(values.shape, dtype=np.uint8)
     for value, number in number_of.items():
         labels[values == value] = number
     if not labels.any():
-        raise FileProblem(path, "holds no voxel of any bone or cartilage", f"Known are {', '.join(LABELS)}.")
+        raise FileProblem(path, "has no voxel of a bone or cartilage", f"Known structures: {', '.join(LABELS)}.")
     return Labels(labels=labels, grid=_grid(image))
 
 
@@ -131,11 +144,11 @@ def read_template(folder: Path | str) -> Labels:
     """Read a template: a folder with `labels.nii.gz` and the names of its values in `names.json` or `labels.json`.
 
     Raises:
-        FileProblem: As `read_labels`, or the path is no folder.
+        FileProblem: As for `read_labels`, or the path is not a folder.
     """
     folder = Path(folder)
     if not folder.is_dir():
-        raise FileProblem(folder, "is no folder", "A template is a folder with labels.nii.gz and names.json.")
+        raise FileProblem(folder, "is not a folder", "A template is a folder with labels.nii.gz and names.json.")
     return read_labels(folder)
 
 
@@ -143,13 +156,13 @@ def write_labels(folder: Path | str, labels: Labels, *, missing: Mapping[str, st
     """Write `labels.nii.gz` and, with the names of its values, `labels.json`.
 
     Args:
-        folder: Made where it is missing.
+        folder: Output folder, created where missing.
         labels: On the image's own grid.
-        missing: Structure that was asked for and is not among them, to the reason: written as `missing`.
+        missing: Requested structures that are not among the labels, with the reason; written as `missing`.
     """
     image = _image(labels.labels, labels.grid)
     folder = Path(folder)
-    # An ending that SimpleITK knows: `replacing` keeps the last one only.
+    # SimpleITK needs the extension .nii.gz, of which `replacing` keeps the last part only.
     with replacing(folder / "labels.nii.gz") as beside:
         whole = beside.with_name(f"{beside.name}.nii.gz")
         try:
@@ -167,7 +180,7 @@ def write_labels(folder: Path | str, labels: Labels, *, missing: Mapping[str, st
 
 
 def write_volume(path: Path | str, volume: Volume) -> None:
-    """Write an image to a file of one of the formats that its ending names."""
+    """Write an image in the format given by the file name extension."""
     with _quiet():
         simple_itk().WriteImage(_image(volume.intensity, volume.grid), str(path))
 
@@ -176,11 +189,11 @@ def write_volume(path: Path | str, volume: Volume) -> None:
 def simple_itk() -> Any:
     """Import SimpleITK so that C3D files can still be written.
 
-    ezc3d and SimpleITK enter their types in one table, which SWIG keeps in a module, and take each other's vectors of
-    strings for their own: ezc3d crashes. Here the table of ezc3d is hidden while SimpleITK makes one of its own.
+    ezc3d and SimpleITK register their types in the same SWIG table and confuse each other's vectors of strings, which
+    crashes ezc3d. The table of ezc3d is therefore hidden while SimpleITK creates its own.
 
     Raises:
-        MareyError: It is not installed.
+        MareyError: SimpleITK is not installed.
     """
     import ezc3d  # noqa: F401
 
@@ -203,18 +216,18 @@ def _tables() -> dict[str, ModuleType]:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep ITK's warnings off the terminal: what they say is checked here, and said in words.
+    """Suppress the warnings of ITK, whose causes are checked and reported here.
 
-    What reads DICOM leaves the process in the C locale, in which texts that follow are no longer UTF-8: it is put back.
+    The DICOM reader leaves the process in the C locale, which is not UTF-8: the former locale is restored.
     """
     process = simple_itk().ProcessObject
-    before, spoken = process.GetGlobalWarningDisplay(), locale.setlocale(locale.LC_ALL)
+    shown, former = process.GetGlobalWarningDisplay(), locale.setlocale(locale.LC_ALL)
     process.SetGlobalWarningDisplay(False)
     try:
         yield
     finally:
-        process.SetGlobalWarningDisplay(before)
-        locale.setlocale(locale.LC_ALL, spoken)
+        process.SetGlobalWarningDisplay(shown)
+        locale.setlocale(locale.LC_ALL, former)
 
 
 def _grid(image: Any) -> VoxelGrid:
@@ -235,9 +248,9 @@ def _image(array: np.ndarray, grid: VoxelGrid) -> Any:
 
 def _read_file(path: Path) -> Any:
     if not path.exists():
-        raise FileProblem(path, "is not there")
+        raise FileProblem(path, "does not exist", "Check its name.")
     if not path.name.lower().endswith(FORMATS):
-        raise FileProblem(path, "is of no known format", f"Known are {', '.join(FORMATS)} and folders of DICOM slices.")
+        raise FileProblem(path, "has an unknown format", f"Known are {', '.join(FORMATS)} and folders of DICOM slices.")
     if not path.stat().st_size:
         raise FileProblem(path, "is empty", "Copy it again.")
     with _quiet():
@@ -245,7 +258,9 @@ def _read_file(path: Path) -> Any:
             image = simple_itk().ReadImage(str(path))
         except RuntimeError as error:
             if "Unable to determine ImageIO" in str(error):
-                raise FileProblem(path, "does not hold what its ending says", "Copy or write it again.") from error
+                raise FileProblem(
+                    path, "does not have the format of its file name extension", "Copy or write it again."
+                ) from error
             raise FileProblem(path, f"cannot be read ({_last_line(error)})", "Copy or write it again.") from error
     return _checked(path, image)
 
@@ -255,18 +270,18 @@ def _last_line(error: Exception) -> str:
 
 
 def _checked(path: Path, image: Any) -> Any:
-    """Give the image as three-dimensional and grey; anything else is an error."""
+    """Return the image if it is a three-dimensional scalar volume, else raise an error."""
     if image.GetDimension() == 4 and image.GetSize()[3] == 1:
         image = image[:, :, :, 0]
     if image.GetDimension() != 3:
         raise FileProblem(path, f"has {image.GetDimension()} dimensions", "Give one volume of three dimensions.")
     if image.GetNumberOfComponentsPerPixel() != 1:
-        raise FileProblem(path, "has colours or several values a voxel", "Give the grey volume.")
+        raise FileProblem(path, "has colours or several values per voxel", "Give the scalar volume.")
     if image.HasMetaDataKey("0008|0060"):
         _check_modality(path, image.GetMetaData("0008|0060"))
     size = image.GetSize()
     if size[2] == 1 and path.suffix.lower() == ".dcm":
-        raise FileProblem(path, "is a single slice", "Give the folder that holds the whole series.")
+        raise FileProblem(path, "is a single slice", "Give the folder with the whole series.")
     if min(size) < _FEWEST:
         raise FileProblem(path, f"has only {' x '.join(map(str, size))} voxels", "Give the whole volume.")
     return image
@@ -274,7 +289,7 @@ def _checked(path: Path, image: Any) -> Any:
 
 def _check_modality(path: Path, modality: str) -> None:
     if modality.strip() not in ("", "MR"):
-        raise FileProblem(path, f"is of the modality {modality.strip()}", "Give an MR image.")
+        raise FileProblem(path, f"has the modality {modality.strip()}", "Give an MR image.")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -283,9 +298,9 @@ class _Slice:
     size: tuple[int, ...]
     """Columns and rows."""
     orientation: Floats
-    """(6,) direction of rows, then of columns."""
+    """(6,) unit vectors along the rows, then along the columns."""
     position: Floats
-    """(3,) mm."""
+    """(3,) centre of the first pixel [mm]."""
 
     @property
     def normal(self) -> Floats:
@@ -297,16 +312,16 @@ def _read_series(folder: Path) -> Any:
     with _quiet():
         series = itk.ImageSeriesReader.GetGDCMSeriesIDs(str(folder))
     if not series:
-        raise FileProblem(folder, "holds no DICOM series", f"Give a folder of slices, or a file: {', '.join(FORMATS)}.")
+        raise FileProblem(folder, "has no DICOM series", f"Give a folder of slices, or a file: {', '.join(FORMATS)}.")
     if len(series) > 1:
         raise FileProblem(
-            folder, f"holds {len(series)} DICOM series: {_series_said(folder, series)}",
-            "Put each into a folder of its own.",
+            folder, f"has {len(series)} DICOM series: {_described_series(folder, series)}",
+            "Put each series into its own folder.",
         )  # fmt: skip
     with _quiet():
         files = itk.ImageSeriesReader.GetGDCMSeriesFileNames(str(folder), series[0])
         if len(files) == 1 and itk.ReadImage(files[0]).GetDepth() <= 1:
-            raise FileProblem(folder, "holds a single DICOM slice", "Give the folder that holds the whole series.")
+            raise FileProblem(folder, "has a single DICOM slice", "Give the folder with the whole series.")
         if len(files) == 1:
             return _checked(folder, itk.ReadImage(files[0]))
         slices = _in_order(folder, _of_one_size(folder, [_slice(folder, file) for file in files]))
@@ -315,7 +330,9 @@ def _read_series(folder: Path) -> Any:
         try:
             image = reader.Execute()
         except RuntimeError as error:
-            raise FileProblem(folder, f"cannot be read as a series ({_last_line(error)})") from error
+            raise FileProblem(
+                folder, f"cannot be read as a series ({_last_line(error)})", "Copy or export the series again."
+            ) from error
     return _checked(folder, image)
 
 
@@ -326,7 +343,9 @@ def _slice(folder: Path, file: str) -> _Slice:
         reader.ReadImageInformation()
         values = [float(value) for key in ("0020|0037", "0020|0032") for value in reader.GetMetaData(key).split("\\")]
     except (RuntimeError, ValueError) as error:
-        raise FileProblem(Path(file), "does not say where its slice lies", "Export the series again.") from error
+        raise FileProblem(
+            Path(file), "has no position or orientation of its slice", "Export the series again."
+        ) from error
     if reader.HasMetaDataKey("0008|0060"):
         _check_modality(folder, reader.GetMetaData("0008|0060"))
     return _Slice(
@@ -334,34 +353,34 @@ def _slice(folder: Path, file: str) -> _Slice:
     )
 
 
-def _series_said(folder: Path, series: Sequence[str]) -> str:
-    """Name series by their descriptions, numbers of slices and first files."""
-    reader, said = simple_itk().ImageFileReader(), []
+def _described_series(folder: Path, series: Sequence[str]) -> str:
+    """Return the description, number of files and first file of each series as text."""
+    reader, described = simple_itk().ImageFileReader(), []
     for each in series:
         with _quiet():
             files = simple_itk().ImageSeriesReader.GetGDCMSeriesFileNames(str(folder), each)
             reader.SetFileName(files[0])
             reader.ReadImageInformation()
             name = reader.GetMetaData("0008|103e").strip() if reader.HasMetaDataKey("0008|103e") else ""
-        said.append(f"{name or 'without a name'} ({len(files)} files, {Path(files[0]).name} the first)")
-    return "; ".join(said)
+        described.append(f"{name or 'without a name'} ({len(files)} files, {Path(files[0]).name} the first)")
+    return "; ".join(described)
 
 
 def _of_one_size(folder: Path, slices: list[_Slice]) -> list[_Slice]:
-    """Give the slices as they are; some of another size than the most are an error."""
+    """Return the slices if all have the same size, else raise an error."""
     usual = Counter(each.size for each in slices).most_common(1)[0][0]
     others = [each for each in slices if each.size != usual]
     if others:
         sizes = [" x ".join(map(str, size)) for size in (others[0].size, usual)]
         raise FileProblem(
-            folder, f"holds slices of several sizes: {Path(others[0].file).name} of {sizes[0]}, most of {sizes[1]}",
-            "Put each stack into a folder of its own.",
+            folder, f"has slices of several sizes: {Path(others[0].file).name} of {sizes[0]}, most of {sizes[1]}",
+            "Put each stack into its own folder.",
         )  # fmt: skip
     return slices
 
 
 def _unread(folder: Path, slices: list[_Slice]) -> str:
-    """Name a file of the same ending as the slices that is none of them, if there is one."""
+    """Return a sentence on a file with the extension of the slices that is not one of them, if there is one."""
     read = {Path(each.file).name for each in slices}
     ending = Path(slices[0].file).suffix
     left = sorted(file.name for file in folder.iterdir() if file.suffix == ending and file.name not in read)
@@ -369,10 +388,10 @@ def _unread(folder: Path, slices: list[_Slice]) -> str:
 
 
 def _in_order(folder: Path, slices: list[_Slice]) -> list[_Slice]:
-    """Sort slices along their normal, with even distances."""
+    """Sort the slices along their normal, and check that they are evenly spaced."""
     first = slices[0]
     if max(float(np.abs(each.orientation - first.orientation).max()) for each in slices) > 1e-3:
-        raise FileProblem(folder, "holds slices of several orientations", "Put each stack into a folder of its own.")
+        raise FileProblem(folder, "has slices of several orientations", "Put each stack into its own folder.")
     places = np.array([each.position @ first.normal for each in slices])
     order = np.argsort(places, kind="stable")
     gaps = np.diff(places[order])
@@ -381,15 +400,15 @@ def _in_order(folder: Path, slices: list[_Slice]) -> list[_Slice]:
         same = int(np.argmin(gaps)) if usual > 0 else 0
         pair = " and ".join(sorted(Path(slices[order[same + each]].file).name for each in (0, 1)))
         raise FileProblem(
-            folder, f"holds several images of one slice, {pair} for one",
-            "Keep one echo or time of the series, and no copies.",
+            folder, f"has several images of one slice, for example {pair}",
+            "Keep one echo or time point of the series, and no copies.",
         )  # fmt: skip
     worst = int(np.argmax(np.abs(gaps - usual)))
     if abs(gaps[worst] - usual) > _UNEVEN * usual:
         pair = f"slices {worst + 1} and {worst + 2}"
         raise FileProblem(
             folder,
-            f"lacks slices: {pair} lie {gaps[worst]:.2f} mm apart, the others {usual:.2f} mm",
+            f"has missing slices: {pair} are {gaps[worst]:.2f} mm apart, the others {usual:.2f} mm",
             f"Export the whole series.{_unread(folder, slices)}",
         )
     return [slices[index] for index in order]
@@ -400,21 +419,22 @@ def _names_beside(path: Path) -> dict[str, str]:
     names = (f"{stem}.json", *_NAME_FILES)
     file = next((path.with_name(name) for name in names if path.with_name(name).exists()), None)
     if file is None:
-        raise FileProblem(path, "has no names of its values beside it", f"Add names.json: {_EXAMPLE}.")
+        raise FileProblem(path, "has no file with the names of its values", f"Add names.json: {_EXAMPLE}.")
     try:
         table = json.loads(file.read_text(encoding="utf-8"))
         table = table.get("labels", table)
         return {str(int(value)): str(name) for value, name in table.items()}
     except (OSError, ValueError, AttributeError) as error:
         raise FileProblem(
-            file, f"is no table of values and names ({error})", f"It should read like {_EXAMPLE}."
+            file, f"is not a table of values and names ({error})", f"Expected is, for example, {_EXAMPLE}."
         ) from error
 
 
 _EXAMPLE = '{"1": "femur", "2": "femoral cartilage", "3": "tibia"}'
+"""Example of the names of label values, for the error messages."""
 
 
 def _numbers_by_value(names: dict[str, str]) -> dict[int, int]:
-    """Map values of a label volume to our numbers, by the structures' names."""
+    """Return our label number for each value of a label volume, by the names of the structures."""
     found = {int(value): structure_named(name) for value, name in names.items()}
     return {value: LABELS[structure] for value, structure in found.items() if structure is not None}

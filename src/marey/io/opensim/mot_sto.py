@@ -9,11 +9,11 @@ from marey.arrays import Floats, freeze_fields
 from marey.errors import FileProblem
 from marey.geometry import rotations
 from marey.io.atomic import replacing
-from marey.io.axes import OPENSIM_FROM_WORLD, turned_rotations
+from marey.io.axes import OPENSIM_FROM_WORLD, change_rotation_axes
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Table:
+class TimeSeriesTable:
     """A table of values over time."""
 
     name: str
@@ -45,7 +45,7 @@ class Orientations:
     """(F, S, 3, 3), in the world's axes (Z up); NaN where missing."""
 
 
-def write_table(path: Path | str, table: Table) -> None:
+def write_table(path: Path | str, table: TimeSeriesTable) -> None:
     """Write a MOT or STO with one row per frame, in which a missing number is `nan`.
 
     Args:
@@ -67,7 +67,7 @@ def write_table(path: Path | str, table: Table) -> None:
         temporary.write_text("\n".join(head + rows) + "\n", encoding="utf-8")
 
 
-def read_table(path: Path | str) -> Table:
+def read_table(path: Path | str) -> TimeSeriesTable:
     """Read a MOT or STO of numbers.
 
     Args:
@@ -87,7 +87,7 @@ def read_table(path: Path | str) -> Table:
     except ValueError as error:
         raise FileProblem(path, f"has a damaged row ({error})", "Export the file again.") from error
     degrees = settings.get("inDegrees", "no").strip().lower() == "yes"
-    return Table(name=head[0], columns=columns, time=data[:, 0], values=data[:, 1:], in_degrees=degrees)
+    return TimeSeriesTable(name=head[0], columns=columns, time=data[:, 0], values=data[:, 1:], in_degrees=degrees)
 
 
 def write_orientations(path: Path | str, orientations: Orientations) -> None:
@@ -97,7 +97,7 @@ def write_orientations(path: Path | str, orientations: Orientations) -> None:
         path: The file.
         orientations: The orientations to write.
     """
-    quaternions = rotations.to_quaternion(turned_rotations(OPENSIM_FROM_WORLD, orientations.world_from_body))
+    quaternions = rotations.to_quaternion(change_rotation_axes(OPENSIM_FROM_WORLD, orientations.world_from_body))
     head = [
         f"DataRate={orientations.rate:.6f}",
         "DataType=Quaternion",
@@ -157,7 +157,7 @@ def read_orientations(path: Path | str) -> Orientations:
     except ValueError as error:
         raise FileProblem(path, f"has a damaged row ({error})", "Export the file again.") from error
     rate = float(settings["DataRate"]) if "DataRate" in settings else 1 / float(np.median(np.diff(time)))
-    turn = turned_rotations(OPENSIM_FROM_WORLD.T, rotations.from_quaternion(quaternions))
+    turn = change_rotation_axes(OPENSIM_FROM_WORLD.T, rotations.from_quaternion(quaternions))
     return Orientations(names=columns, time=time, rate=rate, world_from_body=turn)
 
 

@@ -11,7 +11,7 @@ from marey.body.articulation.skeleton import JOINT_OF_SEGMENT, ROOT_AXES, ROOT_C
 from marey.body.articulation.surface import Body
 from marey.errors import MareyError
 from marey.io.atomic import replacing
-from marey.io.axes import OPENSIM_FROM_WORLD, turned_points
+from marey.io.axes import OPENSIM_FROM_WORLD, change_point_axes
 from marey.motion.anatomical import euler_angles
 
 _MASS_SHARES = {
@@ -81,7 +81,7 @@ def _ellipsoid(body: Body, segment: int) -> tuple[Floats, Floats]:
     own = body.vertices[carrier == segment] - body.joint_centres[segment]
     if len(own) < 4:
         return np.zeros(3), np.zeros((3, 3))
-    own = turned_points(OPENSIM_FROM_WORLD, own)
+    own = change_point_axes(OPENSIM_FROM_WORLD, own)
     return own.mean(0), np.cov(own.T, bias=True)
 
 
@@ -153,7 +153,7 @@ def _joint(body: Body, k: int) -> Element:
     ):
         offset_frame = SubElement(frames, "PhysicalOffsetFrame", name=f"{frame}_offset")
         SubElement(offset_frame, "socket_parent").text = socket
-        SubElement(offset_frame, "translation").text = _text(turned_points(OPENSIM_FROM_WORLD, place))
+        SubElement(offset_frame, "translation").text = _text(change_point_axes(OPENSIM_FROM_WORLD, place))
         SubElement(offset_frame, "orientation").text = "0 0 0"
     if turns or moves:
         element.append(_spatial_transform(name, turns, moves))
@@ -188,7 +188,7 @@ def _spatial_transform(
         for i in range(3):
             axis = SubElement(element, "TransformAxis", name=f"{kind}{i + 1}")
             SubElement(axis, "coordinates").text = used[i][0] if i < len(used) else ""
-            SubElement(axis, "axis").text = _text(turned_points(OPENSIM_FROM_WORLD, all_axes[i]))
+            SubElement(axis, "axis").text = _text(change_point_axes(OPENSIM_FROM_WORLD, all_axes[i]))
             if i < len(used):
                 function = SubElement(axis, "LinearFunction", name="function")
                 SubElement(function, "coefficients").text = "1 0"

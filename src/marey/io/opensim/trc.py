@@ -8,10 +8,9 @@ import numpy as np
 from marey.arrays import Floats, freeze_fields
 from marey.errors import FileProblem
 from marey.io.atomic import replacing
-from marey.io.axes import OPENSIM_FROM_WORLD, turned_points
+from marey.io.axes import OPENSIM_FROM_WORLD, change_point_axes
+from marey.io.units import METRES
 
-_METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
-"""Units of length that a TRC may use, in metres."""
 _KEYS = "DataRate CameraRate NumFrames NumMarkers Units OrigDataRate OrigDataStartFrame OrigNumFrames"
 """Keys of the header in their order, separated by blanks."""
 
@@ -42,7 +41,7 @@ def write_trc(path: Path | str, paths: PointPaths) -> None:
         path: The file.
         paths: The paths to write.
     """
-    points = turned_points(OPENSIM_FROM_WORLD, paths.points)
+    points = change_point_axes(OPENSIM_FROM_WORLD, paths.points)
     frames, count = points.shape[:2]
     values = (f"{paths.rate:.6f}", f"{paths.rate:.6f}", frames, count, "m", f"{paths.rate:.6f}", 1, frames)
     lines = [
@@ -81,8 +80,8 @@ def read_trc(path: Path | str, *, file_from_world: Floats = OPENSIM_FROM_WORLD) 
         raise FileProblem(path, wrong, "Give a TRC file.")
     head = dict(zip(lines[1].split(), lines[2].split(), strict=False))
     unit = head.get("Units", "").strip().lower()
-    if unit not in _METRES:
-        raise FileProblem(path, f"has the unit {unit!r}", f"Units should be one of {', '.join(_METRES)}.")
+    if unit not in METRES:
+        raise FileProblem(path, f"has the unit {unit!r}", f"Units should be one of {', '.join(METRES)}.")
     names = tuple(n.strip() for n in lines[3].split("\t")[2:] if n.strip())
     width = 2 + 3 * len(names)
     rows = [(line.split("\t") + [""] * width)[:width] for line in lines[5:] if line.strip()]
@@ -91,5 +90,5 @@ def read_trc(path: Path | str, *, file_from_world: Floats = OPENSIM_FROM_WORLD) 
         rate = float(head["DataRate"])
     except (ValueError, KeyError) as error:
         raise FileProblem(path, f"has a cell that is not a number ({error})", "Correct or export it again.") from error
-    points = data[:, 2:].reshape(len(data), len(names), 3) * _METRES[unit]
+    points = data[:, 2:].reshape(len(data), len(names), 3) * METRES[unit]
     return PointPaths(names=names, time=data[:, 1], rate=rate, points=points @ file_from_world)

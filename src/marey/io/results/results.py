@@ -12,7 +12,7 @@ from marey.io import npz
 from marey.io.gltf.bvh import write_bvh
 from marey.io.gltf.glb import write_glb
 from marey.io.markers.c3d import read_c3d, write_c3d
-from marey.io.opensim.mot_sto import Orientations, Table, write_orientations, write_table
+from marey.io.opensim.mot_sto import Orientations, TimeSeriesTable, write_orientations, write_table
 from marey.io.opensim.osim import write_osim
 from marey.io.opensim.trc import PointPaths, read_trc, write_trc
 from marey.io.results import body as body_file
@@ -77,7 +77,7 @@ def write_motion_tables(folder: Path | str, motion: BodyMotion) -> None:
     values[:, 3:] = np.degrees(values[:, 3:])
     write_table(
         folder / "angles.mot",
-        Table(name="angles", columns=motion.coordinate_names, time=motion.time, values=values),
+        TimeSeriesTable(name="angles", columns=motion.coordinate_names, time=motion.time, values=values),
     )
     write_orientations(
         folder / "orientations.sto",

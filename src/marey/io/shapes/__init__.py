@@ -1,1 +1,1 @@
-"""Measured surfaces, tracks, trajectories and recovered shapes."""
+"""Reading and writing of measured surfaces, tracks, trajectories and recovered shapes."""

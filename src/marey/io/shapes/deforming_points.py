@@ -1,4 +1,4 @@
-"""Deforming points that a user has already: tracks in pictures, or points in space, from NPZ and C3D."""
+"""Reading of deforming points from NPZ and marker files: tracks in pictures, or points in space."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -15,34 +15,38 @@ from marey.io.npz import read_arrays
 from marey.nonrigid.recovered import UNKNOWN_UNIT
 
 _REMEDY = "An NPZ holds `tracks` (frames, 2, points) or (cameras, frames, 2, points), or `points` (frames, 3, points)."
+"""Remedy in the error messages: the expected arrays."""
 _SHAPES = {
     "tracks": "(frames, 2, points), or (cameras, frames, 2, points) of several cameras",
     "points": "(frames, 3, points)",
 }
+"""Expected shape of each array, for the error messages."""
 _USED = ("tracks", "points", "predicted", "edges", "rate", "labels")
+"""Keys of an NPZ that are read; others are reported as ignored."""
 _OF_MARKERS = (".c3d", ".trc", ".csv", ".tsv")
+"""File name extensions of marker files."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DeformingPoints:
-    """What a file says of points that move and deform; one of `tracks` and `points` is there."""
+    """The contents of a file of deforming points; exactly one of `tracks` and `points` is given."""
 
     tracks: Floats | None = None
-    """(C, F, 2, P) in pictures; NaN where missing."""
+    """(C, F, 2, P) positions in the pictures [px]; NaN where missing."""
     points: Floats | None = None
-    """(F, P, 3) in space; NaN where missing."""
+    """(F, P, 3) positions in space, in `unit`; NaN where missing."""
     unit: str
-    """m, or "unit of the input"."""
+    """Unit of `points`: m, or "unit of the input"."""
     labels: tuple[str, ...]
     """P names; numbers where the file has none."""
     edges: Integers
-    """(E, 2) points that a line joins when they are drawn."""
+    """(E, 2) indices of the points that are joined by a line in drawings."""
     rate: float | None = None
-    """[Hz]; None where the file does not say."""
+    """Sampling rate [Hz]; None where the file has none."""
     y_up: bool = False
-    """Whether Y is up in space, not Z."""
+    """Whether Y points up in space; otherwise Z does."""
     notes: tuple[str, ...] = ()
-    """What was passed over or decided."""
+    """Remarks on what was ignored or assumed, one sentence each."""
 
 
 def read_deforming(path: Path) -> DeformingPoints:
@@ -50,15 +54,15 @@ def read_deforming(path: Path) -> DeformingPoints:
 
     Args:
         path: An NPZ with `tracks` or `points`, and if there are any `edges` (E, 2), `rate` (Hz), `labels` (P,) and
-            `predicted` (F, P), which marks places that were not seen; or a C3D, TRC or CSV with markers.
+            `predicted` (F, P), true where a position was not observed; or a C3D, TRC or CSV with markers.
 
     Raises:
-        FileProblem: It is none of these, or what it holds cannot be used.
+        FileProblem: The file has another format, or its contents cannot be used.
     """
     if path.suffix.lower() in _OF_MARKERS:
         return _from_markers(path)
     if path.suffix.lower() != ".npz":
-        raise FileProblem(path, "is no file that is read here", f"Give videos, an NPZ or a C3D. {_REMEDY}")
+        raise FileProblem(path, "has an unknown format", f"Give videos, an NPZ or a C3D. {_REMEDY}")
     return deforming_points(path, read_arrays(path))
 
 
@@ -66,7 +70,7 @@ def deforming_points(path: Path, arrays: dict[str, np.ndarray]) -> DeformingPoin
     """Check the arrays of an NPZ, or arrays in memory, and combine them.
 
     Args:
-        path: The file, or a name for arrays in memory; it is in the error messages.
+        path: The file, or a name for arrays in memory, for the error messages.
         arrays: As `read_deforming` describes them.
 
     Raises:
@@ -74,7 +78,7 @@ def deforming_points(path: Path, arrays: dict[str, np.ndarray]) -> DeformingPoin
     """
     held = [name for name in ("tracks", "points") if name in arrays]
     if len(held) != 1:
-        wrong = "holds both tracks and points" if held else f"holds neither tracks nor points, but {_listed(arrays)}"
+        wrong = "has both tracks and points" if held else f"has neither tracks nor points, but {_listed(arrays)}"
         raise FileProblem(path, wrong, _REMEDY)
     values = _numbers(path, held[0], arrays[held[0]])
     if held[0] == "points":
@@ -83,11 +87,11 @@ def deforming_points(path: Path, arrays: dict[str, np.ndarray]) -> DeformingPoin
         whole = values if values.ndim == 4 else values[None]
         notes, points, tracks = _half_known(whole, 2), None, _only_seen(path, whole, arrays)
         if "predicted" in arrays:
-            notes.append("Places that are marked as predicted count as not seen.")
+            notes.append("Positions that are marked as predicted are treated as missing.")
     count = values.shape[-1]
     unused = [name for name in arrays if name not in _USED and not name.endswith("_sd") and name != "visible"]
     if unused:
-        notes.append(f"Passed over in {path.name}: {', '.join(unused)}.")
+        notes.append(f"Ignored arrays of {path.name}: {', '.join(unused)}.")
     return DeformingPoints(
         tracks=tracks, points=points, unit=UNKNOWN_UNIT, labels=_labels(path, arrays, count),
         edges=_edges(path, arrays, count), rate=_rate(path, arrays), notes=tuple(notes),
@@ -95,16 +99,20 @@ def deforming_points(path: Path, arrays: dict[str, np.ndarray]) -> DeformingPoin
 
 
 def only(data: DeformingPoints, patterns: Sequence[str]) -> DeformingPoints:
-    """Keep the points whose labels are among some, or fit a pattern with * and ?; edges to others go.
+    """Keep the points whose labels match one of the patterns, and the edges between them.
+
+    Args:
+        data: The points.
+        patterns: Labels, or patterns with * and ?.
 
     Raises:
-        SettingProblem: A pattern fits none.
+        SettingProblem: A pattern matches no label.
     """
     fits = {pattern: [fnmatchcase(label, pattern) for label in data.labels] for pattern in patterns}
     lost = [pattern for pattern, found in fits.items() if not any(found)]
     if lost:
         known = ", ".join(data.labels[:12]) + (" ..." if len(data.labels) > 12 else "")
-        raise SettingProblem(f"--only names {', '.join(lost)}, which no point is called. The points are {known}.")
+        raise SettingProblem(f"--only has {', '.join(lost)}, which matches no point. The points are {known}.")
     kept = np.any(list(fits.values()), axis=0)
     number = np.cumsum(kept) - 1
     return replace(
@@ -124,35 +132,39 @@ def _from_markers(path: Path) -> DeformingPoints:
 
 
 def _numbers(path: Path, name: str, values: np.ndarray) -> Floats:
-    """Check an array's kind and shape, and give it as float64."""
+    """Check the type and shape of an array, and return it as float64."""
     rows, dims = ("23"[name == "points"], (3,) if name == "points" else (3, 4))
     fits = values.ndim in dims and values.shape[-2] == int(rows) and values.shape[-1] > 0 and values.shape[-3] > 0
     if values.dtype.kind not in "iuf" or not fits:
-        turned = " Its last two axes look exchanged." if values.ndim in dims and values.shape[-1] == int(rows) else ""
+        turned = (
+            " Its last two axes seem to be exchanged." if values.ndim in dims and values.shape[-1] == int(rows) else ""
+        )
         wrong = f"has {name} of shape {values.shape} and type {values.dtype}"
         raise FileProblem(path, wrong, f"They should be numbers of shape {_SHAPES[name]}.{turned}")
     values = values.astype(float)
     if np.isinf(values).any():
-        raise FileProblem(path, f"has infinite {name}", "Write NaN where a point is missing.")
+        raise FileProblem(path, f"has infinite values in {name}", "Write NaN where a point is missing.")
     if not np.isfinite(values).any():
-        raise FileProblem(path, f"has no {name}: every entry is NaN", "Give a file in which something was seen.")
+        raise FileProblem(path, f"has no valid value in {name}: all are NaN", "Give a file with observed points.")
     return values
 
 
 def _half_known(values: Floats, axis: int) -> list[str]:
-    """Say where a point has one coordinate and lacks another; such points count as missing."""
+    """Return a remark on positions with some but not all coordinates; they are treated as missing."""
     known = np.isfinite(values)
     half = int((known.any(axis) & ~known.all(axis)).sum())
-    return [f"{half} places lack one coordinate and count as missing."] if half else []
+    return [f"{half} positions have an incomplete set of coordinates and are treated as missing."] if half else []
 
 
 def _only_seen(path: Path, tracks: Floats, arrays: dict[str, np.ndarray]) -> Floats:
-    """Take out what was not seen."""
+    """Return the tracks with NaN where a position was predicted or is incomplete."""
     seen: Mask = np.asarray(np.isfinite(tracks).all(2))
     if "predicted" in arrays:
         predicted = np.asarray(arrays["predicted"])
         if predicted.size != seen.size or predicted.dtype.kind not in "biu":
-            raise FileProblem(path, f"has predicted of shape {predicted.shape}", f"It should be {seen.shape[1:]}.")
+            raise FileProblem(
+                path, f"has predicted of shape {predicted.shape}", f"The shape should be {seen.shape[1:]}."
+            )
         seen &= ~predicted.astype(bool).reshape(seen.shape)
     return np.where(seen[:, :, None], tracks, np.nan)
 
@@ -162,7 +174,9 @@ def _labels(path: Path, arrays: dict[str, np.ndarray], count: int) -> tuple[str,
         return tuple(map(str, range(count)))
     labels = tuple(map(str, np.ravel(arrays["labels"])))
     if len(labels) != count or len(set(labels)) != count:
-        raise FileProblem(path, f"has {len(set(labels))} different labels for {count} points", "Give each point one.")
+        raise FileProblem(
+            path, f"has {len(set(labels))} different labels for {count} points", "Give each point a label of its own."
+        )
     return labels
 
 
@@ -172,7 +186,7 @@ def _edges(path: Path, arrays: dict[str, np.ndarray], count: int) -> Integers:
         raise FileProblem(path, f"has edges of shape {edges.shape}", "They should be whole numbers (edges, 2).")
     whole = edges.astype(np.int64)
     if (whole != edges).any() or (whole < 0).any() or (whole >= count).any():
-        raise FileProblem(path, "has edges to points that are not there", f"Points count from 0 to {count - 1}.")
+        raise FileProblem(path, "has edges to points that do not exist", f"Points are numbered from 0 to {count - 1}.")
     return whole
 
 
@@ -181,7 +195,9 @@ def _rate(path: Path, arrays: dict[str, np.ndarray]) -> float | None:
         return None
     rate = np.asarray(arrays["rate"])
     if rate.size != 1 or rate.dtype.kind not in "iuf" or not (np.isfinite(rate).all() and float(rate.item()) > 0):
-        raise FileProblem(path, f"has the rate {rate.tolist()}", "It should be one number of frames a second.")
+        raise FileProblem(
+            path, f"has the rate {rate.tolist()}", "It should be one positive number, in frames per second."
+        )
     return float(rate.item())
 
 

@@ -1,4 +1,4 @@
-"""Measured surfaces on disk: surface.npz, and a coloured PLY that any viewer of point clouds opens."""
+"""Reading and writing of measured surfaces: surface.npz, and coloured point clouds as PLY."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -12,17 +12,18 @@ from marey.io.npz import ArrayRows, read_arrays, write_rows
 from marey.surface.points.measured import MeasuredPoints, shapes
 
 _KINDS = {"frame": "<i8", "colour": "|u1"}
-"""All else is written in single precision, whose step is a tenth of a micrometre at a metre, and a ten-thousandth of a
-pixel."""
+"""NumPy types of the arrays that are not in single precision.
+
+The resolution of single precision is 0.1 µm at 1 m, and 0.0001 px at 1000 px."""
 
 
 def write_surface(path: Path | str, parts: Sequence[MeasuredPoints], camera_names: Sequence[str]) -> None:
-    """Write `surface.npz`; only one part at a time need be in memory.
+    """Write `surface.npz`; only one part at a time is held in memory.
 
     Args:
         path: The file.
-        parts: The points, best a frame a part; read several times.
-        camera_names: The cameras, also where there is no part.
+        parts: The points, preferably one part per frame; iterated several times.
+        camera_names: Names of the cameras, also needed when there are no parts.
     """
     count = sum(len(part) for part in parts)
     rows: list[ArrayRows] = [
@@ -44,22 +45,22 @@ def read_surface(path: Path | str) -> MeasuredPoints:
         path: The file.
 
     Raises:
-        FileProblem: It is missing, lacks a key, or its arrays do not fit together.
+        FileProblem: It is missing, has no array of a required name, or its array shapes do not agree.
     """
     names = (*shapes(0), "camera_names")
     arrays: dict[str, Any] = read_arrays(path, names)
     try:
         return MeasuredPoints(**{name: arrays[name] for name in names})
     except (MareyError, ValueError, TypeError) as error:
-        raise FileProblem(path, f"holds no surface ({str(error).rstrip('.')})", "Write it again.") from error
+        raise FileProblem(path, f"cannot be read as a surface ({str(error).rstrip('.')})", "Write it again.") from error
 
 
 def write_ply(path: Path | str, points: MeasuredPoints) -> None:
-    """Write points with their colours as binary PLY [m].
+    """Write points with their colours as binary PLY, in metres.
 
     Args:
         path: The file.
-        points: What to write; those that are NaN are left out.
+        points: The points; those that are NaN are omitted.
     """
     known = np.isfinite(points.points).all(axis=1)
     kind = [(axis, "<f4") for axis in "xyz"] + [(name, "u1") for name in ("red", "green", "blue")]

@@ -1,4 +1,4 @@
-"""GLB: deforming points that move, for Blender, game engines and the web: basis shapes as morph targets."""
+"""GLB export of deforming points, for Blender, game engines and the web, with basis shapes as morph targets."""
 
 from pathlib import Path
 from typing import Any
@@ -15,25 +15,27 @@ from marey.io.shapes.shapes import upright
 from marey.nonrigid.recovered import RecoveredShapes
 
 _POINTS, _LINES = 0, 1
+"""Primitive modes POINTS and LINES of the glTF 2.0 specification."""
 _VERTICES, _INDICES = 34962, 34963
+"""Buffer targets ARRAY_BUFFER and ELEMENT_ARRAY_BUFFER of the glTF 2.0 specification."""
 
 
 def write_shape_glb(
     path: Path | str, found: RecoveredShapes, edges: Integers, *, rate: float, scale: float, unit: str, y_up: bool
 ) -> None:
-    """Write the mean shape with a morph target for each further basis shape, and the motion; Y up.
+    """Write the mean shape with a morph target for each further basis shape, and the motion; Y points up.
 
-    The weights of the targets are the coefficients, so that every frame is the recovered shape itself. Frames without
-    an answer have no key. Points that never have an answer are left out.
+    The weights of the targets are the coefficients, so that every frame is exactly the recovered shape. Frames without
+    a result have no key frame. Points that have a result in no frame are omitted.
 
     Args:
         path: The file.
-        found: What was found.
+        found: The recovered shapes.
         edges: (E, 2) lines between points.
-        rate: [Hz].
-        scale: Metres a unit, or what makes an object of unknown size about a metre large.
-        unit: Of the shapes, for the file's own notes.
-        y_up: Whether the laboratory has Y up.
+        rate: Sampling rate [Hz].
+        scale: Metres per unit of the shapes, or a factor that makes an object of unknown size about 1 m large.
+        unit: Unit of the shapes, stored in the `extras` of the file.
+        y_up: Whether Y points up in the laboratory; otherwise Z does.
     """
     buffer = GlbBuffer()
     known: Mask = np.asarray(np.isfinite(found.basis).all((0, 1)))
@@ -67,19 +69,19 @@ def _places(buffer: GlbBuffer, shape: Floats) -> int:
 
 
 def _lines_between(edges: Integers, known: Mask) -> Integers:
-    """Number the edges by the points that are kept."""
+    """Return the edges between known points, with indices among the known points only."""
     number = np.cumsum(known) - 1
     return np.asarray(number[edges[known[edges].all(1)]]) if len(edges) else np.zeros((0, 2), np.int64)
 
 
 def _animation(buffer: GlbBuffer, found: RecoveredShapes, rate: float, scale: float, *, y_up: bool) -> dict[str, Any]:
-    """Move the node as the object moves, and its targets by the coefficients."""
-    # A camera that sees nothing of a frame does not tell where the object is there.
+    """Animate the node with the pose of the object, and the morph targets with the coefficients."""
+    # Frames in which no camera sees the object have no translation.
     answered = np.flatnonzero(found.answered & np.isfinite(found.translation).all(1))
     time = buffer.add(answered[:, None] / rate, "<f4", "SCALAR", bounds=True)
     turn = GLTF_FROM_WORLD @ upright(found, y_up=y_up)
     where = found.origin[answered]
-    # Where a picture has its zero says nothing about space: the object begins at the origin.
+    # The origin of a picture is arbitrary in space: the positions are centred at the world's origin.
     where = scale * (where - where.mean(0)) @ turn.T
     turns = rotations.continuous(rotations.to_quaternion(turn @ found.rotation[answered]))[:, [1, 2, 3, 0]]
     tracks = [("translation", where, "VEC3"), ("rotation", turns, "VEC4")]

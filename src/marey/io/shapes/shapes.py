@@ -1,4 +1,4 @@
-"""Recovered shapes on disk: shapes.npz, residuals point by point, point clouds a frame, and C3D."""
+"""Reading and writing of recovered shapes: shapes.npz, residuals per point, point clouds per frame, and C3D."""
 
 import csv
 from collections.abc import Sequence
@@ -20,23 +20,28 @@ _FIELDS = (
     "predicted", "modelled", "noise_sd", "metres_per_unit", "metres_per_unit_sd",
     "unit", "residual_unit",
 )  # fmt: skip
+"""Fields of `RecoveredShapes` that are arrays of the same names in the file."""
 _WORDS = ("kind", "unit", "residual_unit")
+"""The fields among them that are single texts."""
 _NUMBERS = ("metres_per_unit", "metres_per_unit_sd")
+"""The fields among them that are single numbers."""
 _RELATIONS = {
     "camera_from_first": "camera_from_first", "camera_sd": "camera_sd", "camera_scale": "scale",
     "camera_translation": "translation", "camera_magnification": "magnification",
 }  # fmt: skip
-"""Of several uncalibrated cameras: names in the file, and in `CameraRelations`."""
+"""Arrays of several uncalibrated cameras: names in the file, with the fields of `CameraRelations`."""
 _TEXTS = ("gauge", "notes")
+"""Fields that are lists of texts."""
 _SEEN, _PREDICTED = (47, 109, 181), (220, 111, 74)
-"""Red, green, blue of points that were seen, and of others."""
+"""Red, green and blue of points that were observed, and of predicted ones."""
 WORLD_FROM_CAMERA = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])
-"""A camera's axes (x right, y down, z ahead) turned so that Z is up."""
+"""(3, 3) Rotation from the axes of a camera (x right, y down, z ahead) to axes with Z up."""
 WORLD_FROM_Y_UP = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])
+"""(3, 3) Rotation from axes with Y up to axes with Z up."""
 
 
 def shape_arrays(found: RecoveredShapes) -> dict[str, np.ndarray]:
-    """Give all that was found as arrays, for a file."""
+    """Return all results as named arrays, for a file."""
     arrays = {name: np.asarray(getattr(found, name)) for name in _FIELDS}
     arrays |= {name: np.array(getattr(found, name), np.str_) for name in _TEXTS}
     arrays |= {"rank": np.array(found.rank), "answered": found.answered}
@@ -53,7 +58,7 @@ def shape_arrays(found: RecoveredShapes) -> dict[str, np.ndarray]:
 
 
 def shapes_from(arrays: dict[str, np.ndarray]) -> RecoveredShapes:
-    """Take back what `shape_arrays` gave."""
+    """Return the shapes from the arrays of `shape_arrays`."""
     curve = None
     if "curve_errors" in arrays:
         curve = RankCurve(
@@ -81,10 +86,11 @@ def write_shapes(
 
     Args:
         path: The file.
-        found: What was found.
+        found: The recovered shapes.
         labels: The points' names.
-        camera_points: (C, P) which track of each camera a point is, -1 where none, where that was found.
-        probability: (C, P) that it is that one.
+        camera_points: (C, P) index of the track of each point in each camera, -1 where it has none; None where the
+            cameras share their points.
+        probability: (C, P) probability that this assignment is right.
     """
     arrays = shape_arrays(found) | {"labels": np.array(labels, np.str_)}
     if camera_points is not None:
@@ -95,27 +101,27 @@ def write_shapes(
 
 
 def read_shapes(path: Path | str) -> RecoveredShapes:
-    """Read `shapes.npz` as `write_shapes` leaves it.
+    """Read `shapes.npz` as written by `write_shapes`.
 
     Args:
         path: The file.
 
     Raises:
-        FileProblem: It lacks an array, or an array has another kind.
+        FileProblem: An array is missing or has another type.
     """
     arrays = read_arrays(path, (*_FIELDS, *_TEXTS))
     try:
         return shapes_from(arrays)
     except (MareyError, ValueError, TypeError, KeyError) as error:
-        raise FileProblem(path, f"holds no shapes ({error})", "Write it again.") from error
+        raise FileProblem(path, f"cannot be read as shapes ({error})", "Write it again.") from error
 
 
 def write_residuals(path: Path | str, found: RecoveredShapes, labels: Sequence[str]) -> None:
-    """Write `residuals.csv`: a row a point, in the unit of the input; cells without an answer are empty.
+    """Write `residuals.csv`, one row per point, in the unit of the input; cells without a result are empty.
 
     Args:
         path: The file.
-        found: What was found.
+        found: The recovered shapes.
         labels: The points' names.
     """
     residuals = found.residuals
@@ -144,16 +150,16 @@ def _cell(value: float) -> str:
 
 
 def write_point_clouds(folder: Path, found: RecoveredShapes, edges: Integers, *, scale: float, unit: str) -> None:
-    """Write a PLY a frame with an answer, in the object's frame: `frame_00000.ply`, ...
+    """Write one PLY per frame with a result, in the object's axes: `frame_00000.ply`, ...
 
-    Seen points are blue, others orange; points without an answer stand at none and are left out, with their edges.
+    Observed points are blue, predicted ones orange; points without a result are omitted together with their edges.
 
     Args:
-        folder: Where.
-        found: What was found.
+        folder: Output folder.
+        found: The recovered shapes.
         edges: (E, 2) lines between points.
-        scale: By which lengths are multiplied.
-        unit: What they are then.
+        scale: Factor by which lengths are multiplied.
+        unit: Unit of the multiplied lengths.
     """
     for frame in np.flatnonzero(found.answered):
         colours = np.where(found.predicted[frame][:, None], _PREDICTED, _SEEN)
@@ -182,11 +188,11 @@ def _write_cloud(path: Path, points: Floats, colours: np.ndarray, edges: Integer
 
 
 def upright(found: RecoveredShapes, *, y_up: bool = False) -> Floats:
-    """Give the turn (3, 3) of the camera's or the laboratory's axes after which Z is up.
+    """Return the rotation (3, 3) from the axes of the camera or laboratory to axes with Z up.
 
     Args:
-        found: What was found.
-        y_up: Whether the laboratory has Y up; a camera's picture is taken to stand upright.
+        found: The recovered shapes.
+        y_up: Whether Y points up in the laboratory; a camera is assumed to be upright.
     """
     if found.kind not in IN_LABORATORY:
         return WORLD_FROM_CAMERA
@@ -196,16 +202,16 @@ def upright(found: RecoveredShapes, *, y_up: bool = False) -> Floats:
 def write_shape_c3d(
     path: Path | str, found: RecoveredShapes, labels: Sequence[str], *, rate: float, scale: float
 ) -> None:
-    """Write the points where they are, and the object's pose as ROTATION `object_4X4`.
+    """Write the points at their positions in space, and the object's pose as ROTATION `object_4X4`.
 
-    The axes are the laboratory's own; of uncalibrated cameras x right, y ahead, z up.
+    The axes are those of the laboratory; for uncalibrated cameras x right, y ahead, z up.
 
     Args:
         path: The file.
-        found: What was found.
+        found: The recovered shapes.
         labels: The points' names.
-        rate: [Hz].
-        scale: Metres a unit; where no length is known 0.001, so that a unit is called a millimetre.
+        rate: Sampling rate [Hz].
+        scale: Metres per unit; 0.001 where no length is known, so that one unit is written as one millimetre.
     """
     turn = upright(found)
     paths = PointPaths(

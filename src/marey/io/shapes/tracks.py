@@ -1,4 +1,4 @@
-"""Followed points in files: `tracks.npz`, and the points that a user wants to have followed."""
+"""Reading and writing of tracked points: `tracks.npz`, and the points that a user selects for tracking."""
 
 from pathlib import Path
 
@@ -10,6 +10,7 @@ from marey.images.matching.feature_tracks import FeatureTracks
 from marey.io.npz import read_arrays, write_arrays
 
 _NAMES = ("tracks", "tracks_sd", "visible", "predicted")
+"""Arrays of `tracks.npz`, which are fields of `FeatureTracks`."""
 
 
 def write_tracks(path: Path | str, tracks: FeatureTracks) -> None:
@@ -18,31 +19,31 @@ def write_tracks(path: Path | str, tracks: FeatureTracks) -> None:
 
 
 def read_tracks(path: Path | str) -> FeatureTracks:
-    """Read `tracks.npz` as `write_tracks` leaves it.
+    """Read `tracks.npz` as written by `write_tracks`.
 
     Args:
         path: The file.
 
     Raises:
-        FileProblem: It lacks an array, or the arrays do not fit together.
+        FileProblem: An array is missing, or the array shapes do not agree.
     """
     arrays = read_arrays(path, _NAMES)
     try:
         return FeatureTracks(**{name: arrays[name] for name in _NAMES})
     except (SettingProblem, ValueError, TypeError) as error:
-        raise FileProblem(path, str(error).rstrip("."), "Write it again.") from error
+        raise FileProblem(path, f"cannot be read as tracks ({str(error).rstrip('.')})", "Write it again.") from error
 
 
 def read_points(path: Path | str, *, frames: int, size: tuple[int, int]) -> tuple[Floats, int]:
-    """Read the points that shall be followed in a video: `points` (P, 2) in pixels, and their `frame`.
+    """Read the points to track in a video: `points` (P, 2) in pixels, and their `frame`.
 
     Args:
         path: The file.
-        frames: How many the video has.
-        size: Its width and height [px].
+        frames: Number of frames of the video.
+        size: Width and height of the video [px].
 
     Returns:
-        The points (P, 2) [px] and the frame in which they are there.
+        The points (P, 2) [px], and the frame to which they belong.
 
     Raises:
         FileProblem: An array is missing or has another shape, or a point or the frame is not in the video.
@@ -56,7 +57,9 @@ def read_points(path: Path | str, *, frames: int, size: tuple[int, int]) -> tupl
         raise FileProblem(path, f"has the frame {frame.tolist()}", "It must be one whole number.")
     number = int(frame.item())
     if not 0 <= number < frames:
-        raise FileProblem(path, f"has points of frame {number}", f"The video has the frames 0 to {frames - 1}.")
+        raise FileProblem(
+            path, f"has points of frame {number}, which does not exist", f"The video has the frames 0 to {frames - 1}."
+        )
     _require_in_picture(path, points, size)
     return points.astype(float), number
 
@@ -66,5 +69,5 @@ def _require_in_picture(path: Path | str, points: np.ndarray, size: tuple[int, i
     bad = np.flatnonzero(~np.all((points >= 0) & (points <= (width - 1, height - 1)), axis=1))
     if len(bad):
         x, y = points[bad[0]]
-        wrong = f"has point {bad[0]} at ({x:g}, {y:g}), which is not in the picture"
+        wrong = f"has point {bad[0]} at ({x:g}, {y:g}), which is outside the picture"
         raise FileProblem(path, wrong, f"The video's pictures have {width} x {height} pixels.")

@@ -1,4 +1,4 @@
-"""Trajectories of surface points on disk: trajectories.npz."""
+"""Reading and writing of the trajectories of surface points: trajectories.npz."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,10 +11,14 @@ from marey.io.npz import ArrayRows, read_arrays, write_rows
 from marey.surface.tracks.trajectories import Trajectories
 
 _KINDS = {"frames": "<i8", "rate": "<f8", "removed": "|b1"}
+"""NumPy types of the arrays that are not in single precision."""
 
 
 def write_trajectories(path: Path | str, trajectories: Trajectories) -> None:
-    """Write `trajectories.npz`, whole or not at all; numbers that depend on the frame in single precision."""
+    """Write `trajectories.npz`, with values per frame in single precision.
+
+    An interrupted write leaves no partial file.
+    """
     arrays = trajectories.arrays()
     names = np.array(arrays.pop("camera_names"), str)
     rows: list[ArrayRows] = [
@@ -34,7 +38,7 @@ def read_trajectories(path: Path | str) -> Trajectories:
         path: The file.
 
     Raises:
-        FileProblem: It is missing, lacks a key, or its arrays do not fit together.
+        FileProblem: It is missing, has no array of a required name, or its array shapes do not agree.
     """
     names = (
         *("frames", "rate", "position", "velocity", "acceleration", "covariance"),
@@ -44,4 +48,6 @@ def read_trajectories(path: Path | str) -> Trajectories:
     try:
         return Trajectories(**{name: arrays[name] for name in names})
     except (MareyError, ValueError, TypeError) as error:
-        raise FileProblem(path, f"holds no trajectories ({str(error).rstrip('.')})", "Write it again.") from error
+        raise FileProblem(
+            path, f"cannot be read as trajectories ({str(error).rstrip('.')})", "Write it again."
+        ) from error

@@ -1,1 +1,1 @@
-"""The trial folder: settings, masks, seeds, and start joints."""
+"""Reading of the trial folder: settings, masks, seeds and start joints."""

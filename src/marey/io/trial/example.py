@@ -1,4 +1,4 @@
-"""The example take that comes with the program."""
+"""The example take that is distributed with the package."""
 
 import sys
 from pathlib import Path
@@ -14,7 +14,7 @@ def example_folder() -> Path:
         The trial `reach`: four cameras, 130 frames.
 
     Raises:
-        FileProblem: It is in neither place.
+        FileProblem: The example is in neither place.
 
     Example:
         >>> import marey

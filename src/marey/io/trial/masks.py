@@ -1,4 +1,4 @@
-"""Silhouettes on disk: masks/<camera>.npz of our own, and the ones that a user already has."""
+"""Reading and writing of silhouettes: masks/<camera>.npz in our own format, and PNG."""
 
 import zipfile
 import zlib
@@ -16,12 +16,14 @@ from marey.errors import FileProblem
 from marey.io.atomic import replacing
 from marey.io.video.video import PICTURE_SUFFIXES, read_picture
 
-_LAYOUT = "It holds shape = (frames, height, width) and bits = numpy.packbits of the silhouettes."
+_LAYOUT = "It should contain shape = (frames, height, width) and bits = numpy.packbits of the silhouettes."
+"""Remedy in the error messages: the expected arrays."""
 _ERRORS = (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error)
+"""Errors that NumPy, zipfile and zlib raise on damaged files."""
 
 
 def pack_mask(mask: Mask) -> NDArray[np.uint8]:
-    """Compress one silhouette for keeping while a work goes on: some hundred bytes instead of one a pixel.
+    """Compress one silhouette for storage in memory: some hundred bytes instead of one byte per pixel.
 
     Args:
         mask: (height, width).
@@ -36,7 +38,7 @@ def unpack_mask(packed: NDArray[np.uint8], shape: tuple[int, int]) -> Mask:
     """Undo `pack_mask`.
 
     Args:
-        packed: What it gave.
+        packed: The bytes from `pack_mask`.
         shape: Height and width.
 
     Returns:
@@ -47,16 +49,17 @@ def unpack_mask(packed: NDArray[np.uint8], shape: tuple[int, int]) -> Mask:
 
 
 def write_masks(path: Path, masks: Iterable[Mask | None], *, shape: tuple[int, int, int]) -> None:
-    """Write the silhouettes of one camera; one frame at a time is in memory.
+    """Write the silhouettes of one camera; only one frame at a time is held in memory.
 
     Args:
-        path: The file; it is there whole or not at all.
-        masks: One a frame, (height, width); None where nobody is seen. Frames at the end may be missing: nobody.
-        shape: Frames, height, width.
+        path: The file; an interrupted write leaves no partial file.
+        masks: One mask (height, width) per frame; None where no person was detected. Missing frames at the end are
+            written as empty.
+        shape: Number of frames, height and width.
 
     Raises:
         FileProblem: The folder cannot be written to.
-        ValueError: A silhouette has another shape, or there are more than frames.
+        ValueError: A silhouette has another shape, or there are more silhouettes than frames.
     """
     with replacing(path) as beside, zipfile.ZipFile(beside, "w", zipfile.ZIP_DEFLATED, compresslevel=4) as archive:
         with archive.open("shape.npy", "w") as stream:
@@ -91,17 +94,17 @@ def _write_bits(stream: IO[bytes], masks: Iterable[Mask | None], shape: tuple[in
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MaskFile:
-    """Silhouettes of one camera in a file."""
+    """The silhouettes of one camera in a file."""
 
     path: Path
     shape: tuple[int, int, int]
-    """Frames, height, width."""
+    """Number of frames, height and width."""
 
     def masks(self, frames: Iterable[int] | None = None) -> Iterator[Mask]:
-        """Go through silhouettes; one at a time is in memory.
+        """Iterate over silhouettes; only one at a time is held in memory.
 
         Args:
-            frames: Which, best in rising order; all when not given.
+            frames: Frame numbers, fastest in ascending order; all frames by default.
 
         Yields:
             (height, width).
@@ -125,29 +128,31 @@ class MaskFile:
 
 
 def open_masks(path: Path, *, shape: tuple[int, int, int] | None = None) -> MaskFile:
-    """Open silhouettes: an NPZ, or a PNG for the only frame there is.
+    """Open silhouettes: an NPZ, or a PNG for a take of one frame.
 
     Args:
         path: The file.
-        shape: Frames, height and width that it must have.
+        shape: Required number of frames, height and width; not checked by default.
 
     Returns:
         The file, opened for reading frame by frame.
 
     Raises:
-        FileProblem: It is missing, of another kind, or of another shape.
+        FileProblem: The file is missing, or has another format or shape.
     """
     found = (1, *_picture_mask(path).shape) if path.suffix.lower() in PICTURE_SUFFIXES else _stated_shape(path)
     if shape is not None and found != tuple(shape):
-        wrong = f"has {found[0]} frames of {found[2]} x {found[1]}, the video {shape[0]} of {shape[2]} x {shape[1]}"
-        raise FileProblem(path, wrong, "Silhouettes need a frame for each of the video's, and its size.")
+        wrong = (
+            f"has {found[0]} frames of {found[2]} x {found[1]}, but the video has {shape[0]} of {shape[2]} x {shape[1]}"
+        )
+        raise FileProblem(path, wrong, "Silhouettes should have the number of frames and the size of the video.")
     return MaskFile(path=path, shape=found)
 
 
 def _picture_mask(path: Path) -> Mask:
-    """Take what is brighter than half of the brightest as the person: masks of 0 and 1, and of 0 and 255."""
+    """Return pixels above half of the maximum, for masks of 0 and 1 as well as 0 and 255."""
     grey = read_picture(path).max(axis=2)
-    return grey > grey.max() / 2
+    return np.asarray(grey > grey.max() / 2)
 
 
 def _stated_shape(path: Path) -> tuple[int, int, int]:
@@ -165,7 +170,7 @@ def _stated_shape(path: Path) -> tuple[int, int, int]:
 
 
 class _BitReader:
-    """Reads frames of packed bits from a compressed stream, going forward as long as it can."""
+    """Reads frames of packed bits from a compressed stream, which is reopened only to go backward."""
 
     def __init__(self, path: Path, shape: tuple[int, int, int]):
         self._archive = zipfile.ZipFile(path)
@@ -192,7 +197,7 @@ class _BitReader:
             self._open()
         while self._next < begin:
             self._read(min(begin - self._next, 1 << 20))
-        # A frame may begin in the byte in which the one before ended.
+        # A frame may begin in the byte in which the previous frame ends.
         content = self._last[: self._next - begin] + self._read(end - self._next)
         bits = np.unpackbits(np.frombuffer(content, np.uint8))[first - 8 * begin : last - 8 * begin]
         return bits.reshape(height, width).astype(bool)

@@ -1,4 +1,4 @@
-"""Seeds that a person clicked: one a row, where it is seen in each camera."""
+"""Reading of manually selected seeds: one seed per row, with its position in each camera."""
 
 import csv
 from collections.abc import Sequence
@@ -15,16 +15,16 @@ def read_seeds(path: Path | str, rig: Rig) -> Floats:
     """Read a table of seeds.
 
     Args:
-        path: CSV: in each row x and y in each camera of `cameras.toml`, in its order, empty where unknown. Rows of
-            words (a head) and empty ones are passed over.
-        rig: All cameras of that file.
+        path: CSV with x and y for each camera in each row, in the order of `cameras.toml`, empty where unknown. Empty
+            rows and rows without numbers (a header) are ignored.
+        rig: All cameras of `cameras.toml`.
 
     Returns:
-        (n, C, 2) [px]; NaN where unknown.
+        (n, C, 2) positions [px]; NaN where unknown.
 
     Raises:
-        FileProblem: It cannot be read, a row has another length or no numbers, or a seed lies outside of its picture;
-            the message names the row.
+        FileProblem: It cannot be read, a row has another length or a value that is not a number, or a seed is outside
+            the picture; the message names the row.
     """
     try:
         with Path(path).open(newline="", encoding="utf-8-sig") as file:
@@ -38,7 +38,7 @@ def read_seeds(path: Path | str, rig: Rig) -> Floats:
         if any(cell.strip() for cell in row) and not _is_head(row)
     ]
     if not rows:
-        raise FileProblem(path, "holds no seed", _layout(rig))
+        raise FileProblem(path, "has no seed", _layout(rig))
     return np.stack([seed for _, seed in rows])
 
 
@@ -63,17 +63,17 @@ def _numbers(path: Path | str, number: int, row: Sequence[str], rig: Rig) -> Flo
         raise FileProblem(path, f"has {len(row)} columns in row {number}", _layout(rig))
     wrong = [cell for cell in row if cell and not _is_number(cell)]
     if wrong:
-        raise FileProblem(path, f"has '{wrong[0]}' in row {number}, where a number belongs", _layout(rig))
+        raise FileProblem(path, f"has '{wrong[0]}' in row {number} instead of a number", _layout(rig))
     seed = np.array([float(cell) if cell else np.nan for cell in row]).reshape(-1, 2)
     for camera, pixel in zip(rig, seed, strict=True):
         if np.isfinite(pixel).any() and not camera.sees(pixel):
             x, y = pixel
-            wrong_place = f"has a seed in row {number} at ({x:g}, {y:g}), outside of the picture of '{camera.name}'"
-            size = f"x lies between 0 and {camera.width - 1}, y between 0 and {camera.height - 1}."
+            wrong_place = f"has a seed in row {number} at ({x:g}, {y:g}), outside the picture of '{camera.name}'"
+            size = f"x should be from 0 to {camera.width - 1}, and y from 0 to {camera.height - 1}."
             raise FileProblem(path, wrong_place, size)
     return seed
 
 
 def _layout(rig: Rig) -> str:
     head = ", ".join(f"{name} x, {name} y" for name in rig.names)
-    return f"Each row holds {2 * len(rig)} cells: {head}; empty where unknown."
+    return f"Each row should have {2 * len(rig)} cells: {head}; empty where unknown."

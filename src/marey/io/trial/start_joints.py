@@ -1,4 +1,4 @@
-"""2-D joints of one frame, clicked or detected: JSON of our own, or folders that OpenPose and its kin write."""
+"""Reading of the 2-D joints of one frame, clicked or detected: our own JSON, or folders of OpenPose."""
 
 import json
 import re
@@ -18,13 +18,16 @@ from marey.errors import FileProblem
 from marey.io.calibration.parts import finite
 
 JOINTS = tuple(JOINT_OF_SEGMENT.values())
+"""Names of the joints that can be given."""
 
 _SIDES = ("left", "right")
+"""Prefixes of the joints' names, in the order of the point numbers in `LAYOUTS`."""
 _LIMBS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
+"""Joints of one side, in the order of the point numbers in `LAYOUTS`."""
 
 
 def _layout(limbs: Sequence[Sequence[int]], **others: tuple[int, ...]) -> dict[str, tuple[int, ...]]:
-    """Name the points of a detector: per side the limbs' in order, then others; several points mean their middle."""
+    """Return the point numbers of each joint: the limbs' by side, and others; several points stand for their mean."""
     pairs = {
         f"{side}_{joint}": (point,)
         for side, points in zip(_SIDES, limbs, strict=True)
@@ -45,61 +48,64 @@ LAYOUTS = {
         neck=(18,), head=(3, 4), left_toe=(20, 22), right_toe=(21, 23),
     )),
 }  # fmt: skip
-"""Detectors' layouts by their number of points. The head's centre is the middle between the ears."""
+"""Keypoint layouts of detectors by their number of points; the head's centre is the midpoint of the ears."""
 
 _JSON_REMEDY = (
     'Write {"frame": 12, "cam01": {"left_hip": [310, 224], ...}, ...}, pixels counted from 0, x right, y down.'
 )
+"""Remedy in the error messages on a JSON file: the expected content."""
 _FOLDER_REMEDY = (
     "Give a folder with CAMERA_json/*_NUMBER_keypoints.json, CAMERA/*.json, or CAMERA_NUMBER_keypoints.json."
 )
+"""Remedy in the error messages on a folder: the expected files."""
 _LEAST_CONFIDENCE = 0.05
-"""Below it a detector has not found a point; OpenPose writes 0, 0, 0."""
+"""Points with a lower confidence are treated as missing; OpenPose writes 0, 0, 0 for them. Chosen by hand."""
 _MOST_PEOPLE = 4
+"""Number of persons per picture, the most confident ones, among which the same person is searched. Chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class StartJoints:
-    """Joints in the pictures of one frame."""
+    """Joint positions in the pictures of one frame."""
 
     frame: int
     camera_names: tuple[str, ...]
     """C cameras, in the rig's order."""
     joint_names: tuple[str, ...]
-    """J joint centres."""
+    """Names of the J joint centres."""
     pixels: Floats
     """(C, J, 2) [px]; NaN where a joint is not given."""
     confidence: Floats
-    """(C, J) from 0 to 1; 1 for what was clicked, 0 where a joint is not given."""
+    """(C, J) confidence from 0 to 1; 1 for clicked joints, 0 where a joint is not given."""
     layout: str
-    """Where the points come from: "clicked", or the detector's layout."""
+    """Source of the points: "clicked", or the name of the detector's layout."""
 
     def __post_init__(self) -> None:
         freeze_fields(self, "pixels", "confidence")
 
 
 def read_start_joints(path: Path | str, rig: Rig, *, count: int) -> StartJoints:
-    """Read the joints from which to start.
+    """Read the joints from which the tracking starts.
 
     Args:
-        path: A JSON file, or a folder of OpenPose's files; of those the frame that shows most of one person is taken.
-        rig: The cameras; others in the file are left out.
-        count: Frames of the video.
+        path: A JSON file, or a folder of OpenPose, from which the frame with the clearest single person is taken.
+        rig: The cameras; others in the file are ignored.
+        count: Number of frames of the video.
 
     Returns:
         The joints.
 
     Raises:
-        FileProblem: The file cannot be used; the message lists everything that is wrong.
+        FileProblem: The file cannot be used; the message lists all faults.
     """
     path = Path(path)
     if path.is_dir():
         return _read_folder(path, rig, count)
-    said = _read_json(path)
-    if not isinstance(said, dict) or "people" in said:
-        remedy = f"{_FOLDER_REMEDY} Or: {_JSON_REMEDY}" if isinstance(said, dict) else _JSON_REMEDY
-        raise FileProblem(path, "does not hold the joints of one frame by camera", remedy)
-    return _from_clicks(path, said, rig, count)
+    content = _read_json(path)
+    if not isinstance(content, dict) or "people" in content:
+        remedy = f"{_FOLDER_REMEDY} Or: {_JSON_REMEDY}" if isinstance(content, dict) else _JSON_REMEDY
+        raise FileProblem(path, "does not contain the joints of one frame by camera", remedy)
+    return _from_clicks(path, content, rig, count)
 
 
 def _read_json(path: Path) -> Any:
@@ -111,18 +117,18 @@ def _read_json(path: Path) -> Any:
         raise FileProblem(path, f"is not JSON: {error}", _JSON_REMEDY) from error
 
 
-def _from_clicks(path: Path, said: Mapping[str, Any], rig: Rig, count: int) -> StartJoints:
-    frame = said.get("frame")
-    cameras = {name: joints for name, joints in said.items() if name != "frame"}
+def _from_clicks(path: Path, content: Mapping[str, Any], rig: Rig, count: int) -> StartJoints:
+    frame = content.get("frame")
+    cameras = {name: joints for name, joints in content.items() if name != "frame"}
     if set(cameras) == {"cameras"} and isinstance(cameras["cameras"], dict):
         cameras = cameras["cameras"]
     faults = []
     if not isinstance(frame, int) or isinstance(frame, bool) or not 0 <= frame < count:
-        faults.append(f"has frame = {frame!r}, which is no whole number from 0 to {count - 1}")
+        faults.append(f"has frame = {frame!r}, which is not a whole number from 0 to {count - 1}")
     pixels = np.full((len(rig), len(JOINTS), 2), np.nan)
     for name, joints in cameras.items():
         if not isinstance(joints, dict):
-            faults.append(f"'{name}' holds no joints by name")
+            faults.append(f"'{name}' has no table of joints by name")
             continue
         for joint, value in joints.items():
             faults += _fault_of_click(name, joint, value, rig)
@@ -155,18 +161,18 @@ def _fault_of_click(camera: str, joint: str, value: object, rig: Rig) -> list[st
 
 
 def _read_folder(folder: Path, rig: Rig, count: int) -> StartJoints:
-    """Take the frame in which one person is seen best by all cameras together."""
+    """Take the frame in which a single person is most visible in all cameras together."""
     files = [_files_of(folder, name) for name in rig.names]
     if not any(files):
-        raise FileProblem(folder, f"has no key points of {', '.join(rig.names)}", _FOLDER_REMEDY)
+        raise FileProblem(folder, f"has no keypoints of {', '.join(rig.names)}", _FOLDER_REMEDY)
     frames = sorted({frame for of_camera in files for frame in of_camera if frame < count})
     if not frames:
-        raise FileProblem(folder, f"has no key points of the frames 0 to {count - 1}", _FOLDER_REMEDY)
+        raise FileProblem(folder, f"has no keypoints of the frames 0 to {count - 1}", _FOLDER_REMEDY)
     people = {frame: [_people(of_camera.get(frame)) for of_camera in files] for frame in frames}
     seen = {frame: sum(_clarity(persons) for persons in views) for frame, views in people.items()}
     best = max(frames, key=lambda frame: seen[frame])
     if seen[best] == 0:
-        raise FileProblem(folder, "shows nobody in any frame", "Take another detector, or click some joints.")
+        raise FileProblem(folder, "has no person in any frame", "Use another detector, or click some joints.")
     chosen = _same_person(people[best], rig)
     layout = {len(points) for points in chosen if points is not None}.pop()
     pixels, confidence = np.full((len(rig), len(JOINTS), 2), np.nan), np.zeros((len(rig), len(JOINTS)))
@@ -184,7 +190,7 @@ def _read_folder(folder: Path, rig: Rig, count: int) -> StartJoints:
 
 
 def _files_of(folder: Path, camera: str) -> dict[int, Path]:
-    """Find one camera's files by frame."""
+    """Return one camera's files by frame number."""
     places = [folder / camera, folder / f"{camera}_json"]
     found = [path for place in places if place.is_dir() for path in place.glob("*.json")]
     found = found or list(folder.glob(f"{camera}_*.json"))
@@ -193,31 +199,35 @@ def _files_of(folder: Path, camera: str) -> dict[int, Path]:
 
 
 def _people(path: Path | None) -> list[Floats]:
-    """Read the persons of one picture, each (points, 3): x, y, confidence."""
+    """Read the persons of one picture, each (points, 3) with x, y [px] and confidence."""
     if path is None:
         return []
-    said = _read_json(path)
-    persons = said.get("people") if isinstance(said, dict) else None
+    content = _read_json(path)
+    persons = content.get("people") if isinstance(content, dict) else None
     if not isinstance(persons, list):
-        raise FileProblem(path, "has no list called people", "Write it with OpenPose's write_json or a like option.")
+        raise FileProblem(
+            path, "has no list called people", "Write it with the option write_json of OpenPose or a similar program."
+        )
     found = []
     for person in persons:
         numbers = finite(person.get("pose_keypoints_2d") if isinstance(person, dict) else None, None)
         if numbers is None or len(numbers) % 3 or len(numbers) // 3 not in LAYOUTS:
             known = ", ".join(f"{count} ({name})" for count, (name, _) in sorted(LAYOUTS.items()))
             has = "without numbers" if numbers is None else f"of {len(numbers) / 3:g} points"
-            raise FileProblem(path, f"has a person {has} in pose_keypoints_2d", f"Known are {known} points.")
+            raise FileProblem(
+                path, f"has a person {has} in pose_keypoints_2d", f"The known numbers of points are {known}."
+            )
         found.append(numbers.reshape(-1, 3))
     return sorted(found, key=lambda points: -points[:, 2].sum())[:_MOST_PEOPLE]
 
 
 def _clarity(persons: Sequence[Floats]) -> float:
-    """Rate how well a picture shows one person: the clearest's confidence, less where others are about."""
+    """Return the mean confidence of the clearest person, divided by the number of persons in the picture."""
     return float(persons[0][:, 2].mean()) / len(persons) if persons else 0.0
 
 
 def _joints(points: Floats) -> tuple[Floats, Floats]:
-    """Turn a detector's points into our joints: pixels (J, 2) and confidence (J,)."""
+    """Convert a detector's points to our joints: pixels (J, 2) and confidence (J,)."""
     pixels, confidence = np.full((len(JOINTS), 2), np.nan), np.zeros(len(JOINTS))
     for joint, which in LAYOUTS[len(points)][1].items():
         least = points[list(which), 2].min()
@@ -228,7 +238,7 @@ def _joints(points: Floats) -> tuple[Floats, Floats]:
 
 
 def _same_person(views: Sequence[Sequence[Floats]], rig: Rig) -> tuple[Floats | None, ...]:
-    """Choose one person a view so that the views' rays meet best; with one person in each there is no choice."""
+    """Choose one person per view so that the median triangulation residual is smallest."""
     choices: list[Sequence[Floats | None]] = [persons or (None,) for persons in views]
     best = tuple(persons[0] for persons in choices)
     if all(len(persons) == 1 for persons in choices):

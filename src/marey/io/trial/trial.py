@@ -1,4 +1,4 @@
-"""A trial: the folder that a user has in hand, with what trial.toml says about it."""
+"""Reading of a trial: the folder with calibration, videos, silhouettes and the settings of trial.toml."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ _Z_UP_FROM: dict[str, list[list[int]]] = {
     "x": [[0, 0, -1], [0, 1, 0], [1, 0, 0]],
     "-x": [[0, 0, 1], [0, 1, 0], [-1, 0, 0]],
 }
-"""The quarter or half turn that carries the given axis to Z and leaves as much as possible in place."""
+"""Rotation by a quarter or half turn that maps the given axis to Z."""
 
 
 class _Table(BaseModel):
@@ -37,38 +37,38 @@ class _Table(BaseModel):
 
 
 class StartTable(_Table):
-    """What `[start]` holds."""
+    """The table `[start]`."""
 
     file: str
-    """2-D joints of one frame: JSON, or a folder of OpenPose's; relative to the trial."""
+    """Path of the 2-D joints of one frame, relative to the trial: JSON, or a folder of OpenPose."""
 
 
 class BackgroundTable(_Table):
-    """What `[background]` holds."""
+    """The table `[background]`."""
 
     folder: str
-    """Pictures or clips of the empty room; relative to the trial."""
+    """Folder with pictures or clips of the empty room, relative to the trial."""
 
 
 class WorldTable(_Table):
-    """What `[world]` holds."""
+    """The table `[world]`."""
 
     up: Up
-    """Which axis of the calibration points up."""
+    """The axis of the calibration that points up."""
 
 
 class TrialSettings(_Table):
-    """What trial.toml may say; everything may be left out."""
+    """The settings of trial.toml; all are optional."""
 
     stature_m: Annotated[float, Field(gt=0.3, lt=2.8)] | None = None
     mass_kg: Annotated[float, Field(gt=1, lt=400)] | None = None
     preset: Preset | None = None
     cameras: Annotated[tuple[str, ...], Field(min_length=1)] | None = None
-    """Names to keep."""
+    """Names of the cameras to use; all by default."""
     frames: tuple[Annotated[int, Field(ge=0)], int | None] | None = None
-    """First frame and the one after the last (None for all that follow)."""
+    """First frame, and the frame after the last one (None: up to the end)."""
     rate: Annotated[float, Field(gt=0, lt=100000)] | None = None
-    """Frames a second [Hz]."""
+    """Frame rate [Hz]."""
     person: int | str | None = None
     start: StartTable | None = None
     background: BackgroundTable | None = None
@@ -77,30 +77,30 @@ class TrialSettings(_Table):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Trial:
-    """A folder with everything in it opened, checked, and expressed in a world whose Z points up.
+    """A trial folder with all its files opened and checked, in a world whose Z points up.
 
-    With `[world] up` given, the calibration is turned so that this axis becomes Z; all results are in that turned
-    world, whose origin is the calibration's. `world_from_file` carries points of the calibration's own axes to it.
+    With `[world] up`, the calibration is rotated so that the given axis becomes Z; all results are in the rotated
+    world, which has the same origin. `world_from_file` is the transform from the axes of the calibration file.
     """
 
     folder: Path
     calibration: Path
-    """The file that the cameras were read from."""
+    """The calibration file."""
     rig: Rig
-    """The cameras that are kept, in the world with Z up."""
+    """The cameras that are used, in the world with Z up."""
     take: Take
-    """Their clips, in the same order."""
+    """The clips of the cameras, in the same order."""
     background: Mapping[str, Clip]
-    """Pictures of the empty room, by camera; cameras without one are missing."""
+    """Pictures of the empty room by camera; cameras without one are omitted."""
     masks: Mapping[str, MaskFile]
-    """Silhouettes that are known already, by camera: those of all cameras, or none."""
+    """Given silhouettes by camera: those of all cameras, or none."""
     start: Path | None
-    """2-D joints to start from."""
+    """File or folder of the 2-D joints of the first pose; None if not given."""
     settings: TrialSettings
     world_from_file: RigidTransform
     """Identity unless `[world] up` turns the calibration."""
     up_given: bool
-    """Whether the user said which way is up: then a lying person is a lying person."""
+    """Whether the user gave the vertical axis; then the person is not assumed to stand."""
 
     def __repr__(self) -> str:
         cameras = ", ".join(self.rig.names)
@@ -113,7 +113,7 @@ class Trial:
 
     @property
     def input_files(self) -> tuple[Path, ...]:
-        """Every file that the results depend on."""
+        """All files on which the results depend."""
         named = [self.calibration, self.folder / "trial.toml", *(file.path for file in self.masks.values())]
         named += [path for clip in (*self.take.clips, *self.background.values()) for path in clip.paths]
         named += [] if self.start is None else [self.start]
@@ -121,7 +121,7 @@ class Trial:
 
 
 def read_settings(folder: Path, **changes: object) -> TrialSettings:
-    """Read trial.toml, where there is one, and replace what was said elsewhere.
+    """Read trial.toml, if there is one, and replace settings.
 
     Args:
         folder: The trial.
@@ -131,13 +131,13 @@ def read_settings(folder: Path, **changes: object) -> TrialSettings:
         The settings.
 
     Raises:
-        FileProblem: A key is not known or a value impossible; the message lists everything.
-        SettingProblem: A replacement is impossible.
+        FileProblem: A key is unknown or a value invalid; the message lists all faults.
+        SettingProblem: A replacement is invalid.
     """
     path = folder / "trial.toml"
-    said = read_tables(path) if path.exists() else {}
+    tables = read_tables(path) if path.exists() else {}
     try:
-        settings = TrialSettings.model_validate(said)
+        settings = TrialSettings.model_validate(tables)
     except ValidationError as error:
         known = "Known are stature_m, mass_kg, preset, cameras, frames, rate, person, [start] file, [background] folder"
         raise FileProblem(path, _faults(error), f"{known} and [world] up.") from error
@@ -145,11 +145,11 @@ def read_settings(folder: Path, **changes: object) -> TrialSettings:
     try:
         return TrialSettings.model_validate(settings.model_dump() | given)
     except ValidationError as error:
-        raise SettingProblem(f"What was asked for {_faults(error)}.") from error
+        raise SettingProblem(f"The given setting {_faults(error)}.") from error
 
 
 def read_trial(folder: Path | str, **changes: object) -> Trial:
-    """Open a trial: its settings, cameras, clips, background and known silhouettes.
+    """Open a trial: its settings, cameras, clips, background and given silhouettes.
 
     Args:
         folder: The trial.
@@ -159,13 +159,13 @@ def read_trial(folder: Path | str, **changes: object) -> Trial:
         The trial.
 
     Raises:
-        FileProblem: Something in it cannot be used; the message names the file and the remedy.
-        SettingProblem: A replacement is impossible.
+        FileProblem: A file of the trial cannot be used; the message names the file and the remedy.
+        SettingProblem: A replacement is invalid.
     """
     folder = Path(folder)
     if not folder.is_dir():
-        wrong = "is no folder" if folder.exists() else "does not exist"
-        raise FileProblem(folder, wrong, "Give a folder with cameras.toml and one video a camera.")
+        wrong = "is not a folder" if folder.exists() else "does not exist"
+        raise FileProblem(folder, wrong, "Give a folder with cameras.toml and one video per camera.")
     settings = read_settings(folder, **changes)
     calibration = calibration_file(folder)
     rig = read_rig(calibration)
@@ -189,19 +189,19 @@ def read_trial(folder: Path | str, **changes: object) -> Trial:
 
 
 def z_up_from(up: Up) -> RigidTransform:
-    """Give the turn that makes an axis of the calibration the Z axis.
+    """Return the rotation that maps an axis of the calibration to the Z axis.
 
     Args:
         up: The axis that points up.
 
     Returns:
-        The turn about the origin.
+        The rotation about the origin.
     """
     return RigidTransform(np.array(_Z_UP_FROM[up], float), np.zeros(3))
 
 
 def _faults(error: ValidationError) -> str:
-    """Say in one line what pydantic found."""
+    """Return the faults that pydantic found as one line of text."""
     clauses: dict[str, None] = {}
     for fault in error.errors():
         key = ".".join(part for part in fault["loc"] if isinstance(part, str))
@@ -209,9 +209,9 @@ def _faults(error: ValidationError) -> str:
         if fault["type"] == "extra_forbidden":
             clauses[f"has the unknown key '{key}'"] = None
         elif fault["type"] == "model_type":
-            clauses[f"has {key} = {fault['input']!r}, where a table [{key}] belongs"] = None
+            clauses[f"has {key} = {fault['input']!r}, which should be a table [{key}]"] = None
         else:
-            clauses[f"has {key} = {fault['input']!r}, which cannot be used ({why})"] = None
+            clauses[f"has {key} = {fault['input']!r}, which is invalid ({why})"] = None
     return "; ".join(clauses)
 
 
@@ -228,7 +228,7 @@ def _background(folder: Path, rig: Rig, table: BackgroundTable | None) -> Mappin
     room = folder / (table.folder if table else "background")
     if not room.is_dir():
         if table:
-            raise FileProblem(room, "does not exist", "Mend [background] folder in trial.toml.")
+            raise FileProblem(room, "does not exist", "Correct [background] folder in trial.toml.")
         return MappingProxyType({})
     clips = {}
     for camera in rig:
@@ -240,13 +240,13 @@ def _background(folder: Path, rig: Rig, table: BackgroundTable | None) -> Mappin
             clips[camera.name] = open_clip(path)
             require_size(clips[camera.name], camera.name, camera.size)
     if not clips:
-        wrong = f"holds no picture of {', '.join(rig.names)}"
-        raise FileProblem(room, wrong, f"Call them {rig.names[0]}.png and so on, or take the folder away.")
+        wrong = f"has no picture of {', '.join(rig.names)}"
+        raise FileProblem(room, wrong, f"Name them {rig.names[0]}.png and so on, or remove the folder.")
     return MappingProxyType(clips)
 
 
 def _known_masks(folder: Path, rig: Rig, count: int) -> Mapping[str, MaskFile]:
-    """Open silhouettes that are known: all cameras have them, or none."""
+    """Open given silhouettes: those of all cameras, or none."""
     found = {}
     for camera in rig:
         for path in _files_of(folder / "masks", camera.name, (".npz", ".png"))[:1]:
@@ -254,7 +254,7 @@ def _known_masks(folder: Path, rig: Rig, count: int) -> Mapping[str, MaskFile]:
     missing = [name for name in rig.names if name not in found]
     if found and missing:
         wrong = f"has no silhouettes of {', '.join(missing)}"
-        raise FileProblem(folder / "masks", wrong, "Give those of all cameras, or take the folder away.")
+        raise FileProblem(folder / "masks", wrong, "Add them, or remove the folder.")
     return MappingProxyType(found)
 
 
@@ -263,7 +263,7 @@ def _start(folder: Path, table: StartTable | None) -> Path | None:
         return None
     path = folder / table.file
     if not path.exists():
-        raise FileProblem(path, "does not exist", "Mend [start] file in trial.toml.")
+        raise FileProblem(path, "does not exist", "Correct [start] file in trial.toml.")
     return path
 
 

@@ -1,4 +1,4 @@
-"""Pictures on disk: single ones, and the grey ones of a video while work on it lasts."""
+"""Writing of single pictures, and of the grey pictures of a video to a temporary file."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -13,33 +13,33 @@ from marey.io.video.video import Clip
 
 
 def write_picture(path: Path | str, image: Image) -> None:
-    """Write a picture; the ending says in which format.
+    """Write a picture in the format given by the file name extension.
 
     Args:
         path: The file.
-        image: (H, W, 3) blue, green, red, or (H, W).
+        image: (H, W, 3) blue, green and red, or (H, W) grey; uint8.
 
     Raises:
-        FileProblem: It cannot be written.
+        FileProblem: The picture cannot be written.
     """
     done, content = cv2.imencode(Path(path).suffix, image)
     if not done:
-        raise FileProblem(path, "cannot be written as a picture", "Give it the ending .png or .jpg.")
+        raise FileProblem(path, "cannot be written as a picture", "Use the extension .png or .jpg.")
     with replacing(path) as beside:
         beside.write_bytes(content.tobytes())
 
 
 def grey_pictures(path: Path, clip: Clip, frames: Sequence[int], step: Callable[[], None]) -> list[np.ndarray]:
-    """Decode pictures into a file of grey ones, which can be read in any order without holding them in memory.
+    """Decode pictures to grey ones in a memory-mapped file, which can be accessed in any order.
 
     Args:
-        path: The file, NPY; it belongs to the work and may be deleted after it.
+        path: The temporary file (NPY); it may be deleted after use.
         clip: The video.
-        frames: Which of its pictures, in rising order.
-        step: Is called after each.
+        frames: Numbers of its pictures, in ascending order.
+        step: Called after each picture.
 
     Returns:
-        F pictures (H, W) uint8, which lie in the file.
+        F pictures (H, W) uint8, mapped to the file.
 
     Raises:
         FileProblem: A picture is damaged, or the file cannot be written.
@@ -49,7 +49,9 @@ def grey_pictures(path: Path, clip: Clip, frames: Sequence[int], step: Callable[
         grey = np.lib.format.open_memmap(path, "w+", np.uint8, (len(frames), height, width))
     except OSError as problem:
         raise FileProblem(
-            path, f"cannot be written ({problem.strerror})", "Make room there, or give --out."
+            path,
+            f"cannot be written ({problem.strerror})",
+            "Free some space there, or choose another folder with --out.",
         ) from problem
     for number, image in enumerate(clip.images(frames)):
         grey[number] = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)

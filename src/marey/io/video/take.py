@@ -1,4 +1,4 @@
-"""A take: the synchronised clips of several cameras, found in a folder and checked against each other."""
+"""A take: the synchronised clips of several cameras, found in a folder and checked for consistency."""
 
 import queue
 import re
@@ -13,41 +13,43 @@ from marey.errors import FileProblem
 from marey.io.video.video import PICTURE_SUFFIXES, VIDEO_SUFFIXES, Clip, open_clip, open_stills
 
 _END_SLACK = 3
-"""Frames by which clips of one take may differ at their ends: cameras stop and containers round one by one."""
+"""Largest difference of the numbers of frames of one take; cameras stop at slightly different times.
+
+Chosen by hand."""
 _RATE_SLACK = 0.005
-"""Relative difference of rates that is only rounding: 29.97 and 30 are the same, 25 and 30 are not."""
+"""Largest relative difference of equal frame rates: 29.97 and 30 Hz are equal, 25 and 30 Hz are not."""
 _AHEAD = 3
-"""Pictures a camera that may wait decoded: enough to keep the decoder busy, never a clip in memory."""
+"""Number of decoded pictures per camera that are queued, to keep the decoder busy. Chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Take:
-    """Several cameras that filmed the same time; frame i is the same instant in all of them."""
+    """The synchronised clips of several cameras; frame i is the same instant in all of them."""
 
     names: tuple[str, ...]
     """The cameras, in the rig's order."""
     clips: tuple[Clip, ...]
-    """One a camera."""
+    """One clip per camera."""
     rate: float
-    """Frames a second [Hz]."""
+    """Frame rate [Hz]."""
     count: int
-    """Frames of the video: every result has a row for each."""
+    """Number of frames of the video; every result has one row per frame."""
     first: int
-    """The first frame to work on."""
+    """The first frame to process."""
     end: int
-    """The frame after the last one to work on."""
+    """The frame after the last one to process."""
     notes: tuple[str, ...] = ()
-    """What a reader of the report should know: frames left out, rates that were replaced."""
+    """Remarks for the report: omitted frames, replaced rates."""
 
     def frames(self, first: int | None = None, end: int | None = None) -> Iterator[tuple[int, tuple[Image, ...]]]:
-        """Go through the take; each camera is decoded in a thread of its own, a few frames ahead.
+        """Iterate over the frames; each camera is decoded in its own thread, a few frames ahead.
 
         Args:
-            first: Where to begin; the take's own first frame when not given.
-            end: Where to stop (not included); the take's own end when not given.
+            first: First frame; that of the take by default.
+            end: The frame after the last one; that of the take by default.
 
         Yields:
-            The frame's number and one picture a camera, (height, width, 3) uint8 in blue, green, red.
+            The frame's number and one picture per camera, (height, width, 3) uint8 in blue, green, red.
 
         Raises:
             FileProblem: A clip is damaged; the message names the frame.
@@ -55,13 +57,13 @@ class Take:
         return self.at(range(self.first if first is None else first, self.end if end is None else end))
 
     def at(self, frames: Sequence[int]) -> Iterator[tuple[int, tuple[Image, ...]]]:
-        """Fetch some frames only, best in rising order; otherwise like `frames`.
+        """Iterate over given frames, fastest in ascending order; otherwise like `frames`.
 
         Args:
-            frames: Their numbers, between 0 and `count`.
+            frames: Frame numbers from 0 to `count` - 1.
 
         Yields:
-            The frame's number and one picture a camera.
+            The frame's number and one picture per camera.
 
         Raises:
             FileProblem: A clip is damaged; the message names the frame.
@@ -75,19 +77,19 @@ class Take:
                 feeder.stop()
 
     def images(self, frame: int) -> tuple[Image, ...]:
-        """Fetch one frame.
+        """Decode one frame.
 
         Args:
-            frame: Its number.
+            frame: Number of the frame.
 
         Returns:
-            One picture a camera.
+            One picture per camera.
         """
         return next(iter(self.at([frame])))[1]
 
 
 class _Feeder:
-    """Decodes one clip in a thread, a few pictures ahead of who takes them."""
+    """Decodes one clip in a thread, a few pictures ahead of the consumer."""
 
     def __init__(self, clip: Clip, frames: Iterable[int]):
         self._ready: queue.Queue[Image | BaseException] = queue.Queue(maxsize=_AHEAD)
@@ -104,7 +106,7 @@ class _Feeder:
     def stop(self) -> None:
         self._stopped.set()
         while self._thread.is_alive():
-            # A full queue would hold the thread back from seeing that it shall stop.
+            # A full queue would block the thread before it checks the event.
             try:
                 self._ready.get(timeout=0.01)
             except queue.Empty:
@@ -117,7 +119,7 @@ class _Feeder:
                 self._ready.put(image)
                 if self._stopped.is_set():
                     return
-        except BaseException as error:  # it is raised again where the picture is asked for
+        except BaseException as error:  # it is raised again in `next`
             self._ready.put(error)
 
 
@@ -129,20 +131,20 @@ def open_take(
     frames: tuple[int, int | None] | None = None,
     others: bool = False,
 ) -> Take:
-    """Find the clips of a rig's cameras and check them against the calibration and each other.
+    """Open the clips of a rig's cameras, and check that they agree with the calibration and with each other.
 
     Args:
-        folder: Holds `<camera>.mp4` or another container, stills `<camera>_<number>.jpg`, or `images/<camera>.jpg`.
+        folder: Contains `<camera>.mp4` or another container, stills `<camera>_<number>.jpg`, or `images/<camera>.jpg`.
         rig: The cameras.
-        rate: Frames a second [Hz], where the containers are wrong or silent.
-        frames: First frame to work on and the one after the last (None for all that follow).
-        others: Whether videos of cameras that are not in the rig may lie there.
+        rate: Frame rate [Hz], where that of the containers is wrong or missing.
+        frames: First frame to process, and the frame after the last one (None: up to the end).
+        others: Whether the folder may contain videos of cameras that are not in the rig.
 
     Returns:
         The take.
 
     Raises:
-        FileProblem: A clip is missing, damaged, too short, or of another size or rate than the others.
+        FileProblem: A clip is missing, damaged or too short, or its size or rate does not agree.
     """
     clips = find_clips(folder, rig.names, others=others)
     for camera, clip in zip(rig, clips, strict=True):
@@ -152,8 +154,8 @@ def open_take(
     common_rate, more = _common_rate(folder, rig.names, clips, rate)
     end = count if end is None else end
     if not 0 <= first < end <= count:
-        wrong = f"has {count} frames, so the frames from {first} to {end} (not included) cannot be kept"
-        raise FileProblem(folder, wrong, f"Give frames between 0 and {count}, the first before the end.")
+        wrong = f"has {count} frames, so the frames from {first} up to {end} (not included) cannot be used"
+        raise FileProblem(folder, wrong, f"Give frames from 0 to {count}, the first one before the end.")
     return Take(
         names=rig.names,
         clips=clips,
@@ -166,12 +168,12 @@ def open_take(
 
 
 def find_clips(folder: Path, names: Sequence[str], *, others: bool = False) -> tuple[Clip, ...]:
-    """Find and open one clip a camera.
+    """Find and open one clip per camera.
 
     Args:
         folder: The trial.
         names: The cameras.
-        others: Whether videos of other cameras may lie there.
+        others: Whether the folder may contain videos of other cameras.
 
     Returns:
         The clips, in the order of the names.
@@ -184,13 +186,13 @@ def find_clips(folder: Path, names: Sequence[str], *, others: bool = False) -> t
     missing = [name for name, paths in zip(names, found, strict=True) if not paths]
     strange = [path.name for path in videos if path.stem not in names]
     if missing:
-        hint = f" Videos without a camera are {', '.join(strange)}: rename them or the cameras." if strange else ""
+        hint = f" Rename the videos without a camera, {', '.join(strange)}, or the cameras." if strange else ""
         where = "<camera>.mp4, stills <camera>_<number>.jpg, or images/<camera>.jpg"
         wrong = f"has no video of {_listed(missing)}"
-        raise FileProblem(folder, wrong, f"Put {where} there, or keep the other cameras with --cameras.{hint}")
+        raise FileProblem(folder, wrong, f"Add {where}, or select the other cameras with --cameras.{hint}")
     if strange and not others:
-        wrong = f"has videos of cameras that the calibration does not know: {', '.join(strange)}"
-        remedy = f"Calibrate them, or keep {_listed(names)} with --cameras, or move the files away."
+        wrong = f"has videos of cameras that are not in the calibration: {', '.join(strange)}"
+        remedy = f"Calibrate them, select {_listed(names)} with --cameras, or move the files elsewhere."
         raise FileProblem(folder, wrong, remedy)
     return _open_all(found)
 
@@ -199,8 +201,8 @@ def _open_all(found: Sequence[tuple[Path, ...]]) -> tuple[Clip, ...]:
     stills = [paths for paths in found if paths[0].suffix.lower() in PICTURE_SUFFIXES]
     least, most = min(stills, key=len, default=()), max(stills, key=len, default=())
     if len(least) < len(most):
-        wrong = f"belongs to {len(least)} stills, {most[0].name} to {len(most)}"
-        raise FileProblem(least[0], wrong, "Every camera needs a still of every instant.")
+        wrong = f"is one of {len(least)} stills of its camera, but {most[0].name} one of {len(most)}"
+        raise FileProblem(least[0], wrong, "All cameras should have the same number of stills.")
     pictures = [paths[0].suffix.lower() in PICTURE_SUFFIXES for paths in found]
     return tuple(
         open_stills(paths) if still else open_clip(paths[0]) for paths, still in zip(found, pictures, strict=True)
@@ -215,10 +217,10 @@ def pictures_of(folder: Path, name: str) -> tuple[Path, ...]:
         name: The camera.
 
     Returns:
-        The video, or the stills, or nothing.
+        The video, or the stills; empty if there are none.
 
     Raises:
-        FileProblem: There are several videos, or several stills of one number.
+        FileProblem: There are several videos, or several stills with the same number.
     """
     files = sorted(path for path in folder.iterdir() if path.is_file() and path.stem.startswith(name))
     videos = [path for path in files if path.suffix.lower() in VIDEO_SUFFIXES and path.stem == name]
@@ -247,7 +249,7 @@ def _require_one_each(folder: Path, name: str, numbers: Sequence[int]) -> None:
 
 
 def require_size(clip: Clip, name: str, size: tuple[int, int]) -> None:
-    """Check that a clip has the size for which its camera was calibrated.
+    """Check that a clip has the size of its camera's calibration.
 
     Args:
         clip: The clip.
@@ -255,19 +257,19 @@ def require_size(clip: Clip, name: str, size: tuple[int, int]) -> None:
         size: Width and height of the calibration [px].
 
     Raises:
-        FileProblem: It has another size.
+        FileProblem: The clip has another size.
     """
     if clip.size == size:
         return
     wrong = f"is {clip.size[0]} x {clip.size[1]}, but camera '{name}' was calibrated at {size[0]} x {size[1]}"
     remedy = "Use the calibration of this recording."
     if clip.size == size[::-1]:
-        remedy = "The one seems to be turned on its side: turn the video, or calibrate it as it is."
+        remedy = "The video seems to be rotated by 90 degrees: rotate it, or calibrate the camera again."
     raise FileProblem(clip.path, wrong, remedy)
 
 
 def _common_count(names: Sequence[str], clips: Sequence[Clip], end: int | None) -> tuple[int, tuple[str, ...]]:
-    """Agree on the number of frames: what all cameras have, where the others' ends are not needed."""
+    """Return the number of frames that all cameras have, with remarks."""
     counts = [clip.count for clip in clips]
     least, most = min(counts), max(counts)
     if least == most:
@@ -276,28 +278,28 @@ def _common_count(names: Sequence[str], clips: Sequence[Clip], end: int | None) 
         shortest = clips[counts.index(least)].path
         each = ", ".join(f"'{name}' {count}" for name, count in zip(names, counts, strict=True))
         wrong = f"has {least} frames and is shorter than the others ({each})"
-        remedy = f"Copy it again, or keep what all cameras have with frames = [0, {least}] in trial.toml."
+        remedy = f"Copy it again, or select the frames of all cameras with frames = [0, {least}] in trial.toml."
         raise FileProblem(shortest, wrong, remedy)
-    return least, (f"The clips have {least} to {most} frames; what not all of them have is left out.",)
+    return least, (f"The clips have {least} to {most} frames; frames that are not in all clips are ignored.",)
 
 
 def _common_rate(
     folder: Path, names: Sequence[str], clips: Sequence[Clip], rate: float | None
 ) -> tuple[float, tuple[str, ...]]:
-    """Agree on the rate: the given one, or the one that all containers name."""
+    """Return the frame rate, the given one or the common one of all containers, with remarks."""
     rates = [clip.rate for clip in clips]
     known = [value for value in rates if value is not None]
     if rate is not None:
         differ = sorted({f"{value:g}" for value in known if abs(value - rate) > _RATE_SLACK * rate})
-        note = f"The rate is {rate:g} Hz as given; the containers say {', '.join(differ)}."
+        note = f"The given rate of {rate:g} Hz is used; the containers have {', '.join(differ)} Hz."
         return rate, ((note,) if differ else ())
     if not known:
         several = max(clip.count for clip in clips) > 1
-        return 1.0, (("Stills tell no rate: the time counts pictures. Give rate in trial.toml.",) if several else ())
+        return 1.0, (("Stills have no frame rate: 1 Hz is assumed. Give rate in trial.toml.",) if several else ())
     if max(known) - min(known) > _RATE_SLACK * max(known):
         each = ", ".join(f"'{name}' {value:g}" for name, value in zip(names, rates, strict=True) if value is not None)
-        wrong = f"has cameras with different rates ({each} frames a second)"
-        remedy = "Cameras are measured together at one rate; if a container is wrong, give rate in trial.toml."
+        wrong = f"has cameras with different rates ({each} Hz)"
+        remedy = "All cameras should have the same rate; if a container is wrong, give rate in trial.toml."
         raise FileProblem(folder, wrong, remedy)
     return known[0], ()
 

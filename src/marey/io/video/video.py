@@ -1,4 +1,4 @@
-"""One camera's pictures, from a video or from stills, decoded as they are needed and by exact frame numbers."""
+"""Reading of one camera's pictures from a video or stills, decoded on demand by exact frame number."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator
@@ -19,20 +19,27 @@ from marey.arrays import Image, Integers, frozen
 from marey.errors import FileProblem
 
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
+"""File name extensions of pictures, in lower case."""
 VIDEO_SUFFIXES = (
     *(".mp4", ".avi", ".mov", ".mkv", ".m4v", ".webm", ".mpg", ".mpeg", ".mts", ".m2ts"),
     *(".wmv", ".flv", ".mjpeg", ".mjpg", ".ts", ".3gp", ".ogv", ".mxf", ".dv"),
 )
+"""File name extensions of videos, in lower case."""
 
 _SEEK_BEYOND = 60
-"""Frames that are sooner decoded and thrown away than sought."""
+"""Up to this number of frames ahead is decoded in sequence; farther frames are reached by seeking.
+
+Chosen by hand."""
 _TRIED = 16
-"""Frames whose times are compared when a video is opened: enough for every reordering that codecs do."""
+"""Number of frames whose times are compared when a video is opened; H.264 reorders at most 16 frames."""
 _HEADER_SLACK = 3
-"""Frames by which an intact file's header may be wrong; MPEG-4 in AVI counts empty packets."""
+"""Largest error of the number of frames in the header of an intact file; MPEG-4 in AVI counts empty packets.
+
+Chosen by hand."""
 _HEADER_SHARE = 0.01
-"""The same as a share of a long file's frames or seconds."""
+"""The same as a fraction of the frames or seconds of a long file. Chosen by hand."""
 _COPY_AGAIN = "Copy the file again from the camera"
+"""Beginning of the remedy in the error messages on damaged files."""
 
 
 class Clip(ABC):
@@ -45,7 +52,7 @@ class Clip(ABC):
     count: int
     """Number of pictures that can be read."""
     rate: float | None
-    """Pictures a second as the container says; None for stills."""
+    """Frame rate of the container [Hz]; None for stills, and where the container has none."""
 
     @property
     @abstractmethod
@@ -54,29 +61,29 @@ class Clip(ABC):
 
     @abstractmethod
     def images(self, frames: Iterable[int]) -> Iterator[Image]:
-        """Decode pictures one after the other; never more than one is held.
+        """Decode pictures one by one; only one is held in memory.
 
         Args:
-            frames: Which, best in rising order; a number may come again.
+            frames: Frame numbers, fastest in ascending order; a number may be repeated.
 
         Yields:
             (height, width, 3) uint8, blue, green, red.
 
         Raises:
-            FileProblem: A picture is damaged; the message names its frame.
+            FileProblem: A picture is damaged; the message names the frame.
         """
 
     def image(self, frame: int) -> Image:
         """Decode one picture.
 
         Args:
-            frame: Which.
+            frame: Number of the frame.
 
         Returns:
             (height, width, 3) uint8, blue, green, red.
 
         Raises:
-            FileProblem: It is damaged.
+            FileProblem: The picture is damaged.
         """
         return next(iter(self.images([frame])))
 
@@ -91,7 +98,7 @@ class Video(Clip):
     count: int
     rate: float | None
     times: Integers | None
-    """When each frame is shown, in the container's ticks; None where its times do not tell frames apart."""
+    """(F,) presentation time of each frame in ticks of the container; None where the times are not unique."""
 
     @property
     def paths(self) -> tuple[Path, ...]:
@@ -99,7 +106,7 @@ class Video(Clip):
         return (self.path,)
 
     def images(self, frames: Iterable[int]) -> Iterator[Image]:
-        """Decode pictures one after the other; see `Clip.images`."""
+        """Decode pictures one by one; see `Clip.images`."""
         decoder = _Decoder(self)
         try:
             for frame in frames:
@@ -111,7 +118,7 @@ class Video(Clip):
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Stills(Clip):
-    """Single pictures, one a frame."""
+    """Single pictures, one per frame."""
 
     files: tuple[Path, ...]
     """In the order of the frames."""
@@ -134,12 +141,13 @@ class Stills(Clip):
         return len(self.files)
 
     def images(self, frames: Iterable[int]) -> Iterator[Image]:
-        """Read pictures one after the other; see `Clip.images`."""
+        """Read pictures one by one; see `Clip.images`."""
         for frame in frames:
             image = read_picture(self.files[frame])
             if (image.shape[1], image.shape[0]) != self.size:
-                sizes = f"{image.shape[1]} x {image.shape[0]} and {self.path.name} {self.size[0]} x {self.size[1]}"
-                raise FileProblem(self.files[frame], f"has the size {sizes}", "All stills of a camera have one size.")
+                sizes = f"{image.shape[1]} x {image.shape[0]}, but {self.path.name} {self.size[0]} x {self.size[1]}"
+                remedy = "All stills of a camera should have the same size."
+                raise FileProblem(self.files[frame], f"has the size {sizes}", remedy)
             yield image
 
 
@@ -150,10 +158,10 @@ def open_clip(path: Path) -> Clip:
         path: The file.
 
     Returns:
-        The clip; nothing but its first picture was decoded where the container is sound.
+        The clip; of a valid container only the first pictures are decoded.
 
     Raises:
-        FileProblem: It cannot be opened, or is not whole.
+        FileProblem: The file cannot be opened, or is incomplete.
     """
     if path.suffix.lower() in PICTURE_SUFFIXES:
         return open_stills((path,))
@@ -161,16 +169,16 @@ def open_clip(path: Path) -> Clip:
 
 
 def open_stills(paths: tuple[Path, ...]) -> Stills:
-    """Take single pictures as a clip.
+    """Open single pictures as a clip.
 
     Args:
-        paths: The files in their order.
+        paths: The files in the order of the frames.
 
     Returns:
         The clip.
 
     Raises:
-        FileProblem: The first cannot be read; the others are read when they are needed.
+        FileProblem: The first file cannot be read; the others are read on demand.
     """
     image = read_picture(paths[0])
     return Stills(files=paths, size=(image.shape[1], image.shape[0]))
@@ -186,7 +194,7 @@ def read_picture(path: Path) -> Image:
         (height, width, 3) uint8, blue, green, red.
 
     Raises:
-        FileProblem: It is no picture or damaged.
+        FileProblem: The file is not a picture, or damaged.
     """
     try:
         content = np.fromfile(path, np.uint8)
@@ -194,31 +202,31 @@ def read_picture(path: Path) -> Image:
     except (OSError, cv2.error) as error:
         raise FileProblem(path, f"cannot be read ({error})", f"{_COPY_AGAIN}.") from error
     if image is None:
-        raise FileProblem(path, "is no picture that can be read, or damaged", f"{_COPY_AGAIN}, or save it as PNG.")
+        raise FileProblem(path, "is not a readable picture, or damaged", f"{_COPY_AGAIN}, or save it as PNG.")
     return np.asarray(image, np.uint8)
 
 
 def open_video(path: Path) -> Video:
-    """Open a video and find out how many pictures can be read from it.
+    """Open a video and count the pictures that can be read from it.
 
-    The packets are counted without decoding them; where their times do not match what the decoder gives (empty packets
-    of MPEG-4 in AVI), the pictures are counted by decoding them once.
+    The packets are counted without decoding. Where their times differ from those of the decoder (empty packets of
+    MPEG-4 in AVI), the pictures are counted by decoding the video once.
 
     Args:
         path: The file.
 
     Returns:
-        The clip; its pictures are as a player shows them, turned where the container says so.
+        The clip; its pictures are rotated as specified in the container.
 
     Raises:
-        FileProblem: It cannot be opened, or is not whole.
+        FileProblem: The file cannot be opened, or is incomplete.
     """
     times = _packet_times(path)
     with _Source(path) as source:
         shown = list(islice(source.frames, _TRIED))
         if not shown:
-            raise FileProblem(path, "opens, but not one picture in it can be decoded", f"{_COPY_AGAIN}.")
-        sound = _tells_frames_apart(source.stream) and _agree(times, shown)
+            raise FileProblem(path, "can be opened, but none of its pictures can be decoded", f"{_COPY_AGAIN}.")
+        sound = _has_valid_times(source.stream) and _agree(times, shown)
         count = len(times) if sound else len(shown) + sum(1 for _ in source.frames)
         _require_all(path, source, times, max(count, len(times)))
         height, width = source.picture(shown[0]).shape[:2]
@@ -233,7 +241,7 @@ def open_video(path: Path) -> Video:
 
 
 def _packet_times(path: Path) -> list[int]:
-    """List the times of all packets in the order in which they are shown, without decoding."""
+    """Return the sorted presentation times of all packets, without decoding."""
     with _Source(path) as source:
         packets = source.container.demux(source.stream)
         try:
@@ -243,8 +251,8 @@ def _packet_times(path: Path) -> list[int]:
     return sorted(time for time in times if time is not None)
 
 
-def _tells_frames_apart(stream: VideoStream) -> bool:
-    """AVI has no times of its own: where pictures are stored out of order, those that are given are guesses."""
+def _has_valid_times(stream: VideoStream) -> bool:
+    """Return whether the times of packets are valid: AVI has none, so they are guessed if frames are reordered."""
     return stream.container.format.name != "avi" or stream.codec_context.codec.intra_only
 
 
@@ -253,24 +261,24 @@ def _agree(times: list[int], shown: list[VideoFrame]) -> bool:
 
 
 def _require_all(path: Path, source: "_Source", times: list[int], readable: int) -> None:
-    """Compare what can be read with what the header promises, in frames or, where it counts none, in seconds."""
+    """Compare the readable frames with the header, by their number or, where it has none, by the duration."""
     promised, duration, rate = source.stream.frames, source.container.duration, source.rate
-    remedy = f"{_COPY_AGAIN}; if that is all there is, write it anew (for example with ffmpeg)."
+    remedy = f"{_COPY_AGAIN}; if the original is incomplete too, re-encode it (for example with ffmpeg)."
     if promised > 0:
         if promised - readable > max(_HEADER_SLACK, _HEADER_SHARE * promised):
-            wrong = f"is not whole: its header promises {promised} frames, {readable} can be read"
+            wrong = f"is incomplete: its header states {promised} frames, but {readable} can be read"
             raise FileProblem(path, wrong, remedy)
     elif duration and times and rate and source.stream.time_base:
         seconds = duration / av.time_base
-        # Some containers count the duration from zero, others from the first picture.
+        # Some containers measure the duration from zero, others from the first picture.
         last = float(max(times[-1], times[-1] - times[0]) * source.stream.time_base)
         if seconds - last > max((_HEADER_SLACK + 1) / rate, _HEADER_SHARE * seconds):
-            wrong = f"is not whole: its header promises {seconds:.2f} s, the last picture is of {last:.2f} s"
+            wrong = f"is incomplete: its header states {seconds:.2f} s, but the last picture is at {last:.2f} s"
             raise FileProblem(path, wrong, remedy)
 
 
 class _Source:
-    """An open video file with its pictures in order."""
+    """An open video file, decoded in order."""
 
     def __init__(self, path: Path):
         self.path = path
@@ -280,37 +288,37 @@ class _Source:
         try:
             self.container: InputContainer = av.open(str(path))
         except (av.FFmpegError, ValueError) as error:
-            wrong = "cannot be opened as a video: it is empty, damaged, or of an unknown kind"
+            wrong = "cannot be opened as a video: it is empty, damaged, or of an unknown format"
             raise FileProblem(path, wrong, f"{_COPY_AGAIN}, or convert it to MP4 (H.264).") from error
         if not self.container.streams.video:
             self.close()
-            raise FileProblem(path, "holds no pictures", f"{_COPY_AGAIN}.")
+            raise FileProblem(path, "has no video stream", f"{_COPY_AGAIN}.")
         self.stream = self.container.streams.video[0]
-        # The cameras are decoded beside each other, so each gets one thread.
+        # The cameras are decoded in parallel, so each has one thread.
         self.stream.thread_type = "NONE"
         self.stream.thread_count = 1
         self.frames = self._decoded()
 
     @property
     def rate(self) -> float | None:
-        """Pictures a second, None where the container does not say."""
+        """Frame rate [Hz]; None where the container has none."""
         rate = self.stream.average_rate
         return float(rate) if rate else None
 
     def _decoded(self) -> Iterator[VideoFrame]:
-        """Decode in order; a generator must not end the file's reading with an error of FFmpeg's."""
+        """Decode in order, and convert errors of FFmpeg."""
         try:
             yield from self.container.decode(self.stream)
         except av.FFmpegError as error:
             raise FileProblem(self.path, f"is damaged ({error.strerror})", f"{_COPY_AGAIN}.") from error
 
     def seek(self, time: int) -> None:
-        """Go to the last key picture up to a time."""
+        """Seek the last key frame up to a time."""
         self.container.seek(time, stream=self.stream, backward=True)
         self.frames = self._decoded()
 
     def picture(self, frame: VideoFrame) -> Image:
-        """Turn a decoded frame into blue, green, red, upright as a player shows it."""
+        """Convert a decoded frame to blue, green, red, rotated as specified in the container."""
         image = np.asarray(self._reformatter.reformat(frame, format="bgr24").to_ndarray(), np.uint8)
         quarters = round(frame.rotation / 90) % 4
         return np.ascontiguousarray(np.rot90(image, quarters)) if quarters else image
@@ -326,7 +334,7 @@ class _Source:
 
 
 class _Decoder:
-    """A place in a video that is being read."""
+    """A reading position in a video."""
 
     def __init__(self, video: Video):
         self.video = video
@@ -338,7 +346,7 @@ class _Decoder:
         self.source.close()
 
     def image(self, frame: int) -> Image:
-        """Decode one frame, going on from here, seeking, or beginning anew."""
+        """Decode one frame by decoding forward, seeking, or reopening the file."""
         if not 0 <= frame < self.video.count:
             raise IndexError(f"{self.video.path} has the frames 0 to {self.video.count - 1}, not {frame}.")
         if frame == self.next - 1 and self.current is not None:
@@ -355,7 +363,7 @@ class _Decoder:
     def _checked(self, image: Image, frame: int) -> Image:
         if (image.shape[1], image.shape[0]) != self.video.size:
             wrong = f"changes its size to {image.shape[1]} x {image.shape[0]} at frame {frame}"
-            raise FileProblem(self.video.path, wrong, "Write it anew with one size (for example with ffmpeg).")
+            raise FileProblem(self.video.path, wrong, "Re-encode it with one size (for example with ffmpeg).")
         return image
 
     def _is_far(self, frame: int) -> bool:
@@ -371,13 +379,13 @@ class _Decoder:
         except FileProblem:
             self._raise_damaged(self.next)
         times = self.video.times
-        # A decoder drops damaged pictures without a word: each must be of its own time.
+        # A decoder silently drops damaged pictures, so the time of each is compared.
         if self.current is None or (times is not None and self.current.pts != times[self.next]):
             self._raise_damaged(self.next)
         self.next += 1
 
     def _seek(self, frame: int) -> bool:
-        """Jump to a frame; only a jump that arrives at the frame's own time counts."""
+        """Seek a frame; return whether a frame of exactly its time was reached."""
         assert self.video.times is not None
         if frame < _SEEK_BEYOND:
             return False
@@ -393,6 +401,6 @@ class _Decoder:
         return False
 
     def _raise_damaged(self, frame: int) -> NoReturn:
-        wrong = f"is damaged: frame {frame} of {self.video.count} cannot be decoded whole"
-        remedy = f"{_COPY_AGAIN}, or keep the frames before with frames = [0, {frame}] in trial.toml."
+        wrong = f"is damaged: frame {frame} of {self.video.count} cannot be decoded completely"
+        remedy = f"{_COPY_AGAIN}, or select the frames before it with frames = [0, {frame}] in trial.toml."
         raise FileProblem(self.video.path, wrong, remedy)

@@ -1,4 +1,4 @@
-"""Videos that open in every browser and player: H.264 in MP4, written beside and renamed when whole."""
+"""Writing of H.264 videos in MP4 for browsers and players, without partial files."""
 
 from contextlib import ExitStack
 from fractions import Fraction
@@ -13,14 +13,15 @@ from marey.io.atomic import replacing
 
 
 class VideoWriter:
-    """Writes pictures to a video one by one; the file appears when the last is written.
+    """Writes pictures to a video one by one; used as a context manager.
 
-    Used as a context; a block that ends with an error leaves no file.
+    The file is created when the context ends; after an error, no file is left.
 
     Args:
         path: The MP4 file.
-        size: Width and height of the pictures [px]; odd ones get one more column or row, as H.264 asks.
-        rate: Pictures a second [Hz].
+        size: Width and height of the pictures [px]; odd sizes are padded by one column or row, as
+            H.264 requires.
+        rate: Frame rate [Hz].
 
     Raises:
         FileProblem: The file cannot be written.
@@ -35,14 +36,14 @@ class VideoWriter:
         stream = self._container.add_stream("libx264", rate=frequency, options={"preset": "veryfast", "crf": "23"})
         stream.width, stream.height = size[0] + size[0] % 2, size[1] + size[1] % 2
         stream.pix_fmt = "yuv420p"
-        # One thread leaves the other cores to the work that makes the pictures.
+        # One thread leaves the other cores to the drawing of the pictures.
         stream.codec_context.thread_count = 1
         self._stream = stream
 
     def add(self, image: Image) -> None:
-        """Add a picture (height, width, 3) in blue, green, red."""
+        """Append a picture (height, width, 3) in blue, green, red, uint8."""
         if image.shape != (self._size[1], self._size[0], 3):
-            raise ValueError(f"the picture is {image.shape}, the video {self._size}")
+            raise ValueError(f"The picture has the shape {image.shape}, but the video has the size {self._size}.")
         image = np.pad(image, ((0, self._size[1] % 2), (0, self._size[0] % 2), (0, 0)), mode="edge")
         frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="bgr24")
         self._container.mux(self._stream.encode(frame))

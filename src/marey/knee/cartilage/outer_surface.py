@@ -300,7 +300,7 @@ def _spread(costs: Floats) -> Floats:
     chance = np.exp(there.min(1, keepdims=True) - there)
     chance /= chance.sum(1, keepdims=True)
     mean = chance @ levels
-    return np.sqrt((chance * (levels - mean[:, None]) ** 2).sum(1) + (STEP_MM**2) / 12)
+    return np.asarray(np.sqrt((chance * (levels - mean[:, None]) ** 2).sum(1) + (STEP_MM**2) / 12))
 
 
 def _scaled(
@@ -313,12 +313,14 @@ def _scaled(
     usual = float(np.median(ratio[sure]))
     weight = sure.astype(float)
     more, near = graph.smoothed(np.stack([weight * (ratio - usual), weight], 1), settings.region_mm).T
-    return np.clip(predicted * np.exp(usual + more / (near + settings.ratio_floor)), THINNEST_MM, THICKEST_MM)
+    return np.asarray(
+        np.clip(predicted * np.exp(usual + more / (near + settings.ratio_floor)), THINNEST_MM, THICKEST_MM)
+    )
 
 
 def _steady_normals(bone: TriangleSurface, *, settings: OuterSurfaceSettings) -> Floats:
     smooth = MeshGraph.of(bone).smoothed(bone.vertex_normals, settings.normals_mm)
-    return smooth / np.maximum(np.linalg.norm(smooth, axis=1, keepdims=True), 1e-12)
+    return np.asarray(smooth / np.maximum(np.linalg.norm(smooth, axis=1, keepdims=True), 1e-12))
 
 
 def _part(bone: TriangleSurface, kept: Mask) -> TriangleSurface:

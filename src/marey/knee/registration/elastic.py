@@ -243,7 +243,7 @@ def _solve(
     """Return the change of the field: the solution of the normal equations by conjugate gradients."""
 
     def applied(vector: Floats) -> Floats:
-        return slope * (weight * (slope * vector).sum(0)) + stabiliser.pull(vector)
+        return np.asarray(slope * (weight * (slope * vector).sum(0)) + stabiliser.pull(vector))
 
     right = slope * (weight * residual) - stabiliser.pull(field)
     diagonal = weight * slope**2 + stabiliser.diagonal

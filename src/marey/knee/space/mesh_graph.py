@@ -56,7 +56,7 @@ class MeshGraph:
     def filled(self, values: Floats, weights: Floats, width_mm: float) -> Floats:
         """Return the weighted mean of values (V,) about each vertex; NaN where no weight is near."""
         both = self.smoothed(np.stack([np.where(weights > 0, values, 0.0) * weights, weights], 1), width_mm)
-        return np.divide(both[:, 0], both[:, 1], out=np.full(self.count, np.nan), where=both[:, 1] > 1e-9)
+        return np.asarray(np.divide(both[:, 0], both[:, 1], out=np.full(self.count, np.nan), where=both[:, 1] > 1e-9))
 
     def pieces(self, mask: Mask) -> Integers:
         """Number the pieces (V,) of a mask, from 0; -1 outside the mask."""

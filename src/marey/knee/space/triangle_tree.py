@@ -183,7 +183,7 @@ def corner_weights(corners_mm: Floats, places_mm: Floats) -> Floats:
     x, y = np.einsum("...i,...i->...", off, first), np.einsum("...i,...i->...", off, second)
     whole = np.maximum(a * c - b * b, 1e-12)
     v, w = (c * x - b * y) / whole, (a * y - b * x) / whole
-    return np.clip(np.stack([1 - v - w, v, w], -1), 0, 1)
+    return np.asarray(np.clip(np.stack([1 - v - w, v, w], -1), 0, 1))
 
 
 @kernel

@@ -34,7 +34,7 @@ class NamedTransform:
     from_: str
     """Name of the source frame."""
     rotation: Floats
-    """(3, 3) or (F, 3, 3); NaN where the trial has no estimate."""
+    """(3, 3) or (F, 3, 3); NaN where the trial has no result."""
     translation: Floats
     """(3,) or (F, 3), in the unit of the points [m]."""
     covariance: Floats | None = None

@@ -56,7 +56,7 @@ class GlobalOptimisationSettings:
     rigid_ratio: float = 0.1
     """Standard deviation of a rigid constraint as a ratio to that of the best marker, at most `RIGID_SD_M`."""
     largest_sd: float = 0.5
-    """A bone with a larger standard deviation has no estimate [rad or m]."""
+    """A bone with a larger standard deviation has no result [rad or m]."""
     soft_sd_m: float = 5e-3
     """Standard deviation of the gap of joint centres in `global_soft` [m]."""
 
@@ -202,7 +202,7 @@ def _places(problem: MarkerProblem, data: ClusterData, motion: BoneMotion) -> Fl
 
 
 def _filled(motion: BoneMotion, data: ClusterData, rotation: Floats, origin: Floats) -> tuple[Floats, Floats]:
-    """Return a bone's pose in every frame; where its cluster has no estimate, that of the nearest frame with one."""
+    """Return a bone's pose in every frame; where its cluster has no result, that of the nearest frame with one."""
     index = motion.segments.index(data.segment)
     turns, origins = np.array(motion.rotation[:, index]), np.array(motion.origin[:, index])
     if not motion.answered[data.frames[0], index]:
@@ -342,7 +342,7 @@ def _result(
     notes = [note for d in data for note in d.notes]
     for d, lost in zip(data, undetermined.T, strict=True):
         if lost.any():
-            notes.append(f"{d.segment}: {int(lost.sum())} of {count} frames have no estimate: too few markers.")
+            notes.append(f"{d.segment}: {int(lost.sum())} of {count} frames have no result: too few markers.")
     bones = BoneMotion(
         segments=tuple(d.segment for d in data),
         rotation=np.where(undetermined[..., None, None], np.nan, state.rotation),

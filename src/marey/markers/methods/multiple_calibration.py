@@ -75,7 +75,7 @@ def _bone(data: ClusterData, turn: JointTurn | None, noise_m: float) -> BoneMoti
     notes = (
         *data.notes,
         *frame_count_note(
-            data.segment, unknown & ~fit.few, "are fitted by the mean shape: the joint's turn is not known there"
+            data.segment, unknown & ~fit.few, "are fitted by the mean shape: the joint's rotation is not known there"
         ),
         *gap_notes(data.segment, fit),
     )

@@ -131,7 +131,7 @@ def _algebraic_centre(held: Floats, seen: Mask) -> Floats:
     values = np.linalg.eigvalsh(normal)
     if values[0] < _MINIMUM_ROTATION_RATIO**2 * values[2]:
         raise MareyError(
-            "The child rotates too little in the parent: the centre is not determined. Record larger circles."
+            "The child rotates too little relative to the parent: the centre is not determined. Record larger circles."
         )
     return np.linalg.solve(normal, right)
 

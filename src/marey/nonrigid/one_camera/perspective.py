@@ -41,7 +41,7 @@ NO_SOLUTION = "No shape was found that explains these tracks with the given came
 """Error where all initial solutions fail."""
 NO_PERSPECTIVE = (
     "Perspective is too weak here: the mirror image in depth explains the tracks equally well. The sign of depth is "
-    "undetermined, and the orthographic method (without --matrix) suits these tracks equally well."
+    "undetermined, and the orthographic method (without a camera matrix) suits these tracks equally well."
 )
 """Note where the sign of depth is undetermined."""
 _COINCIDENT = 1e-12

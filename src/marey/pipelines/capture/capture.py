@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -27,6 +28,7 @@ from marey.fit.recipes.person import (
 from marey.fit.recipes.sequence import RefineCheckpoint
 from marey.fit.recipes.start_joints import start_from_joints
 from marey.fit.search.search import Candidate
+from marey.images.silhouettes.background import shrunk
 from marey.io.results.results import write_results
 from marey.io.stages import Arrays
 from marey.io.trial.start_joints import read_start_joints
@@ -131,7 +133,7 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
     else:
         models, small = stages.backgrounds(trial, progress)
         store = MaskStore(logs.first, first, small)
-        views = [stages.Watched(stages.shrunk(m, c.size)) for m, c in zip(models, small, strict=True)]
+        views = [stages.Watched(shrunk(m, c.size)) for m, c in zip(models, small, strict=True)]
         stages.find_silhouettes(trial, views, small, store, progress, name="Silhouettes")
     frames = stages.frames_with_somebody(store)
     stages.require_somebody(trial, frames)
@@ -213,7 +215,7 @@ def frames_for_sizes(run: Run, scores: Mapping[int, float]) -> list[int]:
 
 
 def begin(
-    run: Run, take: SilhouetteTake, bodies: Bodies, kept: KeptCandidates, *, done: Callable[[int], None]
+    run: Run, take: SilhouetteTake, bodies: Bodies, kept: KeptCandidates[Any], *, done: Callable[[int], None]
 ) -> tuple[int, Candidate]:
     """Find the start, from given joints or without any.
 

@@ -177,7 +177,7 @@ def open_bodies(trial: Trial, settings: CaptureSettings) -> Bodies:
     """Open the body that the user gave, or make an average one, with the stature if it is known.
 
     The start tries many postures and needs a body of few vertices. A body of an earlier take has a twin with few
-    vertices, the same shape numbers and the same joints. A scan has none and is used itself: the time of the start
+    vertices, the same shape parameters and the same joints. A scan has none and is used itself: the time of the start
     grows with its vertices, and is hardly affected below 2000. A full body is reduced to what the preset follows.
 
     Args:

@@ -154,7 +154,7 @@ def resized(image: Image, camera: Camera) -> Image:
 def in_small_pictures(pixels: Floats, cameras: Sequence[Camera], small: Sequence[Camera]) -> Floats:
     """Convert pixels (C, n, 2) of full images to those of reduced ones; pixel centres are at whole numbers in both."""
     factors = np.array([after.width / before.width for before, after in zip(cameras, small, strict=True)])
-    return (pixels + 0.5) * factors[:, None, None] - 0.5
+    return np.asarray((pixels + 0.5) * factors[:, None, None] - 0.5)
 
 
 def find_silhouettes(

@@ -61,7 +61,7 @@ class Bones(EstimatedBones, Described):
         for run in self.runs:
             if run.name == name:
                 return replace(self, runs=(run, *(other for other in self.runs if other is not run)))
-        raise SettingProblem(f"The method {name!r} was not run. Available are: {', '.join(self.methods)}.")
+        raise SettingProblem(f"The method {name!r} was not run. Methods that were run: {', '.join(self.methods)}.")
 
     @property
     def angles(self) -> Curves:
@@ -100,12 +100,14 @@ class Bones(EstimatedBones, Described):
         return len(self.time)
 
     def summary(self) -> Summary:
-        """Return a line per bone: frames with a pose, and the motion of the skin over it."""
+        """Return a line per bone: frames with a pose, and the motion of its markers relative to it."""
         lines, run, wanted = {}, self.runs[0], int(self.frames.sum())
         for s, name in enumerate(self.segments):
             moved = run.markers.rms[[segment == name for segment in run.markers.segments]]
             moved = moved[np.isfinite(moved)]
-            skin = f"; its markers move {_MM * np.sqrt(np.mean(moved**2)):.1f} mm over it (RMS)" if len(moved) else ""
+            skin = ""
+            if len(moved):
+                skin = f"; its markers move {_MM * np.sqrt(np.mean(moved**2)):.1f} mm relative to it (RMS)"
             lines[name] = f"{int(run.motion.answered[:, s].sum())} of {wanted} frames{skin}"
         if run.fit:
             lines = {"model": run.fit}

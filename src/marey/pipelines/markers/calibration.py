@@ -7,8 +7,7 @@ from marey.errors import FileProblem, MareyError
 from marey.io.markers.setup import read_reference
 from marey.io.markers.trial_file import MarkerFile
 from marey.io.npz import read_arrays
-from marey.markers.data.clusters import AnatomicalCalibration, Cluster
-from marey.markers.data.labels import MINIMUM_MARKERS
+from marey.markers.data.clusters import MINIMUM_MARKERS, AnatomicalCalibration, Cluster
 from marey.markers.data.setup import MarkerSetup
 from marey.markers.data.trajectories import MarkerTrajectories
 from marey.markers.kinematics.joint_angles import usual_joints

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from marey.arrays import Floats, Integers, Mask
-from marey.io.opensim.mot_sto import Table
+from marey.io.opensim.mot_sto import TimeSeriesTable
 from marey.markers.data.bone_motion import BoneMotion
 from marey.markers.data.marker_motion import MarkerMotion
 from marey.markers.kinematics.joint_angles import JointKinematics
@@ -31,7 +31,7 @@ class MethodRun:
     """Motion of the markers relative to the bones; without labels if it was not read."""
     seconds: float
     """Computing time [s], of the run in which the result was computed."""
-    table: Table | None = None
+    table: TimeSeriesTable | None = None
     """All coordinates of an OpenSim model; None for other methods."""
     fit: str = ""
     """Distance between the markers and an OpenSim model, in one line; empty for other methods."""
@@ -68,7 +68,7 @@ class EstimatedBones:
         return tuple(run.name for run in self.runs)
 
     @property
-    def coordinates(self) -> Table | None:
+    def coordinates(self) -> TimeSeriesTable | None:
         """All coordinates of an OpenSim model; None without a model."""
         return self.runs[0].table
 

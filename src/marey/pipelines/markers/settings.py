@@ -80,15 +80,15 @@ class MarkerSettings:
         for option, path in self._files():
             if not path.is_file():
                 wrong = "is a folder" if path.is_dir() else "does not exist"
-                raise FileProblem(path, wrong, f"Correct --{option}.")
-            if option in ("reference", "exercise-reference") and path.suffix.lower() != ".npz":
-                remedy = f"Correct --{option}; docs/reference/marker-input.md describes the NPZ."
+                raise FileProblem(path, wrong, f"Correct {_named(option)}.")
+            if option in ("reference", "exercise_reference") and path.suffix.lower() != ".npz":
+                remedy = f"Correct {_named(option)}; docs/reference/marker-input.md describes the NPZ."
                 raise FileProblem(path, "is not an NPZ", remedy)
 
     def _files(self) -> list[tuple[str, Path]]:
         named = {
             "reference": self.reference, "clusters": self.clusters, "static": self.static, "exercise": self.exercise,
-            "exercise-reference": self.exercise_reference, "model": self.model, "weights": self.weights,
+            "exercise_reference": self.exercise_reference, "model": self.model, "weights": self.weights,
         }  # fmt: skip
         files = [(option, path) for option, path in named.items() if path is not None]
         return files + [("functional", path) for path in self.functional]
@@ -97,3 +97,8 @@ class MarkerSettings:
     def files(self) -> list[Path]:
         """All files that the settings name, the trial itself not among them."""
         return [path for _, path in self._files()]
+
+
+def _named(setting: str) -> str:
+    """Return the name of a setting with that of its option."""
+    return f"{setting} (--{setting.replace('_', '-')})"

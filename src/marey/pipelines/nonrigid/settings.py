@@ -45,9 +45,9 @@ class NonRigidSettings:
     """Whether overlay videos are drawn."""
 
     def __post_init__(self) -> None:
-        for option, path in (("--mask", self.mask), ("--cameras", self.cameras)):
+        for option, path in (("mask", self.mask), ("cameras", self.cameras)):
             if path is not None and not path.exists():
-                raise FileProblem(path, "does not exist", f"Correct {option}.")
+                raise FileProblem(path, "does not exist", f"Correct {option} (--{option}).")
         for path in self.points:
             if not path.is_file():
                 raise FileProblem(

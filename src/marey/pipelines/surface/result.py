@@ -59,7 +59,7 @@ class Surface(Described):
     @property
     def sd(self) -> Floats:
         """(N,) standard deviation of each point: the root of the trace of its covariance [m]."""
-        return np.sqrt(np.trace(self.data.covariance, axis1=1, axis2=2))
+        return np.asarray(np.sqrt(np.trace(self.data.covariance, axis1=1, axis2=2)))
 
     @property
     def covariance(self) -> Floats:

@@ -139,4 +139,4 @@ def merged(views: Sequence[SurfaceView], compared: TemplateSearch, grid: Grid, f
 def _along_lines(template: SurfaceView, search: SurfaceView, pixels: Floats, field: Field, nodes: Integers) -> Floats:
     """Give the matches' standard deviations (n,) along their epipolar lines, which is what depth depends on [px]."""
     _, along = epipolar_lines(template.camera, search.camera, pixels, field.there[nodes])
-    return np.sqrt(np.einsum("ni,nij,nj->n", along, field.covariance[nodes], along))
+    return np.asarray(np.sqrt(np.einsum("ni,nij,nj->n", along, field.covariance[nodes], along)))

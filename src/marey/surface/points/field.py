@@ -55,7 +55,7 @@ class Grid:
         """Give the node nearest to each pixel (n, 2)."""
         place = np.round((pixels - [self.left, self.top]) / self.spacing).astype(int)
         column, row = np.clip(place, 0, [self.columns - 1, self.rows - 1]).T
-        return row * self.columns + column
+        return np.asarray(row * self.columns + column)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -84,7 +84,10 @@ class Field:
 
     def only(self, kept: Mask) -> "Field":
         """Forget all but some nodes (n,)."""
-        pick = lambda values: np.where(kept.reshape(-1, *[1] * (values.ndim - 1)), values, np.nan)  # noqa: E731
+
+        def pick(values: Floats) -> Floats:
+            return np.where(kept.reshape(-1, *[1] * (values.ndim - 1)), values, np.nan)
+
         return Field(
             there=pick(self.there), maps=pick(self.maps), covariance=pick(self.covariance),
             correlation=pick(self.correlation), size=np.where(kept, self.size, 0),

@@ -72,12 +72,12 @@ class MeasuredPoints:
     @property
     def template(self) -> Integers:
         """(N,) the camera, as an index of `camera_names`, whose picture was the template."""
-        return np.nan_to_num(self.correlation, nan=-1.0).argmax(axis=1)
+        return np.asarray(np.nan_to_num(self.correlation, nan=-1.0).argmax(axis=1))
 
     @property
     def views(self) -> Integers:
         """(N,) how many cameras show the point."""
-        return np.count_nonzero(np.isfinite(self.correlation), axis=1)
+        return np.asarray(np.count_nonzero(np.isfinite(self.correlation), axis=1))
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Give all fields by name."""

@@ -49,7 +49,7 @@ class SurfaceView:
         if self.mask is None:
             return inside
         column, row = np.round(np.where(inside[..., None], pixels, 0.0)).astype(int).T
-        return inside & self.mask[row, column]
+        return np.asarray(inside & self.mask[row, column])
 
     def scaled(self, factor: float) -> "SurfaceView":
         """Give the view with a smaller picture."""
@@ -113,7 +113,7 @@ def view_angles(rig: Rig) -> Floats:
         away = rig.centres - np.linalg.solve(normal, right)
         if (np.sum(away * sight, axis=1) > 0).all():
             sight = away / np.linalg.norm(away, axis=1, keepdims=True)
-    return np.arccos(np.clip(sight @ sight.T, -1, 1))
+    return np.asarray(np.arccos(np.clip(sight @ sight.T, -1, 1)))
 
 
 def views_of(rig: Rig, images: Sequence[Image], masks: Sequence[Mask | None] | None = None) -> tuple[SurfaceView, ...]:

@@ -65,7 +65,7 @@ class Tracks:
     @property
     def measured(self) -> Mask:
         """(N,) whether they were measured in this frame."""
-        return self.seen == self.frame
+        return np.asarray(self.seen == self.frame)
 
     def __len__(self) -> int:
         """Count the points."""

@@ -21,11 +21,11 @@ class OutlineServer(ThreadingHTTPServer):
     """A server bound to this computer's own address; it accepts only requests to that name.
 
     Args:
-        session: What it serves.
-        port: 0 for any that is free.
+        session: The session that the page edits.
+        port: Port of the address; 0 for any free one.
 
     Raises:
-        MareyError: The port is taken.
+        MareyError: The port is in use.
     """
 
     daemon_threads = True
@@ -40,7 +40,7 @@ class OutlineServer(ThreadingHTTPServer):
 
     @property
     def address(self) -> str:
-        """Where the page is."""
+        """Address of the page."""
         return f"http://{HOST}:{self.server_address[1]}/"
 
 
@@ -52,7 +52,7 @@ class _Handler(BaseHTTPRequestHandler):
     server: OutlineServer
 
     def do_GET(self) -> None:
-        """Answer with the page, a slice or what is kept."""
+        """Return the page, a slice, or the saved outlines."""
         if not self._is_ours():
             return
         url = urlsplit(self.path)
@@ -80,10 +80,10 @@ class _Handler(BaseHTTPRequestHandler):
         self._answer(lambda: self._done(urlsplit(self.path).path.strip("/"), json.loads(body)))
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Keep the terminal free."""
+        """Write no log to the terminal."""
 
     def _is_ours(self) -> bool:
-        """Refuse what comes by another name: a strange page may have sent the browser here."""
+        """Reject requests under another host name: another site may have sent the browser here."""
         port = self.server.server_address[1]
         ours = {f"{HOST}:{port}", f"localhost:{port}"}
         origin = self.headers.get("Origin")
@@ -115,7 +115,7 @@ class _Handler(BaseHTTPRequestHandler):
         except MareyError as error:
             self._send(400, _JSON, json.dumps({"error": str(error)}).encode())
         except (KeyError, TypeError, ValueError, IndexError) as error:
-            text = f"This was not understood ({type(error).__name__}: {error})."
+            text = f"The request is not valid ({type(error).__name__}: {error})."
             self._send(400, _JSON, json.dumps({"error": text}).encode())
         else:
             if isinstance(found, bytes):

@@ -32,7 +32,7 @@ from marey.view.pictures.slice_display import displayed
 
 _WIRES_KEPT = 4
 _EXAMPLES = 3
-"""So many outlined slices, the nearest, teach what the edge of a structure looks like."""
+"""Number of nearest outlined slices from which the appearance of the edge of a structure is learned."""
 _UNDONE = 100
 _GREYS = 65535
 _ACCEPTED_ANCHORS = 8
@@ -40,12 +40,12 @@ Reply = dict[str, Any]
 
 
 class OutlineSession:
-    """One volume, its outlines, and the wire in the slice that is looked at.
+    """One volume, its outlines, and the wire in the displayed slice.
 
     Args:
-        volume: What is outlined.
-        path: The file of the outlines; read where it is there, written whole at each change.
-        name: The volume's, for the file and the page.
+        volume: The volume to be outlined.
+        path: The file of the outlines; read if it exists, and written completely at each change.
+        name: Name of the volume, for the file and the page.
 
     Raises:
         FileProblem: The file is damaged or belongs to another volume.
@@ -72,7 +72,7 @@ class OutlineSession:
         self._range = low, max(high, low + 1e-6)
 
     def about(self) -> Reply:
-        """Tell what the page must know once."""
+        """Return the data that the page needs once."""
         grid = self.volume.grid
         window = np.percentile(self.volume.intensity, [1.0, 99.5])
         views = {axis: displayed(grid, axis) for axis in AXES}
@@ -86,14 +86,14 @@ class OutlineSession:
         }  # fmt: skip
 
     def greys(self, axis: str, index: int) -> bytes:
-        """Give a slice, row by row, as little-endian numbers of 16 bits over the volume's whole range."""
+        """Return a slice, row by row, as little-endian 16-bit numbers scaled to the range of the volume."""
         self._check(axis, index)
         low, high = self._range
         part = slice_of(self.volume.intensity, axis, index)
         return np.rint((part - low) / (high - low) * _GREYS).astype("<u2").tobytes()
 
     def state(self, axis: str, index: int) -> Reply:
-        """Tell which outlines are in a slice, and in which slices each structure has some."""
+        """Return the outlines in a slice, and the outlined slices of each structure."""
         self._check(axis, index)
         with self._lock:
             here = [(n, each) for n, each in enumerate(self.contours) if (each.axis, each.index) == (axis, index)]
@@ -108,7 +108,7 @@ class OutlineSession:
             }
 
     def interpolated(self, axis: str, index: int) -> Reply:
-        """Structure to the outlines found in a slice between those of others, where it has none itself."""
+        """Return the interpolated outlines in a slice by structure, for structures that have no own outline there."""
         self._check(axis, index)
         found = {}
         contours = self.contours
@@ -122,7 +122,7 @@ class OutlineSession:
         return found
 
     def prepare(self, axis: str, index: int, structure: str) -> Reply:
-        """Make the wire of a slice ready, so that the pointer need not wait for it."""
+        """Prepare the wire of a slice, so that the first move of the pointer is fast."""
         with self._lock:
             self._wire(axis, index, structure)
             return {}
@@ -130,7 +130,7 @@ class OutlineSession:
     def wire(
         self, axis: str, index: int, structure: str, anchors: Sequence[Sequence[float]], pointer: Sequence[float]
     ) -> Reply:
-        """Lay the wire through anchors, and from the last one to the pointer; the way round that costs less."""
+        """Compute the wire through anchors, and from the last one to the pointer, in the direction of lower cost."""
         with self._lock:
             wire = self._wire(axis, index, structure)
             corners = [wire.corner(anchor) for anchor in anchors]
@@ -149,7 +149,7 @@ class OutlineSession:
                     "anchors": points_of(np.array(corners)).tolist()}  # fmt: skip
 
     def close(self, axis: str, index: int, structure: str, anchors: Sequence[Sequence[float]]) -> Reply:
-        """Close an outline and keep it.
+        """Close an outline and save it.
 
         Raises:
             MareyError: Too few anchors, nothing inside, or the structure is outlined across another axis.
@@ -161,7 +161,7 @@ class OutlineSession:
             return self._keep((*self.contours, contour), axis, index)
 
     def move(self, version: int, number: int, anchor: int, point: Sequence[float], keep: bool) -> Reply:
-        """Move an anchor of an outline, and keep it or only show it."""
+        """Move an anchor of an outline, and save it or only show it."""
 
         def changed(contour: Contour, wire: LiveWire) -> Contour:
             return anchor_moved(contour, wire, anchor, point)
@@ -181,18 +181,18 @@ class OutlineSession:
             return self._change(version, number, changed, True) | {"anchor": found[0]}
 
     def remove_anchor(self, version: int, number: int, anchor: int) -> Reply:
-        """Take an anchor away."""
+        """Remove an anchor."""
         return self._change(version, number, lambda contour, wire: anchor_removed(contour, wire, anchor), True)
 
     def remove(self, version: int, number: int) -> Reply:
-        """Take an outline away."""
+        """Remove an outline."""
         with self._lock:
             contour = self._numbered(version, number)
             rest = tuple(each for each in self.contours if each is not contour)
             return self._keep(rest, contour.axis, contour.index)
 
     def accept(self, axis: str, index: int, structure: str) -> Reply:
-        """Keep what is interpolated for a structure as outlines of their own.
+        """Save the interpolated outlines of a structure as outlines of the slice.
 
         Raises:
             MareyError: There is nothing to accept.
@@ -205,7 +205,7 @@ class OutlineSession:
             return self._keep((*self.contours, *made), axis, index)
 
     def undo(self, axis: str, index: int) -> Reply:
-        """Take the last change back."""
+        """Undo the last change."""
         with self._lock:
             if self._before:
                 before = self._before.pop()
@@ -230,15 +230,15 @@ class OutlineSession:
 
     def _numbered(self, version: int, number: int) -> Contour:
         if version != self._version or not 0 <= number < len(self.contours):
-            raise MareyError("The outlines have changed meanwhile, in another window perhaps: reload the page.")
+            raise MareyError("The outlines have been changed, perhaps in another window: reload the page.")
         return self.contours[number]
 
     def _one_axis(self, structure: str, axis: str) -> None:
         other = {each.axis for each in self.contours if each.structure == structure} - {axis}
         if other:
             raise MareyError(
-                f"The {structure.replace('_', ' ')} is outlined in slices across {other.pop()}: go on there, or remove"
-                " those outlines first."
+                f"The {structure.replace('_', ' ')} is outlined in slices across {other.pop()}: "
+                "continue there, or remove those outlines first."
             )
 
     def _check(self, axis: str, index: int) -> None:
@@ -249,7 +249,7 @@ class OutlineSession:
         """Return the wire of a slice, trained on the nearest outlines of the structure."""
         self._check(axis, index)
         if structure not in LABELS:
-            raise MareyError(f"'{structure}' is no structure of a knee: known are {', '.join(LABELS)}.")
+            raise MareyError(f"'{structure}' is not a structure of the knee; these are: {', '.join(LABELS)}.")
         current = (axis, index, structure, self._version)
         wire = self._wires.get((axis, index))
         if wire is not None and self._current == current:

@@ -1,4 +1,4 @@
-"""A flat image of a cartilage's thickness, the femur's unrolled."""
+"""A flat map of a cartilage's thickness; that of the femur is unrolled."""
 
 import cv2
 import numpy as np
@@ -15,13 +15,13 @@ _INK = (60, 60, 60)
 
 
 def flat_picture(across_mm: Floats, along_mm: Floats, thickness_mm: Floats, *, full_mm: float = FULL_MM) -> Image:
-    """Draw thickness over a flat map, lateral to the right, front at the top, with its scale.
+    """Draw thickness on a flat map, lateral to the right, anterior at the top, with a colour scale.
 
     Args:
-        across_mm: (V,).
-        along_mm: (V,).
-        thickness_mm: (V,) 0 where bare: not drawn.
-        full_mm: Thickness at the end of the colours.
+        across_mm: (V,) horizontal position on the map [mm].
+        along_mm: (V,) vertical position on the map [mm].
+        thickness_mm: (V,) thickness [mm]; bare bone (0) is not drawn.
+        full_mm: Thickness at the end of the colour scale [mm].
 
     Returns:
         (height, width, 3) blue, green, red.

@@ -5,18 +5,18 @@ import numpy as np
 from marey.arrays import Floats, Image
 
 FULL_MM = 4.0
-"""Thickness at the end of the scale."""
+"""Thickness at the end of the colour scale [mm]."""
 STRUCTURE_COLOURS = {
     "femur": "#ffb454", "femoral_cartilage": "#7fd962", "tibia": "#59c2ff", "tibial_cartilage": "#f07bd8",
     "patella": "#ff6b6b", "patellar_cartilage": "#d2a6ff",
 }  # fmt: skip
-"""Of outlines on grey slices, as #rrggbb."""
+"""Colours of the outlines on grey slices, as #rrggbb."""
 BARE = (226, 216, 200)
 STOPS = np.array([[38, 60, 150], [40, 140, 190], [90, 190, 120], [240, 215, 80], [215, 60, 45]], float)
 
 
 def thickness_colours(thickness_mm: Floats, full_mm: float = FULL_MM) -> Image:
-    """Give red, green and blue (..., 3) of thicknesses (...) [mm]; 0 and NaN are bare."""
+    """Return red, green and blue (..., 3) of thicknesses (...) [mm]; 0 and NaN are bare."""
     known = np.nan_to_num(np.asarray(thickness_mm, float))
     place = np.clip(known / full_mm, 0, 1) * (len(STOPS) - 1)
     colours = np.stack([np.interp(place, np.arange(len(STOPS)), STOPS[:, channel]) for channel in range(3)], -1)
@@ -25,12 +25,12 @@ def thickness_colours(thickness_mm: Floats, full_mm: float = FULL_MM) -> Image:
 
 OVERLAP = (110, 30, 130)
 FAR = (212, 224, 230)
-"""Of cartilage with nothing near."""
+"""Colour of cartilage that is not near another one."""
 BONE = (232, 222, 203)
 
 
 def proximity_colours(distance_mm: Floats, limit_mm: float) -> Image:
-    """Give red, green and blue (..., 3) of distances (...) [mm]: red at 0, blue at the limit, violet for an overlap."""
+    """Return colours (..., 3) of distances (...) [mm]: red at 0, blue at the limit, violet for an overlap."""
     distance = np.asarray(distance_mm, float)
     near = np.nan_to_num(distance, nan=np.inf) < limit_mm
     place = np.clip(1 - np.where(near, distance, 0) / limit_mm, 0, 1) * (len(STOPS) - 1)

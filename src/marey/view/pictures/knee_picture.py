@@ -13,13 +13,13 @@ from marey.knee.space.surface import TriangleSurface
 from marey.view.pictures.knee_maps import BONE, proximity_colours
 
 VIEWS = ("anterior", "posterior", "medial", "lateral", "plateau")
-"""`plateau` is the tibia from above, with the femur and the patella taken off."""
+"""`plateau` is the tibia from above, with femur and patella removed."""
 DEFAULT_VIEWS = ("anterior", "medial", "plateau")
 PANEL = 400
 """Width and height of one view [px]."""
 _FINER = 2
 _FROM = 4.0
-"""The eye stands so many times as far away as the knee is large."""
+"""Distance of the eye from the knee, relative to the size of the knee."""
 _OPACITY = 0.42
 _DARKEST = 0.42
 _PAPER = 247
@@ -43,15 +43,15 @@ class KneeInstant:
 
     caption: str
     poses: Mapping[str, Floats]
-    """Bone to (4, 4) of its place [mm]; a bone without one is not drawn."""
+    """Pose (4, 4) of each bone [mm]; a bone without a pose is not drawn."""
     distance_mm: Mapping[str, Floats]
-    """Cartilage to (V,) from each vertex to the other cartilage; NaN where it is unknown."""
+    """Distance (V,) of each vertex of a cartilage from the other cartilage [mm]; NaN where it is unknown."""
     paths_mm: Sequence[Floats] = ()
     """Each (n, 3): path of each centre of proximity up to the present frame, in the frame of the image."""
 
 
 def axes_of_view(view: str, *, left: bool | None) -> Floats:
-    """Give right, down and ahead (3, 3) of a view in the scanner's axes; without a side as of a right knee.
+    """Return right, down and ahead (3, 3) of a view in the scanner's axes; without a side as of a right knee.
 
     Args:
         view: One of `VIEWS`.
@@ -67,7 +67,7 @@ class KneeCamera:
     """A fixed view of a moving knee.
 
     Args:
-        axes: (3, 3) right, down and ahead.
+        axes: (3, 3) directions right, down and ahead.
         corners_mm: (N, 3) points that must be inside the image in all frames.
     """
 
@@ -91,17 +91,17 @@ class KneeCamera:
 
     @property
     def ahead(self) -> Floats:
-        """(3,) into the image."""
+        """(3,) direction into the image."""
         return np.asarray(self._axes[2])
 
 
 class KneePicture:
-    """Draws a knee frame by frame.
+    """Draw a knee frame by frame.
 
     Args:
         parts: Structures by name.
-        cameras: View to camera.
-        limit_mm: Of nearness, where the colours end.
+        cameras: Camera of each view.
+        limit_mm: Distance at the end of the colour scale [mm].
         note: Text below the images.
     """
 
@@ -113,7 +113,7 @@ class KneePicture:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of what is drawn [px]."""
+        """Width and height of the drawing [px]."""
         return PANEL * len(self._cameras), PANEL + 2 * _BAR
 
     def draw(self, instant: KneeInstant) -> Image:
@@ -160,13 +160,13 @@ class KneePicture:
 
 @dataclass(frozen=True, eq=False)
 class _Ready:
-    """A structure with what does not change from frame to frame."""
+    """A structure with the data that are constant over the frames."""
 
     bone: str
     vertices: Floats
     faces: Integers
     normals: Floats
-    """(T, 3) of the faces, smoothed over their corners."""
+    """(T, 3) normals of the faces, smoothed over their corners."""
     cartilage: bool
 
     @staticmethod
@@ -185,11 +185,11 @@ def _draw(
     Args:
         parts: At least one.
         camera: The view.
-        instant: Where the bones are.
+        instant: Poses of the bones.
         tints: Red, green and blue of each face, by structure.
-        opacity: Of the solid.
+        opacity: Opacity of the solid, from 0 to 1.
         picture: (h, w, 3), changed in place.
-        depth: (h, w) inverse depth of what is opaque in it; is kept up.
+        depth: (h, w) inverse depth of the opaque parts; updated.
     """
     size = len(picture)
     places, faces, colours, count = [], [], [], 0
@@ -223,7 +223,7 @@ def _lay_over(picture, depth, face, inverse, left, top, tint, opacity):  # pragm
 
 
 def _tint(name: str, part: _Ready, instant: KneeInstant, limit_mm: float) -> Floats:
-    """Give red, green and blue of each face, (T, 3) or (1, 3)."""
+    """Return red, green and blue of each face, (T, 3) or (1, 3)."""
     if not part.cartilage:
         return np.array([BONE], float)
     distance = instant.distance_mm.get(name, np.full(len(part.vertices), np.nan))
@@ -239,7 +239,7 @@ def _outline(picture: Image, seen: View) -> None:
 
 
 def _draw_path(picture: Image, camera: KneeCamera, path_mm: Floats) -> None:
-    """Draw where a centre came along; gaps stay open."""
+    """Draw the path of a centre; gaps stay open."""
     places = camera.project(path_mm, PANEL)[:, :2]
     known: Mask = np.asarray(np.isfinite(places).all(1))
     joined = known[:-1] & known[1:]

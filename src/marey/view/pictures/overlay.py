@@ -20,20 +20,20 @@ LONGEST_SIDE = 1280
 OPACITY = 0.5
 SURFACE_LINE = (255, 255, 255)
 SILHOUETTE_LINE = (60, 230, 255)
-"""Blue, green, red: a yellow that skin and rooms seldom have."""
+"""Blue, green, red: a yellow that is rare in skin and rooms."""
 _STATES = ("no person", "measured", "filled", "lost")
 _FAR = 1e5
-"""Farther off no line is drawn; NaN is farther than any number [px]."""
+"""Lines to points farther away than this are not drawn [px]."""
 _SHIFT = 4
-"""Bits behind the point in the coordinates that OpenCV draws."""
+"""Fractional bits of the coordinates for OpenCV's drawing functions."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Looks:
-    """What does not change while a body moves: its faces, and the names that give them their colours."""
+    """The constant part of a moving body: its faces, and the segments that determine their colours."""
 
     faces: Integers
-    """(T, 3)."""
+    """(T, 3) indices of the corners of each face."""
     face_segment: Integers
     """(T,) index of the segment that carries each face."""
     segment_names: tuple[str, ...]
@@ -46,7 +46,7 @@ class Looks:
 
     @cached_property
     def bones(self) -> Integers:
-        """(n, 2) joints joined by a line."""
+        """(n, 2) joints that are connected by a line."""
         return bone_pairs(self.joint_names)
 
 
@@ -64,12 +64,12 @@ class Scene:
 
 
 class OverlayVideo:
-    """Writes the overlay of one camera image by image; used as a context.
+    """Overlay video of one camera, written image by image; used as a context manager.
 
     Args:
         path: The video to be written, see `marey.io.video.video_writer`.
         camera: The camera of the images.
-        looks: Of the body.
+        looks: Faces and colours of the body.
         rate: Images per second [Hz].
     """
 
@@ -81,8 +81,8 @@ class OverlayVideo:
         """Draw one image, write it, and return it for a still.
 
         Args:
-            image: (height, width, 3) what the camera saw, in blue, green, red.
-            scene: What was found.
+            image: (height, width, 3) the camera's image, in blue, green, red.
+            scene: The result of the frame.
             mask: (height, width) the silhouette.
             agreement: Intersection over union of surface and silhouette.
         """
@@ -120,9 +120,9 @@ def draw_overlay(
 
     Args:
         image: (height, width, 3) blue, green, red; resized to the camera's image where it differs.
-        camera: The camera of the drawing.
-        looks: Of the body.
-        scene: What was found in the frame.
+        camera: The camera for which the scene is drawn.
+        looks: Faces and colours of the body.
+        scene: The result of the frame.
         mask: (height, width) the silhouette, of the image's size.
         agreement: Intersection over union of surface and silhouette.
 
@@ -146,11 +146,11 @@ def shade_surface(drawn: Image, camera: Camera, looks: Looks, vertices: Floats) 
     Args:
         drawn: (height, width, 3), changed in place.
         camera: The camera of the image.
-        looks: Of the body.
+        looks: Faces and colours of the body.
         vertices: (V, 3) [m, world].
 
     Returns:
-        What the camera sees of the surface.
+        The visible part of the surface.
     """
     vertices = np.ascontiguousarray(vertices, float)
     projected = np.empty_like(vertices)
@@ -167,7 +167,7 @@ def shade_surface(drawn: Image, camera: Camera, looks: Looks, vertices: Floats) 
 
 
 def _light(vertices: Floats, faces: Integers, centre: Floats) -> Floats:
-    """Light each face (T,) by its turn to the camera, smoothed over its neighbours."""
+    """Shade each face (T,) by its angle to the camera, smoothed over its neighbours."""
     corners = vertices[faces]
     area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals = np.zeros_like(vertices)
@@ -177,7 +177,7 @@ def _light(vertices: Floats, faces: Integers, centre: Floats) -> Floats:
     towards = centre - corners.mean(1)
     scale = np.linalg.norm(smooth, axis=1) * np.linalg.norm(towards, axis=1)
     cosine = np.einsum("ta,ta->t", smooth, towards) / np.maximum(scale, 1e-12)
-    return 0.45 + 0.6 * np.clip(cosine, 0, 1)
+    return np.asarray(0.45 + 0.6 * np.clip(cosine, 0, 1))
 
 
 def _resized(image: np.ndarray, size: tuple[int, int], how: int) -> np.ndarray:

@@ -29,18 +29,18 @@ _BONES = (
 
 
 def segment_colours(names: Sequence[str]) -> Image:
-    """Give the colours (S, 3) of segments in red, green, blue."""
+    """Return the colours (S, 3) of segments in red, green, blue."""
     texts = [SEGMENTS.get(name, OTHER) for name in names]
     return np.array([[int(text[i : i + 2], 16) for i in (1, 3, 5)] for text in texts], np.uint8).reshape(-1, 3)
 
 
 def side_colour(name: str) -> str:
-    """Give the colour of a joint or angle by its side."""
+    """Return the colour of a joint or angle by its side."""
     return LEFT if name.startswith("left_") else RIGHT if name.startswith("right_") else MIDDLE
 
 
 def bone_pairs(joint_names: Sequence[str]) -> Integers:
-    """Give the joints (n, 2) between which a line stands for a bone, as indices; only those that are there."""
+    """Return the pairs of joints (n, 2) that are connected by a line, as indices; missing joints are left out."""
     index = {name: i for i, name in enumerate(joint_names)}
     pairs = [(index[a], index[b]) for a, b in _BONES if a in index and b in index]
     return np.array(pairs, np.int64).reshape(-1, 2)

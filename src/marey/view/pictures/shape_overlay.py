@@ -8,17 +8,17 @@ import numpy as np
 from marey.arrays import Floats, Image, Integers, Mask
 
 _TOUCHING = 1e-9
-"""Share by which a point must lie inside of a ball."""
+"""Relative depth inside a ball from which a point counts as inside it."""
 
 
 def near_lines(shape: Floats) -> Integers:
-    """Join points between which no other one lies: none is in the ball about their middle ([Gabriel1969]).
+    """Connect points if no other point lies in the ball whose diameter is their connecting line ([Gabriel1969]).
 
     Args:
-        shape: (3, P) for example the mean shape; NaN for points without a place.
+        shape: (3, P) for example the mean shape; NaN for points without a position.
 
     Returns:
-        (E, 2) pairs of points, none twice; they hold all points together.
+        (E, 2) pairs of points, each once; they connect all points.
     """
     known = np.flatnonzero(np.isfinite(shape).all(0))
     points = shape[:, known].T
@@ -37,9 +37,9 @@ LONGEST_SIDE = 1280
 MEASURED, OUTLINE, LINE = (255, 255, 255), (40, 40, 40), (200, 200, 200)
 _PREDICTED = (74, 111, 220)
 _SHIFT = 4
-"""Bits behind the point in the coordinates that OpenCV draws."""
+"""Fractional bits of the coordinates for OpenCV's drawing functions."""
 _FAR = 1e5
-"""Farther off nothing is drawn [px]."""
+"""Points farther away than this are not drawn [px]."""
 _FROM_SIDE = np.radians(75)
 _FROM_ABOVE = np.radians(15)
 _PANEL = 0.7
@@ -48,20 +48,20 @@ _PANEL = 0.7
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ShapeScene:
-    """What is known of one view over the frames."""
+    """The data of one view over the frames."""
 
     name: str
     measured: Floats
-    """(F, 2, P) where points were seen [px]; NaN elsewhere."""
+    """(F, 2, P) observed positions of the points [px]; NaN elsewhere."""
     modelled: Floats
-    """(F, 2, P) where the model puts them [px]."""
+    """(F, 2, P) positions predicted by the model [px]."""
     placed: Floats
     """(F, 3, P) the shapes in the camera's axes, x right, y down, z ahead."""
     lines: Integers
-    """(E, 2)."""
+    """(E, 2) pairs of points that are connected by a line."""
 
     def depths(self) -> tuple[float, float]:
-        """Give the range of depth about the middle of the shape, over all frames."""
+        """Return the range of depth about the middle of the shape, over all frames."""
         depth = self.placed[np.isfinite(self.placed).any((1, 2)), 2]
         depth = depth - np.nanmean(depth, axis=1, keepdims=True)
         low, high = np.nanpercentile(depth, [1, 99])
@@ -69,10 +69,10 @@ class ShapeScene:
 
 
 class ShapeOverlay:
-    """Draws one view frame by frame.
+    """Draw one view frame by frame.
 
     Args:
-        scene: What is known.
+        scene: The data of the view.
         size: Width and height of the video's images [px].
     """
 
@@ -88,7 +88,7 @@ class ShapeOverlay:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of what is drawn [px]."""
+        """Width and height of the drawing [px]."""
         return self.picture[0] + self._panel, self.picture[1]
 
     def draw(self, image: Image, frame: int) -> Image:
@@ -96,7 +96,7 @@ class ShapeOverlay:
 
         Args:
             image: The video's image, blue, green, red.
-            frame: Which it is.
+            frame: Its number.
         """
         scene = self._scene
         drawn = np.array(image)
@@ -117,7 +117,7 @@ class ShapeOverlay:
         return np.concatenate([drawn, self._from_side(frame, colours, radius)], axis=1)
 
     def _colours(self, frame: int) -> Image:
-        """Give each point (P, 3) the colour of its depth: yellow is near, violet far."""
+        """Return the colours (P, 3) of the points by depth: yellow is near, violet far."""
         depth = self._scene.placed[frame, 2]
         if not np.isfinite(depth).any():
             return np.zeros((len(depth), 3), np.uint8)
@@ -143,7 +143,7 @@ class ShapeOverlay:
 
 
 def turned(points: Floats) -> Floats:
-    """Look at points (3, P) in a camera's axes from its right and a little from above."""
+    """Return points (3, P) in a camera's axes as seen from its right and slightly from above."""
     c, s = np.cos(_FROM_SIDE), np.sin(_FROM_SIDE)
     side = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
     c, s = np.cos(_FROM_ABOVE), np.sin(_FROM_ABOVE)
@@ -151,7 +151,7 @@ def turned(points: Floats) -> Floats:
 
 
 def _reach(placed: Floats) -> float:
-    """Give how far the points lie from their middle, at most."""
+    """Return the largest distance of the points from their middle."""
     centred = placed - np.nanmean(placed, axis=2, keepdims=True)
     return float(max(np.nanmax(np.linalg.norm(centred, axis=1)), 1e-9))
 
@@ -172,7 +172,7 @@ def _draw_lines(drawn: Image, places: Floats, lines: Integers, colour: tuple[int
 
 
 def _draw_points(drawn: Image, places: Floats, colours: Image, radius: int, seen: Mask) -> None:
-    """Draw dots in the colours of their depth; those that were not seen have an orange rim."""
+    """Draw dots in the colours of their depth; those that were not observed have an orange rim."""
     for p in np.flatnonzero(_there(places)):
         rim = OUTLINE if seen[p] else _PREDICTED
         cv2.circle(drawn, _fixed(places[p]), (radius + 1) << _SHIFT, rim, -1, cv2.LINE_AA, _SHIFT)

@@ -7,13 +7,13 @@ from marey.knee.outlines.contours import AXES, slice_shape
 from marey.knee.space.volume import VoxelGrid
 
 _NAMES = (("right", "left"), ("front", "back"), ("feet", "head"))
-"""Towards smaller and greater LPS."""
+"""Names of the directions towards smaller and greater LPS coordinates."""
 _DOWN_FIRST = (2, 1, 0)
 """Order of preference of the vertical direction of the screen: along the body, then from front to back."""
 
 
 def displayed(grid: VoxelGrid, axis: str) -> dict[str, object]:
-    """Tell how the slices along an axis are shown.
+    """Return how the slices along an axis are shown.
 
     Returns:
         `rows` and `columns`; `screen_mm`, four numbers a, b, c, d: a pixel (x, y) lies a x + b y to the right and
@@ -35,7 +35,7 @@ def displayed(grid: VoxelGrid, axis: str) -> dict[str, object]:
 
 
 def _shown(direction: Floats, *, up: bool) -> tuple[int, tuple[str, str]]:
-    """Give the sign with which a direction goes to the right or down, and what lies at its two ends on the screen."""
+    """Return the sign of a direction to the right or down, and the names of its two ends on the screen."""
     main = int(np.argmax(np.abs(direction)))
     # Down the screen goes towards the feet; all else towards greater LPS: the left and the back.
     wanted = -1 if up and main == 2 else 1

@@ -8,22 +8,22 @@ from marey.cameras.camera import Camera
 from marey.surface.points.measured import MeasuredPoints
 
 _LAMP = np.array([-0.7, -0.6, -0.5])
-"""Where the lamp stands, seen from the surface, in the camera's axes: above, to the left, and near the camera."""
+"""Direction of the light, seen from the surface, in the camera's axes: from above, left, and near the camera."""
 _DIM = 0.45
 """Factor by which the image is darkened under the points."""
 _OUTER = 2.0
 """Share of the points that lie beyond either end of the colours [%]."""
 _JUMP = 8.0
-"""Neighbours whose depths differ by more than so many spacings have no common face."""
+"""Difference in depth, in spacings of the points, above which neighbours have no common face."""
 
 
 def depth_picture(points: MeasuredPoints, camera: Camera, number: int, image: Image) -> Image:
     """Draw a template's points over its image, near ones red and far ones blue.
 
     Args:
-        points: Of one frame.
+        points: Points of one frame.
         camera: A camera whose image was a template.
-        number: Which one it is.
+        number: Index of this camera.
         image: (H, W, 3) its image.
 
     Returns:
@@ -44,12 +44,12 @@ def depth_picture(points: MeasuredPoints, camera: Camera, number: int, image: Im
 
 
 def lit_picture(points: MeasuredPoints, camera: Camera, number: int) -> Image:
-    """Draw the surface that a template's points make with their neighbours, as a lamp would light it.
+    """Draw the shaded surface through a template's points.
 
     Args:
-        points: Of one frame.
+        points: Points of one frame.
         camera: A camera whose image was a template.
-        number: Which one it is.
+        number: Index of this camera.
 
     Returns:
         (H, W, 3); black where nothing was measured.
@@ -73,7 +73,7 @@ def lit_picture(points: MeasuredPoints, camera: Camera, number: int) -> Image:
 
 
 def _shaded(place: Floats) -> Image:
-    """Light a grid of places (R, C, 3) in camera axes; 0 where there is none."""
+    """Shade a grid of points (R, C, 3) in camera axes; 0 where there is none."""
     right, down = _slope(place, axis=1), _slope(place, axis=0)
     normal = np.cross(down, right)
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
@@ -83,7 +83,7 @@ def _shaded(place: Floats) -> Image:
 
 
 def _slope(place: Floats, axis: int) -> Floats:
-    """Differentiate along an axis, by both neighbours or by the one that is there."""
+    """Differentiate along an axis, from both neighbours, or from the one that exists."""
     step = np.diff(place, axis=axis)
     usual = np.nanmedian(np.linalg.norm(step, axis=-1)) if np.isfinite(step).any() else 1.0
     step = np.where(np.linalg.norm(step, axis=-1, keepdims=True) > _JUMP * usual, np.nan, step)
@@ -95,6 +95,6 @@ def _slope(place: Floats, axis: int) -> Floats:
 
 
 def _spacing(pixels: Floats) -> int:
-    """Tell how far apart the points lie [px]."""
+    """Return the spacing of the points [px]."""
     columns = np.unique(np.round(pixels[:, 0]))
     return int(np.median(np.diff(columns))) if len(columns) > 1 else 1

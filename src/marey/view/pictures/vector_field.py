@@ -7,7 +7,7 @@ from marey.arrays import Floats, Image
 from marey.cameras.camera import Camera
 
 _SHIFT = 4
-"""Bits behind the point in the coordinates that OpenCV draws."""
+"""Fractional bits of the coordinates for OpenCV's drawing functions."""
 _FADED = 0.55
 """Factor by which the image is darkened under the lines."""
 _BAR = (16, 12, 180)
@@ -15,14 +15,14 @@ _BAR = (16, 12, 180)
 
 
 def vector_field(image: Image, camera: Camera, position: Floats, velocity: Floats, *, seconds: float) -> Image:
-    """Draw where points go.
+    """Draw the velocities of points as lines.
 
     Args:
         image: (H, W, 3) the camera's image, in blue, green, red.
-        camera: That took it.
+        camera: The camera of the image.
         position: (n, 3) in the world [m]; NaN is left out.
         velocity: (n, 3) [m/s]; points of unknown velocity are left out.
-        seconds: The lines' length in time: each ends where its point would be then.
+        seconds: Time that the lines span: each ends at the position of its point after this time [s].
 
     Returns:
         (H, W, 3) the darkened image with the lines; yellow for the fastest points, violet for the slowest.
@@ -46,7 +46,7 @@ def vector_field(image: Image, camera: Camera, position: Floats, velocity: Float
 
 
 def speed_colours(share: Floats) -> Image:
-    """Give the colours (n, 3) in blue, green, red of speeds (n,) between 0 and 1."""
+    """Return the colours (n, 3) in blue, green, red of speeds (n,) between 0 and 1."""
     grey = np.asarray(np.round(255 * np.asarray(share)), np.uint8)[:, None]
     return np.asarray(cv2.applyColorMap(grey, cv2.COLORMAP_PLASMA), np.uint8).reshape(-1, 3)
 
