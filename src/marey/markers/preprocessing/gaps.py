@@ -178,7 +178,7 @@ def _groups(trajectories: MarkerTrajectories, clusters: Sequence[Cluster]) -> li
 
 def _gaps(points: Floats) -> list[tuple[int, int, int]]:
     """List the gaps of markers (F, M, 3) as (marker, first frame, frame after the last)."""
-    missing = np.asarray(~np.isfinite(points).all(-1))
+    missing: Mask = np.asarray(~np.isfinite(points).all(-1))
     return [(m, *run) for m in range(points.shape[1]) for run in true_runs(missing[:, m])]
 
 
